@@ -1,5 +1,5 @@
-//! Compiles the `.proto` files without `protoc`, and gives every message the JSON form that REST
-//! and the WebSocket speak, so that there is one schema and not two.
+//! Compiles the `.proto` files without `protoc`, and derives the JSON form for REST and the WebSocket from the same
+//! messages.
 
 use std::path::PathBuf;
 
@@ -7,7 +7,7 @@ use prost::Message;
 
 const FILES: [&str; 2] = ["roundel/v1/roundel.proto", "roundel/v1/stream.proto"];
 
-/// Nanoseconds exceed what a JSON number holds exactly (2^53), so in JSON they are strings.
+/// Fields in nanoseconds: strings in JSON, because they exceed the exact range of a JSON number (2^53).
 const NANOSECONDS: [&str; 34] = [
     "Snapshot.pose_time_ns",
     "Snapshot.capture_time_ns",
@@ -44,7 +44,7 @@ const NANOSECONDS: [&str; 34] = [
     "QueryHistoryResponse.oldest_time_ns",
     "QueryHistoryResponse.newest_time_ns",
 ];
-/// Alternatives within a message, which have to have the same forms as messages.
+/// Oneofs, which need the same derives as messages.
 const ALTERNATIVES: [&str; 5] = [
     "PushRequest.message",
     "PushResponse.message",
@@ -53,7 +53,7 @@ const ALTERNATIVES: [&str; 5] = [
     "StreamMessage.message",
 ];
 
-/// Enumerations are integers on the wire and lower-case words in JSON.
+/// Enumeration fields and their module in `json`: integers in protobuf, lower-case words in JSON.
 const ENUMERATIONS: [(&str, &str); 14] = [
     ("ObjectState.stage", "life_stage"),
     ("Object.stage", "life_stage"),

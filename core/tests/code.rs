@@ -1,11 +1,9 @@
 //! Existing WhyCode prints (`../shared/data/whycode`) are read with the numbers that their users know
 //! them by: direction, order and polarity of the teeth.
 
-mod picture;
-
 use std::path::{Path, PathBuf};
 
-use picture::Picture;
+use crate::picture::Picture;
 use roundel_core::{
     camera::PixelPoint,
     ellipse::Ellipse,

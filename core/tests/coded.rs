@@ -1,9 +1,7 @@
 //! Coded rings that are followed, beside the same rings searched for in each frame: the same codes, and rims that are as
 //! near to the drawn ones.
 
-mod drawing;
-
-use drawing::{Drawing, Roundel, ellipse, frame};
+use crate::drawing::{Drawing, Roundel, ellipse, frame};
 use roundel_core::{
     ellipse::Ellipse,
     marker::{Code, CodeLayout, CodeReader, Detector, Kind, Params, Pattern, Scratch, Tracker},

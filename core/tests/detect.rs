@@ -1,8 +1,6 @@
 //! Detection and tracking on drawn frames: symmetries, lighting, edges, identity.
 
-mod drawing;
-
-use drawing::{Drawing, Roundel, ellipse, frame};
+use crate::drawing::{Drawing, Roundel, ellipse, frame};
 use proptest::prelude::*;
 use roundel_core::{
     camera::PixelPoint,

@@ -1,11 +1,9 @@
 //! Detection on photographs with rims measured by hand (`../shared/data/real`): what is there is
 //! found, where it is, and nothing else.
 
-mod picture;
-
 use std::path::{Path, PathBuf};
 
-use picture::Picture;
+use crate::picture::Picture;
 use roundel_core::{
     ellipse::Ellipse,
     marker::{Detector, Kind, Params, Ring, Scratch, Tracker},

@@ -1,10 +1,7 @@
 //! How near the rims come to drawn ones, against size, tilt, blur and noise. `cargo bench -p
 //! roundel-core --bench precision` prints the whole table.
 
-mod drawing;
-mod rim_error;
-
-use rim_error::{Case, cases, measure, print_head, print_row};
+use crate::rim_error::{Case, cases, measure, print_head, print_row};
 
 /// Largest bias of the size, as a share, and rms of the outer centre, pixels, for a picture.
 fn bounds(case: &Case) -> (f64, f64) {

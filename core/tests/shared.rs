@@ -1,8 +1,6 @@
 //! Rings that the threads of a pool share come out as those that one thread fits.
 
-mod drawing;
-
-use drawing::{SIDE, frame, nine};
+use crate::drawing::{SIDE, frame, nine};
 use roundel_core::{
     camera::{Camera, Intrinsics, Lens},
     marker::{Detector, Kind, Mode, Params, Tracker},

@@ -1,15 +1,15 @@
-//! How single fields look in JSON where serde's own form would mislead.
+//! JSON forms of fields for which serde's default is unsuitable: nanoseconds and enumerations.
 
 /// `i64` nanoseconds as a decimal string.
 pub mod nanoseconds {
     use serde::{Deserialize, Deserializer, Serializer, de::Error};
 
-    /// Writes the number as a string.
+    /// Writes the number as a decimal string.
     pub fn serialize<S: Serializer>(value: &i64, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_str(value)
     }
 
-    /// Reads a string of decimal digits.
+    /// Reads a decimal string.
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<i64, D::Error> {
         let text = String::deserialize(deserializer)?;
         text.parse().map_err(|_| {
@@ -20,25 +20,25 @@ pub mod nanoseconds {
     }
 }
 
-/// Makes a module that writes an enumeration's number as its lower-case name, without the prefix.
+/// Defines a module that serializes an enumeration as the lower-case name of its value, without the prefix.
 macro_rules! enumeration {
     ($module:ident, $type:ty, $prefix:literal) => {
         #[doc = concat!("Values of `", stringify!($type), "` as lower-case words.")]
         pub mod $module {
             use serde::{Deserialize, Deserializer, Serializer, de::Error};
 
-            /// The value's word; `unspecified` for a number that this version does not know.
+            /// The word for a value; `unspecified` for a number unknown to this version.
             pub fn word(value: i32) -> String {
                 let known = <$type>::try_from(value).unwrap_or_default();
                 known.as_str_name().trim_start_matches($prefix).to_ascii_lowercase()
             }
 
-            /// Writes the word.
+            /// Writes the value as its word.
             pub fn serialize<S: Serializer>(value: &i32, serializer: S) -> Result<S::Ok, S::Error> {
                 serializer.serialize_str(&word(*value))
             }
 
-            /// Reads the word.
+            /// Reads a word; an unknown one is an error.
             pub fn deserialize<'de, D: Deserializer<'de>>(
                 deserializer: D,
             ) -> Result<i32, D::Error> {

@@ -1,9 +1,8 @@
-//! Holds the `.proto` files to what clients build on: `contract.txt` has every field, value and call with its number,
-//! type and meaning. What stands there is never changed; what is new is added.
+//! Compatibility of the `.proto` files: `contract.txt` lists every field, value and call with its number, type and
+//! meaning. Entries are added, and never removed or changed in number or type.
 //!
-//! After adding something: `ROUNDEL_CONTRACT=write cargo test -p roundel-proto --test contract`. It refuses to write a
-//! change of a number or type. Words may be made clearer, which shows in the diff of `contract.txt`; there whoever
-//! reviews sees that they still mean the same.
+//! After an addition: `ROUNDEL_CONTRACT=write cargo test -p roundel-proto --test contract`. It rejects changed numbers
+//! and types. A comment may be reworded if its meaning stays the same; the diff of `contract.txt` shows it to reviewers.
 
 use std::{collections::BTreeMap, fs, path::Path};
 
@@ -15,10 +14,10 @@ use prost_types::{
 };
 
 const CONTRACT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/contract.txt");
-const HOW: &str =
-    "if it is new, ROUNDEL_CONTRACT=write cargo test -p roundel-proto --test contract adds it";
+const HOW_TO_UPDATE: &str =
+    "to update it: ROUNDEL_CONTRACT=write cargo test -p roundel-proto --test contract";
 
-/// What a name is bound to: `= number type`, and what it means.
+/// Number and type of a name, and its comment.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Entry {
     shape: String,
@@ -28,28 +27,28 @@ struct Entry {
 type Contract = BTreeMap<String, Entry>;
 
 #[test]
-fn what_clients_build_on_is_as_it_was() {
+fn the_contract_is_kept() {
     let now = contract(&FileDescriptorSet::decode(roundel_proto::DESCRIPTORS).unwrap());
     let kept = read(&fs::read_to_string(CONTRACT).unwrap_or_default());
     let broken = broken(&kept, &now);
-    assert!(broken.is_empty(), "roundel.v1 has promised otherwise:\n{}", broken.join("\n"));
-    if std::env::var("ROUNDEL_CONTRACT").is_ok_and(|what| what == "write") {
+    assert!(broken.is_empty(), "incompatible with roundel.v1:\n{}", broken.join("\n"));
+    if std::env::var("ROUNDEL_CONTRACT").is_ok_and(|mode| mode == "write") {
         fs::write(Path::new(CONTRACT), written(&now)).unwrap();
         return;
     }
     for (name, entry) in &now {
         match kept.get(name) {
-            None => panic!("{name} is not in {CONTRACT}; {HOW}"),
+            None => panic!("{name} is not in {CONTRACT}; {HOW_TO_UPDATE}"),
             Some(kept) => assert_eq!(
                 entry.meaning, kept.meaning,
-                "{name} says something else than in {CONTRACT}: a new meaning wants a new field; {HOW}, and clearer words too"
+                "the comment of {name} differs from {CONTRACT}; a new meaning needs a new field; {HOW_TO_UPDATE}"
             ),
         }
     }
 }
 
 #[test]
-fn a_changed_number_or_type_and_a_lost_field_are_broken_promises() {
+fn changed_numbers_types_and_removed_names_are_found() {
     let now = contract(&FileDescriptorSet::decode(roundel_proto::DESCRIPTORS).unwrap());
     assert_eq!(broken(&now, &now), Vec::<String>::new());
     assert_eq!(read(&written(&now)), now);
@@ -59,13 +58,16 @@ fn a_changed_number_or_type_and_a_lost_field_are_broken_promises() {
     for shape in ["3 uint64", "4 int64", "3 repeated int64"] {
         let mut changed = now.clone();
         changed.get_mut(field).unwrap().shape = shape.into();
-        let told = broken(&now, &changed);
-        assert!(told.len() == 1 && told[0].contains(field) && told[0].contains(shape), "{told:?}");
+        let found = broken(&now, &changed);
+        assert!(
+            found.len() == 1 && found[0].contains(field) && found[0].contains(shape),
+            "{found:?}"
+        );
     }
     let mut lost = now.clone();
     lost.remove("Roundel.GetTime");
     assert_eq!(broken(&now, &lost).len(), 1);
-    // Nobody may take a number that something else had.
+    // Numbers are unique.
     let numbers = now.iter().filter(|(name, _)| name.starts_with("ObjectState."));
     let mut numbers: Vec<&str> =
         numbers.map(|(_, entry)| entry.shape.split(' ').next().unwrap()).collect();
@@ -75,10 +77,10 @@ fn a_changed_number_or_type_and_a_lost_field_are_broken_promises() {
     assert_eq!((numbers.len(), count), (17, 17));
 }
 
-/// Endings of names that say the unit of a number.
+/// Suffixes that state the unit of a number.
 const UNITS: [&str; 11] =
     ["_us", "_ms", "_s", "_hz", "_m", "_mm", "_m_s2", "_rad", "_deg", "_px", "_ppm"];
-/// Words that say what a number without such an ending counts in, or that it has no unit.
+/// Words that state the unit of a number without such a suffix, or that it has none.
 const UNIT_WORDS: [&str; 14] = [
     "metre",
     "radian",
@@ -97,61 +99,63 @@ const UNIT_WORDS: [&str; 14] = [
 ];
 
 #[test]
-fn everything_that_clients_build_on_says_what_it_means() {
+fn every_name_has_a_comment_with_its_unit_and_clock() {
     let now = contract(&FileDescriptorSet::decode(roundel_proto::DESCRIPTORS).unwrap());
-    let wordless = wordless(&now);
+    let incomplete = incomplete(&now);
     assert!(
-        wordless.is_empty(),
-        "a comment above each of these in proto/roundel/v1 has to say what it is, and its unit, frame or time base:\n{}",
-        wordless.join("\n")
+        incomplete.is_empty(),
+        "these need a comment in proto/roundel/v1 with meaning, unit, and frame or clock:\n{}",
+        incomplete.join("\n")
     );
 }
 
 #[test]
-fn a_field_without_words_and_a_number_without_its_unit_are_found() {
+fn missing_comments_units_and_clocks_are_found() {
     let entry = |shape: &str, meaning: &str| Entry { shape: shape.into(), meaning: meaning.into() };
-    let told = |name: &str, entry: Entry| wordless(&Contract::from([(name.into(), entry)])).len();
-    assert_eq!(told("Object.name", entry("2 string", "")), 1);
-    assert_eq!(told("Object.name", entry("2 string", "Configured name, or empty.")), 0);
-    // A time says its clock or epoch, and its unit in its name.
-    assert_eq!(told("Event.time_ns", entry("2 int64", "When it happened.")), 1);
-    assert_eq!(told("Event.time_ns", entry("2 int64", "When, ns since the Unix epoch.")), 0);
-    assert_eq!(told("Event.time", entry("2 int64", "When, ns since the Unix epoch.")), 1);
-    // A number says its unit, in its name or in words.
-    assert_eq!(told("Camera.speed", entry("2 double", "How fast it is.")), 1);
-    assert_eq!(told("Camera.speed_px", entry("2 double", "How far it is.")), 0);
-    assert_eq!(told("Camera.noise", entry("2 repeated double", "Its deviation, grey levels.")), 0);
+    let count =
+        |name: &str, entry: Entry| incomplete(&Contract::from([(name.into(), entry)])).len();
+    assert_eq!(count("Object.name", entry("2 string", "")), 1);
+    assert_eq!(count("Object.name", entry("2 string", "Configured name, or empty.")), 0);
+    // A time needs its clock or epoch in the comment, and its unit in the name.
+    assert_eq!(count("Event.time_ns", entry("2 int64", "When it happened.")), 1);
+    assert_eq!(count("Event.time_ns", entry("2 int64", "When, ns since the Unix epoch.")), 0);
+    assert_eq!(count("Event.time", entry("2 int64", "When, ns since the Unix epoch.")), 1);
+    // A number needs its unit, in the name or in the comment.
+    assert_eq!(count("Camera.speed", entry("2 double", "How fast it is.")), 1);
+    assert_eq!(count("Camera.speed_px", entry("2 double", "How far it is.")), 0);
+    assert_eq!(count("Camera.noise", entry("2 repeated double", "Its deviation, grey levels.")), 0);
 }
 
-/// What does not say what it means, each with what is missing.
-fn wordless(contract: &Contract) -> Vec<String> {
+/// Names with an incomplete comment, each with the missing part.
+fn incomplete(contract: &Contract) -> Vec<String> {
     let missing = |(name, Entry { shape, meaning }): (&String, &Entry)| {
         let field = name.rsplit('.').next().unwrap_or_default();
-        let says = |words: &[&str]| words.iter().any(|word| meaning.to_lowercase().contains(word));
+        let mentions =
+            |words: &[&str]| words.iter().any(|word| meaning.to_lowercase().contains(word));
         let ends = |units: &[&str]| units.iter().any(|unit| field.ends_with(unit));
         let is_time =
             shape.ends_with("int64") && (field.contains("time") || field.ends_with("_ns"));
         let is_number = shape.split(' ').any(|word| word == "double" || word == "float");
-        let what = if meaning.is_empty() {
-            "no words"
+        let problem = if meaning.is_empty() {
+            "no comment"
         } else if is_time && !field.ends_with("_ns") {
             "a time without its unit in its name"
-        } else if is_time && !says(&["unix epoch", "as in", "clock", "time less"]) {
+        } else if is_time && !mentions(&["unix epoch", "as in", "clock", "time minus"]) {
             "a time without its epoch or clock"
-        } else if is_number && !ends(&UNITS) && !says(&UNIT_WORDS) {
+        } else if is_number && !ends(&UNITS) && !mentions(&UNIT_WORDS) {
             "a number without its unit"
         } else {
             return None;
         };
-        Some(format!("{name}: {what}"))
+        Some(format!("{name}: {problem}"))
     };
     contract.iter().filter_map(missing).collect()
 }
 
-/// What was promised and is not so.
+/// Incompatible changes.
 fn broken(kept: &Contract, now: &Contract) -> Vec<String> {
     let check = |(name, entry): (&String, &Entry)| match now.get(name) {
-        None => Some(format!("{name} = {} is gone", entry.shape)),
+        None => Some(format!("{name} = {} was removed", entry.shape)),
         Some(found) if found.shape != entry.shape => {
             Some(format!("{name}: expected {}, found {}", entry.shape, found.shape))
         }
@@ -161,7 +165,7 @@ fn broken(kept: &Contract, now: &Contract) -> Vec<String> {
 }
 
 fn written(contract: &Contract) -> String {
-    let head = "# What clients of roundel.v1 build on: never changed, only added to. Checked by tests/contract.rs.\n";
+    let head = "# The contract of roundel.v1: names, numbers and types never change. Checked by tests/contract.rs.\n";
     let line = |(name, entry): (&String, &Entry)| {
         format!(
             "{name} = {}{}{}\n",
@@ -194,7 +198,7 @@ fn contract(files: &FileDescriptorSet) -> Contract {
             add_enumeration(&mut contract, &comments, values, &[5, index]);
         }
         for (index, service) in (0..).zip(&file.service) {
-            for (place, method) in (0..).zip(&service.method) {
+            for (position, method) in (0..).zip(&service.method) {
                 let stream =
                     |is_stream: Option<bool>| if is_stream == Some(true) { "stream " } else { "" };
                 let shape = format!(
@@ -204,7 +208,7 @@ fn contract(files: &FileDescriptorSet) -> Contract {
                     stream(method.server_streaming),
                     short(method.output_type())
                 );
-                let meaning = comments.at(&[6, index, 2, place]);
+                let meaning = comments.at(&[6, index, 2, position]);
                 let name = format!("{}.{}", service.name(), method.name());
                 contract.insert(name, Entry { shape, meaning });
             }
@@ -226,7 +230,7 @@ fn add_message(
     }
     assert!(
         message.nested_type.is_empty() && message.enum_type.is_empty(),
-        "none so far; add them here"
+        "nested types are not listed yet"
     );
 }
 
@@ -267,7 +271,7 @@ fn short(name: &str) -> &str {
     name.trim_start_matches(".roundel.v1.")
 }
 
-/// What stands above each thing in a file, on one line.
+/// Leading comments by path in the file, each on one line.
 struct Comments(BTreeMap<Vec<i32>, String>);
 
 impl Comments {

@@ -1,14 +1,14 @@
-//! What decoding costs, per codec: video files of 1280x720 with twenty moving roundels, played frame after frame.
+//! Cost of decoding per codec: video files of 1280x720 with twenty moving roundels, read as fast as possible.
 //!
 //! ```sh
 //! cargo bench -p roundel-server --features gst --bench decode
 //! cargo bench -p roundel-server --features gst --bench decode -- --frames 300
 //! ```
 //!
-//! GStreamer's encoders (`gst-launch-1.0`) make the files, of noisy frames at 30 Hz and some 4 Mbit/s, and JPEG of quality
-//! 85. Processor time is that of all threads from the first frame to the last, of reading, decoding and bringing the luma
-//! to the source's consumer; nothing is searched. Beside it, the same JPEG pictures by Roundel's own decoder, which HTTP
-//! and V4L2 cameras use: only the luma.
+//! GStreamer's encoders (`gst-launch-1.0`) make the files from noisy frames at 30 Hz, with about 4 Mbit/s, or JPEG of
+//! quality 85. The processor time covers all threads from the first frame to the last: reading, decoding and copying the
+//! luma. Nothing is detected. For comparison, Roundel's own decoder for HTTP and V4L2 cameras decodes the luma of the
+//! same JPEG pictures.
 
 mod shared;
 
@@ -39,9 +39,9 @@ fn main() {
                 let number = arguments.next().and_then(|value| value.parse().ok());
                 frames = number.expect("--frames takes a number");
             }
-            // Cargo's own.
+            // Passed by cargo.
             "--bench" => {}
-            other => panic!("unknown option {other}: there is --frames"),
+            other => panic!("unknown option {other}: expected --frames"),
         }
     }
     let folder = std::env::temp_dir().join(format!("roundel-decode-{}", std::process::id()));
@@ -51,8 +51,8 @@ fn main() {
     println!("{frames} frames of {}x{}, processor time of all threads", SIZE.0, SIZE.1);
     for (name, encoder) in CODECS {
         let path = encode(&folder, encoder);
-        let (came, processor_ms, elapsed_ms) = play(&path);
-        assert_eq!(came, frames, "{name}: frames");
+        let (received, processor_ms, elapsed_ms) = play(&path);
+        assert_eq!(received, frames, "{name}: frames");
         let size_kb = fs::metadata(&path).expect("the file").len() as f64 / 1e3;
         println!(
             "{name:6} by GStreamer: {:.2} ms a frame, {:.0} frames/s ({:.0} kB a frame)",
@@ -89,7 +89,7 @@ fn encode(folder: &Path, encoder: &str) -> String {
     path
 }
 
-/// Frames that came; processor and real time from the first to the last, ms.
+/// Plays a file; returns the number of frames, and processor and real time from the first to the last, ms.
 fn play(path: &str) -> (usize, f64, f64) {
     let url = format!("file:{path}?speed=max");
     let address = SourceAddress::parse(&url, Path::new("/")).expect("an address");
@@ -108,7 +108,7 @@ fn play(path: &str) -> (usize, f64, f64) {
     (frames, (processor_s() - processor) * 1e3, begun.elapsed().as_secs_f64() * 1e3)
 }
 
-/// The first pictures as files, by the decoder that needs no GStreamer.
+/// Decodes the first pictures as JPEG files with Roundel's own decoder.
 fn own(folder: &Path) {
     let pattern = folder.join("%05d.jpg");
     launch(&format!(

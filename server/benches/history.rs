@@ -1,8 +1,8 @@
-//! How fast a history answers: `cargo bench -p roundel-server --bench history -- [HOURS]`.
+//! Speed of history queries: `cargo bench -p roundel-server --bench history -- [HOURS]`.
 //!
-//! 100 objects over so many hours (24 if left out; that fills 5 GB in the folder for temporary files, and takes minutes)
-//! are kept as a server keeps them, in all tiers, a second at a time. Then questions are asked a few times each; the
-//! least and the median time of each are printed.
+//! Writes the positions of 100 objects over HOURS, in all tiers, one second at a time, as a server does. The default of
+//! 24 hours takes minutes and 5 GB in the folder for temporary files. Then runs each query several times and prints the
+//! least and the median time.
 
 use std::{
     path::Path,
@@ -18,7 +18,7 @@ use roundel_server::archive::history::{
 const OBJECTS: u64 = 100;
 const NS_PER_S: i64 = 1_000_000_000;
 const HOUR_NS: i64 = 3600 * NS_PER_S;
-/// 2027-01-15, some time in the morning.
+/// 2027-01-15, 08:00 UTC.
 const BEGIN_NS: i64 = 1_800_000_000 * NS_PER_S;
 const ROUNDS: usize = 9;
 
@@ -47,15 +47,15 @@ fn main() {
     let last = |ns: i64| HistoryQuery { from: Timestamp::from_ns(end_ns - ns), ..all.clone() };
     let one = || vec!["robot-7".to_owned()];
     let corner = Some([[0.0, 0.0, 0.0], [5.0, 4.0, 1.0]]);
-    ask(&store, "all of it, all objects", &all);
+    ask(&store, "everything, all objects", &all);
     ask(&store, "the last hour, all objects", &last(HOUR_NS));
     ask(&store, "the last minute, all objects", &last(60 * NS_PER_S));
-    ask(&store, "all of it, one object", &HistoryQuery { objects: one(), ..all.clone() });
+    ask(&store, "everything, one object", &HistoryQuery { objects: one(), ..all.clone() });
     ask(&store, "the last hour, one object", &HistoryQuery { objects: one(), ..last(HOUR_NS) });
-    ask(&store, "all of it, within a corner", &HistoryQuery { region_m: corner, ..all.clone() });
+    ask(&store, "everything, within a corner", &HistoryQuery { region_m: corner, ..all.clone() });
 }
 
-/// What a server would have kept; the number of points.
+/// Writes the history; returns the number of points.
 fn fill(path: &Path, end_ns: i64) -> u64 {
     let mut store = Store::open(path).expect("a file");
     let begin = Timestamp::from_ns(BEGIN_NS);
@@ -81,7 +81,7 @@ fn fill(path: &Path, end_ns: i64) -> u64 {
             }
         }
         rows += points.len() as u64;
-        store.add(&points).expect("room on the disk");
+        store.add(&points).expect("enough disk space");
     }
     rows
 }

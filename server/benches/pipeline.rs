@@ -1,15 +1,15 @@
-//! The whole way, from a frame given to a worker to the snapshot with it in a gRPC client on
-//! loopback: detection with poses of what R4-lite's or R4's cameras see, fusion, the hub, HTTP/2, protobuf.
+//! End-to-end latency from a frame handed to a worker to its snapshot at a gRPC client on loopback: detection with poses,
+//! fusion, the hub, HTTP/2 and protobuf.
 //!
-//! `r4_lite` gives all cameras a frame at once and waits for the snapshot with all of them. `r4` has 50 robots with
-//! codes of 9 bits (8 bits have not so many) before four cameras of 1920x1080, which are not in step, as cameras are: they get their frames in
-//! turn, at the rate of the preset, and each one is waited for. What the cameras show moves: robots set out, drive as fast
-//! as in the preset, stop, and go back the same way, as a pendulum does, so that no speed changes within a frame. A frame
-//! is given as long after its capture as simulated cameras take on average to bring it; what is measured begins there.
+//! `r4_lite` hands all cameras a frame at once and waits for the snapshot that includes all of them. `r4` has 50 robots
+//! with codes of 9 bits (8 bits have fewer codes) in view of four cameras of 1920x1080 that are out of step: they receive
+//! frames in turn, at the rate of the preset, and each frame is awaited. The robots swing like a pendulum: they accelerate
+//! to the speed of the preset, stop, and return the same way, so that the speed never jumps between frames. Each frame is
+//! handed over after the average delay of a simulated camera; the measurement starts at the handover.
 //!
-//! The client has a thread of its own, as a controller's loop has; the server has two, beside its cameras and fusion.
-//! Snapshots are published as soon as a frame has been fused (`prompt`), besides the steady ones. Besides criterion's
-//! mean, the percentiles of all runs are printed, but for those of the first second: cameras search whole frames then.
+//! The client has its own thread, like a controller's loop; the server has two, besides cameras and fusion. Snapshots are
+//! published as soon as a frame is fused (`prompt`), in addition to the periodic ones. The percentiles of all runs are
+//! printed beside criterion's mean, without those of the first second, in which cameras search whole frames.
 
 use std::{
     f64::consts::{FRAC_2_PI, PI},
@@ -40,40 +40,40 @@ use roundel_server::{
 use tokio::runtime::{Builder, Runtime};
 use tonic::{Streaming, transport::Endpoint};
 
-/// As of the `roundel` command.
+/// The allocator of the `roundel` command.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 type Pixels = Arc<Vec<u8>>;
 
-/// Frames rendered for each camera: a way forward.
+/// Frames rendered for each camera: one way of the pendulum.
 const FRAMES: usize = 40;
-/// When the way begins, seconds of the scenario.
+/// Time in the scenario when the motion starts, seconds.
 const BEGIN_S: f64 = 1.0;
-/// Frames given before any counts, to each camera: a second.
-const BEFORE: usize = 60;
-/// The scenario is known at so many times between two frames.
-const FINER: f64 = 16.0;
-/// From a frame's capture until it is given.
+/// Warm-up frames for each camera: one second.
+const WARM_UP_FRAMES: usize = 60;
+/// Scenario frames between two rendered frames.
+const SUBSTEPS: f64 = 16.0;
+/// Delay from a frame's capture until it is handed to the worker.
 const LATENCY_NS: i64 = (0.5e9 * (SIM_LATENCY_S[0] + SIM_LATENCY_S[1])) as i64;
 
-/// Frames from the benchmark instead of a camera.
-struct Fed {
+/// A source that receives its frames from the benchmark.
+struct ChannelSource {
     frames: Option<Receiver<(Pixels, Timestamp)>>,
     newest: Pixels,
     size: (usize, usize),
     stop: StopSignal,
 }
 
-impl OpenSource for Fed {
+impl OpenSource for ChannelSource {
     fn open(&mut self) -> Result<Box<dyn FrameSource>, SourceError> {
         let frames = self.frames.take().ok_or(SourceError::Finished)?;
         let (newest, stop) = (self.newest.clone(), self.stop.clone());
-        Ok(Box::new(Fed { frames: Some(frames), newest, size: self.size, stop }))
+        Ok(Box::new(ChannelSource { frames: Some(frames), newest, size: self.size, stop }))
     }
 }
 
-impl FrameSource for Fed {
+impl FrameSource for ChannelSource {
     fn next_frame(&mut self) -> Result<LentFrame<'_>, SourceError> {
         let frames = self.frames.as_ref().ok_or(SourceError::Finished)?;
         while !self.stop.is_stopped() {
@@ -93,14 +93,13 @@ impl FrameSource for Fed {
     }
 }
 
-/// What is measured.
 #[derive(Clone, Copy)]
 struct Case {
     preset: &'static str,
     mode: &'static str,
     robots: usize,
     cameras: usize,
-    /// Whether all cameras get their frames at once.
+    /// Whether all cameras receive their frames at the same time.
     at_once: bool,
 }
 
@@ -139,30 +138,30 @@ impl Case {
     }
 }
 
-/// The scenario's frame that is shown in this place of the way, whose middle is passed at full speed.
+/// The scenario frame shown at this place of the pendulum, which passes the middle at full speed.
 fn number_at(place: usize, rate_hz: f64) -> u64 {
     let share = place as f64 / (FRAMES - 1) as f64;
     let frames_at_full_speed = (FRAMES - 1) as f64 * FRAC_2_PI;
     let passed = frames_at_full_speed * 0.5 * (1.0 - (PI * share).cos());
-    ((BEGIN_S * rate_hz + passed) * FINER).round() as u64
+    ((BEGIN_S * rate_hz + passed) * SUBSTEPS).round() as u64
 }
 
-/// Nanoseconds until a snapshot was fused, then until it was sent, then until it was there.
+/// Nanoseconds until the snapshot was fused, then until it was sent, then until it was received.
 type Stages = [i64; 3];
 
-/// A camera's way to the server, and what it shows.
+/// The channel to a camera's source, and its frames.
 type Feed = (SyncSender<(Pixels, Timestamp)>, Vec<Pixels>);
 
-/// A server whose cameras show their frames forward and back, again and again, and a client of it.
+/// A server whose cameras play their frames forwards and backwards, and a client.
 struct Bench {
     server: Server,
     cameras: Vec<Feed>,
     at_once: bool,
-    /// From one frame of a camera to the next.
+    /// Time between two frames of one camera.
     period: Duration,
-    /// How often frames were given.
+    /// Number of turns so far.
     given: usize,
-    /// When they are due again.
+    /// Time of the next turn.
     due: Instant,
     snapshots: Streaming<Snapshot>,
 }
@@ -172,8 +171,9 @@ impl Bench {
         let mut params = case.params();
         let rate_hz = params.optics.rate_hz;
         let period = Duration::from_secs_f64(1.0 / rate_hz);
-        params.optics.rate_hz *= FINER;
-        let (config, scenario) = (case.config(), Scenario::new(params).expect("room for them"));
+        params.optics.rate_hz *= SUBSTEPS;
+        let (config, scenario) =
+            (case.config(), Scenario::new(params).expect("enough space for the robots"));
         let (begun, senders) = channel();
         let server = Server::start_with_sources(config, move |setting| {
             let camera = &setting.camera.calibration;
@@ -189,7 +189,7 @@ impl Bench {
             let (sender, frames) = sync_channel(1);
             begun.send((sender, shown)).expect("the bench waits for it");
             let newest = Pixels::default();
-            Box::new(Fed { frames: Some(frames), newest, size, stop: setting.stop })
+            Box::new(ChannelSource { frames: Some(frames), newest, size, stop: setting.stop })
         });
         let server = of_server.spawn(server).await.expect("no panic").expect("a server");
         let address = format!("http://{}", server.local_addr());
@@ -202,13 +202,13 @@ impl Bench {
         Self { server, cameras, at_once, period, given: 0, due: Instant::now(), snapshots }
     }
 
-    /// Frames are given so often until each camera has had one.
+    /// Number of turns in which each camera receives one frame.
     fn turns(&self) -> usize {
         if self.at_once { 1 } else { self.cameras.len() }
     }
 
-    /// Gives each camera its frame, or the next one its own, once they are due, and waits for the snapshot with all of
-    /// that: how long it took, and how much of that until it was fused, until it was sent and until it was there.
+    /// Hands the next frame to all cameras, or to the next camera, when it is due, and waits for the snapshot that
+    /// includes it. Returns the latency and its stages.
     async fn once(&mut self) -> (Duration, Stages) {
         let turns = self.turns();
         let (round, turn) = (self.given / turns, self.given % turns);
@@ -228,8 +228,8 @@ impl Bench {
         }
         loop {
             let snapshot = self.snapshots.message().await.expect("a stream").expect("a snapshot");
-            // One of a camera's frame alone may come before that of all, and a steady one may have been published since
-            // the first with it, which says the same.
+            // A snapshot with only one camera's frame may precede the one with all. A periodic snapshot with the same
+            // content may follow.
             let has_all = hub.fusion_counts().frames >= fused;
             let newest = hub.snapshots().borrow().clone();
             let (is_newest, seen) = (snapshot.sequence >= newest.sequence, seen_ns(&snapshot));
@@ -244,13 +244,13 @@ impl Bench {
     }
 }
 
-/// When a snapshot's objects were seen last, all together, nanoseconds: another with each frame that brings news.
+/// The sum of all objects' last observation times, nanoseconds, which changes with each frame that is fused.
 fn seen_ns(snapshot: &Snapshot) -> i128 {
     let seen_ns = |object: &ObjectState| snapshot.pose_time_ns - object.observation_age_ns;
     snapshot.objects.iter().map(|object| i128::from(seen_ns(object))).sum()
 }
 
-/// The same of one that has not been sent.
+/// The same for a snapshot that has not been encoded.
 fn observed_ns(fused: &FusedSnapshot) -> i128 {
     let objects = fused.snapshot.objects.iter();
     objects.map(|object| i128::from(object.newest_observation.as_ns())).sum()
@@ -267,7 +267,7 @@ fn frame_to_client(criterion: &mut Criterion) {
     for case in [lite, Case { cameras: 4, ..lite }, r4, Case { mode: "fast", ..r4 }] {
         let mut bench = of_client.block_on(Bench::start(case, &of_server));
         of_client.block_on(async {
-            for _ in 0..BEFORE * bench.turns() {
+            for _ in 0..WARM_UP_FRAMES * bench.turns() {
                 bench.once().await;
             }
         });

@@ -1,4 +1,4 @@
-//! What bringing a picture of 1280x720 to 8-bit grey costs, by how it comes.
+//! Cost of converting a picture of 1280x720 to 8-bit grey, by format.
 
 use std::hint::black_box;
 
@@ -12,7 +12,7 @@ use roundel_server::capture::{
 const WIDTH: usize = 1280;
 const HEIGHT: usize = 720;
 
-/// Noise on a slope, so that nothing is easier than in a real picture.
+/// Noise on a gradient, so that compression and branches are as hard as in a real picture.
 fn bytes(count: usize) -> Vec<u8> {
     let noise = |i: usize| (i as u32).wrapping_mul(2_654_435_761) >> 28;
     (0..count).map(|i| (i / 37 % 200) as u8 + noise(i) as u8).collect()

@@ -1,7 +1,7 @@
-//! What a recording takes of a processor and of the disk: `cargo bench -p roundel-server --bench recording -- [SECONDS]`.
+//! Processor and disk load of a recording: `cargo bench -p roundel-server --bench recording -- [SECONDS]`.
 //!
-//! Observations and snapshots of the reference installations, with numbers that have all their digits, come at their
-//! rates through the hub's tap. The processor's share is that of the recording's own thread.
+//! Observations and snapshots of the reference installations, with numbers of full precision, arrive at their rates
+//! through the hub's tap. The load is that of the recording thread only.
 
 #[path = "shared/object.rs"]
 mod object;
@@ -36,12 +36,12 @@ use roundel_server::{
 };
 
 const RATE_HZ: f64 = 60.0;
-/// Of `/proc`, the same on all Linux systems that are.
+/// Clock ticks in `/proc`, equal on all common Linux systems.
 const TICKS_PER_S: f64 = 100.0;
 
 fn main() {
     let seconds = std::env::args().skip(1).find_map(|it| it.parse().ok()).unwrap_or(20.0);
-    // Of R4's robots each camera sees a good half, of R16's neighbours overlap by a third.
+    // In R4, each camera sees about half of the robots; in R16, the views of neighbours overlap by a third.
     run("R4, 24 objects", (4, 14), 24, seconds);
     run("R16, 200 objects", (16, 28), 200, seconds);
 }
@@ -135,7 +135,7 @@ fn run(name: &str, (cameras, roundels): (u32, u64), objects: u64, seconds: f64) 
     let _ = fs::remove_dir_all(folder);
 }
 
-/// Processor time of this process' thread of that name, seconds.
+/// Processor time of this process' thread with this name, seconds.
 fn processor_s(name: &str) -> f64 {
     let tasks = fs::read_dir("/proc/self/task").expect("Linux' /proc/self/task").flatten();
     let ticks = tasks.filter_map(|task| {

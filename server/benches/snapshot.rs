@@ -1,5 +1,5 @@
-//! What one snapshot of 100 objects costs a subscriber: conversion, prediction, protobuf and JSON,
-//! with covariances (full) and without (lean). Prints the sizes first.
+//! Cost of one snapshot of 100 objects for a subscriber: conversion, prediction, protobuf and JSON, with covariances
+//! (full) and without (lean). Prints the sizes first.
 //!
 //! `cargo bench -p roundel-server --bench snapshot`
 

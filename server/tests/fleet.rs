@@ -1,4 +1,4 @@
-//! Simulated robots are known by the objects that clients see, also where those are only expected.
+//! Commands for simulated robots are matched to tracked objects by position, also when these are only predicted.
 
 use nalgebra::Vector3;
 use roundel_core::{
@@ -14,13 +14,13 @@ use roundel_server::{
 };
 
 const ORIGIN: Timestamp = Timestamp::from_ns(1_000_000_000);
-/// So long nobody has seen anything, as on a machine that has much else to do.
+/// Time since the last observation of every object, as on an overloaded machine.
 const UNSEEN_S: f64 = 1.2;
-/// An object farther than this from a robot is not taken for it, metres.
+/// Largest distance between an object and its robot, metres.
 const SAME_M: f64 = 0.15;
 
 #[test]
-fn who_is_not_seen_is_known_by_where_it_was_seen_last() {
+fn a_predicted_object_is_matched_by_its_last_observation() {
     let address = SimAddress { preset: SimPreset::R4Lite, seed: 5, robots: Some(12), camera: 0 };
     let fleets = Fleets::default();
     let fleet = fleets.of(&address, ORIGIN).unwrap();
@@ -34,25 +34,25 @@ fn who_is_not_seen_is_known_by_where_it_was_seen_last() {
         objects: then.iter().map(|robot| object(robot, seen, stage)).collect(),
     };
     let predicted = snapshot(LifeStage::Predicted);
-    let is_nowhere = |state: &&ObjectState| {
+    let is_off_every_robot = |state: &&ObjectState| {
         let off_m = |robot: &RobotTruth| {
             (robot.world_from_roundel.translation.vector - state.position_m).norm()
         };
         now.iter().all(|robot| off_m(robot) > SAME_M)
     };
-    let nowhere = predicted.objects.iter().filter(is_nowhere).count();
-    assert!(nowhere > 0, "expected a robot that has turned meanwhile: another instant has one");
+    let unmatched = predicted.objects.iter().filter(is_off_every_robot).count();
+    assert!(unmatched > 0, "no robot has turned meanwhile: choose another time");
 
-    let wanted_m_s = |robot: &RobotTruth| Vector3::new(0.1 * robot.index as f64, -0.25, 0.0);
-    let order = |robot: &RobotTruth| DriveCommand {
+    let velocity_m_s = |robot: &RobotTruth| Vector3::new(0.1 * robot.index as f64, -0.25, 0.0);
+    let command = |robot: &RobotTruth| DriveCommand {
         object: ObjectId(robot.index as u64 + 1),
-        velocity_m_s: wanted_m_s(robot).cap_magnitude(1.0),
+        velocity_m_s: velocity_m_s(robot).cap_magnitude(1.0),
     };
-    let orders: Vec<DriveCommand> = then.iter().map(order).collect();
-    // The world in which each robot itself is told what its object is.
+    let commands: Vec<DriveCommand> = then.iter().map(command).collect();
+    // The scenario in which each command goes directly to its robot.
     let mut expected = fleet.scenario().as_ref().clone();
-    let begin_s = fleets.drive(&orders, &predicted, pose_time).unwrap().seconds_since(ORIGIN);
-    for (robot, DriveCommand { velocity_m_s, .. }) in then.iter().zip(&orders) {
+    let begin_s = fleets.drive(&commands, &predicted, pose_time).unwrap().seconds_since(ORIGIN);
+    for (robot, DriveCommand { velocity_m_s, .. }) in then.iter().zip(&commands) {
         let span_s = [begin_s, begin_s + COMMAND_TIMEOUT_S];
         expected.drive(robot.index, Drive { velocity_m_s: *velocity_m_s, span_s });
     }
@@ -63,17 +63,17 @@ fn who_is_not_seen_is_known_by_where_it_was_seen_last() {
         Fleets::default().of(&address, ORIGIN).unwrap().scenario().truth(soon_s)
     );
 
-    // One that is seen where no robot is, is none.
+    // A tracked object is rejected if no robot is at its position.
     let fleets = Fleets::default();
     fleets.of(&address, ORIGIN).unwrap();
-    let refused = fleets.drive(&orders, &snapshot(LifeStage::Tracked), pose_time);
+    let rejected = fleets.drive(&commands, &snapshot(LifeStage::Tracked), pose_time);
     assert!(
-        matches!(refused, Err(FleetError::NoRobot { distance_m, .. }) if distance_m > SAME_M),
-        "{refused:?}"
+        matches!(rejected, Err(FleetError::NoRobot { distance_m, .. }) if distance_m > SAME_M),
+        "{rejected:?}"
     );
 }
 
-/// An object that was last seen at this robot, and is expected to have gone on as it went.
+/// An object that was last observed at this robot and predicted with constant velocity since.
 fn object(robot: &RobotTruth, seen: Timestamp, stage: LifeStage) -> ObjectState {
     ObjectState {
         id: ObjectId(robot.index as u64 + 1),

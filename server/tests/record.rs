@@ -1,4 +1,4 @@
-//! A server that records: the real pipeline over simulated cameras, into files that are read again.
+//! Recording: the real pipeline over simulated cameras, into files that the test reads back.
 
 use std::{collections::BTreeMap, fs, path::Path, time::Duration};
 
@@ -7,7 +7,7 @@ use roundel_proto::v1;
 use roundel_server::{
     app::serve::Server,
     archive::record::{
-        RecordError, RecordingOptions, RecordingState,
+        RecordError, RecordingOptions,
         file_reader::{Channel, FileReader, RecordedMessage},
         schema::Topic,
     },
@@ -15,8 +15,8 @@ use roundel_server::{
 };
 use tokio::time::{sleep, timeout};
 
-/// Nothing here takes so long but on a machine that stands still.
-const PATIENCE: Duration = Duration::from_secs(60);
+/// Timeout of every wait; only a stalled machine reaches it.
+const TIMEOUT: Duration = Duration::from_secs(60);
 
 fn text(cameras: usize, recording: &str) -> String {
     let mut text = "name = \"lab\"\n[server]\nlisten = \"127.0.0.1:0\"\nsnapshot_rate_hz = 30.0\n\
@@ -35,16 +35,16 @@ async fn start(folder: &Path, recording: &str) -> Server {
     Server::start(Config::parse(&text(2, recording), folder).unwrap()).await.unwrap()
 }
 
-async fn until(what: &str, wanted: impl Fn() -> bool) {
+async fn until(what: &str, is_reached: impl Fn() -> bool) {
     let look = async {
-        while !wanted() {
+        while !is_reached() {
             sleep(Duration::from_millis(10)).await;
         }
     };
-    timeout(PATIENCE, look).await.unwrap_or_else(|_| panic!("{what} did not come about"));
+    timeout(TIMEOUT, look).await.unwrap_or_else(|_| panic!("{what} did not happen"));
 }
 
-/// What is in a file, in its order.
+/// All messages of a file, in order; the file must be undamaged.
 fn read(path: &Path) -> Vec<RecordedMessage> {
     let mut reader = FileReader::open(path).unwrap();
     let mut all = Vec::new();
@@ -61,11 +61,11 @@ fn of<M: Message + Default>(raws: &[RecordedMessage], topic: Topic) -> Vec<M> {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn everything_goes_into_a_file_that_is_whole_at_the_end() {
+async fn records_everything_into_a_file_that_is_complete_after_shutdown() {
     let folder = tempfile::tempdir().unwrap();
     let server = start(folder.path(), "frames_every = 5\nfolder = \"kept\"\n").await;
-    let recorder = server.recorder().unwrap().clone();
-    assert_eq!(recorder.status().state, RecordingState::Idle);
+    let recorder = server.recorder().clone();
+    assert_eq!(recorder.status().state(), v1::RecordingState::Idle);
     until("objects", || !server.hub().snapshots().borrow().snapshot.objects.is_empty()).await;
     recorder
         .start(&RecordingOptions { name: "trial".into(), ..RecordingOptions::default() })
@@ -77,8 +77,8 @@ async fn everything_goes_into_a_file_that_is_whole_at_the_end() {
     server.shutdown().await;
     let status = recorder.status();
     assert_eq!(
-        (status.state, status.dropped, status.files),
-        (RecordingState::Stopped, 0, 1),
+        (status.state(), status.dropped, status.files),
+        (v1::RecordingState::Stopped, 0, 1),
         "{status:?}"
     );
 
@@ -91,7 +91,7 @@ async fn everything_goes_into_a_file_that_is_whole_at_the_end() {
     let (first, last) = (sequences[0], *sequences.last().unwrap());
     assert!(
         sequences.iter().copied().eq(first..=last) && last >= before,
-        "without gaps, to the end"
+        "expected snapshots without gaps up to shutdown"
     );
     let object = &snapshots.last().unwrap().objects[0];
     assert_eq!((object.covariance.len(), object.velocity_covariance.len()), (21, 6));
@@ -103,9 +103,9 @@ async fn everything_goes_into_a_file_that_is_whole_at_the_end() {
     for numbers in frames.values() {
         assert!(numbers.windows(2).all(|pair| pair[1] > pair[0]), "{numbers:?}");
     }
-    // What fusion was told before the recording began is in it, ahead of what it saw.
-    let told: Vec<v1::FusedCamera> = of(&raws, Topic::Calibration);
-    assert!(told.iter().any(|told| told.camera == "c1" && told.pose.is_some()), "{told:?}");
+    // Camera poses that fusion received before the recording precede its first observation.
+    let cameras: Vec<v1::FusedCamera> = of(&raws, Topic::Calibration);
+    assert!(cameras.iter().any(|it| it.camera == "c1" && it.pose.is_some()), "{cameras:?}");
     let place = |topic| raws.iter().position(|raw| raw.channel == Channel::Topic(topic)).unwrap();
     assert!(place(Topic::Calibration) < place(Topic::Observations));
     let configuration: Vec<v1::RecordedConfiguration> = of(&raws, Topic::Configuration);
@@ -121,49 +121,49 @@ async fn everything_goes_into_a_file_that_is_whole_at_the_end() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn files_follow_one_another_within_the_budget() {
+async fn rotates_files_within_the_disk_budget() {
     let folder = tempfile::tempdir().unwrap();
-    // A file is looked at once a second, so it may be more than twice as long as it was to be.
+    // File sizes are checked once a second, so a file may exceed twice the limit.
     let limits = "start = true\nrotate_mb = 0.1\nbudget_gb = 0.0006\n";
     let server = start(folder.path(), limits).await;
-    let recorder = server.recorder().unwrap().clone();
-    until("room made", || recorder.status().deleted >= 2).await;
+    let recorder = server.recorder().clone();
+    until("two deleted files", || recorder.status().deleted >= 2).await;
     server.shutdown().await;
     let status = recorder.status();
-    assert_eq!((status.state, status.dropped), (RecordingState::Stopped, 0), "{status:?}");
+    assert_eq!((status.state(), status.dropped), (v1::RecordingState::Stopped, 0), "{status:?}");
     let files = recorder.list().unwrap();
     assert_eq!(files.len() as u32 + status.deleted, status.files, "{files:?}");
     assert!(files.iter().map(|file| file.bytes).sum::<u64>() < 900_000, "{files:?}");
-    // Each can be read by itself, and none lacks what the ones before have.
+    // Each file is readable alone: it repeats the configuration and calibration of those before it.
     assert!(files.len() >= 2, "{files:?}");
     let mut next = None;
     for file in files {
-        let raws = read(&status.folder.join(file.name));
+        let raws = read(&Path::new(&status.folder).join(file.name));
         let snapshots: Vec<v1::Snapshot> = of(&raws, Topic::Snapshots);
-        // The last one may have begun when all was over.
+        // The last file may have been opened after the last snapshot.
         if let (Some(first), Some(last)) = (snapshots.first(), snapshots.last()) {
             assert_eq!(next.unwrap_or(first.sequence), first.sequence);
             next = Some(last.sequence + 1);
         }
         assert_eq!(of::<v1::RecordedConfiguration>(&raws, Topic::Configuration).len(), 1);
-        let told: Vec<v1::FusedCamera> = of(&raws, Topic::Calibration);
-        assert!(told.iter().filter(|told| told.pose.is_some()).count() >= 2, "{told:?}");
+        let cameras: Vec<v1::FusedCamera> = of(&raws, Topic::Calibration);
+        assert!(cameras.iter().filter(|it| it.pose.is_some()).count() >= 2, "{cameras:?}");
     }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_cannot_be_written_is_told_and_the_service_goes_on() {
+async fn an_unwritable_folder_is_reported_and_the_server_keeps_running() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("taken"), "").unwrap();
     let server = start(folder.path(), "start = true\nfolder = \"taken/here\"\n").await;
     let (events, _) = server.hub().events(100);
-    let told: Vec<&str> = events.iter().map(|event| event.message.as_str()).collect();
+    let messages: Vec<&str> = events.iter().map(|event| event.message.as_str()).collect();
     assert!(
-        told.iter().any(|it| it.contains("Nothing is recorded: cannot record into")),
-        "{told:?}"
+        messages.iter().any(|it| it.contains("The recording was not started: cannot record into")),
+        "{messages:?}"
     );
     until("snapshots", || server.hub().snapshots().borrow().sequence > 5).await;
-    let recorder = server.recorder().unwrap().clone();
+    let recorder = server.recorder().clone();
     let error = recorder.start(&RecordingOptions::default()).unwrap_err().to_string();
     assert!(error.contains("taken/here") && error.contains("`folder` in [recording]"), "{error}");
     let error = recorder

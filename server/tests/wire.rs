@@ -1,8 +1,8 @@
-//! What known values are on the wire: a changed unit, order, sign or meaning where core's types become messages breaks
-//! a file of `proto/golden`. The files are read by the Python client's tests too, so that both ends agree.
+//! Golden files of messages: a changed unit, order, sign or meaning in the conversion from core's types to messages
+//! differs from a file in `proto/golden`. The Python client's tests read the same files, so that both ends agree.
 //!
-//! Each has a message as JSON, as REST and the WebSocket give it, and as protobuf in hexadecimal. After adding a field:
-//! `ROUNDEL_GOLDEN=write cargo test -p roundel-server --test wire`, and look at the difference: numbers that were there stay.
+//! Each message is stored as JSON, as in REST and the WebSocket, and as protobuf in hexadecimal. After adding a field, run
+//! `ROUNDEL_GOLDEN=write cargo test -p roundel-server --test main wire::` and check that existing numbers are unchanged.
 
 use std::{collections::BTreeMap, fmt::Debug, fs, path::PathBuf};
 
@@ -32,12 +32,12 @@ use roundel_server::model::{
 };
 use serde::Serialize;
 
-/// 2 October 2023, 12:00 UTC, and some ns, so that nothing but whole ns gives it back.
+/// 2 October 2023, 12:00 UTC, plus 7 ns, which only integer nanoseconds represent exactly.
 const POSE_TIME: Timestamp = Timestamp::from_ns(1_696_248_000_000_000_007);
 
 #[test]
-fn a_snapshot_is_in_metres_and_the_world_frame_quaternions_x_y_z_w_triangles_row_by_row() {
-    let chosen = Snapshot {
+fn snapshots_use_metres_the_world_frame_xyzw_quaternions_and_row_major_triangles() {
+    let selected = Snapshot {
         pose_time: POSE_TIME,
         capture_time: Some(POSE_TIME.plus_ns(-12_500_000)),
         objects: vec![coded(), plain()],
@@ -45,14 +45,14 @@ fn a_snapshot_is_in_metres_and_the_world_frame_quaternions_x_y_z_w_triangles_row
     let fused = FusedSnapshot {
         sequence: 41,
         fused_time: POSE_TIME.plus_ns(-3_000_000),
-        snapshot: chosen.clone(),
+        snapshot: selected.clone(),
     };
-    check("snapshot", &convert::snapshot(&installation(), &fused, &chosen, true));
-    check("lean_snapshot", &convert::snapshot(&installation(), &fused, &chosen, false));
+    check("snapshot", &convert::snapshot(&installation(), &fused, &selected, true));
+    check("lean_snapshot", &convert::snapshot(&installation(), &fused, &selected, false));
 }
 
 #[test]
-fn observations_are_in_raw_pixels_and_the_camera_frame() {
+fn observations_use_raw_pixels_and_the_camera_frame() {
     let rim = |half_px: f64| Ellipse {
         center: PixelPoint { u: 640.25, v: 359.75 },
         semi_major_px: half_px,
@@ -103,7 +103,7 @@ fn observations_are_in_raw_pixels_and_the_camera_frame() {
 }
 
 #[test]
-fn a_camera_is_told_in_milliseconds_and_parts_per_million() {
+fn cameras_use_milliseconds_and_parts_per_million() {
     let camera = Camera::new(Intrinsics {
         width: 1280,
         height: 720,
@@ -170,15 +170,16 @@ fn objects_and_events_carry_ids_names_and_unix_times() {
     check("object", &convert::object(&installation(), &record));
     let event = Event {
         sequence: 99,
-        time: POSE_TIME,
-        kind: EventKind::ObjectStageChanged(ObjectId(3), roundel_core::world::EventKind::Recovered),
+        time_ns: POSE_TIME.as_ns(),
+        kind: EventKind::ObjectRecovered.into(),
+        object_id: 3,
         camera: String::new(),
         message: "carrier is seen again.".to_owned(),
     };
-    check("event", &convert::event(&event));
+    check("event", &event);
 }
 
-/// One of code 12, seen by both cameras, with a heading.
+/// An object with code 12 and a known heading, seen by both cameras.
 fn coded() -> ObjectState {
     ObjectState {
         id: ObjectId(3),
@@ -205,7 +206,7 @@ fn coded() -> ObjectState {
     }
 }
 
-/// One without a name, whose heading is not observed, and that nobody sees.
+/// An object without a name or an observed heading, currently not observed.
 fn plain() -> ObjectState {
     ObjectState {
         id: ObjectId(7),
@@ -240,7 +241,7 @@ fn installation() -> Installation {
     }
 }
 
-/// w 0.7, x 0.1, y 0.5, z -0.5: no two parts are alike.
+/// w 0.7, x 0.1, y 0.5, z -0.5: all components differ.
 fn turn() -> UnitQuaternion<f64> {
     UnitQuaternion::new_unchecked(Quaternion::new(0.7, 0.1, 0.5, -0.5))
 }
@@ -249,20 +250,20 @@ fn place() -> Rigid {
     Rigid::from_parts(Translation3::new(-2.5, 1.25, 5.0), turn())
 }
 
-/// Symmetric, `base` and ten times the row plus the column from 1: each number says where it comes from.
+/// A symmetric matrix of `base` plus ten times the row plus the column, from 1, so that each number tells its position.
 fn numbered(base: f64) -> Covariance6 {
     Covariance6::from_fn(|row, column| {
         base + 10.0 * (row.min(column) + 1) as f64 + (row.max(column) + 1) as f64
     })
 }
 
-/// Holds a message to the files of its name, or writes them.
+/// Compares a message with its golden files, or writes them.
 fn check<M: Debug + Message + Default + PartialEq + Serialize>(name: &str, message: &M) {
     let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../proto/golden");
     let bytes = message.encode_to_vec();
     assert_eq!(&M::decode(bytes.as_slice()).unwrap(), message);
     let hex: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
-    // Lines that a difference can be seen in.
+    // Splits into lines, for readable differences.
     let lines: Vec<&str> =
         hex.as_bytes().chunks(96).map(|line| std::str::from_utf8(line).unwrap()).collect();
     let json = serde_json::to_string_pretty(message).unwrap();
@@ -276,8 +277,8 @@ fn check<M: Debug + Message + Default + PartialEq + Serialize>(name: &str, messa
         assert_eq!(
             found,
             kept,
-            "{}: known values are something else on the wire than clients were promised; a field that was added: \
-             ROUNDEL_GOLDEN=write cargo test -p roundel-server --test wire",
+            "{}: the encoding of known values has changed; if you have added a field, run \
+             ROUNDEL_GOLDEN=write cargo test -p roundel-server --test main wire:: and check the difference",
             path.display()
         );
     }

@@ -247,11 +247,10 @@ const PROTO_FREE: [&str; 4] =
     ["capture/source", "capture/worker", "fusion/calibration", "fusion/mod.rs"];
 
 /// Messages that say what core's types hold.
-const CONVERTED: [&str; 11] = [
+const CONVERTED: [&str; 10] = [
     "Camera",
     "Detection",
     "Ellipse",
-    "Event",
     "FrameObservations",
     "Intrinsics",
     "Object",

@@ -8,7 +8,6 @@ use std::{
     time::Duration,
 };
 
-use anyhow::Context;
 use roundel_core::{time::Timestamp, world::FrameObservations};
 use roundel_server::{
     app::serve::Server,
@@ -120,9 +119,10 @@ pub fn record(
         })
         .await?;
         tokio::time::sleep(length).await;
-        let status = server.recorder().context("the server records")?.status();
+        let status = server.recorder().status();
         server.shutdown().await;
-        Ok(Recorded { file: status.folder.join(status.file), dropped: status.dropped })
+        let file = PathBuf::from(status.folder).join(status.file);
+        Ok(Recorded { file, dropped: status.dropped })
     })
 }
 

@@ -268,7 +268,7 @@ fn conversions_elsewhere_are_refused() {
     ));
     for (path, source) in [
         ("archive/record.rs", format!("{both}{convert}")),
-        ("model/hub.rs", format!("{both}use v1::Event; fn f() {{ let e = Event {{ time }}; }}")),
+        ("model/hub.rs", format!("{both}use v1::Pose; fn f() {{ let p = Pose {{ x }}; }}")),
         ("fusion/mod.rs", "use roundel_proto::v1::Snapshot;".to_owned()),
         ("capture/source/images.rs", "use roundel_proto::v1::Camera;".to_owned()),
     ] {

@@ -110,7 +110,7 @@ fn what_a_recording_does_not_tell_is_said() {
     let file = record(&arena, frames, folder.path(), &[]).unwrap().file;
     let name = |index: usize| arena.sites[index].name.as_str();
     let nothing = error(&file, name(0));
-    assert!(nothing.contains("saw no coded roundel in"), "{nothing}");
+    assert!(nothing.contains("saw no coded roundel"), "{nothing}");
     let alone = error(&file, name(1));
     assert!(alone.contains("no other camera saw one of them"), "{alone}");
     let little = error(&file, name(2));

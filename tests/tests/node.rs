@@ -176,7 +176,7 @@ async fn a_node_on_another_network_loses_its_link_and_the_counts_add_up() -> any
         )
     };
     let pose = "pose = { position_m = [0.0, 0.0, 3.0], orientation_xyzw = [1.0, 0.0, 0.0, 0.0] }\n";
-    let listen = format!("[server]\nlisten = \"{}:0\"\n", network.here);
+    let listen = format!("[server]\nlisten = \"{}:0\"\ninsecure = true\n", network.here);
     fs::write(path.join("lab.toml"), format!("{listen}{ROUNDEL}{}{pose}", camera("push:")))?;
     let server = Server::serve(&path.join("lab.toml"))?;
     let source = camera("images:*.pgm?fps=30&loop=true");

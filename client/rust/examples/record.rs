@@ -4,7 +4,7 @@
 //! cargo run --release -p roundel-client --example record -- run.csv 10     # ten seconds; - for standard output
 //! ```
 //!
-//! `source_id` changes when the server restarts: the same `object_id` is another robot then.
+//! A restarted server has another `source_id` and assigns new ids, so the same `object_id` may be another robot.
 
 use std::{
     fs::File,

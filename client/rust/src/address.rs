@@ -4,7 +4,7 @@ use tonic::transport::Endpoint;
 
 use crate::Error;
 
-/// The address as `http://HOST:PORT` with its endpoint. The scheme is optional.
+/// The address as `http://HOST:PORT` or `https://HOST:PORT` with its endpoint. Without a scheme it is the former.
 pub(crate) fn endpoint(address: &str) -> Result<(String, Endpoint), Error> {
     let invalid = |reason: &str| Error::InvalidAddress {
         address: address.to_owned(),
@@ -14,11 +14,10 @@ pub(crate) fn endpoint(address: &str) -> Result<(String, Endpoint), Error> {
     let full = match trimmed.split_once("://") {
         None if trimmed.is_empty() => return Err(invalid("it is empty")),
         None => format!("http://{trimmed}"),
-        Some(("http", _)) => trimmed.to_owned(),
-        Some(("https", _)) => {
-            return Err(invalid("neither this client nor the server supports TLS"));
+        Some(("http" | "https", _)) => trimmed.to_owned(),
+        Some((scheme, _)) => {
+            return Err(invalid(&format!("{scheme}:// is neither http:// nor https://")));
         }
-        Some((scheme, _)) => return Err(invalid(&format!("{scheme}:// is not http://"))),
     };
     let endpoint =
         Endpoint::from_shared(full.clone()).map_err(|error| invalid(&error.to_string()))?;
@@ -41,6 +40,7 @@ mod tests {
         for address in ["127.0.0.1:7670", "http://127.0.0.1:7670", "http://127.0.0.1:7670/"] {
             assert_eq!(endpoint(address).unwrap().0, "http://127.0.0.1:7670");
         }
+        assert_eq!(endpoint("https://arena:7670").unwrap().0, "https://arena:7670");
         assert_eq!(endpoint("[::1]:7670").unwrap().0, "http://[::1]:7670");
     }
 
@@ -49,8 +49,8 @@ mod tests {
         for (address, reason) in [
             ("", "it is empty"),
             ("127.0.0.1", "the port is missing"),
-            ("https://arena:7670", "TLS"),
-            ("ws://arena:7670", "ws:// is not http://"),
+            ("https://arena", "the port is missing"),
+            ("ws://arena:7670", "ws:// is neither http:// nor https://"),
             ("http://arena:7670/api/v1", "unexpected /api/v1 after the port"),
             ("http://are na:7670", "invalid"),
         ] {

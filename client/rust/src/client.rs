@@ -9,12 +9,14 @@ use std::{
 use futures::{Stream, StreamExt};
 use tonic::{
     Code, Response, Status, Streaming,
+    metadata::{Ascii, MetadataValue},
     transport::{Channel, Endpoint},
 };
 
 use crate::{
-    Error, Snapshots, Subscription, address,
-    deadline::{Deadline, Service},
+    ConnectOptions, Error, Snapshots, Subscription,
+    call_headers::{CallHeaders, Deadline, Service},
+    connector::Connector,
     error::error_chain,
     v1::{self, roundel_client::RoundelClient},
 };
@@ -25,32 +27,42 @@ const KEEP_ALIVE: Duration = Duration::from_secs(5);
 /// Flow-control window: limits the old snapshots that are buffered for a slow reader.
 const STREAM_WINDOW_BYTES: u32 = 256 * 1024;
 const CONNECTION_WINDOW_BYTES: u32 = 1024 * 1024;
+/// A snapshot of some hundred objects fits into one frame, which the server sends with one write.
+const MAX_FRAME_BYTES: u32 = 64 * 1024;
 /// Limit for one message. A snapshot of 10,000 objects with covariances takes 5 MB.
 const MAX_MESSAGE_BYTES: usize = 64 * 1024 * 1024;
 
 /// A connection to a Roundel server, restored automatically when it is lost. Clones share it.
 #[derive(Clone, Debug)]
 pub struct Client {
-    address: String,
+    connector: Connector,
     channel: Channel,
+    /// The value of the header `authorization`.
+    authorization: Option<MetadataValue<Ascii>>,
     /// `None` stands for the default of each call.
     timeout: Option<Duration>,
 }
 
 impl Client {
-    /// Connects to `http://HOST:PORT` and checks that a Roundel server answers.
+    /// Connects to `http://HOST:PORT` or `https://HOST:PORT` and checks that a Roundel server answers.
     ///
     /// # Errors
-    /// [`Error::InvalidAddress`], [`Error::Unreachable`], [`Error::NotRoundel`], [`Error::TimedOut`], or
-    /// [`Error::Server`] if it serves its maximum number of clients.
+    /// [`Error::InvalidAddress`], [`Error::Unreachable`], [`Error::NotRoundel`], [`Error::TimedOut`],
+    /// [`Error::Untrusted`], [`Error::Unauthenticated`], or [`Error::Server`] if it serves its maximum number of clients.
     pub async fn connect(address: &str) -> Result<Self, Error> {
-        let (address, endpoint) = address::endpoint(address)?;
-        let endpoint = configure(endpoint);
-        let channel = endpoint.connect().await.map_err(|error| Error::Unreachable {
-            address: address.clone(),
-            reason: error_chain(&error),
-        })?;
-        let client = Self::new(channel, address);
+        Self::connect_with(address, &ConnectOptions::default()).await
+    }
+
+    /// Like [`Client::connect`], with trust in other authorities, a client certificate or a token.
+    ///
+    /// # Errors
+    /// As for [`Client::connect`]; [`Error::InvalidOption`] and [`Error::WrongFingerprint`].
+    pub async fn connect_with(address: &str, options: &ConnectOptions) -> Result<Self, Error> {
+        let connector = Connector::new(address, options)?.configure(configure);
+        let authorization = options.authorization()?;
+        let channel = connector.connect().await;
+        let channel = channel.map_err(|error| Error::from_transport(&connector.address, &error))?;
+        let client = Self { connector, channel, authorization, timeout: None };
         client.verify_server().await?;
         Ok(client)
     }
@@ -60,12 +72,18 @@ impl Client {
     /// # Errors
     /// [`Error::InvalidAddress`].
     pub fn connect_lazily(address: &str) -> Result<Self, Error> {
-        let (address, endpoint) = address::endpoint(address)?;
-        Ok(Self::new(configure(endpoint).connect_lazy(), address))
+        Self::connect_lazily_with(address, &ConnectOptions::default())
     }
 
-    fn new(channel: Channel, address: String) -> Self {
-        Self { address, channel, timeout: None }
+    /// Like [`Client::connect_lazily`], with trust in other authorities, a client certificate or a token.
+    ///
+    /// # Errors
+    /// [`Error::InvalidAddress`] and [`Error::InvalidOption`].
+    pub fn connect_lazily_with(address: &str, options: &ConnectOptions) -> Result<Self, Error> {
+        let connector = Connector::new(address, options)?.configure(configure);
+        let authorization = options.authorization()?;
+        let channel = connector.connect_lazily();
+        Ok(Self { connector, channel, authorization, timeout: None })
     }
 
     /// The same connection with another timeout for unary calls, after which they end with [`Error::TimedOut`], also on the
@@ -89,16 +107,20 @@ impl Client {
             matches!(status.code(), Code::Unimplemented | Code::Unknown | Code::Internal)
                 || (status.code() == Code::Unavailable
                     && std::error::Error::source(&status).is_none());
-        if is_foreign || is_not_http2(&status) {
+        if !is_tls_alert(&status) && (is_foreign || is_not_http2(&status)) {
             let reason = error_chain(&status);
-            return Err(Error::NotRoundel { address: self.address.clone(), reason });
+            return Err(Error::NotRoundel { address: self.connector.address.clone(), reason });
         }
         Err(self.error(&status))
     }
 
-    /// The server's address, as `http://HOST:PORT`.
+    /// The server's address, as `http://HOST:PORT` or `https://HOST:PORT`.
     pub fn address(&self) -> &str {
-        &self.address
+        &self.connector.address
+    }
+
+    pub(crate) fn connector(&self) -> &Connector {
+        &self.connector
     }
 
     /// Snapshots from the newest one on. Reconnects automatically.
@@ -239,8 +261,13 @@ impl Client {
     }
 
     fn stub(&self, deadline: Deadline) -> Service {
-        let service = RoundelClient::with_interceptor(self.channel.clone(), deadline);
+        let headers = self.headers(deadline);
+        let service = RoundelClient::with_interceptor(self.channel.clone(), headers);
         service.max_decoding_message_size(MAX_MESSAGE_BYTES)
+    }
+
+    pub(crate) fn headers(&self, deadline: Deadline) -> CallHeaders {
+        CallHeaders { deadline, authorization: self.authorization.clone() }
     }
 
     pub(crate) fn response<T>(&self, result: Result<Response<T>, Status>) -> Result<T, Error> {
@@ -248,11 +275,11 @@ impl Client {
     }
 
     pub(crate) fn error(&self, status: &Status) -> Error {
-        Error::from_status(&self.address, status)
+        Error::from_status(self.address(), status)
     }
 
     pub(crate) fn messages<T>(&self, received: Streaming<T>) -> Messages<T> {
-        Messages { address: self.address.clone(), received }
+        Messages { address: self.address().to_owned(), received }
     }
 }
 
@@ -281,6 +308,12 @@ fn configure(endpoint: Endpoint) -> Endpoint {
         .keep_alive_while_idle(true)
         .initial_stream_window_size(STREAM_WINDOW_BYTES)
         .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
+        .max_frame_size(MAX_FRAME_BYTES)
+}
+
+/// A server that refuses the client's certificate sends an alert after the client has finished its handshake.
+fn is_tls_alert(status: &Status) -> bool {
+    error_chain(status).contains("received fatal alert")
 }
 
 /// Another kind of server closes the connection at the HTTP/2 preface, or sends other bytes.

@@ -5,7 +5,7 @@ use std::time::Duration;
 use tonic::{Code, Status, TimeoutExpired};
 use tonic_types::StatusExt;
 
-use crate::Link;
+use crate::{Link, tls::TlsFailure};
 
 /// Why a call or a stream failed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -13,11 +13,19 @@ use crate::Link;
 pub enum Error {
     /// The address is malformed.
     #[error(
-        "{address:?} is not a server address: {reason}; expected http://HOST:PORT, such as http://127.0.0.1:7670"
+        "{address:?} is not a server address: {reason}; expected http://HOST:PORT or https://HOST:PORT, such as http://127.0.0.1:7670"
     )]
     InvalidAddress {
         /// The address as given.
         address: String,
+        /// The cause.
+        reason: String,
+    },
+    /// An option of the connection is wrong, or its file cannot be read.
+    #[error("invalid option `{option}`: {reason}")]
+    InvalidOption {
+        /// The method of [`ConnectOptions`](crate::ConnectOptions).
+        option: &'static str,
         /// The cause.
         reason: String,
     },
@@ -39,10 +47,44 @@ pub enum Error {
         /// Its response.
         reason: String,
     },
+    /// The server's certificate is not the pinned one. It was replaced, or this is another server.
+    #[error(
+        "{address} has a certificate with the SHA-256 fingerprint {found}, expected {expected}; if the server's certificate was replaced, use the fingerprint that the server prints at start"
+    )]
+    WrongFingerprint {
+        /// The address as given.
+        address: String,
+        /// The pinned fingerprint.
+        expected: String,
+        /// That of the server.
+        found: String,
+    },
+    /// The server's certificate does not verify.
+    #[error(
+        "the certificate of {address} is not trusted: {reason}; name the file of its authority (`ca`), or its `fingerprint`"
+    )]
+    Untrusted {
+        /// The address as given.
+        address: String,
+        /// The cause.
+        reason: String,
+    },
+    /// The server requires a valid token or client certificate.
+    #[error("the server requires a valid token or client certificate: {message}")]
+    Unauthenticated {
+        /// Message of the server.
+        message: String,
+    },
+    /// The role of this client does not include the call.
+    #[error("the server does not permit this: {message}")]
+    PermissionDenied {
+        /// Message of the server.
+        message: String,
+    },
     /// The server rejected the request; a retry will not help.
     #[error("the server rejected the request: {message}")]
     Refused {
-        /// `InvalidArgument`, `NotFound`, `OutOfRange`, `FailedPrecondition` or `PermissionDenied`.
+        /// `InvalidArgument`, `NotFound`, `OutOfRange` or `FailedPrecondition`.
         code: Code,
         /// The invalid field, as named in the `.proto` files; `None` for other causes.
         field: Option<String>,
@@ -90,7 +132,10 @@ impl Error {
         match self {
             Self::Unreachable { .. } | Self::TimedOut { .. } => true,
             Self::Stale { .. } | Self::Server { .. } => true,
-            Self::InvalidAddress { .. } | Self::NotRoundel { .. } => false,
+            Self::InvalidAddress { .. } | Self::InvalidOption { .. } => false,
+            Self::NotRoundel { .. } => false,
+            Self::WrongFingerprint { .. } | Self::Untrusted { .. } => false,
+            Self::Unauthenticated { .. } | Self::PermissionDenied { .. } => false,
             Self::Refused { .. } | Self::Conflict { .. } => false,
         }
     }
@@ -103,22 +148,37 @@ impl Error {
         }
         // A status with a source comes from the transport and not from a server.
         if std::error::Error::source(status).is_some() {
-            return Self::Unreachable { address: address.to_owned(), reason: error_chain(status) };
+            return Self::from_transport(address, status);
         }
         match status.code() {
             Code::InvalidArgument
             | Code::NotFound
             | Code::OutOfRange
-            | Code::FailedPrecondition
-            | Code::PermissionDenied => {
+            | Code::FailedPrecondition => {
                 Self::Refused { code: status.code(), field: invalid_field(status), message }
             }
+            Code::Unauthenticated => Self::Unauthenticated { message },
+            Code::PermissionDenied => Self::PermissionDenied { message },
             Code::Aborted => Self::Conflict { message },
             Code::Unimplemented => Self::NotRoundel {
                 address: address.to_owned(),
                 reason: format!("it does not support this call ({message})"),
             },
             code => Self::Server { code, message },
+        }
+    }
+
+    /// Converts an error of the transport, also where it caused the end of a call.
+    pub(crate) fn from_transport(address: &str, error: &(dyn std::error::Error + 'static)) -> Self {
+        let address = address.to_owned();
+        match tls_failure(error) {
+            Some(TlsFailure::Fingerprint { expected, found }) => {
+                Self::WrongFingerprint { address, expected, found }
+            }
+            Some(TlsFailure::Untrusted(reason)) => Self::Untrusted { address, reason },
+            Some(TlsFailure::NoTls(_)) | None => {
+                Self::Unreachable { address, reason: error_chain(error) }
+            }
         }
     }
 }
@@ -131,6 +191,18 @@ fn describe_age(age: &Option<Duration>) -> String {
 fn invalid_field(status: &Status) -> Option<String> {
     let mut violations = status.get_details_bad_request()?.field_violations;
     (!violations.is_empty()).then(|| violations.swap_remove(0).field)
+}
+
+/// The failure of a TLS handshake among the causes.
+fn tls_failure(error: &(dyn std::error::Error + 'static)) -> Option<TlsFailure> {
+    let mut next = Some(error);
+    while let Some(error) = next {
+        if let Some(failure) = error.downcast_ref::<TlsFailure>() {
+            return Some(failure.clone());
+        }
+        next = error.source();
+    }
+    None
 }
 
 /// Whether the timeout of this side expired.
@@ -193,6 +265,17 @@ mod tests {
         let error =
             Error::from_status("http://a", &Status::from_error(Box::new(TimeoutExpired(()))));
         assert!(matches!(error, Error::TimedOut { .. }), "{error:?}");
+    }
+
+    #[test]
+    fn missing_credentials_and_roles_are_typed_and_not_temporary() {
+        let message = "the token is unknown".to_owned();
+        let error = Error::from_status("http://a", &Status::unauthenticated(&message));
+        assert_eq!(error, Error::Unauthenticated { message: message.clone() });
+        assert!(!error.is_temporary());
+        let error = Error::from_status("http://a", &Status::permission_denied(&message));
+        assert_eq!(error, Error::PermissionDenied { message });
+        assert!(!error.is_temporary());
     }
 
     #[test]

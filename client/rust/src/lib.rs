@@ -35,12 +35,14 @@
 mod address;
 mod backoff;
 mod calibration;
+mod call_headers;
 mod camera_pose;
 mod camera_setup;
 mod client;
 mod clock;
 mod configuration;
-mod deadline;
+mod connect_options;
+mod connector;
 mod error;
 mod latest;
 mod object_setup;
@@ -51,10 +53,12 @@ mod recording;
 mod simulation;
 mod snapshot;
 mod subscription;
+mod tls;
 
 pub use camera_pose::camera_pose_at;
 pub use client::{Client, Messages};
 pub use clock::ClockOffset;
+pub use connect_options::ConnectOptions;
 pub use error::Error;
 pub use latest::{Latest, Link, LinkState};
 pub use object_state::{

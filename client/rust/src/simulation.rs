@@ -23,7 +23,7 @@ impl Client {
         Ok(answer.into_inner().effective_time_ns)
     }
 
-    /// Pushes a simulated robot with up to 2 m/s for up to five seconds, whatever its commanded velocity. Returns the
+    /// Pushes a simulated robot with up to 2 m/s for up to five seconds, regardless of its commanded velocity. Returns the
     /// server time of effect, ns.
     ///
     /// # Errors

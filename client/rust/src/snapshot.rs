@@ -32,8 +32,8 @@ pub enum Update {
     Reconnected {
         /// Time from the last snapshot before the loss to the first one after it, by this machine's monotonic clock.
         gap: Duration,
-        /// Whether the server was restarted. It assigns new ids then, also to the objects of a subscription, and its clock may
-        /// differ.
+        /// Whether the server was restarted. A restarted server assigns new ids, also to the objects of a subscription, and
+        /// its clock may differ.
         restarted: bool,
         /// Snapshots that the server published during the gap, subscribed or not; `None` if it was restarted.
         missed: Option<u64>,

@@ -24,7 +24,7 @@ pub struct Subscription {
 
 impl Subscription {
     /// Only these objects, by `object_id`, plus those of [`names`](Self::names) and [`codes`](Self::codes). A restarted
-    /// server assigns new ids, so the same id is another object then.
+    /// server assigns new ids, so the same id may be another object.
     pub fn ids(mut self, ids: impl IntoIterator<Item = u64>) -> Self {
         self.request.object_ids.extend(ids);
         self

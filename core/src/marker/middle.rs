@@ -7,7 +7,7 @@
 //!
 //! Of 4,000 rendered roundels none is darker there by more than 0.04 of the contrast, sharpened
 //! photographs have up to 0.2, and of 87 targets that passed every other test all but two had more than
-//! 0.34 (`cargo run -p roundel-tests --bin recall`, `cargo test -p roundel-core --test photo`).
+//! 0.34 (`cargo run -p roundel-tests --bin recall`, `cargo test -p roundel-core --test main photo::`).
 //!
 //! Only the search asks this, since a track is not lost to a passing reflection.
 

@@ -13,7 +13,7 @@
 //!
 //! Of 6,000 rendered rings one exceeded 1.15 (1.6, a ring of little more than a pixel of black), of 900
 //! photographed ones none 1.33; the letters that passed all other tests begin at 1.63
-//! (`cargo test -p roundel-tests --test real`).
+//! (`cargo test -p roundel-tests --test main real::`).
 //!
 //! Only the search asks this, since no letter is followed.
 

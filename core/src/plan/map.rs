@@ -220,6 +220,17 @@ fn spot(
 
 /// The map of a kind of roundel.
 pub fn map(stations: &[Station], kind: &Kind, field: Field) -> Result<Map, PlanError> {
+    let map = map_while(stations, kind, field, || true)?;
+    Ok(map.expect("it goes on to the last spot"))
+}
+
+/// Like [`map`]; returns `None` as soon as `goes_on`, which is asked before each spot, returns false.
+pub fn map_while(
+    stations: &[Station],
+    kind: &Kind,
+    field: Field,
+    goes_on: impl Fn() -> bool + Sync,
+) -> Result<Option<Map>, PlanError> {
     for station in stations {
         station.sensor.check(kind)?;
     }
@@ -234,12 +245,14 @@ pub fn map(stations: &[Station], kind: &Kind, field: Field) -> Result<Map, PlanE
         .into_par_iter()
         .map(|index| {
             let (x, y) = (at(index % columns, columns, 0), at(index / columns, rows, 1));
-            spot(stations, kind, Vector3::new(x, y, field.height_m), &params, &seen)
+            let place_m = Vector3::new(x, y, field.height_m);
+            goes_on().then(|| spot(stations, kind, place_m, &params, &seen))
         })
-        .collect();
+        .collect::<Option<_>>();
+    let Some(spots) = spots else { return Ok(None) };
     let all = (columns * rows) as f64;
     let seen_shares = seen.into_iter().map(|count| count.into_inner() as f64 / all).collect();
-    Ok(Map { field, columns, rows, spots, seen_shares })
+    Ok(Some(Map { field, columns, rows, spots, seen_shares }))
 }
 
 impl Map {

@@ -6,8 +6,7 @@
 //! | how a roundel is imaged, and whether it is found and read | [`sight`] | eq. (12), D of eq. (14) |
 //! | how near and how far, how wide | [`reach`] | eqs. (13) to (16) |
 //! | how exactly | [`precision`] | eqs. (17) to (19) |
-//! | how fast | [`time`] | eq. (20) |
-//! | all of it as the paper has it | [`paper`] | eqs. (12) to (20) |
+//! | all of it, and how fast, as the paper has it | [`paper`] | eqs. (12) to (20) |
 //! | several cameras over an arena | [`map`] | – |
 //! | which roundel, how many cameras and where | [`search`] | – |
 //!
@@ -31,7 +30,6 @@ mod rim;
 pub mod search;
 mod shot;
 pub mod sight;
-pub mod time;
 mod trial;
 mod tried;
 

@@ -97,6 +97,17 @@ impl Course {
         Self { legs, is_cut: false, orientation, walls, told: None, push: None }
     }
 
+    /// Has the robot move straight on from `position_m` at time 0, whatever it was told before.
+    pub fn start_at(&mut self, position_m: Vector3<f64>, velocity_m_s: Vector3<f64>) {
+        self.legs = VecDeque::from([Leg {
+            start_s: 0.0,
+            position_m,
+            wanted_m_s: velocity_m_s,
+            excess_m_s: Vector3::zeros(),
+            excess_rate_m_s2: Vector3::zeros(),
+        }]);
+    }
+
     /// Replaces what the robot was told before.
     pub fn tell(&mut self, path: &Path, drive: Drive) {
         self.told = Some(drive);
@@ -229,6 +240,21 @@ mod tests {
         // Three seconds of it, less what the start lost and more what the stop took: the same.
         let moved = later.position_m - path.motion(0.0).position_m;
         assert!((moved - Vector3::new(1.5, -0.75, 0.0)).norm() < 1e-4, "{moved}");
+    }
+
+    #[test]
+    fn a_robot_that_is_placed_moves_straight_on_until_it_is_told_otherwise() {
+        let path = parked();
+        let mut course = course(&path);
+        let (start_m, velocity_m_s) = (Vector3::new(-2.0, 1.0, 0.3), Vector3::new(0.5, -0.25, 0.0));
+        course.start_at(start_m, velocity_m_s);
+        for time_s in [0.0, 0.5, 4.0] {
+            let motion = course.motion(&path, time_s);
+            assert!((motion.position_m - start_m - velocity_m_s * time_s).norm() < 1e-12);
+            assert_eq!(motion.velocity_m_s, velocity_m_s);
+        }
+        course.tell(&path, drive([0.0; 3], [5.0, 9.0]));
+        assert!(course.motion(&path, 9.0).velocity_m_s.norm() < 1e-4);
     }
 
     #[test]

@@ -164,6 +164,12 @@ impl Scenario {
         course.tell(path, drive);
     }
 
+    /// Puts a robot at a place at the scenario's start and has it move straight on from there. One on the ground keeps its
+    /// height, and none leaves the arena. Panics if there is no such robot.
+    pub fn place(&mut self, index: usize, position_m: Vector3<f64>, velocity_m_s: Vector3<f64>) {
+        self.course(index, 0.0).1.start_at(position_m, velocity_m_s);
+    }
+
     /// Adds a velocity to whatever a robot does, for a while, as in [`Scenario::drive`].
     pub fn push(&mut self, index: usize, push: Drive) {
         let (path, course) = self.course(index, push.span_s[0]);

@@ -15,7 +15,7 @@ use roundel_core::{
     },
 };
 
-use crate::{
+use super::{
     arena::{Arena, START, Setting, Truth, detection, gaussian3},
     score::fusion_of,
 };

@@ -6,7 +6,7 @@ use roundel_core::{
     world::{ClockPrior, FrameObservations, Fusion, FusionParams, LifeStage},
 };
 
-use crate::{
+use super::{
     arena::{Arena, START, Setting},
     score::{Score, fusion_of, run},
 };

@@ -3,7 +3,7 @@
 
 use roundel_core::world::FusionParams;
 
-use crate::{
+use super::{
     arena::{Arena, Setting},
     score::{Score, fusion_of, run},
 };

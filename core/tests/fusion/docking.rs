@@ -10,7 +10,7 @@ use roundel_core::{
     world::{Body, CameraMount, Carrier, Fusion, Landmark, MotionClass},
 };
 
-use crate::{
+use super::{
     arena::START,
     sight::{
         ABOARD, DRONE, Eye, KIND, STANDING, Tally, carrier, code, error, frame, fusion, mount, own,

@@ -10,7 +10,7 @@ use roundel_core::{
     world::{EventKind, FrameObservations, Fusion, FusionCounts, FusionParams, LifeStage},
 };
 
-use crate::{
+use super::{
     arena::{Arena, START, Setting},
     score::{Score, fusion_of, run},
 };

@@ -5,7 +5,7 @@ use roundel_core::{
     world::{FrameObservations, Fusion, FusionParams, MotionClass, WrongHeight},
 };
 
-use crate::{
+use super::{
     arena::{Arena, Setting},
     score::{Score, fusion_of, run},
 };

@@ -10,7 +10,7 @@ use roundel_core::{
     world::{FrameObservations, FusionParams},
 };
 
-use crate::{
+use super::{
     arena::{Arena, START, Setting},
     score::fusion_of,
 };

@@ -9,7 +9,7 @@ use roundel_core::{
     world::{CameraPlacement, EventKind, FrameObservations, FusionParams, LifeStage, ObjectState},
 };
 
-use crate::{
+use super::{
     arena::{Arena, START, Setting},
     score::{Score, fusion_of},
 };

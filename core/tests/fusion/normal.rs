@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use roundel_core::world::{FrameObservations, FusionParams};
 
-use crate::{
+use super::{
     arena::{Arena, START, Setting},
     score::fusion_of,
 };

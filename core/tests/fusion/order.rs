@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 use roundel_core::world::{FusionParams, Snapshot};
 
-use crate::{
+use super::{
     arena::{Arena, START, Setting},
     score::fusion_of,
 };

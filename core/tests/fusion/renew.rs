@@ -10,7 +10,7 @@ use roundel_core::{
     },
 };
 
-use crate::{
+use super::{
     arena::START,
     body::{World, code, coded, flat, truth},
     score::fusion_of,

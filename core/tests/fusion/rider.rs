@@ -8,7 +8,7 @@ use roundel_core::{
     world::{Body, CameraMount, Carrier, Fusion, MotionClass, Mount, Unplaced},
 };
 
-use crate::{
+use super::{
     arena::START,
     sight::{
         ABOARD, DRONE, Eye, KIND, STANDING, Tally, carrier, code, downwards, frame, fusion, mount,

@@ -10,7 +10,7 @@ use roundel_core::{
     world::{FrameObservations, Fusion, FusionParams, LifeStage, Snapshot},
 };
 
-use crate::arena::{Arena, START};
+use super::arena::{Arena, START};
 
 /// χ² of 3 and 2 degrees of freedom at 95 %.
 const CHI3: f64 = 7.815;

@@ -1,4 +1,4 @@
-//! Pictures of moving roundels, and what a process has taken of the processor.
+//! Pictures of moving roundels, and the processor time of this process.
 
 use std::fs;
 
@@ -6,14 +6,14 @@ pub const SIZE: (usize, usize) = (1280, 720);
 pub const ROUNDELS: usize = 20;
 /// Outer diameter in the picture.
 const DIAMETER_PX: f64 = 30.0;
-/// Frames until everything is where it was.
+/// Frames after which all roundels are back at their first position.
 pub const ROUND: usize = 60;
-/// Radius of each roundel's path: 31 px/s at most.
+/// Radius of each roundel's circular path: 31 px/s at most.
 const PATH_PX: f64 = 10.0;
-/// Of `/proc/self/stat`, the same on all Linux systems that are.
+/// Clock ticks in `/proc/self/stat`, equal on all common Linux systems.
 const TICKS_PER_S: f64 = 100.0;
 
-/// Roundels on a grid, each on a circle about its place, with a little noise.
+/// Draws roundels on a grid, each moving on a circle, with a little noise.
 pub fn draw(number: usize) -> Vec<u8> {
     let turn = std::f64::consts::TAU * number as f64 / ROUND as f64;
     let centers: Vec<(f64, f64)> = (0..ROUNDELS)
@@ -29,7 +29,7 @@ pub fn draw(number: usize) -> Vec<u8> {
     let mut pixels = Vec::with_capacity(SIZE.0 * SIZE.1);
     for v in 0..SIZE.1 {
         for u in 0..SIZE.0 {
-            // Xorshift, for steady noise of about 2 grey levels.
+            // Xorshift, for reproducible noise of about 2 grey levels.
             noise ^= noise << 13;
             noise ^= noise >> 17;
             noise ^= noise << 5;
@@ -47,7 +47,7 @@ pub fn draw(number: usize) -> Vec<u8> {
 /// Processor time of this process, seconds.
 pub fn processor_s() -> f64 {
     let line = fs::read_to_string("/proc/self/stat").expect("Linux' /proc/self/stat");
-    // Fields are counted from behind the name, which may hold anything: utime and stime are the 14th and 15th.
+    // Fields are counted after the name, which may contain anything: utime and stime are the 14th and 15th.
     let fields = line.rsplit(')').next().unwrap_or_default().split_whitespace();
     let ticks: f64 = fields.skip(11).take(2).filter_map(|field| field.parse::<f64>().ok()).sum();
     ticks / TICKS_PER_S

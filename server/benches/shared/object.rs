@@ -1,4 +1,4 @@
-//! An object as fusion gives it.
+//! An object state with realistic numbers.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use roundel_core::{
@@ -8,7 +8,8 @@ use roundel_core::{
     world::{LifeStage, ObjectState, ProcessNoise},
 };
 
-/// An object of that id; its numbers, which differ with the phase, have all their digits, as real ones do.
+/// An object with this ID. Its numbers vary with the phase and have full precision, so that encodings are as long as
+/// real ones.
 pub fn object(id: u64, phase: f64, now: Timestamp) -> ObjectState {
     let phase = phase + id as f64 * 0.7;
     let factor = Covariance6::from_fn(|row, column| {

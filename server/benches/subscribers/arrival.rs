@@ -1,7 +1,7 @@
-//! Bytes as they arrive, read into one piece of memory a thread.
+//! Reads sockets into one buffer per thread.
 //!
-//! A thousand buffers would be more than a processor's cache holds, and a machine would measure them; a client of its
-//! own has its one.
+//! A thousand separate buffers would exceed the processor's cache, so that the benchmark would measure cache misses that
+//! a single client on its own machine does not have.
 
 use std::{
     cell::RefCell,
@@ -15,16 +15,16 @@ use tokio::{
     net::TcpStream,
 };
 
-/// More than the longest message, and than a socket holds as a rule.
+/// More than the longest message, and more than a socket usually holds.
 const BUFFER_BYTES: usize = 512 * 1024;
 
 thread_local! {
     static BUFFER: RefCell<Vec<u8>> = RefCell::new(vec![0; BUFFER_BYTES]);
 }
 
-/// Reads once, and gives `take` what there is: what it left the last time, and what has come. It says how many bytes it
-/// has used; the others stay in `rest`.
-pub async fn arrive(
+/// Reads once and passes all unused bytes, those of the last call in `rest` first, to `take`, which returns how many it
+/// has used.
+pub async fn read_some(
     stream: &mut TcpStream,
     rest: &mut Vec<u8>,
     mut take: impl FnMut(&[u8]) -> usize,
@@ -36,7 +36,7 @@ pub async fn arrive(
             let mut read = ReadBuf::new(free);
             ready!(Pin::new(&mut *stream).poll_read(context, &mut read)).expect("a connection");
             let count = read.filled().len();
-            assert!(count > 0, "the server hung up on a subscriber that reads");
+            assert!(count > 0, "the server closed the connection of a subscriber that reads");
             kept.copy_from_slice(rest);
             let filled = rest.len() + count;
             let used = take(&buffer[..filled]);

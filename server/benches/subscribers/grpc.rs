@@ -1,7 +1,7 @@
-//! Subscribers by gRPC: one connection and one stream each, on the `h2` crate. They look into the first bytes of each
+//! gRPC subscribers, each with one connection and one stream, on the `h2` crate. They read the first fields of each
 //! message and do not decode the rest.
 
-use std::{net::SocketAddr, pin::pin, time::Duration};
+use std::{net::SocketAddr, path::Path, pin::pin, sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use h2::client::{Builder, Connection, ResponseFuture};
@@ -9,13 +9,25 @@ use hyper::Request;
 use prost::Message as _;
 use roundel_proto::v1;
 use tokio::{net::TcpStream, time::timeout};
+use tokio_rustls::{
+    TlsConnector,
+    client::TlsStream,
+    rustls::{
+        ClientConfig, RootCertStore,
+        crypto::ring,
+        pki_types::{CertificateDer, ServerName, pem::PemObject},
+    },
+};
+use tokio_util::either::Either;
 
 use crate::{Case, measure::Readings, messages::Messages};
 
 /// The largest window: a run never uses it up, so no window updates are sent.
 const WINDOW: u32 = 0x7fff_ffff;
 const DEFAULT_WINDOW: u32 = 65_535;
-/// A client that stops reading has sent its request by then.
+/// The frame size of Roundel's own clients.
+const MAX_FRAME_BYTES: u32 = 64 * 1024;
+/// Time after which a client that never reads has sent its request.
 const REQUEST_TIME: Duration = Duration::from_secs(1);
 
 /// The request of one subscriber, as a gRPC message.
@@ -31,14 +43,33 @@ pub fn request(case: &Case, number: usize) -> Bytes {
     length_prefixed(&request.encode_to_vec()).into()
 }
 
-/// Adds gRPC's prefix: not compressed, and the length.
+/// Adds gRPC's prefix: uncompressed, and the length.
 pub fn length_prefixed(message: &[u8]) -> Vec<u8> {
     [&[0], (message.len() as u32).to_be_bytes().as_slice(), message].concat()
 }
 
+/// Trusts this certificate.
+pub fn connector(certificate: &Path) -> TlsConnector {
+    let mut roots = RootCertStore::empty();
+    let certificate = CertificateDer::from_pem_file(certificate).expect("a certificate");
+    roots.add(certificate).expect("a certificate");
+    let mut config = ClientConfig::builder_with_provider(Arc::new(ring::default_provider()))
+        .with_safe_default_protocol_versions()
+        .expect("protocol versions")
+        .with_root_certificates(roots)
+        .with_no_client_auth();
+    config.alpn_protocols = vec![b"h2".to_vec()];
+    TlsConnector::from(Arc::new(config))
+}
+
 /// Reads all snapshots.
-pub async fn read(address: SocketAddr, request: Bytes, readings: Readings) {
-    let (response, connection) = subscribe(address, request, WINDOW).await;
+pub async fn read(
+    address: SocketAddr,
+    tls: Option<TlsConnector>,
+    request: Bytes,
+    readings: Readings,
+) {
+    let (response, connection) = subscribe(address, tls, request, WINDOW).await;
     let read = async {
         let mut body = response.await.expect("a response").into_body();
         let mut messages = Messages::new(readings);
@@ -53,25 +84,37 @@ pub async fn read(address: SocketAddr, request: Bytes, readings: Readings) {
     }
 }
 
-/// Subscribes, and never reads.
-pub async fn hold(address: SocketAddr, request: Bytes) {
-    let (_response, connection) = subscribe(address, request, DEFAULT_WINDOW).await;
+/// Subscribes and never reads.
+pub async fn hold(address: SocketAddr, tls: Option<TlsConnector>, request: Bytes) {
+    let (_response, connection) = subscribe(address, tls, request, DEFAULT_WINDOW).await;
     let mut connection = pin!(connection);
     let _ = timeout(REQUEST_TIME, connection.as_mut()).await;
-    // The connection stays open, and nothing drives it any more.
+    // The connection stays open, but is not polled any more.
     std::future::pending().await
 }
 
+type Stream = Either<TcpStream, Box<TlsStream<TcpStream>>>;
+
 async fn subscribe(
     address: SocketAddr,
+    tls: Option<TlsConnector>,
     request: Bytes,
     window: u32,
-) -> (ResponseFuture, Connection<TcpStream>) {
+) -> (ResponseFuture, Connection<Stream>) {
     let stream = TcpStream::connect(address).await.expect("a connection");
     stream.set_nodelay(true).expect("an option");
+    let stream = match tls {
+        None => Either::Left(stream),
+        Some(tls) => {
+            let name = ServerName::try_from("localhost").expect("a name");
+            let stream = tls.connect(name, stream).await.expect("a handshake");
+            Either::Right(Box::new(stream))
+        }
+    };
     let (mut requests, connection) = Builder::new()
         .initial_window_size(window)
         .initial_connection_window_size(window)
+        .max_frame_size(MAX_FRAME_BYTES)
         .handshake(stream)
         .await
         .expect("HTTP/2");

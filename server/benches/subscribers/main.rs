@@ -1,25 +1,27 @@
-//! A server of 500 and of 1,000 subscribers: 100 objects at 60 Hz, to clients in another process on the same machine.
+//! Load of a server with 500 and 1,000 subscribers: 100 objects at 60 Hz, with the clients in another process on the
+//! same machine.
 //!
 //! ```sh
 //! cargo bench -p roundel-server --bench subscribers                             # every case, 10 s each
 //! cargo bench -p roundel-server --bench subscribers -- --case lean --seconds 600
 //! ```
 //!
-//! The server is a process of its own: the APIs of `roundel serve` around a hub that is fed with snapshots. Clients look
-//! into the first bytes of each message without decoding the rest. *Latency* is from the end of fusion to the last byte
-//! read; both processes read one clock. *bare* sends the same messages by plain writes to plain TCP connections.
-//! *reencoded* gives every subscriber its own region, which holds all objects, so that nothing can be shared.
+//! The server process runs the APIs of `roundel serve` around a hub that is fed with snapshots. Clients read the first
+//! fields of each message without decoding the rest. *Latency* is from the end of fusion to the last byte read; both
+//! processes use the same clock. *bare* sends the same messages by plain writes to plain TCP connections. *reencoded*
+//! gives every subscriber its own region, which contains all objects, so that no encoding can be shared. *tls* encrypts
+//! the connections.
 //!
 //! Bars, for 500 subscribers in one run: all served, p99 at most twice that of plain writes, and encoding for each
 //! subscriber takes the server at least twice the processor time a message.
 
 mod arrival;
-mod bare;
 mod grpc;
 mod measure;
 mod messages;
 #[path = "../shared/object.rs"]
 mod object;
+mod raw_sockets;
 mod serve;
 mod websocket;
 
@@ -27,17 +29,19 @@ use std::{
     collections::BTreeMap,
     io::{BufRead, BufReader},
     net::SocketAddr,
+    path::Path,
     process::{Child, Command, Stdio},
     time::Duration,
 };
 
 use measure::{Readings, Usage};
+use tempfile::TempDir;
 
-/// As of the `roundel` command.
+/// The allocator of the `roundel` command.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// One server, its subscribers, and what they want.
+/// One server and its subscribers.
 #[derive(Clone, Copy, Debug)]
 pub struct Case {
     name: &'static str,
@@ -46,12 +50,14 @@ pub struct Case {
     /// gRPC subscribers that never read.
     stuck: usize,
     covariances: bool,
-    /// Whether pages take protobuf instead of JSON.
+    /// Whether WebSockets use protobuf instead of JSON.
     protobuf: bool,
-    /// Whether no two want the same.
+    /// Whether every subscriber has a different selection.
     differ: bool,
-    /// Whether the same bytes come by plain writes.
+    /// Whether the messages are sent by plain writes.
     bare: bool,
+    /// Whether the gRPC connections are encrypted.
+    tls: bool,
 }
 
 const LEAN: Case = Case {
@@ -63,15 +69,18 @@ const LEAN: Case = Case {
     protobuf: false,
     differ: false,
     bare: false,
+    tls: false,
 };
 const FULL: Case = Case { name: "full", covariances: true, ..LEAN };
-const CASES: [Case; 18] = [
+const CASES: [Case; 20] = [
     LEAN,
     Case { name: "lean-bare", bare: true, ..LEAN },
     Case { name: "lean-reencoded", differ: true, ..LEAN },
+    Case { name: "lean-tls", tls: true, ..LEAN },
     FULL,
     Case { name: "full-bare", bare: true, ..FULL },
     Case { name: "full-reencoded", differ: true, ..FULL },
+    Case { name: "full-tls", tls: true, ..FULL },
     Case { name: "lean-stuck", stuck: 100, ..LEAN },
     Case { name: "full-stuck", stuck: 100, ..FULL },
     Case { name: "lean-1000", grpc: 1000, ..LEAN },
@@ -85,7 +94,7 @@ const CASES: [Case; 18] = [
     Case { name: "protobuf-lean", grpc: 100, websockets: 500, protobuf: true, ..LEAN },
     Case { name: "protobuf-full", grpc: 100, websockets: 500, protobuf: true, ..FULL },
 ];
-/// Until everybody is there and has had some snapshots.
+/// Time until all subscribers are connected and have received some snapshots.
 const WARM_UP: Duration = Duration::from_secs(3);
 
 fn main() {
@@ -93,16 +102,16 @@ fn main() {
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
         match argument.as_str() {
-            "--serve" => return serve::run(None),
-            "--serve-bare" => return serve::run(Some(arguments.next().as_deref() == Some("full"))),
+            "--serve" => return serve::run(Path::new(&arguments.next().expect("a folder"))),
+            "--serve-bare" => return serve::run_bare(arguments.next().as_deref() == Some("full")),
             "--seconds" => {
                 let number = arguments.next().and_then(|value| value.parse().ok());
                 seconds = number.expect("--seconds takes a number");
             }
             "--case" => wanted = arguments.next(),
-            // Cargo's own.
+            // Passed by cargo.
             "--bench" => {}
-            other => panic!("unknown option {other}: there are --seconds and --case"),
+            other => panic!("unknown option {other}: expected --seconds or --case"),
         }
     }
     let names = CASES.map(|case| case.name).join(", ");
@@ -124,6 +133,10 @@ fn main() {
             let ratio = shared.p99_ms / bare.p99_ms;
             println!("{name}: p99 is {ratio:.2} times that of plain writes");
         }
+        if let Some(tls) = figures.get(&format!("{name}-tls")) {
+            let ratio = tls.p50_ms / shared.p50_ms;
+            println!("{name}: p50 with TLS is {ratio:.2} times that without");
+        }
         if let Some(reencoded) = figures.get(&format!("{name}-reencoded")) {
             let ratio = reencoded.us_per_message / shared.us_per_message;
             println!(
@@ -134,36 +147,40 @@ fn main() {
 }
 
 struct Figures {
+    p50_ms: f64,
     p99_ms: f64,
-    /// The server's processor time.
+    /// Processor time of the server.
     us_per_message: f64,
 }
 
-/// A server in another process; it ends with this.
+/// A server in another process; killed when dropped.
 struct ServerProcess {
     process: Child,
     address: SocketAddr,
+    /// Has its certificate, which is self-signed.
+    folder: TempDir,
 }
 
 impl ServerProcess {
     fn start(case: &Case) -> Self {
         let program = std::env::current_exe().expect("this program");
-        let arguments: &[&str] = match (case.bare, case.covariances) {
-            (false, _) => &["--serve"],
-            (true, false) => &["--serve-bare", "lean"],
-            (true, true) => &["--serve-bare", "full"],
+        let folder = tempfile::tempdir().expect("a folder");
+        let arguments = match (case.bare, case.covariances) {
+            (false, _) => ["--serve", folder.path().to_str().expect("UTF-8")],
+            (true, false) => ["--serve-bare", "lean"],
+            (true, true) => ["--serve-bare", "full"],
         };
         let mut process = Command::new(program)
             .args(arguments)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
-            .expect("this program once more");
+            .expect("a second process of this program");
         let mut line = String::new();
         let stdout = process.stdout.take().expect("a pipe");
         BufReader::new(stdout).read_line(&mut line).expect("the server's first line");
         let address = line.trim().parse().expect("an address");
-        Self { process, address }
+        Self { process, address, folder }
     }
 }
 
@@ -174,8 +191,8 @@ impl Drop for ServerProcess {
     }
 }
 
-/// Pauses after every few connections: all at once would overflow the listener's accept queue, and the kernel would reset
-/// those that do not fit.
+/// Pauses after every few connections: all at once would overflow the listener's accept queue, and the kernel would
+/// reset the surplus.
 async fn pace_connections(number: usize) {
     const BATCH: usize = 20;
     const PAUSE: Duration = Duration::from_millis(20);
@@ -188,16 +205,17 @@ async fn pace_connections(number: usize) {
 async fn run(case: Case, length: Duration) -> Figures {
     let server = ServerProcess::start(&case);
     let readings = Readings::default();
+    let tls = case.tls.then(|| grpc::connector(&serve::files(server.folder.path()).certificate));
     let mut clients = tokio::task::JoinSet::new();
     for number in 0..case.grpc {
         pace_connections(number).await;
         let request = grpc::request(&case, number);
         if case.bare {
-            clients.spawn(bare::read(server.address, readings.clone()));
+            clients.spawn(raw_sockets::read(server.address, readings.clone()));
         } else if number < case.stuck {
-            clients.spawn(grpc::hold(server.address, request));
+            clients.spawn(grpc::hold(server.address, tls.clone(), request));
         } else {
-            clients.spawn(grpc::read(server.address, request, readings.clone()));
+            clients.spawn(grpc::read(server.address, tls.clone(), request, readings.clone()));
         }
     }
     for number in 0..case.websockets {
@@ -220,12 +238,12 @@ async fn run(case: Case, length: Duration) -> Figures {
     let cores = end.cores_since(&begin);
     let us_per_message = 1e6 * cores * length.as_secs_f64() / readings.count() as f64;
     println!(
-        "    server {cores:.2} cores, {us_per_message:.1} us a message; clients {:.2}; memory {:.0} MB at the begin, {:.0} at the end, {:.0} at most",
+        "    server {cores:.2} cores, {us_per_message:.1} us a message; clients {:.2}; memory {:.0} MB at the start, {:.0} at the end, {:.0} at most",
         end.others_since(&begin),
         begin.memory_mb,
         end.memory_mb,
         most_mb,
     );
     clients.shutdown().await;
-    Figures { p99_ms: summary.p99_ms, us_per_message }
+    Figures { p50_ms: summary.p50_ms, p99_ms: summary.p99_ms, us_per_message }
 }

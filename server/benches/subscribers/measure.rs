@@ -1,4 +1,4 @@
-//! What subscribers received, and what the server took for it.
+//! What subscribers received, and the resources that the server used.
 
 use std::{
     fs,
@@ -11,7 +11,7 @@ use crate::serve::RATE_HZ;
 /// Clock ticks of `/proc/PID/stat`.
 const TICKS_PER_S: f64 = 100.0;
 
-/// What all subscribers received so far.
+/// Messages that all subscribers have received so far.
 #[derive(Clone, Default)]
 pub struct Readings(Arc<Mutex<Received>>);
 
@@ -22,7 +22,7 @@ struct Received {
 }
 
 impl Readings {
-    /// A message was read to its end.
+    /// Records a completely received message.
     pub fn add(&self, fused_time_ns: i64, missed: u64) {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos();
         let latency_us = (now as i64 - fused_time_ns).max(0) / 1000;
@@ -31,12 +31,11 @@ impl Readings {
         received.missed += missed;
     }
 
-    /// Forgets all.
     pub fn clear(&self) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Received::default();
     }
 
-    /// How many messages were.
+    /// Number of messages so far.
     pub fn count(&self) -> usize {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).latencies_us.len()
     }
@@ -51,29 +50,28 @@ impl Readings {
             received.latencies_us.get(index).map_or(f64::NAN, |us| f64::from(*us) * 1e-3)
         };
         let expected = readers as f64 * length.as_secs_f64() * RATE_HZ;
-        let p99_ms = at(0.99);
+        let (p50_ms, p99_ms) = (at(0.5), at(0.99));
         let line = format!(
-            "{readers} readers, {:.1} % of {expected:.0} snapshots received, {} skipped; fused to received p50 {:.2} ms, p99 {p99_ms:.2}, max {:.1}",
+            "{readers} readers, {:.1} % of {expected:.0} snapshots received, {} skipped; fused to received p50 {p50_ms:.2} ms, p99 {p99_ms:.2}, max {:.1}",
             100.0 * count as f64 / expected,
             received.missed,
-            at(0.5),
             at(1.0),
         );
-        Summary { line, p99_ms }
+        Summary { line, p50_ms, p99_ms }
     }
 }
 
 pub struct Summary {
     pub line: String,
+    pub p50_ms: f64,
     pub p99_ms: f64,
 }
 
-/// What a process has taken of the machine so far, and what this one has.
+/// Resources used so far by the server process and by this process.
 pub struct Usage {
     at: Instant,
     processor_s: f64,
     own_s: f64,
-    /// Resident.
     pub memory_mb: f64,
 }
 
@@ -90,12 +88,12 @@ impl Usage {
         }
     }
 
-    /// Cores that it took.
+    /// Average number of cores used by the server process.
     pub fn cores_since(&self, before: &Self) -> f64 {
         (self.processor_s - before.processor_s) / (self.at - before.at).as_secs_f64()
     }
 
-    /// Cores that this process took.
+    /// Average number of cores used by this process.
     pub fn others_since(&self, before: &Self) -> f64 {
         (self.own_s - before.own_s) / (self.at - before.at).as_secs_f64()
     }
@@ -103,7 +101,7 @@ impl Usage {
 
 fn processor_s(process: &str) -> f64 {
     let line = fs::read_to_string(format!("/proc/{process}/stat")).expect("Linux' /proc/PID/stat");
-    // Fields are counted from behind the name: utime and stime are the 14th and 15th.
+    // Fields are counted after the name: utime and stime are the 14th and 15th.
     let fields = line.rsplit(')').next().unwrap_or_default().split_whitespace();
     let ticks: f64 = fields.skip(11).take(2).filter_map(|field| field.parse::<f64>().ok()).sum();
     ticks / TICKS_PER_S

@@ -1,11 +1,11 @@
-//! Length-prefixed messages (gRPC's framing), of which only the first bytes are looked at.
+//! Length-prefixed messages (gRPC's framing), of which only the first fields are decoded.
 
 use prost::encoding::{DecodeContext, WireType, decode_key, decode_varint, skip_field};
 
 use crate::measure::Readings;
 
 const PREFIX_BYTES: usize = 5;
-/// Enough of a message to hold its times.
+/// Length of the start of a message that contains its times.
 const HEAD_BYTES: usize = 160;
 
 /// Splits a stream of bytes into messages, and records each.
@@ -13,7 +13,7 @@ pub struct Messages {
     readings: Readings,
     /// The first bytes of the current message, with its prefix.
     head: Vec<u8>,
-    /// Bytes of it received so far.
+    /// Number of bytes received of the current message.
     received: usize,
 }
 
@@ -43,7 +43,7 @@ impl Messages {
     }
 }
 
-/// `fused_time_ns` and `missed` of a snapshot that begins with these bytes.
+/// `fused_time_ns` and `missed` of a snapshot that starts with these bytes.
 pub fn times(mut bytes: &[u8]) -> (i64, u64) {
     let (mut fused, mut missed) = (0, 0);
     while fused == 0 {

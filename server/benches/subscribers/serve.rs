@@ -1,9 +1,10 @@
-//! The process with the server: the APIs, and a hub that gets a snapshot each sixtieth of a second.
+//! The server process: the APIs, and a hub that receives a snapshot 60 times a second.
 
 use std::{
     collections::BTreeMap,
     io::{self, Read, Write},
     net::TcpListener,
+    path::Path,
     sync::Arc,
     thread,
     time::{Duration, Instant},
@@ -11,35 +12,29 @@ use std::{
 
 use roundel_core::world::Snapshot;
 use roundel_server::{
-    api::{self, ApiLimits, ApiState},
+    api::{self, ApiLimits, ApiState, encoding_budget::EncodingBudget, tls::Tls},
     model::{
         clock::Clock,
+        config::TlsConfig,
         hub::{CameraInfo, Hub, Installation},
     },
 };
 
-use crate::{bare, object::object};
+use crate::{object::object, raw_sockets};
 
 pub const RATE_HZ: f64 = 60.0;
 const OBJECTS: u64 = 100;
 
-/// Serves until its standard input ends; prints its address first. `bare`: as [`bare`], with covariances or without.
-pub fn run(bare: Option<bool>) {
-    let clock = Clock::anchored_now();
-    let hub = Arc::new(Hub::new(installation(clock)));
-    let feeding = hub.clone();
-    thread::spawn(move || feed(&feeding, clock));
-    // Ends with the parent process.
-    thread::spawn(|| {
-        let _ = io::stdin().read(&mut [0]);
-        std::process::exit(0);
-    });
-    let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
-    println!("{}", listener.local_addr().expect("an address"));
-    io::stdout().flush().expect("a pipe");
-    if let Some(covariances) = bare {
-        return bare::run(listener, &hub, clock, covariances);
-    }
+/// The files of the certificate that the server makes.
+pub fn files(folder: &Path) -> TlsConfig {
+    let (certificate, key) = (folder.join("certificate.pem"), folder.join("key.pem"));
+    TlsConfig { certificate, key, client_ca: None, self_signed: true }
+}
+
+/// Prints its address, and serves until its standard input ends, with a self-signed certificate in this folder.
+pub fn run(folder: &Path) {
+    let tls = Tls::load(&files(folder), [127, 0, 0, 1].into()).expect("a certificate");
+    let (listener, hub, clock) = start();
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
         .enable_all()
@@ -48,9 +43,35 @@ pub fn run(bare: Option<bool>) {
     runtime.block_on(async {
         listener.set_nonblocking(true).expect("an option");
         let listener = tokio::net::TcpListener::from_std(listener).expect("a port");
-        let limits = ApiLimits { max_clients: 4000, ..ApiLimits::default() };
-        api::serve(listener, ApiState { limits, ..ApiState::new(hub, clock) }).await;
+        let (max_clients, max_connections_per_peer) = (4000, 4000);
+        let limits = ApiLimits { max_clients, max_connections_per_peer, ..ApiLimits::default() };
+        // *reencoded* measures every encoding.
+        let encoding_budget = Arc::new(EncodingBudget::new(f64::INFINITY));
+        let state = ApiState { limits, encoding_budget, tls, ..ApiState::new(hub, clock) };
+        api::serve(listener, state).await;
     });
+}
+
+/// Like [`run`], for [`raw_sockets`] with or without covariances.
+pub fn run_bare(covariances: bool) {
+    let (listener, hub, clock) = start();
+    raw_sockets::run(listener, &hub, clock, covariances);
+}
+
+fn start() -> (TcpListener, Arc<Hub>, Clock) {
+    let clock = Clock::anchored_now();
+    let hub = Arc::new(Hub::new(installation(clock)));
+    let feeding = hub.clone();
+    thread::spawn(move || feed(&feeding, clock));
+    // Exits with the parent process.
+    thread::spawn(|| {
+        let _ = io::stdin().read(&mut [0]);
+        std::process::exit(0);
+    });
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+    println!("{}", listener.local_addr().expect("an address"));
+    io::stdout().flush().expect("a pipe");
+    (listener, hub, clock)
 }
 
 fn installation(clock: Clock) -> Installation {

@@ -1,18 +1,17 @@
-//! Pages that cost as little as they can: WebSockets (RFC 6455) by hand, messages that are only looked into.
+//! WebSocket clients of minimal cost: RFC 6455 by hand, and only the first fields of each message are decoded.
 
 use std::net::SocketAddr;
 
 use tokio::{io::AsyncWriteExt, net::TcpStream};
 
-use crate::{Case, arrival::arrive, measure::Readings, messages};
+use crate::{Case, arrival::read_some, measure::Readings, messages};
 
 const BINARY: u8 = 2;
 const PING: u8 = 9;
 const PONG: u8 = 10;
-/// Enough of a message to hold its times.
-const LOOKED_AT: usize = 512;
+/// Length of the start of a message that contains its times.
+const HEAD_BYTES: usize = 512;
 
-/// Reads all that comes.
 pub async fn read(address: SocketAddr, case: Case, readings: Readings) {
     let mut stream = TcpStream::connect(address).await.expect("a connection");
     stream.set_nodelay(true).expect("an option");
@@ -37,10 +36,10 @@ pub async fn read(address: SocketAddr, case: Case, readings: Readings) {
             }
             while let Some((opcode, payload, length)) = frame(&bytes[used..]) {
                 if opcode == PING {
-                    // Empty, masked with zeros.
+                    // An empty pong, masked with zeros.
                     pongs.extend_from_slice(&[0x80 | PONG, 0x80, 0, 0, 0, 0]);
                 } else if opcode == BINARY {
-                    // A StreamMessage of one snapshot: behind its key and its length of three bytes.
+                    // A StreamMessage with a snapshot: skips its key and its length of three bytes.
                     let (fused_time_ns, missed) = messages::times(&payload[4..]);
                     readings.add(fused_time_ns, missed);
                 } else if let Some((fused_time_ns, missed)) = times(payload) {
@@ -50,7 +49,7 @@ pub async fn read(address: SocketAddr, case: Case, readings: Readings) {
             }
             used
         };
-        arrive(&mut stream, &mut rest, take).await;
+        read_some(&mut stream, &mut rest, take).await;
         if !pongs.is_empty() {
             stream.write_all(&pongs).await.expect("a connection");
             pongs.clear();
@@ -58,7 +57,7 @@ pub async fn read(address: SocketAddr, case: Case, readings: Readings) {
     }
 }
 
-/// The first frame, if it is all there: its kind, what it holds, and its length in all.
+/// The first frame, if it is complete: opcode, payload, and total length.
 fn frame(bytes: &[u8]) -> Option<(u8, &[u8], usize)> {
     let (head, length) = match *bytes.get(1)? {
         126 => (4, usize::from(u16::from_be_bytes(bytes.get(2..4)?.try_into().ok()?))),
@@ -69,7 +68,7 @@ fn frame(bytes: &[u8]) -> Option<(u8, &[u8], usize)> {
 }
 
 fn times(message: &[u8]) -> Option<(i64, u64)> {
-    let text = std::str::from_utf8(message.get(..message.len().min(LOOKED_AT))?).ok()?;
+    let text = std::str::from_utf8(message.get(..message.len().min(HEAD_BYTES))?).ok()?;
     let number = |key: &str| {
         let (_, rest) = text.split_once(key)?;
         rest.split(|c: char| !c.is_ascii_digit()).next()?.parse::<u64>().ok()

@@ -1,8 +1,8 @@
-//! Pages of other servers: whether they may ask this one.
+//! Access of web pages from other origins.
 //!
-//! Over REST and gRPC-Web browsers ask first (a preflight) and keep answers from pages whose origin is not allowed.
-//! WebSockets they open for any page, and say which origin it is of; what is not allowed is refused here. Programs other
-//! than browsers name no origin, and are not restricted.
+//! Browsers send the origin of a page in a header, also with simple requests and WebSocket handshakes, which they send for
+//! any page. Requests with an origin that is not allowed are rejected. For allowed origins, responses have the headers that
+//! let pages read them. Other programs send no origin and are not restricted.
 
 use std::time::Duration;
 
@@ -11,9 +11,9 @@ use tower_http::cors::{AllowHeaders, AllowOrigin, CorsLayer};
 
 use super::error::ApiError;
 
-/// How long a browser may remember that it may ask.
+/// Time for which browsers may cache a preflight.
 const PREFLIGHT_MAX_AGE: Duration = Duration::from_secs(600);
-/// Headers of answers that pages may read beside the common ones: gRPC's, and those of REST.
+/// Response headers that pages may read in addition to the common ones.
 const EXPOSED_HEADERS: [&str; 6] = [
     "grpc-status",
     "grpc-message",
@@ -25,35 +25,33 @@ const EXPOSED_HEADERS: [&str; 6] = [
 const METHODS: [Method; 5] =
     [Method::GET, Method::POST, Method::PUT, Method::PATCH, Method::DELETE];
 
-/// Whose pages may open WebSockets.
+/// Origins whose pages may send requests, in addition to the server's own; `*` allows any.
 #[derive(Clone, Debug, Default)]
-pub struct AllowedOrigins(Vec<String>);
+pub struct AllowedOrigins(pub Vec<String>);
 
 impl AllowedOrigins {
-    /// These, and the server's own; `*` stands for any.
-    pub fn new(origins: Vec<String>) -> Self {
-        Self(origins)
-    }
-
-    /// Refuses the page of another origin that has sent these headers.
-    pub(super) fn check(&self, headers: &HeaderMap) -> Result<(), ApiError> {
+    /// Rejects a request of a page whose origin is not allowed.
+    pub(super) fn check(
+        &self,
+        headers: &HeaderMap,
+        own_host: Option<&str>,
+    ) -> Result<(), ApiError> {
         let Some(origin) = headers.get(header::ORIGIN) else { return Ok(()) };
         let origin = String::from_utf8_lossy(origin.as_bytes()).to_ascii_lowercase();
-        // A page of this server was asked for under the name that the WebSocket is asked for: whatever that is, and
-        // whether somebody before this server speaks TLS.
-        let own = headers.get(header::HOST).and_then(|host| host.to_str().ok());
+        // The server's own pages have the host of this request as their origin, with any scheme: a proxy may add TLS.
         let host = origin.split_once("://").map(|(_, host)| host);
-        let is_own = host.zip(own).is_some_and(|(host, own)| own.eq_ignore_ascii_case(host));
+        let is_own = host.zip(own_host).is_some_and(|(host, own)| own.eq_ignore_ascii_case(host));
         if is_own || self.0.iter().any(|allowed| allowed == "*" || *allowed == origin) {
             return Ok(());
         }
         Err(ApiError::PermissionDenied(format!(
-            "pages of {origin} may not ask this server: [server] allow_origins in its configuration says whose may"
+            "pages of {} must not use this server: add the origin to [server] allow_origins in its configuration",
+            origin.escape_debug()
         )))
     }
 }
 
-/// What pages of these origins may; `None`: of none. `*` stands for any origin.
+/// `None` if no other origin is allowed.
 pub(super) fn layer(AllowedOrigins(origins): &AllowedOrigins) -> Option<CorsLayer> {
     if origins.is_empty() {
         return None;
@@ -65,7 +63,7 @@ pub(super) fn layer(AllowedOrigins(origins): &AllowedOrigins) -> Option<CorsLaye
     };
     let exposed = EXPOSED_HEADERS.map(HeaderName::from_static);
     let layer = CorsLayer::new().allow_origin(origins).allow_methods(METHODS);
-    // Whatever gRPC-Web's libraries send; nothing here follows from a header but the forms of bodies.
+    // gRPC-Web libraries send headers of their own.
     let layer = layer.allow_headers(AllowHeaders::mirror_request()).expose_headers(exposed);
     Some(layer.max_age(PREFLIGHT_MAX_AGE).vary([header::ORIGIN]))
 }

@@ -1,5 +1,5 @@
-//! The dashboard and the page of the API (`/api`): the files of `client/dashboard`, held by the binary. A debug build reads them from
-//! the disk at each request, so that a page can be changed under a running server.
+//! The dashboard and the API's page (`/api`): the files of `client/dashboard`, embedded in the binary. A debug build reads
+//! them from the disk at each request, so that pages can be edited while the server runs.
 
 use axum::{
     http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Uri, header},
@@ -14,13 +14,13 @@ use super::error::ApiError;
 #[allow_missing = true]
 struct Files;
 
-/// Nothing but the page's own files and this very server, to which its WebSocket counts as well; `blob:` are pictures that
-/// the page has fetched itself. Nobody may frame it.
+/// Allows only the page's own files and requests to this server, including WebSockets; `blob:` allows fetched pictures. The
+/// page must not be framed.
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
     img-src 'self' blob:; connect-src 'self'; worker-src 'self'; form-action 'self'; \
     frame-ancestors 'none'; base-uri 'none'";
 
-/// A file of the dashboard; an error in JSON for all else.
+/// A file of the dashboard, or an error as JSON.
 pub async fn file(method: Method, uri: Uri, headers: HeaderMap) -> Result<Response, ApiError> {
     let path = uri.path();
     let name = match path.trim_start_matches('/') {
@@ -28,22 +28,17 @@ pub async fn file(method: Method, uri: Uri, headers: HeaderMap) -> Result<Respon
         "api" => "api.html",
         name => name,
     };
-    let Some(file) = Files::get(name) else {
-        return Err(not_found(path));
-    };
+    let file = Files::get(name).ok_or_else(|| {
+        let known = match path {
+            "/" => "this build has no dashboard: client/dashboard/index.html was missing when it was built",
+            _ => "the dashboard is at /, the APIs under /api/v1 are described at /api and /openapi.json",
+        };
+        ApiError::NotFound { what: "path", name: path.to_owned(), known: known.to_owned() }
+    })?;
     if method != Method::GET && method != Method::HEAD {
         return Err(ApiError::MethodNotAllowed);
     }
     Ok(file_response(&file, &headers))
-}
-
-fn not_found(path: &str) -> ApiError {
-    let known = if path == "/" {
-        "this build holds no dashboard: client/dashboard/index.html was not there when it was made"
-    } else {
-        "the dashboard is at /, the APIs under /api/v1 are described at /api and /openapi.json"
-    };
-    ApiError::NotFound { what: "path", name: path.to_owned(), known: known.to_owned() }
 }
 
 fn file_response(file: &EmbeddedFile, headers: &HeaderMap) -> Response {
@@ -60,7 +55,7 @@ fn file_response(file: &EmbeddedFile, headers: &HeaderMap) -> Response {
     if mime.starts_with("text/") {
         mime.push_str("; charset=utf-8");
     }
-    // Names stay while contents change with the version, so a browser asks each time.
+    // Contents change with the version under the same names, so browsers must revalidate.
     let headers = [
         (header::CONTENT_TYPE, mime),
         (header::CACHE_CONTROL, "no-cache".into()),
@@ -69,7 +64,7 @@ fn file_response(file: &EmbeddedFile, headers: &HeaderMap) -> Response {
     (status, headers, body).into_response()
 }
 
-/// Sets the headers that keep a browser from doing more with a response than was meant.
+/// Restricts what browsers do with a response.
 pub async fn with_security_headers(mut response: Response) -> Response {
     const HEADERS: [(HeaderName, &str); 3] = [
         (header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY),

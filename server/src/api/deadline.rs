@@ -1,22 +1,18 @@
 //! Deadlines of gRPC calls, from the header `grpc-timeout`.
 //!
 //! When the deadline passes, a call without a response is dropped and answered with DEADLINE_EXCEEDED. A response stream
-//! ends with it, between two frames of its body; tonic puts whole messages into each.
+//! ends with that status between two frames of its body, each of which holds whole messages.
 
-use std::{
-    convert::Infallible,
-    future::Future,
-    pin::Pin,
-    task::{Context, Poll},
-    time::Duration,
-};
+use std::{convert::Infallible, time::Duration};
 
 use axum::{
-    body::{Body, Bytes},
+    body::{Body, HttpBody as _},
     http::{HeaderMap, Response},
 };
-use hyper::body::{Frame, SizeHint};
-use tokio::time::{Instant, Sleep, sleep_until, timeout_at};
+use futures::{StreamExt as _, stream};
+use http_body_util::{BodyStream, StreamBody};
+use hyper::body::Frame;
+use tokio::time::{Instant, sleep_until, timeout_at};
 use tonic::Status;
 
 use super::error::ApiError;
@@ -24,7 +20,7 @@ use super::error::ApiError;
 const HEADER: &str = "grpc-timeout";
 const MAX_TIMEOUT: Duration = Duration::from_secs(365 * 86_400);
 
-/// Answers a call within its deadline, if it has one.
+/// Applies a call's deadline, if it has one.
 pub(super) async fn answer(
     headers: &HeaderMap,
     call: impl Future<Output = Result<Response<Body>, Infallible>>,
@@ -36,7 +32,7 @@ pub(super) async fn answer(
     };
     let at = Instant::now() + after;
     match timeout_at(at, call).await {
-        Ok(Ok(response)) => Ok(response.map(|body| Body::new(DeadlineBody::new(body, at, after)))),
+        Ok(Ok(response)) => Ok(response.map(|body| limited(body, at, after))),
         Ok(Err(never)) => match never {},
         Err(_) => Ok(deadline_exceeded(after).into_http()),
     }
@@ -68,69 +64,41 @@ fn parse_timeout(headers: &HeaderMap) -> Result<Option<Duration>, ApiError> {
     }))
 }
 
-/// A body that ends at an instant.
-struct DeadlineBody {
-    /// `None`: it has ended.
-    body: Option<Body>,
-    at: Pin<Box<Sleep>>,
-    after: Duration,
-}
-
-impl DeadlineBody {
-    fn new(body: Body, at: Instant, after: Duration) -> Self {
-        Self { body: Some(body), at: Box::pin(sleep_until(at)), after }
+/// Ends a body at an instant with the trailers of DEADLINE_EXCEEDED.
+fn limited(body: Body, at: Instant, after: Duration) -> Body {
+    if body.is_end_stream() {
+        return body;
     }
-}
-
-impl hyper::body::Body for DeadlineBody {
-    type Data = Bytes;
-    type Error = axum::Error;
-
-    fn poll_frame(
-        mut self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
-        let this = &mut *self;
-        let Some(body) = &mut this.body else { return Poll::Ready(None) };
-        let is_over = this.at.as_mut().poll(context).is_ready();
-        if is_over && !body.is_end_stream() {
-            this.body = None;
-            let mut trailers = HeaderMap::new();
-            // What cannot be a header is left out of the message by tonic, and the code stays.
-            let _ = deadline_exceeded(this.after).add_header(&mut trailers);
-            return Poll::Ready(Some(Ok(Frame::trailers(trailers))));
-        }
-        let frame = Pin::new(body).poll_frame(context);
-        if let Poll::Ready(Some(Ok(frame))) = &frame
-            && frame.is_trailers()
-        {
-            this.body = None;
-        }
-        frame
-    }
-
-    fn is_end_stream(&self) -> bool {
-        self.body.as_ref().is_none_or(|body| body.is_end_stream())
-    }
-
-    fn size_hint(&self) -> SizeHint {
-        // It may end before the rest has come.
-        SizeHint::new()
-    }
+    let frames = stream::unfold(Some(BodyStream::new(body)), move |frames| async move {
+        let mut frames = frames?;
+        let frame = tokio::select! {
+            biased;
+            () = sleep_until(at) => {
+                let mut trailers = HeaderMap::new();
+                // A message that is not a valid header is omitted; the code remains.
+                let _ = deadline_exceeded(after).add_header(&mut trailers);
+                Ok(Frame::trailers(trailers))
+            }
+            frame = frames.next() => frame?,
+        };
+        let is_last = frame.as_ref().is_ok_and(Frame::is_trailers);
+        Some((frame, (!is_last).then_some(frames)))
+    });
+    Body::new(StreamBody::new(frames))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn said(text: &'static str) -> Result<Option<Duration>, ApiError> {
+    fn parsed(text: &'static str) -> Result<Option<Duration>, ApiError> {
         let mut headers = HeaderMap::new();
         headers.insert(HEADER, text.parse().unwrap());
         parse_timeout(&headers)
     }
 
     #[tokio::test]
-    async fn a_call_without_an_answer_is_given_up() {
+    async fn a_call_without_a_response_is_dropped() {
         let mut headers = HeaderMap::new();
         headers.insert(HEADER, "1m".parse().unwrap());
         let answer = answer(&headers, std::future::pending()).await.unwrap();
@@ -142,16 +110,16 @@ mod tests {
     }
 
     #[test]
-    fn every_unit_is_read_and_nothing_else() {
+    fn only_valid_timeouts_are_accepted() {
         assert_eq!(parse_timeout(&HeaderMap::new()), Ok(None));
         let good =
             [("2H", 7200.0), ("3M", 180.0), ("4S", 4.0), ("5m", 5e-3), ("6u", 6e-6), ("7n", 7e-9)];
         for (text, seconds) in good {
-            assert_eq!(said(text), Ok(Some(Duration::from_secs_f64(seconds))), "{text}");
+            assert_eq!(parsed(text), Ok(Some(Duration::from_secs_f64(seconds))), "{text}");
         }
-        assert!(said("99999999H").unwrap().unwrap() > MAX_TIMEOUT);
+        assert!(parsed("99999999H").unwrap().unwrap() > MAX_TIMEOUT);
         for text in ["", "5", "m", "-5m", "+5m", "5.0m", "999999999n", "5 m", "5ms", "5x"] {
-            let error = said(text).unwrap_err().to_string();
+            let error = parsed(text).unwrap_err().to_string();
             assert!(
                 error.starts_with("grpc-timeout: expected up to eight digits"),
                 "{text}: {error}"

@@ -2,24 +2,27 @@
 //!
 //! The routers are not merged: merged, tonic would answer unknown REST paths.
 
-use std::{convert::Infallible, time::Duration};
+use std::{convert::Infallible, sync::Arc, time::Duration};
 
 use axum::{
     Router,
     body::Body,
     http::{Request, Response, Version, header},
+    response::IntoResponse,
 };
 use hyper::body::Incoming;
+use tonic::Status;
 use tower::{Layer, ServiceExt, service_fn};
 use tower_http::{cors::CorsLayer, timeout::TimeoutBody};
 
-use super::deadline;
+use super::{access::AccessControl, deadline, error::ApiError};
 
 #[derive(Clone)]
 pub(super) struct Dispatch {
     /// Requests with a content type of `application/grpc…`.
     pub grpc_router: Router,
     pub http_router: Router,
+    pub access: Arc<AccessControl>,
     /// Access for pages of other origins, if any.
     pub cors: Option<CorsLayer>,
     /// Longest pause within a request's body.
@@ -31,6 +34,9 @@ impl Dispatch {
         mut self,
         request: Request<Incoming>,
     ) -> Result<Response<Body>, Infallible> {
+        if let Err(error) = self.access.check_names(&request) {
+            return Ok(refusal(&request, error));
+        }
         match self.cors.take() {
             None => self.route(request).await,
             Some(cors) => {
@@ -40,8 +46,11 @@ impl Dispatch {
         }
     }
 
-    async fn route(self, request: Request<Incoming>) -> Result<Response<Body>, Infallible> {
-        // A gRPC request stream may pause for as long as it likes: HTTP/2 pings its client.
+    async fn route(self, mut request: Request<Incoming>) -> Result<Response<Body>, Infallible> {
+        if let Err(error) = self.access.check_identity(&mut request) {
+            return Ok(refusal(&request, error));
+        }
+        // A gRPC request stream may pause for any time: HTTP/2 pings its client.
         let may_pause = request.version() >= Version::HTTP_2 && is_grpc(&request);
         let request = request.map(|body| match may_pause {
             true => Body::new(body),
@@ -72,6 +81,19 @@ impl Dispatch {
         let service = tonic_web::GrpcWebLayer::new().layer(grpc);
         Ok(service.oneshot(request).await?.map(Body::new))
     }
+}
+
+/// An error in the protocol of the request.
+fn refusal<B>(request: &Request<B>, error: ApiError) -> Response<Body> {
+    if !is_grpc(request) {
+        return error.into_response();
+    }
+    let mut response = Status::from(error).into_http();
+    // gRPC-Web has no trailers, so that errors without a body are in the headers as well.
+    if let Some(content_type) = request.headers().get(header::CONTENT_TYPE) {
+        response.headers_mut().insert(header::CONTENT_TYPE, content_type.clone());
+    }
+    response
 }
 
 fn is_grpc_web<B>(request: &Request<B>) -> bool {

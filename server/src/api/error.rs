@@ -1,85 +1,86 @@
-//! What can be wrong with a request, and the one table that says how gRPC and HTTP put it.
+//! Errors of requests, and their codes in JSON, gRPC and HTTP.
+
+use std::time::Duration;
 
 use axum::{
     Json,
-    extract::rejection::{BytesRejection, JsonRejection},
-    http::StatusCode,
+    http::{HeaderValue, StatusCode, header},
     response::{IntoResponse, Response},
 };
 use roundel_proto::v1;
-use serde::{Serialize, de::DeserializeOwned};
-use serde_json::{Map, Value};
+use serde::Serialize;
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 use utoipa::ToSchema;
 
 use super::MAX_REQUEST_BYTES;
 
-/// Said to every stream and connection that the end of the server cuts off.
+/// Message of the error that ends streams and connections on shutdown.
 pub const SHUTTING_DOWN: &str = "server is shutting down";
 
-/// Whose reasons the details of gRPC's errors name.
+/// Error domain in the details of gRPC errors.
 const DOMAIN: &str = "roundel.v1";
+/// When clients may retry after a temporary error, seconds.
+const RETRY_AFTER_S: u16 = 1;
 
-/// Why a request is not answered as asked.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ApiError {
-    /// A field or query parameter does not hold what it should.
     #[error("{field}: expected {expected}, found {found}")]
     InvalidArgument {
         /// Name of the field or query parameter, as the client wrote it.
         field: String,
-        /// What it may be.
         expected: String,
         found: String,
     },
-    /// The same, in a sentence of its own.
+    /// An invalid field or query parameter, described by a sentence.
     #[error("{field}: {message}")]
-    Invalid {
-        field: &'static str,
-        /// What is wrong, and what to do.
-        message: String,
-    },
-    /// No such thing here.
+    Invalid { field: &'static str, message: String },
     #[error("no {what} {name:?}; {known}")]
     NotFound {
-        /// What kind of thing was looked for.
+        /// Kind of the missing resource.
         what: &'static str,
         name: String,
-        /// What there is, or where to look.
+        /// Existing names, or where to look them up.
         known: String,
     },
-    /// Not as things are now.
+    /// The state of the server does not permit the request.
     #[error("{0}")]
     FailedPrecondition(String),
-    /// Somebody has taken this one's place.
+    /// Another client's request takes precedence.
     #[error("{0}")]
     Aborted(String),
-    /// Not for whoever asks.
     #[error("{0}")]
     PermissionDenied(String),
-    /// The path exists, but not with this method.
-    #[error("this path does not answer to this method: /openapi.json says to which it does")]
+    /// Credentials are missing, wrong or expired.
+    #[error("{0}")]
+    Unauthenticated(String),
+    #[error("this server needs TLS: connect to https:// in place of http://")]
+    TlsRequired,
+    /// The request names another host.
+    #[error("{0}")]
+    Misdirected(String),
+    #[error("this path does not support this method: /openapi.json lists those it does")]
     MethodNotAllowed,
-    /// The WebSocket's path was asked for without an upgrade.
+    /// A request for the WebSocket's path that is no handshake.
     #[error("expected a WebSocket handshake (open it as ws://HOST:PORT/api/v1/stream): {0}")]
     UpgradeRequired(String),
-    /// Nothing to give yet, or any more; worth another try.
+    /// Temporary; clients may retry.
     #[error("{0}")]
     Unavailable(String),
     /// A limit of the server is reached.
     #[error("{0}")]
     ResourceExhausted(String),
-    /// A request is larger than the server takes.
-    #[error("expected a request of at most {MAX_REQUEST_BYTES} bytes, and this one has more")]
+    /// The content type is not one that browsers ask for permission to send.
+    #[error("content-type: expected {0}, found another one or none")]
+    UnsupportedMediaType(&'static str),
+    #[error("expected a request of at most {MAX_REQUEST_BYTES} bytes, found more")]
     TooLarge,
-    /// A fault of the server's own.
+    /// A fault of the server.
     #[error("{0}")]
     Internal(String),
 }
 
 impl ApiError {
-    /// A field or parameter that holds something else than expected.
     pub fn invalid(
         field: impl Into<String>,
         expected: impl Into<String>,
@@ -92,38 +93,7 @@ impl ApiError {
         }
     }
 
-    /// What a request's body holds; where it does not, what it may be, such as `example`.
-    pub(super) fn body<T>(
-        body: Result<Json<T>, JsonRejection>,
-        example: &str,
-    ) -> Result<T, ApiError> {
-        let refused = |error| match error {
-            JsonRejection::BytesRejection(error) => Self::body_error(&error),
-            other => Self::invalid("body", format!("JSON such as {example}"), other.body_text()),
-        };
-        body.map(|Json(body)| body).map_err(refused)
-    }
-
-    /// Why a body did not come whole.
-    pub(super) fn body_error(error: &BytesRejection) -> Self {
-        match error.status() {
-            StatusCode::PAYLOAD_TOO_LARGE => Self::TooLarge,
-            _ => Self::invalid("body", "all of it", error.body_text()),
-        }
-    }
-
-    /// What a body that changes some fields holds, and which these are; null stands for none.
-    pub(super) fn fields<T: DeserializeOwned>(
-        mut body: Map<String, Value>,
-        example: &str,
-    ) -> Result<(T, Vec<String>), ApiError> {
-        let fields = body.keys().cloned().collect();
-        body.retain(|_, value| !value.is_null());
-        let wrong = |error| Self::invalid("body", format!("JSON such as {example}"), error);
-        Ok((serde_json::from_value(Value::Object(body)).map_err(wrong)?, fields))
-    }
-
-    /// The table: what each error is called in JSON, in gRPC and in HTTP.
+    /// Codes in JSON, gRPC and HTTP.
     pub fn codes(&self) -> (&'static str, Code, StatusCode) {
         match self {
             Self::InvalidArgument { .. } | Self::Invalid { .. } => {
@@ -137,6 +107,13 @@ impl ApiError {
             Self::PermissionDenied(_) => {
                 ("permission_denied", Code::PermissionDenied, StatusCode::FORBIDDEN)
             }
+            Self::Unauthenticated(_) => {
+                ("unauthenticated", Code::Unauthenticated, StatusCode::UNAUTHORIZED)
+            }
+            Self::TlsRequired => ("tls_required", Code::PermissionDenied, StatusCode::FORBIDDEN),
+            Self::Misdirected(_) => {
+                ("misdirected", Code::PermissionDenied, StatusCode::MISDIRECTED_REQUEST)
+            }
             Self::MethodNotAllowed => {
                 ("method_not_allowed", Code::Unimplemented, StatusCode::METHOD_NOT_ALLOWED)
             }
@@ -149,6 +126,11 @@ impl ApiError {
             Self::ResourceExhausted(_) => {
                 ("resource_exhausted", Code::ResourceExhausted, StatusCode::SERVICE_UNAVAILABLE)
             }
+            Self::UnsupportedMediaType(_) => (
+                "unsupported_media_type",
+                Code::InvalidArgument,
+                StatusCode::UNSUPPORTED_MEDIA_TYPE,
+            ),
             Self::TooLarge => ("too_large", Code::OutOfRange, StatusCode::PAYLOAD_TOO_LARGE),
             Self::Internal(_) => ("internal", Code::Internal, StatusCode::INTERNAL_SERVER_ERROR),
         }
@@ -174,6 +156,9 @@ impl From<ApiError> for Status {
             ApiError::FailedPrecondition(why) => {
                 details.add_precondition_failure_violation(reason, "", why);
             }
+            ApiError::Unavailable(_) | ApiError::ResourceExhausted(_) => {
+                details.set_retry_info(Some(Duration::from_secs(RETRY_AFTER_S.into())));
+            }
             _ => {}
         }
         Status::with_error_details(code, message, details)
@@ -187,19 +172,17 @@ impl From<ApiError> for v1::StreamError {
     }
 }
 
-/// The body of every response that is no success.
+/// Body of every error response.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct ErrorBody {
-    /// What went wrong.
     pub error: ErrorDetail,
 }
 
-/// What went wrong.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct ErrorDetail {
-    /// A word for programs, such as `invalid_argument` or `not_found`.
+    /// A code for programs, such as `invalid_argument` or `not_found`.
     pub code: &'static str,
-    /// A sentence for people: what was expected, what was found, and where.
+    /// A sentence for people: the expected value, the one found, and the field.
     pub message: String,
 }
 
@@ -207,6 +190,15 @@ impl IntoResponse for ApiError {
     fn into_response(self) -> Response {
         let (code, _, status) = self.codes();
         let body = ErrorBody { error: ErrorDetail { code, message: self.to_string() } };
-        (status, Json(body)).into_response()
+        let mut response = (status, Json(body)).into_response();
+        if status == StatusCode::UNAUTHORIZED {
+            let scheme = HeaderValue::from_static("Bearer");
+            response.headers_mut().insert(header::WWW_AUTHENTICATE, scheme);
+        }
+        if status == StatusCode::SERVICE_UNAVAILABLE {
+            let after = HeaderValue::from(RETRY_AFTER_S);
+            response.headers_mut().insert(header::RETRY_AFTER, after);
+        }
+        response
     }
 }

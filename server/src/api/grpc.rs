@@ -1,13 +1,13 @@
 //! The service of `proto/roundel/v1/roundel.proto`, with reflection (v1) and health.
 //!
-//! Health knows two names: the empty one serves as long as the process works; that of the service
-//! serves while `/readyz` says so, too.
+//! Health has two names: the empty one is serving while the process is alive, the service's own
+//! while `/readyz` reports readiness.
 
 mod snapshots;
 
-use std::{pin::Pin, sync::Arc};
+use std::{future::ready, pin::Pin, sync::Arc};
 
-use axum::Router;
+use axum::{Json, Router, extract::State};
 use futures::{Stream, StreamExt, stream};
 use roundel_proto::v1::{self, roundel_server::RoundelServer};
 use tokio_util::sync::CancellationToken;
@@ -18,21 +18,18 @@ use tower::service_fn;
 use super::{
     ApiState, MAX_REQUEST_BYTES, calibration, configuration,
     error::{ApiError, SHUTTING_DOWN},
-    history, objects as configured,
+    handler::{Answer, Api, Body, Changes, Segment},
+    history,
+    listener::stream_permit,
+    objects,
     observation_subscription::ObservationSubscription,
-    picture, push,
-    queries::{
-        self, cameras, checked_backlog, newest_observations, newest_snapshot, next_event, objects,
-    },
-    recording, replay,
-    selection::{self, MESSAGE_FIELDS, Selection},
+    picture, push, queries, recording, replay, rest,
+    selection::{MESSAGE_FIELDS, Selection},
     setup, simulation, source_probe,
 };
-use crate::api::convert;
 
 type Messages<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
 
-/// Answers gRPC requests out of the hub.
 #[derive(Clone)]
 pub struct Service {
     api: Arc<ApiState>,
@@ -47,343 +44,228 @@ pub fn router(api: &Arc<ApiState>) -> (Router, HealthReporter) {
         .register_encoded_file_descriptor_set(roundel_proto::DESCRIPTORS)
         .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
         .build_v1()
-        // The descriptors are compiled into this binary; a test reads them through this very path.
+        // A test reads the descriptors compiled into this binary.
         .expect("the compiled descriptors are valid");
-    let routes = Routes::new(service)
-        .add_service(push::service(api))
-        .add_service(reflection)
-        .add_service(health);
-    let subscribing = api.clone();
+    let routes = Routes::new(service).add_service(reflection).add_service(health);
+    let (subscribing, pushing) = (api.clone(), api.clone());
     let subscribe = service_fn(move |request| snapshots::subscribe(subscribing.clone(), request));
-    let router = routes.prepare().into_axum_router().route_service(snapshots::PATH, subscribe);
+    let push = service_fn(move |request| push::send(pushing.clone(), request));
+    let router = routes.prepare().into_axum_router();
+    let router = router.route_service(snapshots::PATH, subscribe).route_service(push::PATH, push);
     (router, reporter)
 }
 
-/// Ends a stream with UNAVAILABLE when the server goes down.
+/// Ends a stream with UNAVAILABLE on shutdown.
 fn until_shutdown<T: Send + 'static>(
     messages: impl Stream<Item = Result<T, Status>> + Send + 'static,
     cancel: CancellationToken,
 ) -> Messages<T> {
-    let end = stream::once(async move {
-        cancel.cancelled_owned().await;
-        None
-    });
-    // `None` marks the end; nothing after it is sent.
-    let marked = stream::select(messages.map(Some), end);
-    Box::pin(marked.scan(false, |ended, message| {
-        let next = match message {
-            _ if *ended => None,
-            Some(message) => Some(message),
-            None => {
-                *ended = true;
-                Some(Err(ApiError::Unavailable(SHUTTING_DOWN.into()).into()))
-            }
-        };
-        std::future::ready(next)
-    }))
+    let end = ready(Err(ApiError::Unavailable(SHUTTING_DOWN.into()).into()));
+    Box::pin(messages.take_until(cancel.cancelled_owned()).chain(stream::once(end)))
 }
 
-#[tonic::async_trait]
-impl v1::roundel_server::Roundel for Service {
-    type SubscribeSnapshotsStream = Messages<v1::Snapshot>;
-    type SubscribeObservationsStream = Messages<v1::FrameObservations>;
-    type SubscribeEventsStream = Messages<v1::Event>;
+/// Implements the service. A stream calls the function of its name below; a method calls a handler,
+/// mostly that of REST.
+macro_rules! implement_roundel {
+    (
+        streams {
+            $($stream:ident: $subscribe:ident($subscription:ident) -> $item:ident;)*
+        }
+        methods {
+            $($method:ident($request:ident) -> $answer:ident
+                = |$api:pat_param, $message:pat_param| $call:expr;)*
+        }
+    ) => {
+        #[tonic::async_trait]
+        impl v1::roundel_server::Roundel for Service {
+            $(
+                type $stream = Messages<v1::$item>;
 
-    async fn subscribe_snapshots(
-        &self,
-        _: Request<v1::SubscribeSnapshotsRequest>,
-    ) -> Result<Response<Self::SubscribeSnapshotsStream>, Status> {
-        Err(Status::internal(
-            "internal error, please report it: `snapshots::subscribe` serves this method",
-        ))
+                async fn $subscribe(
+                    &self,
+                    request: Request<v1::$subscription>,
+                ) -> Result<Response<Messages<v1::$item>>, Status> {
+                    Ok(Response::new($subscribe(&self.api, request)?))
+                }
+            )*
+            $(
+                async fn $method(
+                    &self,
+                    request: Request<v1::$request>,
+                ) -> Result<Response<v1::$answer>, Status> {
+                    let ($api, $message) = (State(self.api.clone()), request.into_inner());
+                    let Json(answer) = $call.await?;
+                    Ok(Response::new(answer))
+                }
+            )*
+        }
+    };
+}
+
+implement_roundel! {
+    streams {
+        SubscribeSnapshotsStream: subscribe_snapshots(SubscribeSnapshotsRequest) -> Snapshot;
+        SubscribeObservationsStream:
+            subscribe_observations(SubscribeObservationsRequest) -> FrameObservations;
+        SubscribeEventsStream: subscribe_events(SubscribeEventsRequest) -> Event;
+        WatchCalibrationStream: watch_calibration(WatchCalibrationRequest) -> Calibration;
     }
+    methods {
+        get_snapshot(GetSnapshotRequest) -> Snapshot = |api, request| get_snapshot(api, request);
+        get_observations(GetObservationsRequest) -> GetObservationsResponse
+            = |api, request| get_observations(api, request);
+        list_cameras(ListCamerasRequest) -> ListCamerasResponse = |api, _| rest::cameras(api);
+        get_picture(GetPictureRequest) -> CameraPicture = |api, request| get_picture(api, request);
+        list_objects(ListObjectsRequest) -> ListObjectsResponse = |api, _| rest::objects(api);
+        get_time(GetTimeRequest) -> ServerTime = |api, request| get_time(api, request);
+        get_server_info(GetServerInfoRequest) -> ServerInfo = |api, _| rest::info(api);
 
-    async fn subscribe_observations(
-        &self,
-        request: Request<v1::SubscribeObservationsRequest>,
-    ) -> Result<Response<Self::SubscribeObservationsStream>, Status> {
-        let observation_subscription =
-            ObservationSubscription::new(&self.api, request.into_inner().cameras)?;
-        let messages =
-            stream::unfold(observation_subscription, |mut observation_subscription| async move {
-                let message = observation_subscription.next().await?.map_err(Status::from);
-                Some((message, observation_subscription))
-            });
-        Ok(Response::new(until_shutdown(messages, self.api.cancel.clone())))
+        start_calibration(StartCalibrationRequest) -> Calibration
+            = |api, request| calibration::start(api, Body(request));
+        get_calibration(GetCalibrationRequest) -> Calibration = |api, _| calibration::show(api);
+        cancel_calibration(CancelCalibrationRequest) -> Calibration
+            = |api, _| calibration::cancel(api);
+        apply_calibration(ApplyCalibrationRequest) -> Calibration
+            = |api, _| calibration::apply(api);
+
+        start_recording(StartRecordingRequest) -> Recording
+            = |api, request| recording::start(api, Body(request));
+        stop_recording(StopRecordingRequest) -> Recording = |api, _| recording::stop(api);
+        get_recording(GetRecordingRequest) -> Recording = |api, _| recording::show(api);
+        list_recordings(ListRecordingsRequest) -> ListRecordingsResponse
+            = |api, _| recording::files(api);
+        get_replay(GetReplayRequest) -> Replay = |api, _| replay::show(api);
+        control_replay(ControlReplayRequest) -> Replay
+            = |api, request| replay::control(api, Body(request));
+        query_history(QueryHistoryRequest) -> QueryHistoryResponse
+            = |api, request| history::query(api, request);
+
+        test_source(TestSourceRequest) -> SourceTest
+            = |api, request| source_probe::test(api, Body(request));
+        get_camera_setup(GetCameraSetupRequest) -> CameraSetup
+            = |api, request| setup::show(api, Segment(request.name));
+        add_camera(AddCameraRequest) -> CameraChange
+            = |api, request| setup::add(api, Body(request.camera.unwrap_or_default()));
+        change_camera(ChangeCameraRequest) -> CameraChange = |api, request| setup::change(
+            api, Segment(request.name), changes(request.camera, request.fields)
+        );
+        remove_camera(RemoveCameraRequest) -> CameraChange
+            = |api, request| setup::remove(api, Segment(request.name));
+        get_object_setup(GetObjectSetupRequest) -> ObjectSetup
+            = |api, request| objects::show(api, Segment(request.name));
+        add_object(AddObjectRequest) -> ObjectChange
+            = |api, request| objects::add(api, Body(request.object.unwrap_or_default()));
+        change_object(ChangeObjectRequest) -> ObjectChange = |api, request| objects::change(
+            api, Segment(request.name), changes(request.object, request.fields)
+        );
+        remove_object(RemoveObjectRequest) -> ObjectChange
+            = |api, request| objects::remove(api, Segment(request.name));
+        name_object(NameObjectRequest) -> ObjectChange = |api, request| objects::name(
+            api, Segment(request.object_id.to_string()), Body(objects::Name { name: request.name })
+        );
+
+        get_configuration(GetConfigurationRequest) -> Configuration
+            = |api, _| configuration::show(api);
+        check_configuration(CheckConfigurationRequest) -> ConfigurationCheck
+            = |api, request| configuration::check_text(api, request);
+        apply_configuration(ApplyConfigurationRequest) -> AppliedConfiguration
+            = |api, request| configuration::apply_text(api, request);
+
+        drive_robots(DriveRobotsRequest) -> DriveRobotsResponse
+            = |api, request| simulation::drive(api, Body(request));
+        push_robot(PushRobotRequest) -> PushRobotResponse
+            = |api, request| simulation::push(api, Body(request));
     }
+}
 
-    async fn get_observations(
-        &self,
-        request: Request<v1::GetObservationsRequest>,
-    ) -> Result<Response<v1::GetObservationsResponse>, Status> {
-        Ok(Response::new(newest_observations(&self.api, &request.into_inner().cameras)?))
-    }
+fn subscribe_snapshots(
+    _: &Arc<ApiState>,
+    _: Request<v1::SubscribeSnapshotsRequest>,
+) -> Result<Messages<v1::Snapshot>, Status> {
+    Err(Status::internal(
+        "internal error, please report it: `snapshots::subscribe` serves this method",
+    ))
+}
 
-    async fn subscribe_events(
-        &self,
-        request: Request<v1::SubscribeEventsRequest>,
-    ) -> Result<Response<Self::SubscribeEventsStream>, Status> {
-        let backlog = checked_backlog(request.into_inner().backlog, "backlog")?;
-        let api = self.api.clone();
-        let (remembered, receiver) = api.hub.events(backlog);
-        let new = stream::unfold(receiver, |mut receiver| async move {
-            let event = next_event(&mut receiver).await?;
-            Some((event, receiver))
+fn subscribe_observations(
+    api: &Arc<ApiState>,
+    request: Request<v1::SubscribeObservationsRequest>,
+) -> Result<Messages<v1::FrameObservations>, Status> {
+    let permit = stream_permit(request.extensions())?;
+    let subscription = ObservationSubscription::new(api, request.into_inner().cameras)?;
+    let messages =
+        stream::unfold((subscription, permit), |(mut subscription, permit)| async move {
+            let message = subscription.next().await?.map_err(Status::from);
+            Some((message, (subscription, permit)))
         });
-        let messages = stream::iter(remembered).chain(new).map(|event| Ok(convert::event(&event)));
-        Ok(Response::new(until_shutdown(messages, self.api.cancel.clone())))
-    }
+    Ok(until_shutdown(messages, api.cancel.clone()))
+}
 
-    async fn get_snapshot(
-        &self,
-        request: Request<v1::GetSnapshotRequest>,
-    ) -> Result<Response<v1::Snapshot>, Status> {
-        let request = selection::subscribe_request(request.into_inner());
-        let kinds = &self.api.hub.installation().kinds;
-        let selection = Selection::new(request, kinds, &MESSAGE_FIELDS)?;
-        Ok(Response::new(newest_snapshot(&self.api, &selection)?))
-    }
+fn subscribe_events(
+    api: &Arc<ApiState>,
+    request: Request<v1::SubscribeEventsRequest>,
+) -> Result<Messages<v1::Event>, Status> {
+    let permit = stream_permit(request.extensions())?;
+    let backlog = queries::checked_backlog(request.into_inner().backlog)?;
+    let (remembered, receiver) = api.hub.events(backlog);
+    let new = stream::unfold((receiver, permit), |(mut receiver, permit)| async move {
+        let event = queries::next_event(&mut receiver).await?;
+        Some((event, (receiver, permit)))
+    });
+    let messages = stream::iter(remembered).chain(new).map(|event| Ok(Arc::unwrap_or_clone(event)));
+    Ok(until_shutdown(messages, api.cancel.clone()))
+}
 
-    async fn list_cameras(
-        &self,
-        _: Request<v1::ListCamerasRequest>,
-    ) -> Result<Response<v1::ListCamerasResponse>, Status> {
-        Ok(Response::new(v1::ListCamerasResponse { cameras: cameras(&self.api) }))
-    }
+fn watch_calibration(
+    api: &Arc<ApiState>,
+    request: Request<v1::WatchCalibrationRequest>,
+) -> Result<Messages<v1::Calibration>, Status> {
+    let permit = stream_permit(request.extensions())?;
+    let mut status = api.calibrator.status();
+    status.mark_changed();
+    let start = (api.clone(), status, permit);
+    let messages = stream::unfold(start, |(api, mut status, permit)| async move {
+        status.changed().await.ok()?;
+        let message = calibration::newest(&api);
+        Some((Ok(message), (api, status, permit)))
+    });
+    Ok(until_shutdown(messages, api.cancel.clone()))
+}
 
-    async fn get_picture(
-        &self,
-        request: Request<v1::GetPictureRequest>,
-    ) -> Result<Response<v1::CameraPicture>, Status> {
-        let (jpeg, capture_time) = picture::newest(&self.api, &request.into_inner().camera).await?;
-        let capture_time_ns = capture_time.as_ns();
-        Ok(Response::new(v1::CameraPicture { jpeg: jpeg.to_vec(), capture_time_ns }))
-    }
+fn changes<T: Default>(values: Option<T>, fields: Vec<String>) -> Changes<T> {
+    Changes { values: values.unwrap_or_default(), fields }
+}
 
-    async fn list_objects(
-        &self,
-        _: Request<v1::ListObjectsRequest>,
-    ) -> Result<Response<v1::ListObjectsResponse>, Status> {
-        Ok(Response::new(v1::ListObjectsResponse { objects: objects(&self.api) }))
-    }
+async fn get_observations(
+    State(api): Api,
+    request: v1::GetObservationsRequest,
+) -> Answer<v1::GetObservationsResponse> {
+    queries::newest_observations(&api, &request.cameras).map(Json)
+}
 
-    type WatchCalibrationStream = Messages<v1::Calibration>;
+async fn get_snapshot(State(api): Api, request: v1::GetSnapshotRequest) -> Answer<v1::Snapshot> {
+    let request = v1::SubscribeSnapshotsRequest {
+        object_ids: request.object_ids,
+        region: request.region,
+        horizon_ms: request.horizon_ms,
+        omit_covariance: request.omit_covariance,
+        roundels: request.roundels,
+        names: request.names,
+        codes: request.codes,
+        max_rate_hz: None,
+    };
+    let selection = Selection::new(request, &api.hub.installation().kinds, &MESSAGE_FIELDS)?;
+    queries::newest_snapshot(&api, &selection).map(Json)
+}
 
-    async fn start_calibration(
-        &self,
-        request: Request<v1::StartCalibrationRequest>,
-    ) -> Result<Response<v1::Calibration>, Status> {
-        Ok(Response::new(calibration::begin(&self.api, &request.into_inner())?))
-    }
+async fn get_picture(State(api): Api, request: v1::GetPictureRequest) -> Answer<v1::CameraPicture> {
+    let (jpeg, capture_time) = picture::newest(&api, &request.camera).await?;
+    Ok(Json(v1::CameraPicture { jpeg: jpeg.to_vec(), capture_time_ns: capture_time.as_ns() }))
+}
 
-    async fn get_calibration(
-        &self,
-        _: Request<v1::GetCalibrationRequest>,
-    ) -> Result<Response<v1::Calibration>, Status> {
-        Ok(Response::new(calibration::newest(&self.api)))
-    }
-
-    async fn watch_calibration(
-        &self,
-        _: Request<v1::WatchCalibrationRequest>,
-    ) -> Result<Response<Self::WatchCalibrationStream>, Status> {
-        let api = self.api.clone();
-        let mut status = api.calibrator.status();
-        status.mark_changed();
-        let messages = stream::unfold((api, status), |(api, mut status)| async move {
-            status.changed().await.ok()?;
-            let _ = status.borrow_and_update();
-            let message = calibration::newest(&api);
-            Some((Ok(message), (api, status)))
-        });
-        Ok(Response::new(until_shutdown(messages, self.api.cancel.clone())))
-    }
-
-    async fn cancel_calibration(
-        &self,
-        _: Request<v1::CancelCalibrationRequest>,
-    ) -> Result<Response<v1::Calibration>, Status> {
-        self.api.calibrator.cancel().map_err(ApiError::from)?;
-        Ok(Response::new(calibration::newest(&self.api)))
-    }
-
-    async fn apply_calibration(
-        &self,
-        _: Request<v1::ApplyCalibrationRequest>,
-    ) -> Result<Response<v1::Calibration>, Status> {
-        Ok(Response::new(calibration::take_over(&self.api).await?))
-    }
-
-    async fn start_recording(
-        &self,
-        request: Request<v1::StartRecordingRequest>,
-    ) -> Result<Response<v1::Recording>, Status> {
-        Ok(Response::new(recording::begin(&self.api, request.into_inner()).await?))
-    }
-
-    async fn stop_recording(
-        &self,
-        _: Request<v1::StopRecordingRequest>,
-    ) -> Result<Response<v1::Recording>, Status> {
-        Ok(Response::new(recording::end(&self.api).await?))
-    }
-
-    async fn get_recording(
-        &self,
-        _: Request<v1::GetRecordingRequest>,
-    ) -> Result<Response<v1::Recording>, Status> {
-        Ok(Response::new(recording::newest(&self.api)?))
-    }
-
-    async fn list_recordings(
-        &self,
-        _: Request<v1::ListRecordingsRequest>,
-    ) -> Result<Response<v1::ListRecordingsResponse>, Status> {
-        Ok(Response::new(recording::list(&self.api).await?))
-    }
-
-    async fn query_history(
-        &self,
-        request: Request<v1::QueryHistoryRequest>,
-    ) -> Result<Response<v1::QueryHistoryResponse>, Status> {
-        Ok(Response::new(history::query(&self.api, request.into_inner()).await?))
-    }
-
-    async fn get_replay(
-        &self,
-        _: Request<v1::GetReplayRequest>,
-    ) -> Result<Response<v1::Replay>, Status> {
-        Ok(Response::new(replay::newest(&self.api)?))
-    }
-
-    async fn control_replay(
-        &self,
-        request: Request<v1::ControlReplayRequest>,
-    ) -> Result<Response<v1::Replay>, Status> {
-        Ok(Response::new(replay::apply_control(&self.api, &request.into_inner())?))
-    }
-
-    async fn test_source(
-        &self,
-        request: Request<v1::TestSourceRequest>,
-    ) -> Result<Response<v1::SourceTest>, Status> {
-        Ok(Response::new(source_probe::probe(&self.api, request.into_inner()).await?))
-    }
-
-    async fn get_camera_setup(
-        &self,
-        request: Request<v1::GetCameraSetupRequest>,
-    ) -> Result<Response<v1::CameraSetup>, Status> {
-        Ok(Response::new(setup::written(&self.api, request.into_inner().name).await?))
-    }
-
-    async fn add_camera(
-        &self,
-        request: Request<v1::AddCameraRequest>,
-    ) -> Result<Response<v1::CameraChange>, Status> {
-        let camera = request.into_inner().camera.unwrap_or_default();
-        Ok(Response::new(setup::add_camera(&self.api, camera).await?))
-    }
-
-    async fn change_camera(
-        &self,
-        request: Request<v1::ChangeCameraRequest>,
-    ) -> Result<Response<v1::CameraChange>, Status> {
-        Ok(Response::new(setup::change_camera(&self.api, request.into_inner()).await?))
-    }
-
-    async fn remove_camera(
-        &self,
-        request: Request<v1::RemoveCameraRequest>,
-    ) -> Result<Response<v1::CameraChange>, Status> {
-        Ok(Response::new(setup::remove_camera(&self.api, request.into_inner().name).await?))
-    }
-
-    async fn get_object_setup(
-        &self,
-        request: Request<v1::GetObjectSetupRequest>,
-    ) -> Result<Response<v1::ObjectSetup>, Status> {
-        Ok(Response::new(configured::written(&self.api, request.into_inner().name).await?))
-    }
-
-    async fn add_object(
-        &self,
-        request: Request<v1::AddObjectRequest>,
-    ) -> Result<Response<v1::ObjectChange>, Status> {
-        let object = request.into_inner().object.unwrap_or_default();
-        Ok(Response::new(configured::add_object(&self.api, object).await?))
-    }
-
-    async fn change_object(
-        &self,
-        request: Request<v1::ChangeObjectRequest>,
-    ) -> Result<Response<v1::ObjectChange>, Status> {
-        Ok(Response::new(configured::change_object(&self.api, request.into_inner()).await?))
-    }
-
-    async fn remove_object(
-        &self,
-        request: Request<v1::RemoveObjectRequest>,
-    ) -> Result<Response<v1::ObjectChange>, Status> {
-        Ok(Response::new(configured::remove_object(&self.api, request.into_inner().name).await?))
-    }
-
-    async fn name_object(
-        &self,
-        request: Request<v1::NameObjectRequest>,
-    ) -> Result<Response<v1::ObjectChange>, Status> {
-        Ok(Response::new(configured::name_object(&self.api, request.into_inner()).await?))
-    }
-
-    async fn get_configuration(
-        &self,
-        _: Request<v1::GetConfigurationRequest>,
-    ) -> Result<Response<v1::Configuration>, Status> {
-        Ok(Response::new(configuration::in_force(&self.api).await?))
-    }
-
-    async fn check_configuration(
-        &self,
-        request: Request<v1::CheckConfigurationRequest>,
-    ) -> Result<Response<v1::ConfigurationCheck>, Status> {
-        Ok(Response::new(configuration::check_text(&self.api, request.into_inner()).await?))
-    }
-
-    async fn apply_configuration(
-        &self,
-        request: Request<v1::ApplyConfigurationRequest>,
-    ) -> Result<Response<v1::AppliedConfiguration>, Status> {
-        Ok(Response::new(configuration::apply_text(&self.api, request.into_inner()).await?))
-    }
-
-    async fn get_time(
-        &self,
-        request: Request<v1::GetTimeRequest>,
-    ) -> Result<Response<v1::ServerTime>, Status> {
-        let received_time_ns = self.api.clock.now().as_ns();
-        let sent_time_ns = request.into_inner().sent_time_ns;
-        let replied_time_ns = self.api.clock.now().as_ns();
-        Ok(Response::new(v1::ServerTime { sent_time_ns, received_time_ns, replied_time_ns }))
-    }
-
-    async fn drive_robots(
-        &self,
-        request: Request<v1::DriveRobotsRequest>,
-    ) -> Result<Response<v1::DriveRobotsResponse>, Status> {
-        Ok(Response::new(simulation::drive_robots(&self.api, &request.into_inner())?))
-    }
-
-    async fn push_robot(
-        &self,
-        request: Request<v1::PushRobotRequest>,
-    ) -> Result<Response<v1::PushRobotResponse>, Status> {
-        Ok(Response::new(simulation::push_robot(&self.api, &request.into_inner())?))
-    }
-
-    async fn get_server_info(
-        &self,
-        _: Request<v1::GetServerInfoRequest>,
-    ) -> Result<Response<v1::ServerInfo>, Status> {
-        Ok(Response::new(queries::server_info(&self.api)))
-    }
+async fn get_time(State(api): Api, request: v1::GetTimeRequest) -> Answer<v1::ServerTime> {
+    let received_time_ns = api.clock.now().as_ns();
+    let sent_time_ns = request.sent_time_ns;
+    let replied_time_ns = api.clock.now().as_ns();
+    Ok(Json(v1::ServerTime { sent_time_ns, received_time_ns, replied_time_ns }))
 }

@@ -1,150 +1,143 @@
-//! The history, over REST; the same functions answer gRPC.
+//! Past positions of objects.
 
-use std::sync::Arc;
+use std::{convert::Infallible, mem::size_of};
 
-use axum::{
-    Json,
-    extract::State,
-    http::{HeaderValue, Uri, header},
-    response::{IntoResponse, Response},
-};
+use axum::{Json, body::Body, extract::State, http::Uri, response::Response};
+use futures::stream;
 use roundel_core::time::Timestamp;
 use roundel_proto::v1;
 
 use super::{
     ApiState,
     error::{ApiError, ErrorBody},
+    handler::{Answer, Api, download},
+    heavy::{Charged, stopped},
     query::QueryParameters,
     region::Region,
 };
-use crate::{
-    api::convert,
-    archive::history::{
-        HistoryError, export,
-        store::{HistoryQuery, HistoryResult, MAX_EXPORT_ROWS, MAX_POINTS},
-    },
+use crate::archive::history::{
+    HistoryError, export,
+    store::{HistoryPoint, HistoryQuery, HistoryResult, MAX_EXPORT_ROWS, MAX_POINTS},
 };
 
 const HOUR_S: f64 = 3600.0;
+/// Memory of the points of the largest export.
+const EXPORT_BYTES: usize = MAX_EXPORT_ROWS * size_of::<HistoryPoint>();
+/// Memory of the points of other queries, before they are thinned.
+const QUERY_BYTES: usize = 16 * 1024 * 1024;
 
-/// What a request's fields are called, for errors.
-struct Fields {
+/// Names in errors of the fields whose names differ between messages and queries.
+struct FieldNames {
     from: &'static str,
     until: &'static str,
     corners: [&'static str; 2],
 }
 
-const PARAMETERS: Fields = Fields { from: "from", until: "until", corners: ["min", "max"] };
-const MESSAGE_FIELDS: Fields =
-    Fields { from: "from_time_ns", until: "until_time_ns", corners: ["region.min", "region.max"] };
+const QUERY_FIELDS: FieldNames =
+    FieldNames { from: "from", until: "until", corners: ["min", "max"] };
+const MESSAGE_FIELDS: FieldNames = FieldNames {
+    from: "from_time_ns",
+    until: "until_time_ns",
+    corners: ["region.min", "region.max"],
+};
 
-/// Where objects were: ever fewer points of what is longer ago.
+/// Past positions of objects, in tiers that get coarser with age.
 #[utoipa::path(
     get, path = "/api/v1/history", tag = "poses",
     params(
-        ("objects" = Option<String>, Query, description = "only these, by id, name or code's number, commas between", example = "3,cart"),
-        ("from" = Option<i64>, Query, description = "ns since the Unix epoch; an hour before `until` if left out"),
-        ("until" = Option<i64>, Query, description = "ns since the Unix epoch; now if left out"),
-        ("min" = Option<String>, Query, description = "with max: only places in this box of the world frame; its smallest corner, metres", example = "-1,-1,0"),
+        ("objects" = Option<String>, Query, description = "only these objects, by id, name or code number, commas between", example = "3,cart"),
+        ("from" = Option<i64>, Query, description = "ns since the Unix epoch [an hour before `until`]"),
+        ("until" = Option<i64>, Query, description = "ns since the Unix epoch [now]"),
+        ("min" = Option<String>, Query, description = "with max: only points in this box of the world frame; its smallest corner, metres", example = "-1,-1,0"),
         ("max" = Option<String>, Query, description = "the box's largest corner, metres", example = "1,1,2"),
-        ("max_points" = Option<u32>, Query, description = "at most so many of all objects together, 1 to 5000"),
+        ("max_points" = Option<u32>, Query, description = "maximum number of points of all objects together, 1 to 5000"),
     ),
     responses(
-        (status = 200, description = "each object's course", body = v1::QueryHistoryResponse),
+        (status = 200, description = "each object's points", body = v1::QueryHistoryResponse),
         (status = 400, description = "names the wrong parameter", body = ErrorBody),
-        (status = 409, description = "none is kept ([history] in the configuration)", body = ErrorBody),
+        (status = 503, description = "the server is busy", body = ErrorBody),
+        (status = 409, description = "the server keeps no history ([history] in the configuration)", body = ErrorBody),
     ),
 )]
-pub async fn show(
-    State(api): State<Arc<ApiState>>,
-    uri: Uri,
-) -> Result<Json<v1::QueryHistoryResponse>, ApiError> {
+pub async fn show(State(api): Api, uri: Uri) -> Answer<v1::QueryHistoryResponse> {
     let mut parameters = QueryParameters::of(&uri)?;
-    let request = query_of(&mut parameters)?;
+    let request = request(&mut parameters)?;
     parameters.finish()?;
-    run(&api, request, &PARAMETERS).await.map(Json)
+    run(&api, request, &QUERY_FIELDS).await
 }
 
-/// The same as a table for other programs, without thinning.
+/// Past positions of objects as a CSV table, without thinning.
 #[utoipa::path(
     get, path = "/api/v1/history.csv", tag = "poses",
     params(
-        ("objects" = Option<String>, Query, description = "as of /api/v1/history"),
-        ("from" = Option<i64>, Query, description = "as of /api/v1/history"),
-        ("until" = Option<i64>, Query, description = "as of /api/v1/history"),
-        ("min" = Option<String>, Query, description = "as of /api/v1/history"),
-        ("max" = Option<String>, Query, description = "as of /api/v1/history"),
-        ("step_s" = Option<f64>, Query, description = "seconds from one point to the next: 0.1 (if left out), 1, 10, 100 or 1000, or what is next below"),
+        ("objects" = Option<String>, Query, description = "as for /api/v1/history"),
+        ("from" = Option<i64>, Query, description = "as for /api/v1/history"),
+        ("until" = Option<i64>, Query, description = "as for /api/v1/history"),
+        ("min" = Option<String>, Query, description = "as for /api/v1/history"),
+        ("max" = Option<String>, Query, description = "as for /api/v1/history"),
+        ("step_s" = Option<f64>, Query, description = "seconds between points: 0.1, 1, 10, 100 or 1000; other values are rounded down [0.1]"),
     ),
     responses(
         (status = 200, description = "time_ns,object_id,name,roundel,code,x_m,y_m,z_m,yaw_rad,source_id", body = String, content_type = "text/csv"),
         (status = 400, description = "names the wrong parameter, or more than 2,000,000 rows", body = ErrorBody),
-        (status = 409, description = "none is kept ([history] in the configuration)", body = ErrorBody),
+        (status = 503, description = "the server is busy", body = ErrorBody),
+        (status = 409, description = "the server keeps no history ([history] in the configuration)", body = ErrorBody),
     ),
 )]
-pub async fn export(State(api): State<Arc<ApiState>>, uri: Uri) -> Result<Response, ApiError> {
-    let text = written(unthinned(&api, &uri).await?, |answer| Ok(export::csv(answer))).await?;
-    Ok(file("text/csv; charset=utf-8", "attachment; filename=\"history.csv\"", text))
+pub async fn export(State(api): Api, uri: Uri) -> Result<Response, ApiError> {
+    let mut result = table(&api, &uri, Ok).await?;
+    let points: usize = result.objects.iter().map(|(_, points)| points.capacity()).sum();
+    result.shrink_to(points * size_of::<HistoryPoint>());
+    // Written as the client reads.
+    let pieces = stream::iter(export::csv(result).map(Ok::<_, Infallible>));
+    download("text/csv; charset=utf-8", "history.csv", Body::from_stream(pieces))
 }
 
-/// The same as Parquet, from a server that was built with it.
+/// Past positions of objects as a Parquet table, if the server was built with Parquet.
 #[utoipa::path(
     get, path = "/api/v1/history.parquet", tag = "poses",
     params(
-        ("objects" = Option<String>, Query, description = "as of /api/v1/history"),
-        ("from" = Option<i64>, Query, description = "as of /api/v1/history"),
-        ("until" = Option<i64>, Query, description = "as of /api/v1/history"),
-        ("min" = Option<String>, Query, description = "as of /api/v1/history"),
-        ("max" = Option<String>, Query, description = "as of /api/v1/history"),
-        ("step_s" = Option<f64>, Query, description = "as of /api/v1/history.csv"),
+        ("objects" = Option<String>, Query, description = "as for /api/v1/history"),
+        ("from" = Option<i64>, Query, description = "as for /api/v1/history"),
+        ("until" = Option<i64>, Query, description = "as for /api/v1/history"),
+        ("min" = Option<String>, Query, description = "as for /api/v1/history"),
+        ("max" = Option<String>, Query, description = "as for /api/v1/history"),
+        ("step_s" = Option<f64>, Query, description = "as for /api/v1/history.csv"),
     ),
     responses(
-        (status = 200, description = "the columns of history.csv; time_ns is a timestamp, and what is not known is null", body = Vec<u8>, content_type = "application/vnd.apache.parquet"),
+        (status = 200, description = "the columns of history.csv; time_ns is a timestamp, and unknown values are null", body = Vec<u8>, content_type = "application/vnd.apache.parquet"),
         (status = 400, description = "names the wrong parameter, or more than 2,000,000 rows", body = ErrorBody),
-        (status = 409, description = "none is kept ([history] in the configuration), or this server writes no Parquet", body = ErrorBody),
+        (status = 503, description = "the server is busy", body = ErrorBody),
+        (status = 409, description = "the server keeps no history ([history] in the configuration), or was built without Parquet", body = ErrorBody),
     ),
 )]
-pub async fn parquet(State(api): State<Arc<ApiState>>, uri: Uri) -> Result<Response, ApiError> {
-    let bytes = written(unthinned(&api, &uri).await?, export::parquet).await?;
-    let kind = "application/vnd.apache.parquet";
-    Ok(file(kind, "attachment; filename=\"history.parquet\"", bytes))
+pub async fn parquet(State(api): Api, uri: Uri) -> Result<Response, ApiError> {
+    let bytes = table(&api, &uri, |result| export::parquet(&result)).await?;
+    download("application/vnd.apache.parquet", "history.parquet", bytes.into_bytes())
 }
 
-/// A table, on a thread that may take its time for millions of rows.
-async fn written<T: Send + 'static>(
-    answer: HistoryResult,
-    write: fn(&HistoryResult) -> Result<T, HistoryError>,
-) -> Result<T, ApiError> {
-    let written = tokio::task::spawn_blocking(move || write(&answer)).await;
-    let written =
-        written.map_err(|error| ApiError::Internal(format!("the table ended badly: {error}")))?;
-    Ok(written?)
-}
-
-fn file(kind: &'static str, disposition: &'static str, content: impl IntoResponse) -> Response {
-    let headers = [
-        (header::CONTENT_TYPE, HeaderValue::from_static(kind)),
-        (header::CONTENT_DISPOSITION, HeaderValue::from_static(disposition)),
-    ];
-    (headers, content).into_response()
-}
-
-/// All that is asked for, without thinning.
-async fn unthinned(api: &ApiState, uri: &Uri) -> Result<HistoryResult, ApiError> {
+/// A table of every selected point, without thinning.
+async fn table<T: Send + 'static>(
+    api: &ApiState,
+    uri: &Uri,
+    write: fn(HistoryResult) -> Result<T, HistoryError>,
+) -> Result<Charged<T>, ApiError> {
     let mut parameters = QueryParameters::of(uri)?;
     let step_s = parameters.take_parsed::<f64>("step_s", "a number of seconds")?.unwrap_or(0.1);
     if step_s.is_nan() || step_s <= 0.0 {
         return Err(ApiError::invalid("step_s", "seconds above 0", step_s));
     }
-    let mut request = query_of(&mut parameters)?;
+    let request = v1::QueryHistoryRequest { max_points: 0, ..request(&mut parameters)? };
     parameters.finish()?;
-    request.max_points = 0;
-    let query = history_query(api, request, &PARAMETERS)?;
-    run_query(api, HistoryQuery { max_points: MAX_EXPORT_ROWS, step_s: Some(step_s), ..query })
-        .await
+    let query = HistoryQuery {
+        max_points: MAX_EXPORT_ROWS,
+        step_s: Some(step_s),
+        ..history_query(api, request, &QUERY_FIELDS)?
+    };
+    run_query(api, query, EXPORT_BYTES, write).await
 }
 
-fn query_of(parameters: &mut QueryParameters) -> Result<v1::QueryHistoryRequest, ApiError> {
+fn request(parameters: &mut QueryParameters) -> Result<v1::QueryHistoryRequest, ApiError> {
     const TIME: &str = "nanoseconds since the Unix epoch";
     let region = parameters.take_region()?;
     Ok(v1::QueryHistoryRequest {
@@ -157,25 +150,26 @@ fn query_of(parameters: &mut QueryParameters) -> Result<v1::QueryHistoryRequest,
 }
 
 pub(super) async fn query(
-    api: &ApiState,
+    State(api): Api,
     request: v1::QueryHistoryRequest,
-) -> Result<v1::QueryHistoryResponse, ApiError> {
-    run(api, request, &MESSAGE_FIELDS).await
+) -> Answer<v1::QueryHistoryResponse> {
+    run(&api, request, &MESSAGE_FIELDS).await
 }
 
 async fn run(
     api: &ApiState,
     request: v1::QueryHistoryRequest,
-    fields: &Fields,
-) -> Result<v1::QueryHistoryResponse, ApiError> {
+    fields: &FieldNames,
+) -> Answer<v1::QueryHistoryResponse> {
     let query = history_query(api, request, fields)?;
-    Ok(convert::history(&run_query(api, query).await?))
+    let answer = run_query(api, query, QUERY_BYTES, |result| Ok(message(&result))).await?;
+    Ok(Json(answer.into_inner()))
 }
 
 fn history_query(
     api: &ApiState,
     request: v1::QueryHistoryRequest,
-    fields: &Fields,
+    fields: &FieldNames,
 ) -> Result<HistoryQuery, ApiError> {
     let until = match request.until_time_ns {
         0 => api.clock.now(),
@@ -200,26 +194,56 @@ fn history_query(
     Ok(HistoryQuery { objects, region_m, from, until, max_points, step_s: None })
 }
 
-/// On a thread that may wait for the disk.
-async fn run_query(api: &ApiState, query: HistoryQuery) -> Result<HistoryResult, ApiError> {
+async fn run_query<T: Send + 'static>(
+    api: &ApiState,
+    query: HistoryQuery,
+    bytes: usize,
+    write: fn(HistoryResult) -> Result<T, HistoryError>,
+) -> Result<Charged<T>, ApiError> {
     let history = api.history.clone().ok_or_else(|| {
         ApiError::FailedPrecondition(
-            "this server keeps no history: [history] in its configuration says where to".to_owned(),
+            "this server keeps no history: add [history] to its configuration".to_owned(),
         )
     })?;
-    let run = tokio::task::spawn_blocking(move || history.query(&query)).await;
-    let run =
-        run.map_err(|error| ApiError::Internal(format!("the history ended badly: {error}")))?;
-    Ok(run?)
+    api.files.run(bytes, move |stop| write(history.query(&query, stop)?)).await
 }
 
 impl From<HistoryError> for ApiError {
     fn from(error: HistoryError) -> Self {
         match error {
-            HistoryError::TooManyPoints(found) => Self::Invalid { field: "from", message: found },
-            HistoryError::Store { .. } | HistoryError::Newer { .. } | HistoryError::Format(_) => {
-                Self::FailedPrecondition(error.to_string())
+            HistoryError::TooManyPoints { .. } => {
+                Self::Invalid { field: "from", message: error.to_string() }
             }
+            HistoryError::Stopped => stopped(),
+            _ => Self::FailedPrecondition(error.to_string()),
         }
+    }
+}
+
+fn message(result: &HistoryResult) -> v1::QueryHistoryResponse {
+    let point = |point: &HistoryPoint| {
+        let [x, y, z] = point.position_m;
+        v1::HistoryPoint {
+            time_ns: point.time.as_ns(),
+            position: Some(v1::Vector3 { x, y, z }),
+            yaw_rad: point.yaw_rad,
+        }
+    };
+    let each = result.objects.iter().map(|(identity, points)| v1::ObjectHistory {
+        object_id: identity.id,
+        source_id: identity.run.clone(),
+        name: identity.name.clone(),
+        roundel: identity.kind.clone(),
+        code: identity.code,
+        points: points.iter().map(point).collect(),
+    });
+    let points: usize = result.objects.iter().map(|(_, points)| points.len()).sum();
+    let (oldest, newest) = result.kept.unwrap_or_default();
+    v1::QueryHistoryResponse {
+        objects: each.collect(),
+        step_s: result.step_s,
+        points: points as u32,
+        oldest_time_ns: oldest.as_ns(),
+        newest_time_ns: newest.as_ns(),
     }
 }

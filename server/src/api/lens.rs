@@ -1,11 +1,9 @@
-//! The lens of a camera, while somebody moves the printed board before it.
-
-use std::sync::Arc;
+//! Calibration of a camera's lens with a printed board that the operator moves in front of it.
 
 use axum::{
     Json,
-    extract::{State, rejection::JsonRejection},
-    http::{HeaderMap, HeaderValue, header},
+    extract::State,
+    http::{HeaderValue, header},
     response::{IntoResponse, Response},
 };
 use roundel_core::{calib::lens::Model, camera::MAX_SIDE_PX};
@@ -15,30 +13,29 @@ use utoipa::ToSchema;
 use super::{
     ApiState,
     error::{ApiError, ErrorBody},
-    queries, setup,
+    handler::{Answer, Api, Body, Example, NO_STORE, blocking, download},
+    picture, queries, setup,
 };
 use crate::lab::{
     lens::{DEFAULT_VIEWS, LensError, LensRun, PictureSource, VIEWS, report::LensStatus},
     print::{BOARD_LAYOUT, PrintJob, spec},
 };
 
-/// If nobody says another one.
-const BOARD: &str = "7x5";
-const EXAMPLE: &str = r#"{"camera": "north", "board": "7x5"}"#;
+const DEFAULT_BOARD: &str = "7x5";
 
-/// Whose lens is wanted, and which board is moved before it.
+/// Request for a lens calibration: the camera and the printed board.
 #[derive(Debug, Default, Deserialize, ToSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LensRequest {
-    /// A camera of this server, by name; or …
+    /// Name of a camera of this server; or a `source`
     camera: String,
-    /// … a source as in a configuration, which is opened for it.
+    /// A source as in a configuration, which is opened for the calibration
     source: String,
-    /// With source: columns that are asked of it, pixels; 0: as it gives.
+    /// With source: columns to request, pixels; 0: the source's default.
     width: usize,
-    /// With source: rows, likewise.
+    /// With source: rows to request, likewise.
     height: usize,
-    /// What goes into the file as the camera's name [the camera's]
+    /// Camera name in the file [the camera's]
     name: String,
     /// The printed board: COLUMNSxROWS [7x5]
     board: String,
@@ -48,150 +45,143 @@ pub struct LensRequest {
     pitch: Option<f64>,
     /// Its codes: BITS[:DISTANCE] [9]
     code: String,
-    /// Most views that are kept, 5 to 100 [40]
+    /// Maximum number of views kept, 5 to 100 [40]
     views: Option<usize>,
-    /// plumb_bob, rational_polynomial or equidistant [the one for which most speaks]
+    /// plumb_bob, rational_polynomial or equidistant [the best supported by the views]
     model: String,
 }
 
-/// The newest calibration of a lens: what is seen, what is missing, and what came out.
-///
-/// One that nobody asks about for a minute ends by itself.
-#[utoipa::path(
-    get, path = "/api/v1/lens", tag = "calibration",
-    responses((status = 200, description = "the newest one", body = LensStatus)),
-)]
-pub async fn show(State(api): State<Arc<ApiState>>) -> Json<LensStatus> {
-    Json(newest(&api))
+impl Example for LensRequest {
+    const EXAMPLE: &str = r#"{"camera": "north", "board": "7x5"}"#;
 }
 
-/// Begins to look for the printed board in a camera's pictures. Move it, and hold it still at each place: good views are
-/// chosen by themselves, and solved once nothing is missing.
+/// Progress and result of the newest calibration of a lens.
 ///
-/// The camera goes on meanwhile. A server that is open to a network opens no source for it but with `setup = true` in its
+/// A calibration whose status is not read for a minute is cancelled.
+#[utoipa::path(
+    get, path = "/api/v1/lens", tag = "calibration",
+    responses((status = 200, description = "the newest calibration", body = LensStatus)),
+)]
+pub async fn show(State(api): Api) -> Answer<LensStatus> {
+    newest(&api)
+}
+
+/// Starts a lens calibration: searches a camera's pictures for the printed board.
+///
+/// Move the board and hold it still at each place. Useful views are kept automatically, and the lens is estimated when they
+/// suffice.
+///
+/// The camera keeps running. A server that is open to a network opens sources only with `setup = true` in its
 /// configuration.
 #[utoipa::path(
     post, path = "/api/v1/lens", tag = "calibration",
     request_body = LensRequest,
     responses(
-        (status = 200, description = "it looks", body = LensStatus),
+        (status = 200, description = "the search runs", body = LensStatus),
         (status = 400, description = "names the wrong field", body = ErrorBody),
-        (status = 404, description = "names the cameras that there are", body = ErrorBody),
-        (status = 409, description = "one is running, or clients may not", body = ErrorBody),
+        (status = 404, description = "lists the existing cameras", body = ErrorBody),
+        (status = 409, description = "a calibration is running, or clients must not open sources", body = ErrorBody),
     ),
 )]
-pub async fn start(
-    State(api): State<Arc<ApiState>>,
-    body: Result<Json<LensRequest>, JsonRejection>,
-) -> Result<Json<LensStatus>, ApiError> {
-    let request = ApiError::body(body, EXAMPLE)?;
-    let run = lens_run(&api, &request)?;
+pub async fn start(State(api): Api, Body(request): Body<LensRequest>) -> Answer<LensStatus> {
+    let requested = api.clone();
+    // Resolves the paths of a source.
+    let run = blocking(move || lens_run(&requested, &request)).await?;
     api.lenses.start(run)?;
-    Ok(Json(newest(&api)))
+    newest(&api)
 }
 
-/// Ends the one that is running, without a result.
+/// Cancels the running calibration.
 #[utoipa::path(
     delete, path = "/api/v1/lens", tag = "calibration",
     responses(
-        (status = 200, description = "it ends", body = LensStatus),
-        (status = 409, description = "none is running", body = ErrorBody),
+        (status = 200, description = "it was cancelled", body = LensStatus),
+        (status = 409, description = "no calibration is running", body = ErrorBody),
     ),
 )]
-pub async fn cancel(State(api): State<Arc<ApiState>>) -> Result<Json<LensStatus>, ApiError> {
+pub async fn cancel(State(api): Api) -> Answer<LensStatus> {
     api.lenses.cancel()?;
-    Ok(Json(newest(&api)))
+    newest(&api)
 }
 
-/// Looks no further, and solves with the views that there are.
+/// Stops the search and estimates the lens from the views kept so far.
 #[utoipa::path(
     put, path = "/api/v1/lens/finished", tag = "calibration",
     responses(
         (status = 200, description = "it solves", body = LensStatus),
-        (status = 409, description = "none is running", body = ErrorBody),
+        (status = 409, description = "no calibration is running", body = ErrorBody),
     ),
 )]
-pub async fn finish(State(api): State<Arc<ApiState>>) -> Result<Json<LensStatus>, ApiError> {
+pub async fn finish(State(api): Api) -> Answer<LensStatus> {
     api.lenses.finish()?;
-    Ok(Json(newest(&api)))
+    newest(&api)
 }
 
-/// The newest picture that was looked at, with what was found in it drawn in.
+/// The newest searched picture with the detected board.
 #[utoipa::path(
     get, path = "/api/v1/lens/picture.jpg", tag = "calibration",
     responses(
         (status = 200, description = "the picture", content_type = "image/jpeg"),
-        (status = 503, description = "none was looked at yet", body = ErrorBody),
+        (status = 503, description = "no picture was searched yet", body = ErrorBody),
     ),
 )]
-pub async fn picture(State(api): State<Arc<ApiState>>) -> Result<Response, ApiError> {
+pub async fn picture(State(api): Api) -> Result<Response, ApiError> {
     let Some(shown) = api.lenses.shown() else {
-        let why = "no picture was looked at yet: start a calibration of a lens, and wait for its first picture";
+        let why = "no picture was searched yet: start a calibration of a lens, and wait for its first picture";
         return Err(ApiError::Unavailable(why.to_owned()));
     };
-    let ended = |error: String| ApiError::Internal(format!("drawing the picture: {error}"));
-    let drawn = tokio::task::spawn_blocking(move || shown.jpeg()).await;
-    let jpeg = drawn
-        .map_err(|error| ended(error.to_string()))?
-        .map_err(|error| ended(error.to_string()))?;
-    let headers = [
-        (header::CONTENT_TYPE, HeaderValue::from_static("image/jpeg")),
-        (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
-    ];
+    let bytes = picture::BYTES_PER_PIXEL * shown.pixel_count();
+    let draw = move |_: &_| shown.jpeg().map_err(|error| ApiError::Internal(error.to_string()));
+    let jpeg = api.pictures.run(bytes, draw).await?.into_bytes();
+    let headers = [(header::CONTENT_TYPE, HeaderValue::from_static("image/jpeg")), NO_STORE];
     Ok((headers, jpeg).into_response())
 }
 
-/// What was found, as ROS' `camera_info` YAML.
+/// The result, as ROS' `camera_info` YAML.
 #[utoipa::path(
     get, path = "/api/v1/lens/file", tag = "calibration",
     responses(
         (status = 200, description = "the file", content_type = "application/yaml"),
-        (status = 409, description = "no lens was found yet", body = ErrorBody),
+        (status = 409, description = "there is no result yet", body = ErrorBody),
     ),
 )]
-pub async fn file(State(api): State<Arc<ApiState>>) -> Result<Response, ApiError> {
+pub async fn file(State(api): Api) -> Result<Response, ApiError> {
     let found = api.lenses.found()?;
-    let mut headers = HeaderMap::new();
-    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/yaml"));
     let plain = |it: char| if it.is_ascii_alphanumeric() { it } else { '-' };
     let name: String = found.name.chars().map(plain).collect();
-    let disposition = format!("attachment; filename=\"{name}.yaml\"");
-    if let Ok(disposition) = HeaderValue::from_str(&disposition) {
-        headers.insert(header::CONTENT_DISPOSITION, disposition);
-    }
-    Ok((headers, found.file()).into_response())
+    download("application/yaml", &format!("{name}.yaml"), found.file())
 }
 
-/// Keeps what was found beside the server's configuration, and has the camera use it from its next frame on; of a source
-/// that is no camera's, the file is only kept.
+/// Stores the result next to the server's configuration. If it belongs to a camera of the server, the camera uses it from
+/// its next frame on.
 #[utoipa::path(
     put, path = "/api/v1/lens/applied", tag = "calibration",
     responses(
-        (status = 200, description = "`applied` says where it is kept", body = LensStatus),
-        (status = 409, description = "no lens was found yet, or clients may not", body = ErrorBody),
+        (status = 200, description = "`applied` says where it is stored", body = LensStatus),
+        (status = 409, description = "there is no result yet, or clients must not change the configuration", body = ErrorBody),
     ),
 )]
-pub async fn apply(State(api): State<Arc<ApiState>>) -> Result<Json<LensStatus>, ApiError> {
+pub async fn apply(State(api): Api) -> Answer<LensStatus> {
     let found = api.lenses.found()?;
-    let camera_manager = setup::manager_if_allowed(&api)?;
-    let kept = setup::run_blocking(move || match &found.camera {
-        Some(camera) => camera_manager.use_lens(camera, &found.file()).map(|(file, _)| file),
-        None => camera_manager.save_lens(&found.name, &found.file()),
+    let manager = setup::manager_if_allowed(&api)?;
+    let kept = blocking(move || match &found.camera {
+        Some(camera) => manager.use_lens(camera, &found.file()).map(|(file, _)| file),
+        None => manager.save_lens(&found.name, &found.file()),
     })
     .await?;
     api.lenses.applied(&kept);
-    Ok(Json(newest(&api)))
+    newest(&api)
 }
 
-fn newest(api: &ApiState) -> LensStatus {
+fn newest(api: &ApiState) -> Answer<LensStatus> {
     let can_apply = api.camera_manager.is_some();
-    LensStatus { can_apply, ..api.lenses.status() }
+    Ok(Json(LensStatus { can_apply, ..api.lenses.status() }))
 }
 
 fn lens_run(api: &ApiState, request: &LensRequest) -> Result<LensRun, ApiError> {
     let (picture_source, shown) = picture_source(api, request)?;
     let wrong = |field| move |message: String| ApiError::Invalid { field, message };
-    let sides = if request.board.is_empty() { BOARD } else { &request.board };
+    let sides = if request.board.is_empty() { DEFAULT_BOARD } else { &request.board };
     let sides = spec::sides(sides).map_err(wrong("board"))?;
     let marker = request.marker.map(|mm| spec::diameters(&mm.to_string())).transpose();
     let marker = marker.map_err(wrong("marker"))?;
@@ -216,8 +206,8 @@ fn lens_run(api: &ApiState, request: &LensRequest) -> Result<LensRun, ApiError> 
         (PictureSource::Source(..), "") => "camera".to_owned(),
         (_, name) => name.to_owned(),
     };
-    let most = request.views.unwrap_or(DEFAULT_VIEWS);
-    Ok(LensRun { picture_source, name, shown, board, most, model })
+    let max_views = request.views.unwrap_or(DEFAULT_VIEWS);
+    Ok(LensRun { picture_source, name, shown, board, max_views, model })
 }
 
 fn picture_source(
@@ -232,13 +222,13 @@ fn picture_source(
             Ok((PictureSource::Camera(id, camera.to_owned()), camera.to_owned()))
         }
         ("", source) => {
-            if api.source_probe.is_none() {
+            let Some(manager) = &api.camera_manager else {
                 return Err(ApiError::FailedPrecondition(
-                    "this server is open to a network, and opens no sources for its clients: `setup = true` under [server] \
-                     allows it, to everybody who reaches its port; `roundel calibrate lens SOURCE` does it on its machine"
+                    "this server is open to a network, so clients must not open sources: `setup = true` under [server] \
+                     allows it, for every client that reaches its port; `roundel calibrate lens SOURCE` opens one on its machine"
                         .into(),
                 ));
-            }
+            };
             let size = (*width, *height);
             let is_side = |side: &usize| (1..=MAX_SIDE_PX).contains(side);
             if size != (0, 0) && ![width, height].into_iter().all(is_side) {
@@ -246,7 +236,7 @@ fn picture_source(
                 return Err(ApiError::invalid("width", expected, format!("{width} x {height}")));
             }
             let size = (size != (0, 0)).then_some(size);
-            Ok(api.lenses.source(source, size)?)
+            Ok(api.lenses.source(source, size, |address| manager.admit_source(address))?)
         }
         _ => Err(ApiError::invalid("camera", "either a camera or a source", "both")),
     }
@@ -259,7 +249,7 @@ impl From<LensError> for ApiError {
                 let (least, most) = VIEWS;
                 Self::invalid("views", format!("{least} to {most} views"), found)
             }
-            LensError::Address(_) | LensError::Fed => {
+            LensError::Address(_) | LensError::Rule(_) | LensError::Fed => {
                 Self::Invalid { field: "source", message: error.to_string() }
             }
             LensError::Thread(_) => Self::Internal(error.to_string()),

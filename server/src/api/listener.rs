@@ -1,12 +1,16 @@
 //! The one port: accepts connections, enforces the limits on them, and ends them on shutdown.
 //!
-//! A connection is *pending* until its first request has arrived (its preface for HTTP/2), and takes one of
-//! [`ApiLimits::max_clients`](super::ApiLimits) slots only then, so that silent connections do not block other clients. hyper serves
-//! HTTP/1.1 and HTTP/2; `dispatch` hands each request to tonic or axum.
+//! A connection is *pending* until its first request has arrived (its preface for HTTP/2). Only then does it take one of
+//! the [`ApiLimits::max_clients`](super::ApiLimits) slots, so that silent connections do not block other clients. One peer
+//! gets only a part of them, and idle connections give theirs up (`slots`). TLS, if configured, is on the same port: the
+//! first byte tells. hyper
+//! serves HTTP/1.1 and HTTP/2; `dispatch` hands each request to tonic or axum.
 
 mod connection;
 mod pending;
+mod slots;
 mod stall;
+mod stream;
 
 use std::{sync::Arc, time::Duration};
 
@@ -16,9 +20,11 @@ use tokio::{
     time::{sleep, timeout},
 };
 
-use connection::{Connection, Slots};
-pub(super) use connection::{ConnectionSlot, count_stalled};
+use connection::Connection;
+pub(super) use connection::count_stalled;
 use pending::PendingConnections;
+use slots::Slots;
+pub(super) use slots::{ConnectionSlot, encoding_share, stream_permit};
 
 use super::{ApiState, dispatch::Dispatch};
 
@@ -29,17 +35,15 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
 /// Accepts until cancellation, then waits for the last client, at most for the grace time.
 pub(super) async fn run(listener: TcpListener, dispatch: Dispatch, api: Arc<ApiState>) {
-    // An upper bound of tokio's semaphores, far above the number of open files.
-    let max_clients = api.limits.max_clients.clamp(1, u32::MAX as usize >> 4);
-    let slots = Arc::new(Slots::new(max_clients));
+    let slots = Arc::new(Slots::new(&api.limits));
     let mut connections = JoinSet::new();
     let mut pending = PendingConnections::default();
     loop {
-        let stream = tokio::select! {
+        let (stream, address) = tokio::select! {
             () = api.cancel.cancelled() => break,
             Some(_) = connections.join_next(), if !connections.is_empty() => continue,
             accepted = listener.accept() => match accepted {
-                Ok((stream, _)) => stream,
+                Ok(accepted) => accepted,
                 Err(error) => {
                     tracing::warn!(%error, "could not accept a connection");
                     sleep(ACCEPT_PAUSE).await;
@@ -50,7 +54,7 @@ pub(super) async fn run(listener: TcpListener, dispatch: Dispatch, api: Arc<ApiS
         set_options(&stream);
         let connection =
             Connection { pending: pending.add(), slots: slots.clone(), api: api.clone() };
-        connections.spawn(connection.serve(stream, dispatch.clone()));
+        connections.spawn(connection.serve(stream, address, dispatch.clone()));
     }
     drop(listener);
     // A WebSocket outlives the task of its connection, and holds its slot until it ends.
@@ -66,7 +70,7 @@ pub(super) async fn run(listener: TcpListener, dispatch: Dispatch, api: Arc<ApiS
 
 fn set_options(stream: &TcpStream) {
     let unsent_limit = socket2::SockRef::from(stream).set_tcp_notsent_lowat(UNSENT_LIMIT_BYTES);
-    // Without these options the client is only served a little later.
+    // Without these options, latency is a little higher.
     if let Err(error) = stream.set_nodelay(true).and(unsent_limit) {
         tracing::debug!(%error, "could not set a connection's options");
     }

@@ -1,4 +1,4 @@
-//! What one subscriber sees of the cameras' observations.
+//! A subscription to the observations of cameras.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -15,13 +15,13 @@ use crate::{
     model::hub::Installation,
 };
 
-/// The frames of some cameras, by name, or of all.
+/// Yields the observations of some cameras, by name, or of all, frame by frame.
 pub(super) struct ObservationSubscription {
     receiver: broadcast::Receiver<Arc<FrameObservations>>,
     installation: watch::Receiver<Arc<Installation>>,
     /// Empty: all.
     names: Vec<String>,
-    /// Which cameras have these names now.
+    /// The cameras that currently have these names.
     cameras: Vec<CameraId>,
     /// The newest frame sent, by camera.
     newest: BTreeMap<CameraId, u64>,
@@ -36,25 +36,23 @@ impl ObservationSubscription {
         Ok(Self { receiver, installation, names, cameras, newest, ended: false })
     }
 
-    /// The next frame; an error, once, when none of the cameras is there any more.
+    /// The next frame, or a final error when none of the cameras is left.
     pub(super) async fn next(&mut self) -> Option<Result<v1::FrameObservations, ApiError>> {
         while !self.ended {
             let frame = tokio::select! {
                 received = self.receiver.recv() => match received {
                     Ok(frame) => frame,
-                    // What was missed shows in the numbers of the frames that follow.
+                    // Frame numbers show what was missed.
                     Err(RecvError::Lagged(_)) => continue,
                     Err(RecvError::Closed) => return None,
                 },
-                Ok(()) = self.installation.changed() => {
-                    match self.update_cameras() {
-                        Ok(()) => continue,
-                        Err(error) => {
-                            self.ended = true;
-                            return Some(Err(error));
-                        }
+                Ok(()) = self.installation.changed() => match self.update_cameras() {
+                    Ok(()) => continue,
+                    Err(error) => {
+                        self.ended = true;
+                        return Some(Err(error));
                     }
-                }
+                },
             };
             if !self.names.is_empty() && !self.cameras.contains(&frame.camera) {
                 continue;
@@ -69,7 +67,7 @@ impl ObservationSubscription {
         None
     }
 
-    /// Cameras have come, gone, or other names.
+    /// Follows added, removed and renamed cameras.
     fn update_cameras(&mut self) -> Result<(), ApiError> {
         let installation = self.installation.borrow_and_update().clone();
         self.cameras = self.names.iter().filter_map(|name| installation.camera_id(name)).collect();
@@ -78,7 +76,7 @@ impl ObservationSubscription {
             return Ok(());
         }
         let name = self.names.join(", ");
-        let known = "it was removed, or has another name now".to_owned();
+        let known = "it was removed or renamed".to_owned();
         Err(ApiError::NotFound { what: "camera", name, known })
     }
 }

@@ -1,4 +1,4 @@
-//! `/openapi.json`. A route is made of its description, so none can be without.
+//! `/openapi.json`. Routes are built from their descriptions, so every route has one.
 
 use std::sync::{Arc, OnceLock};
 
@@ -7,8 +7,8 @@ use utoipa::{OpenApi, openapi};
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use super::{
-    ApiState, calibration, configuration, history, lens, metrics, objects, plan, print, recording,
-    replay, rest, setup, simulation, source_probe, ws,
+    ApiState, access::session, calibration, configuration, history, lens, metrics, objects, plan,
+    print, recording, replay, rest, setup, simulation, source_probe, ws,
 };
 
 #[derive(OpenApi)]
@@ -60,6 +60,7 @@ pub fn described_routes() -> OpenApiRouter<Arc<ApiState>> {
         .routes(routes!(simulation::drive))
         .routes(routes!(simulation::push))
         .routes(routes!(ws::stream))
+        .routes(routes!(session::show, session::sign_in, session::sign_out))
         .routes(routes!(document))
         .routes(routes!(metrics::metrics))
         .routes(routes!(metrics::health))

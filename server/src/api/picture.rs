@@ -1,7 +1,7 @@
-//! A camera's frame with what was found in it drawn in, as JPEG.
+//! A camera's frame with its detections drawn in, as JPEG.
 //!
-//! What the colours mean stands in [`crate::lab::drawing`]. Drawing and encoding take some milliseconds a frame, so they run off the async threads,
-//! and once for all who look at the same frame.
+//! [`crate::lab::drawing`] defines the colours. Drawing and encoding take some milliseconds per frame, so they run off the
+//! async threads, and once for all clients that request the same frame.
 
 use std::{sync::Arc, time::Duration};
 
@@ -9,85 +9,79 @@ use axum::body::Bytes;
 use roundel_core::{camera::PixelPoint, time::Timestamp};
 use tokio::time::timeout;
 
-use super::{ApiState, error::ApiError, queries};
+use super::{ApiState, error::ApiError, heavy::HeavyWork, queries};
 use crate::{lab::drawing::Overlay, model::hub::Picture};
 
-/// How long a picture may take to come: a camera of 1 Hz still makes one.
+/// Memory of a drawing and its JPEG file.
+pub(super) const BYTES_PER_PIXEL: usize = 6;
+/// Time to wait for a new picture: enough for a camera at 1 Hz.
 const FRAME_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// The newest picture of the camera of that name as JPEG, and when it was taken: a new one if one comes soon, else the
-/// last there was.
+/// A camera's picture as JPEG, with its capture time: a new one if it arrives in time, else the last one.
 pub(super) async fn newest(api: &ApiState, name: &str) -> Result<(Bytes, Timestamp), ApiError> {
     let id = queries::camera_id(api, name)?;
-    let Some(mut pictures) = api.hub.request_picture(id) else {
-        return Err(queries::removed_camera_error(api, id));
-    };
-    let fresh = timeout(FRAME_TIMEOUT, pictures.changed());
+    let pictures = api.hub.request_picture(id);
+    let mut pictures = pictures.ok_or_else(|| queries::no_camera(api, name))?;
     tokio::select! {
-        // Whether it came or not: the newest is taken below.
-        _ = fresh => {}
+        _ = timeout(FRAME_TIMEOUT, pictures.changed()) => {}
         () = api.cancel.cancelled() => {}
     }
     let newest = pictures.borrow().clone();
     let Some(picture) = newest else {
-        let shown = queries::camera(api, id)?;
+        let shown = queries::camera(api, name)?;
         let status = roundel_proto::json::camera_status::word(shown.status);
         let link = api.hub.camera(id).and_then(|state| state.link);
         let why = match &link {
             _ if !shown.error.is_empty() => &shown.error,
             Some(link) if !link.no_picture.is_empty() => &link.no_picture,
             Some(link) if link.received > 0 => {
-                "its frames are searched where they are taken, and who sends what is seen gave none when asked"
+                "the remote program that searches its frames sent no picture on request"
             }
-            _ => "no frame came yet",
+            _ => "no frame has arrived yet",
         };
         return Err(ApiError::Unavailable(format!(
             "no picture from camera {name:?} within a second: it is {status} ({why})"
         )));
     };
     let info = api.hub.installation().cameras.get(&id).cloned();
-    let jpeg = jpeg(&picture, info.as_ref().map_or(&[], |info| &info.mask)).await?;
+    let mask = info.as_ref().map_or(&[][..], |info| &info.mask);
+    let jpeg = jpeg(&api.pictures, &picture, mask).await?;
     Ok((jpeg, picture.observations.capture_time))
 }
 
-/// The picture as JPEG, with the edges of its camera's masked regions.
-pub async fn jpeg(picture: &Arc<Picture>, mask: &[Vec<PixelPoint>]) -> Result<Bytes, ApiError> {
-    // Whoever comes second waits here for the first one's work, and takes it.
-    let jpeg = picture.jpeg.get_or_try_init(|| async {
-        let (drawn, mask) = (picture.clone(), mask.to_vec());
-        tokio::task::spawn_blocking(move || encode(&drawn, &mask)).await.map_err(|error| {
-            ApiError::Internal(format!("drawing the picture ended early: {error}"))
-        })?
-    });
-    jpeg.await.cloned()
+/// The picture as JPEG, with the edges of its camera's masked regions. Concurrent calls share the work.
+pub async fn jpeg(
+    heavy: &HeavyWork,
+    picture: &Arc<Picture>,
+    mask: &[Vec<PixelPoint>],
+) -> Result<Bytes, ApiError> {
+    let draw = async || {
+        let bytes = BYTES_PER_PIXEL * picture.pixels.len();
+        let (picture, mask) = (picture.clone(), mask.to_vec());
+        let jpeg = heavy.run(bytes, move |_| encode(&picture, &mask)).await?;
+        // Kept with the picture, of which there is one per camera.
+        Ok(jpeg.into_inner())
+    };
+    picture.jpeg.get_or_try_init(draw).await.cloned()
 }
 
 /// Draws the mask and the detections into the picture and encodes it.
 pub fn encode(picture: &Picture, mask: &[Vec<PixelPoint>]) -> Result<Bytes, ApiError> {
-    let sides = u16::try_from(picture.width).ok().zip(u16::try_from(picture.height).ok());
-    if !sides.is_some_and(|(width, height)| width > 0 && height > 0) {
+    let Picture { width, height, pixels, .. } = picture;
+    let is_side = |side: &usize| (1..=usize::from(u16::MAX)).contains(side);
+    let (expected, found) = (width * height, pixels.len());
+    if !is_side(width) || !is_side(height) || found != expected {
         return Err(ApiError::Internal(format!(
-            "expected a picture of 1 to 65535 pixels a side, found {} x {}",
-            picture.width, picture.height
+            "expected {expected} pixels for {width} x {height}, found {found}; a side has 1 to 65535"
         )));
     }
-    let expected = picture.width * picture.height;
-    if picture.pixels.len() != expected {
-        return Err(ApiError::Internal(format!(
-            "expected {expected} pixels for {} x {}, found {}",
-            picture.width,
-            picture.height,
-            picture.pixels.len()
-        )));
-    }
-    let mut overlay = Overlay::new(picture.width, picture.height, &picture.pixels);
+    let mut overlay = Overlay::new(*width, *height, pixels);
     for corners in mask {
         overlay.draw_polygon(corners);
     }
     for detection in &picture.observations.detections {
         overlay.draw_ring(&detection.ring, Some(detection.track));
     }
-    let jpeg = overlay.jpeg();
-    jpeg.map(Bytes::from)
-        .map_err(|error| ApiError::Internal(format!("could not encode the picture: {error}")))
+    let jpeg = overlay.jpeg().map(Bytes::from);
+    jpeg.map_err(|error| ApiError::Internal(format!("could not encode the picture: {error}")))
 }

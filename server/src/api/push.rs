@@ -1,19 +1,44 @@
-//! gRPC's `Push`: frames and detections of remote programs, into the ports of their cameras.
+//! The gRPC service `Push`: remote programs send frames and detections to the push endpoints of their cameras.
+//!
+//! Messages are bounded in bytes and in detections, and before a greeting has been accepted they are short. A message that
+//! exceeds a limit ends the stream with an error, as any invalid one: a node has the same limits by default.
 
-use std::{net::SocketAddr, sync::Arc};
+mod codec;
 
-use futures::{Stream, StreamExt, stream};
+use std::{
+    convert::Infallible,
+    future::{Ready, ready},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+};
+
+use axum::{
+    body::{Body, Bytes},
+    extract::Request,
+    http,
+};
+use futures::{
+    StreamExt,
+    stream::{self, BoxStream},
+};
+use http_body_util::{BodyStream, StreamBody};
 use roundel_core::id::CameraId;
 use roundel_proto::v1::{
     self, push_request::Message as Incoming, push_response::Message as Answer,
-    push_server::PushServer,
 };
-use tokio::sync::mpsc;
-use tonic::{Request, Response, Status, Streaming};
+use tokio::{sync::mpsc, time::timeout};
+use tonic::{
+    Extensions, Response, Status, Streaming,
+    server::{Grpc, StreamingService},
+};
 
+use self::codec::PushCodec;
 use super::{
     ApiState,
     error::{ApiError, SHUTTING_DOWN},
+    peer::Peer,
     queries,
 };
 use crate::{
@@ -23,95 +48,147 @@ use crate::{
             PushEndpoint, PushError, PushedItem, SenderClock, SenderHello, SenderSession,
         },
     },
-    model::hub::Picture,
+    model::{access::Identity, hub::Picture, untrusted_text::sanitized},
 };
 
+/// The method's path.
+pub(super) const PATH: &str = "/roundel.v1.Push/Send";
 /// Largest message: a grey picture of 5000 x 3000 pixels fits.
 const MAX_MESSAGE_BYTES: usize = 16 * 1024 * 1024;
-/// Answers that wait for a sender that does not read; its own messages are not read then either.
-const ANSWERS: usize = 16;
-/// A longer name than this is cut.
-const MAX_NAME: usize = 80;
+/// Bytes of a stream whose greeting has not been accepted.
+const MAX_GREETING_BYTES: usize = 64 * 1024;
+/// Capacity of the response queue. While it is full because the sender does not read, its messages are not read.
+const RESPONSE_QUEUE_LEN: usize = 16;
+/// Longer names are truncated.
+const MAX_NAME_LEN: usize = 80;
 
-/// Who connects, as an extension of each request.
-#[derive(Clone, Copy, Debug)]
-pub struct PeerAddress(pub SocketAddr);
-
-#[derive(Clone)]
-pub struct Service {
+/// Serves the method with a codec of its own.
+pub(super) async fn send(
     api: Arc<ApiState>,
+    request: Request,
+) -> Result<http::Response<tonic::body::Body>, Infallible> {
+    let mut grpc = Grpc::new(PushCodec(api.ports.clone()))
+        .apply_max_message_size_config(Some(MAX_MESSAGE_BYTES), None);
+    let is_accepted = Arc::new(AtomicBool::new(false));
+    let request = request.map(|body| short_until(is_accepted.clone(), body));
+    Ok(grpc.streaming(Send { api, is_accepted }, request).await)
 }
 
-pub fn service(api: &Arc<ApiState>) -> PushServer<Service> {
-    PushServer::new(Service { api: api.clone() }).max_decoding_message_size(MAX_MESSAGE_BYTES)
+/// Bounds a body to [`MAX_GREETING_BYTES`] while the greeting has not been accepted.
+fn short_until(is_accepted: Arc<AtomicBool>, body: Body) -> Body {
+    let mut received = 0;
+    let frames = BodyStream::new(body).map(move |frame| {
+        let frame = frame?;
+        received += frame.data_ref().map_or(0, Bytes::len);
+        if received > MAX_GREETING_BYTES && !is_accepted.load(Ordering::Relaxed) {
+            let expected = format!("at most {MAX_GREETING_BYTES} bytes before its welcome");
+            let error = ApiError::invalid("greeting", expected, "more");
+            return Err(axum::Error::new(Status::from(error)));
+        }
+        Ok(frame)
+    });
+    Body::new(StreamBody::new(frames))
 }
 
-type Answers = std::pin::Pin<Box<dyn Stream<Item = Result<v1::PushResponse, Status>> + Send>>;
+struct Send {
+    api: Arc<ApiState>,
+    is_accepted: Arc<AtomicBool>,
+}
 
-#[tonic::async_trait]
-impl v1::push_server::Push for Service {
-    type SendStream = Answers;
+impl StreamingService<v1::PushRequest> for Send {
+    type Response = v1::PushResponse;
+    type ResponseStream = BoxStream<'static, Result<v1::PushResponse, Status>>;
+    type Future = Ready<Result<Response<Self::ResponseStream>, Status>>;
 
-    async fn send(
-        &self,
-        request: Request<Streaming<v1::PushRequest>>,
-    ) -> Result<Response<Self::SendStream>, Status> {
-        let peer = request.extensions().get::<PeerAddress>().copied();
-        let (answers, receiver) = mpsc::channel(ANSWERS);
-        let api = self.api.clone();
+    fn call(&mut self, request: tonic::Request<Streaming<v1::PushRequest>>) -> Self::Future {
+        let (answers, mut receiver) = mpsc::channel(RESPONSE_QUEUE_LEN);
+        let (api, is_accepted) = (self.api.clone(), self.is_accepted.clone());
         tokio::spawn(async move {
-            let session = serve_sender(&api, request.into_inner(), peer, &answers);
+            let (_, extensions, messages) = request.into_parts();
+            let stream = SenderStream { messages, extensions, is_accepted };
+            let session = serve_sender(&api, stream, &answers);
             let outcome = tokio::select! {
                 outcome = session => outcome,
                 () = api.cancel.cancelled() => Err(Status::unavailable(SHUTTING_DOWN)),
-                // The sender has gone: nobody reads the answers any more.
+                // The sender has disconnected.
                 () = answers.closed() => return,
             };
             if let Err(status) = outcome {
-                // A sender that has gone is told nothing.
+                // The sender may have disconnected.
                 let _ = answers.send(Err(status)).await;
             }
         });
-        let answers = stream::unfold(receiver, |mut receiver| async move {
-            let answer = receiver.recv().await?;
-            Some((answer, receiver))
-        });
-        Ok(Response::new(answers.boxed()))
+        let answers = stream::poll_fn(move |context| receiver.poll_recv(context));
+        ready(Ok(Response::new(answers.boxed())))
     }
 }
 
-/// Takes messages until their end.
+struct SenderStream {
+    messages: Streaming<v1::PushRequest>,
+    /// [`Peer`] and [`Identity`].
+    extensions: Extensions,
+    is_accepted: Arc<AtomicBool>,
+}
+
 async fn serve_sender(
     api: &ApiState,
-    mut messages: Streaming<v1::PushRequest>,
-    peer: Option<PeerAddress>,
+    SenderStream { mut messages, extensions, is_accepted }: SenderStream,
     answers: &mpsc::Sender<Result<v1::PushResponse, Status>>,
 ) -> Result<(), Status> {
-    let Some(v1::PushRequest { message: Some(Incoming::Greeting(greeting)) }) =
-        messages.message().await?
-    else {
-        return Err(ApiError::invalid("message", "a greeting first", "something else").into());
+    let limit = api.limits.request_timeout;
+    let Ok(first) = timeout(limit, messages.message()).await else {
+        let expected = format!("a greeting within {limit:?}");
+        return Err(ApiError::invalid("message", expected, "nothing").into());
     };
+    let Some(v1::PushRequest { message: Some(Incoming::Greeting(greeting)) }) = first? else {
+        return Err(ApiError::invalid("message", "a greeting first", "another message").into());
+    };
+    convert::check_text(&greeting.camera, "greeting.camera").map_err(ApiError::from)?;
+    if let Some(identity) = extensions.get::<Arc<Identity>>() {
+        check_feed(identity, &greeting.camera)?;
+    }
     let (camera, endpoint) = endpoint(api, &greeting.camera)?;
     let times = convert::sender_clock(greeting.times).map_err(ApiError::from)?;
-    let session = endpoint.connect(&read(&greeting, times, peer)).map_err(ApiError::from)?;
-    let lease = CameraLease { api, camera, endpoint, session: Some(session) };
-    lease.show();
-    let endpoint = lease.endpoint.clone();
-    let session =
-        PushSession { lease, times, answers, sent_calibration: None, sends_detections: false };
+    let hello = sender_hello(&greeting, times, extensions.get());
+    let session = endpoint.connect(&hello).map_err(ApiError::from)?;
+    is_accepted.store(true, Ordering::Relaxed);
+    let link = LinkStatus { api, camera, endpoint: endpoint.clone() };
+    link.publish();
+    let session = PushSession {
+        session,
+        link,
+        times,
+        answers,
+        sent_calibration: None,
+        sends_detections: false,
+    };
     tokio::select! {
         outcome = session.run(&mut messages) => outcome,
         () = endpoint.closed() => Err(ApiError::from(PushError::Closed).into()),
     }
 }
 
-fn read(greeting: &v1::PushGreeting, times: SenderClock, peer: Option<PeerAddress>) -> SenderHello {
-    let name: String = greeting.sender.chars().take(MAX_NAME).collect();
+fn check_feed(identity: &Identity, camera: &str) -> Result<(), ApiError> {
+    if identity.may_feed(camera) {
+        return Ok(());
+    }
+    let name = &identity.name;
+    Err(ApiError::PermissionDenied(format!(
+        "\"{name}\" must not feed the camera \"{}\": add it to `cameras` of its [[access]] entry",
+        camera.escape_debug()
+    )))
+}
+
+fn sender_hello(
+    greeting: &v1::PushGreeting,
+    times: SenderClock,
+    peer: Option<&Peer>,
+) -> SenderHello {
+    let name: String = sanitized(&greeting.sender).chars().take(MAX_NAME_LEN).collect();
     SenderHello {
         sender: if name.trim().is_empty() { "a program".to_owned() } else { name },
-        address: peer.map_or_else(|| "unknown address".to_owned(), |peer| peer.0.to_string()),
-        run_id: greeting.run_id.chars().take(MAX_NAME).collect(),
+        address: peer.map_or_else(|| "unknown address".to_owned(), |peer| peer.address.to_string()),
+        run_id: greeting.run_id.chars().take(MAX_NAME_LEN).collect(),
         times,
         next_sequence: greeting.next_sequence,
         dropped: greeting.dropped,
@@ -125,68 +202,60 @@ fn endpoint(api: &ApiState, name: &str) -> Result<(CameraId, Arc<PushEndpoint>),
         let installation = api.hub.installation();
         let source = installation.cameras.get(&id).map_or("", |info| &info.source);
         ApiError::FailedPrecondition(format!(
-            "camera {name:?} takes its frames from `{source}`: only one with source = \"push:\" can be fed"
+            "camera {name:?} takes its frames from `{source}`: only a camera with source = \"push:\" accepts frames"
         ))
     })?;
     Ok((id, endpoint))
 }
 
-/// A sender's hold on a camera, shown in the hub to its very end: a connection may break at any await.
-struct CameraLease<'a> {
+/// Publishes the state of a camera's connection, also when it breaks.
+struct LinkStatus<'a> {
     api: &'a ApiState,
     camera: CameraId,
     endpoint: Arc<PushEndpoint>,
-    /// Until the end.
-    session: Option<SenderSession>,
 }
 
-impl CameraLease<'_> {
-    /// Shows who feeds the camera, and how that goes.
-    fn show(&self) {
+impl LinkStatus<'_> {
+    fn publish(&self) {
         let link = self.endpoint.link();
         self.api.hub.update_camera(self.camera, |state| state.link = Some(link));
     }
-
-    fn session(&self) -> Result<&SenderSession, PushError> {
-        self.session.as_ref().ok_or(PushError::Superseded)
-    }
 }
 
-impl Drop for CameraLease<'_> {
+impl Drop for LinkStatus<'_> {
     fn drop(&mut self) {
-        self.session = None;
-        self.show();
+        self.publish();
     }
 }
 
 struct PushSession<'a> {
-    lease: CameraLease<'a>,
+    /// Dropped before `link`, which then publishes its end.
+    session: SenderSession,
+    link: LinkStatus<'a>,
     times: SenderClock,
     answers: &'a mpsc::Sender<Result<v1::PushResponse, Status>>,
-    /// What the sender was told of the camera's lens.
     sent_calibration: Option<v1::PushedCalibration>,
-    /// Of pictures, the worker has them.
+    /// Whether it sends detections instead of frames. The worker then has no pictures, and the sender is asked for them.
     sends_detections: bool,
 }
 
 impl PushSession<'_> {
     async fn answer(&self, message: Answer) {
-        // A sender that has gone ends the whole conversation elsewhere.
+        // A disconnected sender ends the session in `send`.
         let _ = self.answers.send(Ok(v1::PushResponse { message: Some(message) })).await;
     }
 
     async fn run(mut self, messages: &mut Streaming<v1::PushRequest>) -> Result<(), Status> {
-        let session = self.lease.session().map_err(ApiError::from)?;
         let welcome = v1::PushWelcome {
-            source_id: self.lease.api.hub.installation().source_id.clone(),
-            newest_sequence: session.newest_sequence,
-            late_window_ms: self.lease.api.late_window_ms,
+            source_id: self.link.api.hub.installation().source_id.clone(),
+            newest_sequence: self.session.newest_sequence,
+            late_window_ms: self.link.api.late_window_ms,
         };
         self.answer(Answer::Welcome(welcome)).await;
         self.send_calibration().await;
         while let Some(request) = messages.message().await? {
             self.take(request).await?;
-            self.lease.show();
+            self.link.publish();
             self.send_calibration().await;
             self.request_picture().await;
         }
@@ -194,23 +263,21 @@ impl PushSession<'_> {
     }
 
     async fn take(&mut self, request: v1::PushRequest) -> Result<(), ApiError> {
-        let arrived = self.lease.api.clock.now();
+        let arrived = self.link.api.clock.now();
         let (sequence, (what, clock)) = match request.message {
             Some(Incoming::Frame(frame)) => (frame.sequence, convert::frame(frame)?),
             Some(Incoming::Observations(seen)) => {
                 self.sends_detections = true;
-                (
-                    seen.sequence,
-                    convert::pushed_detections(&self.lease.api.hub.installation(), seen)?,
-                )
+                let installation = self.link.api.hub.installation();
+                (seen.sequence, convert::pushed_detections(&installation, seen)?)
             }
             Some(Incoming::Trouble(v1::PushedTrouble { error })) => {
-                return Ok(self.lease.session()?.report_failure(error)?);
+                return Ok(self.session.report_failure(&error)?);
             }
             Some(Incoming::Probe(probe)) => {
                 let known = [probe.round_trip_ms, probe.clock_deviation_ms];
-                self.lease.session()?.keep_alive(probe.next_sequence, known)?;
-                let replied_time_ns = self.lease.api.clock.now().as_ns();
+                self.session.keep_alive(probe.next_sequence, known)?;
+                let replied_time_ns = self.link.api.clock.now().as_ns();
                 let (sent_time_ns, received_time_ns) = (probe.sent_time_ns, arrived.as_ns());
                 let times = v1::PushProbeAnswer { sent_time_ns, received_time_ns, replied_time_ns };
                 self.answer(Answer::ProbeAnswer(times)).await;
@@ -220,52 +287,49 @@ impl PushSession<'_> {
             Some(Incoming::Greeting(_)) => {
                 return Err(ApiError::invalid("message", "one greeting", "another one"));
             }
-            None => {
-                return Err(ApiError::invalid("message", "what PushRequest knows", "nothing"));
-            }
+            None => return Err(ApiError::invalid("message", "a field of PushRequest", "none")),
         };
         let pushed = PushedItem { what, times: self.times, clock, arrived };
-        self.lease.session()?.put(sequence, pushed).await?;
+        self.session.put(sequence, pushed).await?;
         self.answer(Answer::Acknowledgement(v1::PushAcknowledgement { sequence })).await;
         Ok(())
     }
 
-    /// Whoever sees what the camera sees has to be asked for a picture, if somebody wants one.
+    /// Requests a picture from the sender if a client wants one and the worker has none.
     async fn request_picture(&self) {
-        let CameraLease { api, camera, .. } = &self.lease;
+        let LinkStatus { api, camera, .. } = &self.link;
         if self.sends_detections && api.hub.take_picture_request(*camera) {
             self.answer(Answer::PictureRequest(v1::PushPictureRequest {})).await;
         }
     }
 
     async fn take_picture(&self, picture: v1::PushedPicture) -> Result<(), ApiError> {
-        let CameraLease { api, camera, .. } = &self.lease;
+        let LinkStatus { api, camera, .. } = &self.link;
         let no_picture = match convert::still_image(&api.hub.installation(), picture)? {
             Ok((still, seen)) => {
                 let model = api.hub.camera(*camera).and_then(|state| state.camera);
                 let size = model.map_or((0, 0), |model| (model.width(), model.height()));
-                // Some milliseconds, which others should not wait for.
-                let pixels = tokio::task::spawn_blocking(move || still.pixels(size)).await;
-                let pixels = pixels.unwrap_or_else(|error| Err(error.to_string()));
-                pixels.map(|pixels| {
-                    let picture = Picture::new(size, pixels, Arc::new(seen));
-                    api.hub.publish_picture(*camera, picture);
-                })
+                // Decoding takes some milliseconds.
+                match tokio::task::spawn_blocking(move || still.pixels(size)).await {
+                    Ok(Ok(pixels)) => {
+                        let picture = Picture::new(size, pixels, Arc::new(seen));
+                        api.hub.publish_picture(*camera, picture);
+                        String::new()
+                    }
+                    Ok(Err(why)) => why,
+                    Err(error) => error.to_string(),
+                }
             }
-            Err(why) => Err(why),
+            Err(why) => why,
         };
-        Ok(self.lease.session()?.picture_answered(no_picture.err().unwrap_or_default())?)
+        Ok(self.session.picture_answered(no_picture)?)
     }
 
-    /// Tells the lens and the place's version, where they are new.
+    /// Sends the camera's lens and calibration version when they have changed.
     async fn send_calibration(&mut self) {
-        let mut newest = None;
-        self.lease.api.hub.update_camera(self.lease.camera, |state| {
-            newest = convert::pushed_calibration(state);
-        });
-        if let Some(calibration) =
-            newest.filter(|newest| self.sent_calibration.as_ref() != Some(newest))
-        {
+        let state = self.link.api.hub.camera(self.link.camera);
+        let newest = state.and_then(|state| convert::pushed_calibration(&state));
+        if let Some(calibration) = newest.filter(|it| self.sent_calibration.as_ref() != Some(it)) {
             self.sent_calibration = Some(calibration.clone());
             self.answer(Answer::Calibration(calibration)).await;
         }
@@ -281,9 +345,10 @@ impl From<WireFieldError> for ApiError {
 impl From<PushError> for ApiError {
     fn from(error: PushError) -> Self {
         match error {
-            PushError::Taken { .. } => Self::FailedPrecondition(error.to_string()),
+            PushError::Taken { .. } | PushError::Closed => {
+                Self::FailedPrecondition(error.to_string())
+            }
             PushError::Superseded => Self::Aborted(error.to_string()),
-            PushError::Closed => Self::FailedPrecondition(error.to_string()),
             PushError::Sequence => Self::invalid("sequence", "a number from 1", 0),
         }
     }

@@ -1,4 +1,4 @@
-//! What the hub has, in the words of the wire; REST and the WebSocket give the same.
+//! Reads the hub's state as messages, for REST, gRPC and WebSockets.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use crate::{
     model::hub,
 };
 
-/// The newest snapshot as a subscriber of `selection` would get it.
+/// The newest snapshot, filtered as for a subscriber of `selection`.
 pub(super) fn newest_snapshot(
     api: &ApiState,
     selection: &Selection,
@@ -19,7 +19,7 @@ pub(super) fn newest_snapshot(
     let fused = api.hub.snapshots().borrow().clone();
     if fused.sequence == 0 {
         return Err(ApiError::Unavailable(
-            "no snapshot yet: fusion has not made its first one; try again in a moment".into(),
+            "no snapshot yet: fusion has not published its first one; try again in a moment".into(),
         ));
     }
     let mut message = selection.filter.message(&api.hub.installation(), &fused);
@@ -27,7 +27,7 @@ pub(super) fn newest_snapshot(
     Ok(message)
 }
 
-/// The newest frame of each of these cameras, or of all.
+/// The newest frame of each named camera; of all cameras if `names` is empty.
 pub(super) fn newest_observations(
     api: &ApiState,
     names: &[String],
@@ -48,52 +48,39 @@ pub(super) fn cameras(api: &ApiState) -> Vec<v1::Camera> {
     each.map(|(id, state)| convert::camera(&installation, *id, state)).collect()
 }
 
-pub(super) fn camera(api: &ApiState, id: CameraId) -> Result<v1::Camera, ApiError> {
-    match api.hub.camera(id) {
-        Some(state) => Ok(convert::camera(&api.hub.installation(), id, &state)),
-        None => Err(removed_camera_error(api, id)),
-    }
+pub(super) fn camera(api: &ApiState, name: &str) -> Result<v1::Camera, ApiError> {
+    let id = camera_id(api, name)?;
+    let state = api.hub.camera(id).ok_or_else(|| no_camera(api, name))?;
+    Ok(convert::camera(&api.hub.installation(), id, &state))
 }
 
-/// The error of a camera that was there when the request came.
-pub(super) fn removed_camera_error(api: &ApiState, id: CameraId) -> ApiError {
-    let installation = api.hub.installation();
-    let names: Vec<&str> = installation.cameras.values().map(|c| c.name.as_str()).collect();
-    let known = format!("it was removed; there are: {}", names.join(", "));
-    ApiError::NotFound { what: "camera", name: format!("{}", id.0), known }
-}
-
-/// Every object that is remembered, by id.
-pub(super) fn objects(api: &ApiState) -> Vec<v1::Object> {
-    let records = api.hub.objects();
-    records.iter().map(|record| convert::object(&api.hub.installation(), record)).collect()
-}
-
-/// The id of the camera of that name, or an error that names those there are.
 pub(super) fn camera_id(api: &ApiState, name: &str) -> Result<CameraId, ApiError> {
-    let installation = api.hub.installation();
-    installation.camera_id(name).ok_or_else(|| {
-        let names: Vec<&str> = installation.cameras.values().map(|c| c.name.as_str()).collect();
-        let known = if names.is_empty() {
-            "this installation has none".to_owned()
-        } else {
-            format!("there are: {}", names.join(", "))
-        };
-        ApiError::NotFound { what: "camera", name: name.to_owned(), known }
-    })
+    api.hub.installation().camera_id(name).ok_or_else(|| no_camera(api, name))
 }
 
-/// A wish for remembered events that the hub can fulfil.
-pub(super) fn checked_backlog(backlog: u32, field: &str) -> Result<usize, ApiError> {
+/// An error that lists the existing cameras.
+pub(super) fn no_camera(api: &ApiState, name: &str) -> ApiError {
+    let installation = api.hub.installation();
+    let names: Vec<&str> = installation.cameras.values().map(|it| it.name.as_str()).collect();
+    let known = if names.is_empty() {
+        "this installation has none".to_owned()
+    } else {
+        format!("there are: {}", names.join(", "))
+    };
+    ApiError::NotFound { what: "camera", name: name.to_owned(), known }
+}
+
+/// Checks a number of remembered events against the length of the hub's log.
+pub(super) fn checked_backlog(backlog: u32) -> Result<usize, ApiError> {
     let backlog = backlog as usize;
     if backlog > hub::EVENT_LOG_LEN {
         let expected = format!("at most {} events", hub::EVENT_LOG_LEN);
-        return Err(ApiError::invalid(field, expected, backlog));
+        return Err(ApiError::invalid("backlog", expected, backlog));
     }
     Ok(backlog)
 }
 
-/// The next event; those that a slow reader missed show as a gap in the sequence.
+/// The next event; a gap in the sequence numbers shows missed ones.
 pub(super) async fn next_event(
     receiver: &mut broadcast::Receiver<Arc<hub::Event>>,
 ) -> Option<Arc<hub::Event>> {
@@ -103,15 +90,5 @@ pub(super) async fn next_event(
             Err(RecvError::Lagged(_)) => {}
             Err(RecvError::Closed) => return None,
         }
-    }
-}
-
-pub(super) fn server_info(api: &ApiState) -> v1::ServerInfo {
-    v1::ServerInfo {
-        records: api.recorder.is_some(),
-        replays: api.replay.is_some(),
-        keeps_history: api.history.is_some(),
-        allows_setup: api.camera_manager.is_some(),
-        ..convert::server_info(&api.hub.installation())
     }
 }

@@ -1,4 +1,4 @@
-//! Query parameters of REST and the WebSocket, read with errors that name the parameter.
+//! Query parameters of REST and the WebSocket.
 
 use std::{num::ParseIntError, str::FromStr};
 
@@ -7,7 +7,7 @@ use roundel_proto::v1;
 
 use super::error::ApiError;
 
-/// The parameters of one query. Each is taken once; what is left at the end is a mistake.
+/// The parameters of one query. Handlers take the ones they know; [`Self::finish`] rejects the rest.
 #[derive(Debug)]
 pub struct QueryParameters {
     left: Vec<(String, String)>,
@@ -15,7 +15,7 @@ pub struct QueryParameters {
 }
 
 impl QueryParameters {
-    /// Reads a query; a parameter without a value counts as left out.
+    /// Parses a query. A parameter with an empty value counts as absent.
     pub fn of(uri: &Uri) -> Result<Self, ApiError> {
         let Query(left) = Query::<Vec<(String, String)>>::try_from_uri(uri).map_err(|error| {
             ApiError::invalid("query", format!("name=value&… ({error})"), uri.query().unwrap_or(""))
@@ -25,35 +25,24 @@ impl QueryParameters {
 
     pub fn take(&mut self, name: &'static str) -> Result<Option<String>, ApiError> {
         self.known.push(name);
-        let mut found = None;
-        for place in (0..self.left.len()).rev() {
-            if self.left[place].0 == name {
-                let (_, text) = self.left.remove(place);
-                if let Some(other) = found.replace(text) {
-                    return Err(ApiError::invalid(
-                        name,
-                        "one value",
-                        format!("another, {other:?}"),
-                    ));
-                }
-            }
+        let mut values = self.left.extract_if(.., |(key, _)| key == name).map(|(_, text)| text);
+        let value = values.next();
+        if let Some(other) = values.next() {
+            return Err(ApiError::invalid(name, "one value", format!("another, {other:?}")));
         }
-        Ok(found.filter(|text| !text.is_empty()))
+        Ok(value.filter(|text| !text.is_empty()))
     }
 
-    /// A parameter that `T` can read; `expected` says what that is.
+    /// Takes and parses a parameter; `expected` describes its values.
     pub fn take_parsed<T: FromStr>(
         &mut self,
         name: &'static str,
         expected: &str,
     ) -> Result<Option<T>, ApiError> {
-        let Some(text) = self.take(name)? else {
-            return Ok(None);
-        };
-        parsed(&text, name, expected).map(Some)
+        self.take(name)?.map(|text| parsed(&text, name, expected)).transpose()
     }
 
-    /// A list with commas between its items; empty if left out.
+    /// Takes a list separated by commas; empty if absent.
     pub fn take_list<T: FromStr>(
         &mut self,
         name: &'static str,
@@ -73,13 +62,14 @@ impl QueryParameters {
         }
     }
 
-    /// A box: `min` and `max`.
+    /// Takes a box: `min` and `max`.
     pub fn take_region(&mut self) -> Result<Option<v1::Box>, ApiError> {
         let (min, max) = (self.take_corner("min")?, self.take_corner("max")?);
         Ok((min.is_some() || max.is_some()).then_some(v1::Box { min, max }))
     }
 
-    /// What a snapshot is to hold: `ids`, `names`, `codes`, `roundels`, `min`, `max`, `horizon_ms`, `omit_covariance`.
+    /// Takes the parameters of a snapshot: `ids`, `names`, `codes`, `roundels`, `min`, `max`, `horizon_ms`,
+    /// `omit_covariance`.
     pub fn take_selection(&mut self) -> Result<v1::SubscribeSnapshotsRequest, ApiError> {
         let object_ids = self.take_list("ids", "ids with commas between, such as 1,2")?;
         let names = self.take_list("names", "names of objects")?;
@@ -98,21 +88,14 @@ impl QueryParameters {
         })
     }
 
-    /// Refuses what nobody took, and names the nearest parameter that there is.
+    /// Rejects an unknown parameter, with the most similar known one.
     pub fn finish(self) -> Result<(), ApiError> {
-        let Some((name, _)) = self.left.first() else {
-            return Ok(());
-        };
-        let nearest = self
-            .known
-            .iter()
-            .max_by(|a, b| strsim::jaro_winkler(a, name).total_cmp(&strsim::jaro_winkler(b, name)));
-        let expected = match nearest {
-            Some(nearest) => {
-                format!("one of {} (perhaps {nearest}?)", self.known.join(", "))
-            }
-            None => "no parameters here".to_owned(),
-        };
+        let Some((name, _)) = self.left.first() else { return Ok(()) };
+        let similarity = |known: &str| strsim::jaro_winkler(known, name);
+        let nearest = self.known.iter().max_by(|a, b| similarity(a).total_cmp(&similarity(b)));
+        let expected = nearest.map_or("no parameters here".to_owned(), |nearest| {
+            format!("one of {} (perhaps {nearest}?)", self.known.join(", "))
+        });
         Err(ApiError::invalid("query", expected, format!("{name:?}")))
     }
 }

@@ -1,65 +1,78 @@
-//! Recordings, over REST; the same functions answer gRPC.
+//! Recordings.
 
 use std::{sync::Arc, time::Duration};
 
-use axum::{
-    Json,
-    extract::{State, rejection::JsonRejection},
-};
+use axum::{Json, extract::State};
 use roundel_proto::v1;
 
 use super::{
     ApiState,
     error::{ApiError, ErrorBody},
+    handler::{Answer, Api, Body, Example, blocking},
 };
-use crate::{
-    api::convert,
-    archive::record::{RecordError, Recorder, RecordingOptions, RecordingState as Stage},
-};
+use crate::archive::record::{RecordError, Recorder, RecordingOptions, folder::RecordingFile};
 
-/// A recording may be told to end after so long: ten years.
-const LONGEST_S: f64 = 3.2e8;
+/// Longest duration of a recording: ten years.
+const MAX_DURATION_S: f64 = 3.2e8;
 
-/// The recording that is being made, or the last one.
+impl Example for v1::StartRecordingRequest {
+    const EXAMPLE: &str = r#"{"name": "trial", "frames_every": 0}"#;
+}
+
+/// The running recording, or the last one.
 #[utoipa::path(
     get, path = "/api/v1/recording", tag = "recording",
     responses(
-        (status = 200, description = "how it is doing", body = v1::Recording),
+        (status = 200, description = "its status", body = v1::Recording),
         (status = 409, description = "this server cannot record", body = ErrorBody),
     ),
 )]
-pub async fn show(State(api): State<Arc<ApiState>>) -> Result<Json<v1::Recording>, ApiError> {
-    newest(&api).map(Json)
+pub async fn show(State(api): Api) -> Answer<v1::Recording> {
+    Ok(Json(recorder(&api)?.status()))
 }
 
-/// Begins to record, into files on the server's machine.
+/// Starts a recording, into files on the server's machine.
 #[utoipa::path(
     post, path = "/api/v1/recording", tag = "recording",
     request_body = v1::StartRecordingRequest,
     responses(
         (status = 200, description = "it records", body = v1::Recording),
         (status = 400, description = "names the wrong field", body = ErrorBody),
-        (status = 409, description = "it records already, or cannot write, or the disk is too full", body = ErrorBody),
+        (status = 409, description = "a recording is running, the folder cannot be written, or the disk is too full", body = ErrorBody),
     ),
 )]
 pub async fn start(
-    State(api): State<Arc<ApiState>>,
-    body: Result<Json<v1::StartRecordingRequest>, JsonRejection>,
-) -> Result<Json<v1::Recording>, ApiError> {
-    let request = ApiError::body(body, r#"{"name": "trial", "frames_every": 0}"#)?;
-    begin(&api, request).await.map(Json)
+    State(api): Api,
+    Body(request): Body<v1::StartRecordingRequest>,
+) -> Answer<v1::Recording> {
+    let v1::StartRecordingRequest { name, frames_every, seconds } = request;
+    if let Some(seconds) = seconds.filter(|it| !(*it > 0.0 && *it <= MAX_DURATION_S)) {
+        let expected = format!("seconds above 0, at most {MAX_DURATION_S}");
+        return Err(ApiError::invalid("seconds", expected, seconds));
+    }
+    let length = seconds.map(Duration::from_secs_f64);
+    let options = RecordingOptions { name, frames_every, length, by_client: true };
+    on_disk(&api, move |recorder| {
+        recorder.start(&options)?;
+        Ok(recorder.status())
+    })
+    .await
 }
 
-/// Ends the recording; its files are whole when the answer comes.
+/// Ends the recording. Its files are complete when the response arrives.
 #[utoipa::path(
     delete, path = "/api/v1/recording", tag = "recording",
     responses(
         (status = 200, description = "it has ended", body = v1::Recording),
-        (status = 409, description = "nothing is recorded", body = ErrorBody),
+        (status = 409, description = "no recording is running", body = ErrorBody),
     ),
 )]
-pub async fn stop(State(api): State<Arc<ApiState>>) -> Result<Json<v1::Recording>, ApiError> {
-    end(&api).await.map(Json)
+pub async fn stop(State(api): Api) -> Answer<v1::Recording> {
+    on_disk(&api, |recorder| {
+        recorder.stop()?;
+        Ok(recorder.status())
+    })
+    .await
 }
 
 /// The files of recordings in the server's folder, the oldest first.
@@ -70,69 +83,34 @@ pub async fn stop(State(api): State<Arc<ApiState>>) -> Result<Json<v1::Recording
         (status = 409, description = "this server cannot record", body = ErrorBody),
     ),
 )]
-pub async fn files(
-    State(api): State<Arc<ApiState>>,
-) -> Result<Json<v1::ListRecordingsResponse>, ApiError> {
-    list(&api).await.map(Json)
-}
-
-pub(super) fn newest(api: &ApiState) -> Result<v1::Recording, ApiError> {
-    Ok(convert::recording(&recorder(api)?.status()))
-}
-
-pub(super) async fn begin(
-    api: &ApiState,
-    request: v1::StartRecordingRequest,
-) -> Result<v1::Recording, ApiError> {
-    let length = match request.seconds {
-        Some(seconds) if !(seconds > 0.0 && seconds <= LONGEST_S) => {
-            let expected = format!("seconds above 0, at most {LONGEST_S}");
-            return Err(ApiError::invalid("seconds", expected, seconds));
-        }
-        seconds => seconds.map(Duration::from_secs_f64),
-    };
-    let wanted =
-        RecordingOptions { name: request.name, frames_every: request.frames_every, length };
-    on_disk(api, move |recorder| {
-        recorder.start(&wanted)?;
-        Ok(convert::recording(&recorder.status()))
-    })
-    .await
-}
-
-pub(super) async fn end(api: &ApiState) -> Result<v1::Recording, ApiError> {
-    on_disk(api, |recorder| {
-        recorder.stop()?;
-        Ok(convert::recording(&recorder.status()))
-    })
-    .await
-}
-
-pub(super) async fn list(api: &ApiState) -> Result<v1::ListRecordingsResponse, ApiError> {
-    on_disk(api, |recorder| {
+pub async fn files(State(api): Api) -> Answer<v1::ListRecordingsResponse> {
+    on_disk(&api, |recorder| {
         let (files, status) = (recorder.list()?, recorder.status());
-        let open = (status.state == Stage::Recording).then_some(status.file.as_str());
-        Ok(convert::recordings(&status.folder, &files, open))
+        let is_recording = status.state() == v1::RecordingState::Recording;
+        let file = |file: RecordingFile| v1::RecordingFile {
+            open: is_recording && file.name == status.file,
+            name: file.name,
+            bytes: file.bytes,
+            started_time_ns: file.started.as_ns(),
+        };
+        let files = files.into_iter().map(file).collect();
+        Ok(v1::ListRecordingsResponse { files, folder: status.folder.clone() })
     })
     .await
 }
 
 fn recorder(api: &ApiState) -> Result<&Arc<Recorder>, ApiError> {
     api.recorder.as_ref().ok_or_else(|| {
-        ApiError::FailedPrecondition("this server plays a recording, and makes none".to_owned())
+        ApiError::FailedPrecondition("this server replays a recording and cannot record".to_owned())
     })
 }
 
-/// On a thread that may wait for the disk.
 async fn on_disk<T: Send + 'static>(
     api: &ApiState,
     work: impl FnOnce(&Recorder) -> Result<T, RecordError> + Send + 'static,
-) -> Result<T, ApiError> {
+) -> Answer<T> {
     let recorder = recorder(api)?.clone();
-    let done = tokio::task::spawn_blocking(move || work(&recorder)).await;
-    let done =
-        done.map_err(|error| ApiError::Internal(format!("the recorder ended badly: {error}")))?;
-    Ok(done?)
+    blocking(move || work(&recorder)).await.map(Json)
 }
 
 impl From<RecordError> for ApiError {

@@ -1,12 +1,11 @@
-//! A part of the world that a client asks for.
+//! A box of the world in a request.
 
 use nalgebra::Vector3;
 use roundel_proto::v1;
 
 use super::error::ApiError;
 
-/// An axis-aligned box in the world frame, metres; its faces belong to it, and a side may be
-/// infinitely far.
+/// An axis-aligned box in the world frame, metres. It includes its faces; sides may be infinite.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Region {
     pub min_m: Vector3<f64>,
@@ -14,7 +13,7 @@ pub struct Region {
 }
 
 impl Region {
-    /// As it was asked for; errors call the corners by these names.
+    /// The corners' names are for errors.
     pub fn checked(region: v1::Box, [min, max]: [&str; 2]) -> Result<Self, ApiError> {
         let (min_m, max_m) = (corner(region.min, min)?, corner(region.max, max)?);
         for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {

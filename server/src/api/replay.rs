@@ -1,61 +1,46 @@
-//! A recording that is played, over REST; the same functions answer gRPC.
+//! Control of a replay.
 
-use std::sync::Arc;
-
-use axum::{
-    Json,
-    extract::{State, rejection::JsonRejection},
-};
+use axum::{Json, extract::State};
 use roundel_proto::v1;
 
 use super::{
     ApiState,
     error::{ApiError, ErrorBody},
+    handler::{Answer, Api, Body, Example},
 };
-use crate::{
-    api::convert,
-    archive::replay::{Control, Replay, SPEEDS},
-};
+use crate::archive::replay::{Replay, ReplayFrom, SPEEDS};
 
-/// The recording that is played, and how far it is.
+impl Example for v1::ControlReplayRequest {
+    const EXAMPLE: &str = r#"{"paused": false, "position_s": 12.5}"#;
+}
+
+/// The recording being played, and its position.
 #[utoipa::path(
     get, path = "/api/v1/replay", tag = "recording",
     responses(
-        (status = 200, description = "how far it is", body = v1::Replay),
-        (status = 409, description = "everything here is live", body = ErrorBody),
+        (status = 200, description = "its state", body = v1::Replay),
+        (status = 409, description = "this server plays no recording", body = ErrorBody),
     ),
 )]
-pub async fn show(State(api): State<Arc<ApiState>>) -> Result<Json<v1::Replay>, ApiError> {
-    newest(&api).map(Json)
+pub async fn show(State(api): Api) -> Answer<v1::Replay> {
+    Ok(Json(message(replay(&api)?)))
 }
 
-/// Pauses the recording that is played, goes on, seeks, changes its speed; absent fields stay as they are.
+/// Pauses or resumes the replay, seeks, or changes its speed. Absent fields stay as they are.
 #[utoipa::path(
     patch, path = "/api/v1/replay", tag = "recording",
     request_body = v1::ControlReplayRequest,
     responses(
-        (status = 200, description = "it does", body = v1::Replay),
+        (status = 200, description = "its new state", body = v1::Replay),
         (status = 400, description = "names the wrong field", body = ErrorBody),
-        (status = 409, description = "everything here is live", body = ErrorBody),
+        (status = 409, description = "this server plays no recording", body = ErrorBody),
     ),
 )]
 pub async fn control(
-    State(api): State<Arc<ApiState>>,
-    body: Result<Json<v1::ControlReplayRequest>, JsonRejection>,
-) -> Result<Json<v1::Replay>, ApiError> {
-    apply_control(&api, &ApiError::body(body, r#"{"paused": false, "position_s": 12.5}"#)?)
-        .map(Json)
-}
-
-pub(super) fn newest(api: &ApiState) -> Result<v1::Replay, ApiError> {
-    Ok(convert::replay(&replay(api)?.status()))
-}
-
-pub(super) fn apply_control(
-    api: &ApiState,
-    request: &v1::ControlReplayRequest,
-) -> Result<v1::Replay, ApiError> {
-    let replay = replay(api)?;
+    State(api): Api,
+    Body(request): Body<v1::ControlReplayRequest>,
+) -> Answer<v1::Replay> {
+    let replay = replay(&api)?;
     let [slowest, fastest] = SPEEDS;
     if let Some(speed) = request.speed.filter(|speed| !(slowest..=fastest).contains(speed)) {
         return Err(ApiError::invalid("speed", format!("{slowest} to {fastest}"), speed));
@@ -66,19 +51,37 @@ pub(super) fn apply_control(
         let expected = format!("0 to {length_s:.3} seconds, the recording's length");
         return Err(ApiError::invalid("position_s", expected, position_s));
     }
-    replay.control(&Control {
-        paused: request.paused,
-        speed: request.speed,
-        position_s: request.position_s,
-        looping: request.looping,
-    });
-    newest(api)
+    replay.control(&request);
+    Ok(Json(message(replay)))
 }
 
 fn replay(api: &ApiState) -> Result<&Replay, ApiError> {
     api.replay.as_ref().ok_or_else(|| {
         ApiError::FailedPrecondition(
-            "everything here is live: `roundel replay FILE` serves a recording".to_owned(),
+            "this server is live: `roundel replay FILE` serves a recording".to_owned(),
         )
     })
+}
+
+fn message(replay: &Replay) -> v1::Replay {
+    let status = replay.status();
+    let (begin, end) = status.span;
+    let from = match status.from {
+        ReplayFrom::Snapshots => v1::ReplayFrom::Snapshots,
+        ReplayFrom::Observations => v1::ReplayFrom::Observations,
+        ReplayFrom::Frames => v1::ReplayFrom::Frames,
+    };
+    v1::Replay {
+        file: status.file.display().to_string(),
+        from: from.into(),
+        paused: status.paused,
+        speed: status.speed,
+        looping: status.looping,
+        position_s: status.position.seconds_since(begin),
+        duration_s: end.seconds_since(begin),
+        begin_time_ns: begin.as_ns(),
+        position_time_ns: status.position.as_ns(),
+        ended: status.ended,
+        damage: status.damage.join("; "),
+    }
 }

@@ -1,8 +1,8 @@
-//! What a subscriber wants of the snapshots: validated once, then applied to each.
+//! Selections of snapshots: validated once, then applied to each snapshot.
 //!
-//! A request becomes a [`Selection`]: a [`Filter`], which decides what a message holds, and a rate,
-//! which decides when one is due ([`crate::api::snapshot_subscription`]). Filters compare and hash by value, so that
-//! subscribers with the same one can share what was encoded for it.
+//! A request becomes a [`Selection`]: a [`Filter`], which determines the content of a message, and a rate limit
+//! ([`crate::api::snapshot_subscription`]). Filters compare and hash by value, so that subscribers with equal filters
+//! share encoded snapshots.
 
 mod object_selector;
 
@@ -25,43 +25,20 @@ use object_selector::ObjectSelector;
 /// Longest prediction past the server's pose time, milliseconds.
 pub const MAX_HORIZON_MS: f64 = 1000.0;
 
-/// How the fields of a selection are called where the request came from.
+/// Names in errors of the fields whose names differ between messages and queries.
 #[derive(Debug)]
 pub struct FieldNames {
     ids: &'static str,
-    names: &'static str,
-    codes: &'static str,
-    min: &'static str,
-    max: &'static str,
-    max_rate_hz: &'static str,
-    horizon_ms: &'static str,
-    roundels: &'static str,
+    /// Smallest and largest corner of the region.
+    corners: [&'static str; 2],
 }
 
-pub const MESSAGE_FIELDS: FieldNames = FieldNames {
-    ids: "object_ids",
-    names: "names",
-    codes: "codes",
-    min: "region.min",
-    max: "region.max",
-    max_rate_hz: "max_rate_hz",
-    horizon_ms: "horizon_ms",
-    roundels: "roundels",
-};
-
+pub const MESSAGE_FIELDS: FieldNames =
+    FieldNames { ids: "object_ids", corners: ["region.min", "region.max"] };
 /// In queries of REST and the WebSocket.
-pub const QUERY_FIELDS: FieldNames = FieldNames {
-    ids: "ids",
-    names: "names",
-    codes: "codes",
-    min: "min",
-    max: "max",
-    max_rate_hz: "max_rate_hz",
-    horizon_ms: "horizon_ms",
-    roundels: "roundels",
-};
+pub const QUERY_FIELDS: FieldNames = FieldNames { ids: "ids", corners: ["min", "max"] };
 
-/// What a snapshot's message holds. Cloning, hashing and comparing with a clone take the same time whatever it is.
+/// Determines the content of a snapshot's message. Cloning, hashing and comparing with a clone take constant time.
 #[derive(Clone, Debug)]
 pub struct Filter {
     spec: Arc<FilterSpec>,
@@ -79,8 +56,7 @@ struct FilterSpec {
 }
 
 impl FilterSpec {
-    /// Everything that takes part in comparing and hashing. Zero has one sign here, and no number
-    /// is NaN, so that bits stand for values.
+    /// All fields in comparable form: numbers as bits, with a single zero. Validation excludes NaN.
     fn key(&self) -> (&ObjectSelector, &[KindId], Option<[u64; 6]>, u64, bool) {
         let region = self.region.as_ref().map(|region| {
             let (min, max) = (&region.min_m, &region.max_m);
@@ -133,8 +109,13 @@ impl Default for Filter {
 }
 
 impl Filter {
-    /// The message that this filter makes of a snapshot; `sent_time_ns` and `missed` belong to the
-    /// subscriber and are left 0.
+    /// Whether it leaves every object as it is. Such filters have few different encodings.
+    pub fn selects_all(&self) -> bool {
+        let FilterSpec { objects, kinds, region, horizon_s, omit_covariance: _ } = &*self.spec;
+        objects.selects_all() && kinds.is_empty() && region.is_none() && *horizon_s == 0.0
+    }
+
+    /// The snapshot's message; `sent_time_ns` and `missed` belong to the subscriber and are left 0.
     pub fn message(&self, installation: &Installation, fused: &FusedSnapshot) -> v1::Snapshot {
         let chosen = self.spec.select(installation, &fused.snapshot);
         convert::snapshot(installation, fused, &chosen, !self.spec.omit_covariance)
@@ -156,38 +137,37 @@ impl Hash for Filter {
     }
 }
 
-/// What a subscriber wants, and how often.
+/// What a subscriber receives, and how often.
 #[derive(Clone, Debug, Default)]
 pub struct Selection {
     pub filter: Filter,
-    /// At most so often, above 0; `None`: each snapshot.
+    /// Above 0; `None`: every snapshot.
     pub max_rate_hz: Option<f64>,
 }
 
 impl Selection {
-    /// Checks a request to a server of these kinds of roundel; errors call the fields by `names`.
+    /// Checks a request against the server's kinds of roundel; `names` are for errors.
     pub fn new(
         request: v1::SubscribeSnapshotsRequest,
         kinds: &[String],
         names: &FieldNames,
     ) -> Result<Self, ApiError> {
-        let region =
-            request.region.map(|it| Region::checked(it, [names.min, names.max])).transpose()?;
+        let region = request.region.map(|it| Region::checked(it, names.corners)).transpose()?;
         if let Some(rate_hz) = request.max_rate_hz
             && !(rate_hz > 0.0 && rate_hz.is_finite())
         {
             let expected = "a rate above 0 (leave it out for every snapshot)";
-            return Err(ApiError::invalid(names.max_rate_hz, expected, rate_hz));
+            return Err(ApiError::invalid("max_rate_hz", expected, rate_hz));
         }
         let horizon_ms = request.horizon_ms.unwrap_or(0.0);
         if !(0.0..=MAX_HORIZON_MS).contains(&horizon_ms) {
             let expected = format!("milliseconds from 0 to {MAX_HORIZON_MS}");
-            return Err(ApiError::invalid(names.horizon_ms, expected, horizon_ms));
+            return Err(ApiError::invalid("horizon_ms", expected, horizon_ms));
         }
         Ok(Self {
             filter: Filter::from(FilterSpec {
                 objects: ObjectSelector::checked(&request, names)?,
-                kinds: checked_kinds(&request.roundels, kinds, names)?,
+                kinds: checked_kinds(&request.roundels, kinds)?,
                 region,
                 horizon_s: horizon_ms * 1e-3,
                 omit_covariance: request.omit_covariance,
@@ -197,32 +177,12 @@ impl Selection {
     }
 }
 
-/// The same spec, of which there is one answer.
-pub fn subscribe_request(request: v1::GetSnapshotRequest) -> v1::SubscribeSnapshotsRequest {
-    let v1::GetSnapshotRequest { object_ids, region, horizon_ms, omit_covariance, .. } = request;
-    let v1::GetSnapshotRequest { roundels, names, codes, .. } = request;
-    v1::SubscribeSnapshotsRequest {
-        object_ids,
-        region,
-        max_rate_hz: None,
-        horizon_ms,
-        omit_covariance,
-        roundels,
-        names,
-        codes,
-    }
-}
-
-fn checked_kinds(
-    wanted: &[String],
-    known: &[String],
-    names: &FieldNames,
-) -> Result<Vec<KindId>, ApiError> {
+fn checked_kinds(wanted: &[String], known: &[String]) -> Result<Vec<KindId>, ApiError> {
     let kind = |name: &String| match known.iter().position(|known| known == name) {
         Some(place) => Ok(KindId(place as u16)),
         None => {
             let expected = format!("any of {}", known.join(", "));
-            Err(ApiError::invalid(names.roundels, expected, format!("{name:?}")))
+            Err(ApiError::invalid("roundels", expected, format!("{name:?}")))
         }
     };
     let mut kinds = wanted.iter().map(kind).collect::<Result<Vec<KindId>, ApiError>>()?;
@@ -237,6 +197,10 @@ mod tests {
 
     use super::*;
 
+    fn checked(request: v1::SubscribeSnapshotsRequest) -> Result<Selection, ApiError> {
+        Selection::new(request, &["robot", "cart"].map(str::to_owned), &MESSAGE_FIELDS)
+    }
+
     fn filter(object_ids: &[u64], min_x_m: f64, horizon_ms: f64) -> Filter {
         let corner = |x| Some(v1::Vector3 { x, y: 0.0, z: 0.0 });
         let request = v1::SubscribeSnapshotsRequest {
@@ -245,7 +209,7 @@ mod tests {
             horizon_ms: Some(horizon_ms),
             ..Default::default()
         };
-        Selection::new(request, &kinds(), &MESSAGE_FIELDS).unwrap().filter
+        checked(request).unwrap().filter
     }
 
     fn named(names: &[&str], codes: &[(u32, u32)]) -> Filter {
@@ -254,15 +218,11 @@ mod tests {
             codes: codes.iter().map(|&(bits, number)| v1::Code { bits, number }).collect(),
             ..Default::default()
         };
-        Selection::new(request, &kinds(), &MESSAGE_FIELDS).unwrap().filter
-    }
-
-    fn kinds() -> Vec<String> {
-        vec!["robot".into(), "cart".into()]
+        checked(request).unwrap().filter
     }
 
     #[test]
-    fn the_same_wish_is_one_key_however_it_is_written() {
+    fn equal_selections_have_equal_filters_whatever_their_order() {
         let same = [
             filter(&[1, 2], 0.0, 0.0),
             filter(&[2, 1, 2], -0.0, -0.0),
@@ -290,12 +250,11 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_kind_is_refused_with_those_there_are() {
-        let request = |name: &str| v1::SubscribeSnapshotsRequest {
-            roundels: vec!["cart".into(), name.into()],
-            ..Default::default()
+    fn an_unknown_kind_is_rejected_with_a_list_of_the_known() {
+        let selection = |name: &str| {
+            let roundels = vec!["cart".into(), name.into()];
+            checked(v1::SubscribeSnapshotsRequest { roundels, ..Default::default() })
         };
-        let selection = |name| Selection::new(request(name), &kinds(), &MESSAGE_FIELDS);
         assert_eq!(selection("robot").unwrap().filter.spec.kinds, [KindId(0), KindId(1)]);
         let error = selection("robots").unwrap_err().to_string();
         assert_eq!(error, "roundels: expected any of robot, cart, found \"robots\"");

@@ -7,6 +7,7 @@
 use std::{
     collections::HashMap,
     sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError},
+    time::{Duration, Instant},
 };
 
 use axum::body::Bytes;
@@ -32,13 +33,13 @@ pub struct SubscriberFields {
 }
 
 impl SubscriberFields {
-    /// Protobuf fields to send in front of the shared ones.
+    /// Protobuf fields to send before the shared ones.
     pub fn protobuf(self) -> Vec<u8> {
         let Self { sent_time_ns, missed } = self;
         v1::Snapshot { sent_time_ns, missed, ..Default::default() }.encode_to_vec()
     }
 
-    /// `before` and the opened JSON object; the shared fields continue it.
+    /// `before` and the start of the JSON object that the shared fields continue.
     pub fn json(self, before: &str) -> String {
         let Self { sent_time_ns, missed } = self;
         format!(r#"{before}{{"sent_time_ns":"{sent_time_ns}","missed":{missed},"#)
@@ -47,15 +48,16 @@ impl SubscriberFields {
 
 #[derive(Default)]
 pub struct SnapshotEncoder {
-    forms: Mutex<EncodingCache>,
+    cache: Mutex<EncodingCache>,
 }
 
 type CachedEncoding = Arc<OnceLock<Bytes>>;
 
+/// Encodings of the newest snapshot.
 #[derive(Default)]
 struct EncodingCache {
     sequence: u64,
-    of: HashMap<(Encoding, Filter), CachedEncoding>,
+    slots: HashMap<(Encoding, Filter), CachedEncoding>,
     encoded: u64,
 }
 
@@ -66,62 +68,86 @@ impl SnapshotEncoder {
         hub: &Hub,
         fused: &FusedSnapshot,
         filter: &Filter,
-        form: Encoding,
+        encoding: Encoding,
     ) -> Bytes {
-        let encode = || encode(&filter.message(&hub.installation(), fused), form);
-        let mut forms = self.lock();
-        let Some(shared) = forms.slot(fused.sequence, filter, form) else {
-            // The cache already holds a newer snapshot.
-            drop(forms);
-            return encode();
+        self.shared_at_cost(hub, fused, filter, encoding).0
+    }
+
+    /// Like [`Self::shared`], with the time that the encoding took; zero if it was shared.
+    pub fn shared_at_cost(
+        &self,
+        hub: &Hub,
+        fused: &FusedSnapshot,
+        filter: &Filter,
+        encoding: Encoding,
+    ) -> (Bytes, Duration) {
+        let mut cost = Duration::ZERO;
+        let mut encode = || {
+            let begun = Instant::now();
+            let bytes = encode(&filter.message(&hub.installation(), fused), encoding);
+            cost = begun.elapsed();
+            bytes
         };
-        drop(forms);
-        shared.get_or_init(encode).clone()
+        let mut cache = self.lock();
+        let Some(shared) = cache.slot(fused.sequence, filter, encoding) else {
+            // The cache already holds a newer snapshot.
+            drop(cache);
+            let bytes = encode();
+            return (bytes, cost);
+        };
+        drop(cache);
+        let bytes = shared.get_or_init(encode).clone();
+        (bytes, cost)
     }
 
     fn lock(&self) -> MutexGuard<'_, EncodingCache> {
-        self.forms.lock().unwrap_or_else(PoisonError::into_inner)
+        self.cache.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// How many forms were made, of all snapshots.
+    /// Number of encodings made since the start.
     pub fn encoded(&self) -> u64 {
         self.lock().encoded
     }
 }
 
 impl EncodingCache {
-    /// Where a form of a snapshot is, or is to be; `None` if there is a newer snapshot.
-    fn slot(&mut self, sequence: u64, filter: &Filter, form: Encoding) -> Option<CachedEncoding> {
+    /// The slot of a snapshot's encoding, which may still be empty; `None` if the cache holds a newer snapshot.
+    fn slot(
+        &mut self,
+        sequence: u64,
+        filter: &Filter,
+        encoding: Encoding,
+    ) -> Option<CachedEncoding> {
         if self.sequence > sequence {
             return None;
         }
         if self.sequence < sequence {
             self.sequence = sequence;
-            self.of.clear();
+            self.slots.clear();
         }
-        let Self { of, encoded, .. } = self;
-        let made = of.entry((form, filter.clone())).or_insert_with(|| {
+        let Self { slots, encoded, .. } = self;
+        let slot = slots.entry((encoding, filter.clone())).or_insert_with(|| {
             *encoded += 1;
             CachedEncoding::default()
         });
-        Some(made.clone())
+        Some(slot.clone())
     }
 }
 
-fn encode(message: &v1::Snapshot, form: Encoding) -> Bytes {
-    match form {
+fn encode(message: &v1::Snapshot, encoding: Encoding) -> Bytes {
+    match encoding {
         Encoding::Protobuf => message.encode_to_vec().into(),
         Encoding::Json => match serde_json::to_string(message) {
             Ok(text) => without_subscriber_fields(&text).into(),
-            // The types are ours and hold nothing that JSON cannot say.
-            Err(error) => unreachable!("a snapshot is no JSON: {error}"),
+            // The generated types contain only values that JSON can represent.
+            Err(error) => unreachable!("a snapshot cannot be encoded as JSON: {error}"),
         },
     }
 }
 
-/// A snapshot's JSON from its first field on, but for the fields of [`SubscriberFields`], which are 0 in it.
+/// A snapshot's JSON without its opening brace and without the [`SubscriberFields`], which are 0 in it.
 fn without_subscriber_fields(text: &str) -> String {
-    // Both stand before or after all objects, whose texts are therefore never touched.
+    // These fields precede or follow all objects, so texts within objects are not affected.
     let fields = text.strip_prefix('{').unwrap_or(text);
     let fields = fields.replacen(r#""sent_time_ns":"0","#, "", 1);
     match fields.strip_suffix(r#","missed":0}"#) {
@@ -163,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn what_two_want_is_encoded_once_and_forgotten_with_the_next_snapshot() {
+    fn equal_requests_share_an_encoding_until_the_next_snapshot() {
         let (encoder, hub) = (SnapshotEncoder::default(), Hub::new(installation()));
         let fused = |sequence| FusedSnapshot { sequence, ..Default::default() };
         let all = Selection::default().filter;
@@ -174,7 +200,7 @@ mod tests {
         assert_eq!(encoder.encoded(), 2);
         let next = encoder.shared(&hub, &fused(2), &all, Encoding::Protobuf);
         assert_ne!(next, first);
-        // One that is behind gets its own, and does not bring the old one back.
+        // A subscriber that is behind gets its own encoding, and the cache stays with the newest snapshot.
         assert_eq!(encoder.shared(&hub, &fused(1), &all, Encoding::Protobuf), first);
         let again = encoder.shared(&hub, &fused(2), &all, Encoding::Protobuf);
         assert_eq!((again.as_ptr(), encoder.encoded()), (next.as_ptr(), 3));

@@ -1,8 +1,8 @@
-//! Snapshots for one subscriber: the newest each time, and the count of those it was too slow for.
+//! Snapshots for one subscriber: always the newest one, with the number of those missed before it.
 //!
-//! With a rate limit, time is cut into slots of 1 / rate. The snapshot nearest to a slot's begin
-//! serves it, so that the mean rate is the one asked for whatever the server's own is; what lies
-//! between slots was not wanted, and is not counted as missed.
+//! A rate limit divides time into slots of 1 / rate and admits the snapshot nearest to the start of each slot. The mean rate
+//! therefore equals the limit for any rate of the server. Snapshots between slots do not count as missed. Selections that
+//! exceed their share of the processors are slowed down, too (`encoding_budget`); what they skip counts as missed.
 
 use std::sync::{Arc, atomic::Ordering};
 
@@ -13,20 +13,21 @@ use tokio::sync::watch;
 use crate::{
     api::{
         ApiState,
+        encoding_budget::{EncodingAccount, EncodingShare},
         selection::Selection,
         snapshot_encoder::{Encoding, SubscriberFields},
     },
     model::hub::FusedSnapshot,
 };
 
-/// No server makes snapshots at such a rate, so a limit there is none.
+/// Limits from this rate on are ignored, since no server reaches it.
 const UNLIMITED_HZ: f64 = 1e6;
 
 #[derive(Debug)]
 struct RateLimiter {
-    /// `None`: each snapshot.
+    /// `None`: no limit.
     slot_s: Option<f64>,
-    /// A snapshot this much before its slot's begin is the nearest one.
+    /// A snapshot up to this much before the start of a slot belongs to it.
     tolerance_s: f64,
     next_slot: Option<Timestamp>,
     seen_sequence: Option<u64>,
@@ -40,7 +41,7 @@ impl RateLimiter {
         Self { slot_s, tolerance_s, next_slot: None, seen_sequence: None }
     }
 
-    /// Whether this snapshot is due, and if so how many were missed since the one before.
+    /// The number of snapshots missed since the previous one; `None` if this one is not due.
     fn admit(&mut self, sequence: u64, time: Timestamp) -> Option<u64> {
         let skipped = match self.seen_sequence {
             Some(seen) => sequence.saturating_sub(seen + 1),
@@ -54,7 +55,7 @@ impl RateLimiter {
             self.next_slot = Some(time.plus_seconds(slot_s));
             return Some(skipped);
         };
-        // Slots that begin before the one which this snapshot serves went without any.
+        // Number of slots without a snapshot before this one's.
         let late_slots = ((time.seconds_since(slot) + self.tolerance_s) / slot_s).floor();
         if late_slots >= 0.0 {
             self.next_slot = Some(slot.plus_seconds((late_slots + 1.0) * slot_s));
@@ -67,7 +68,7 @@ impl RateLimiter {
 /// An encoded snapshot for one subscriber.
 #[derive(Clone, Debug)]
 pub struct EncodedSnapshot {
-    /// Fields of this subscriber only.
+    /// Fields that only this subscriber gets.
     pub own: SubscriberFields,
     /// All other fields, shared by the subscribers with the same filter.
     pub shared: Bytes,
@@ -79,11 +80,13 @@ pub struct SnapshotSubscription {
     receiver: watch::Receiver<Arc<FusedSnapshot>>,
     selection: Selection,
     rate_limiter: RateLimiter,
+    /// `None` for a filter that needs no encoding of its own.
+    account: Option<EncodingAccount>,
 }
 
 impl SnapshotSubscription {
-    /// Starts with the newest snapshot, if there is one.
-    pub fn new(api: Arc<ApiState>, selection: Selection) -> Self {
+    /// Starts with the newest snapshot, if there is one. `share` is that of the client's connection.
+    pub fn new(api: Arc<ApiState>, selection: Selection, share: Arc<EncodingShare>) -> Self {
         let mut receiver = api.hub.snapshots();
         let is_first_there = receiver.borrow_and_update().sequence > 0;
         if is_first_there {
@@ -92,22 +95,30 @@ impl SnapshotSubscription {
         let rate_limiter =
             RateLimiter::new(selection.max_rate_hz, api.hub.installation().snapshot_rate_hz);
         api.counters.snapshot_subscribers.fetch_add(1, Ordering::Relaxed);
-        Self { api, receiver, selection, rate_limiter }
+        let account = (!selection.filter.selects_all())
+            .then(|| EncodingAccount::new(api.encoding_budget.clone(), share));
+        Self { api, receiver, selection, rate_limiter, account }
     }
 
     /// The next due snapshot; `None` when the hub is gone. Cancel safe.
-    pub async fn next(&mut self, form: Encoding) -> Option<EncodedSnapshot> {
+    pub async fn next(&mut self, encoding: Encoding) -> Option<EncodedSnapshot> {
         loop {
+            if let Some(account) = &self.account {
+                account.turn().await;
+            }
             self.receiver.changed().await.ok()?;
             let fused = self.receiver.borrow_and_update().clone();
-            // Times of a replay may run fast or backwards.
+            // The fusion times of a replay may run fast or backwards.
             let is_played = self.api.replay.is_some();
             let time = if is_played { self.api.clock.now() } else { fused.fused_time };
             let Some(missed) = self.rate_limiter.admit(fused.sequence, time) else {
                 continue;
             };
             let (api, filter) = (&self.api, &self.selection.filter);
-            let shared = api.encoder.shared(&api.hub, &fused, filter, form);
+            let (shared, cost) = api.encoder.shared_at_cost(&api.hub, &fused, filter, encoding);
+            if let Some(account) = &mut self.account {
+                account.charge(cost);
+            }
             let own = SubscriberFields { sent_time_ns: api.clock.now().as_ns(), missed };
             self.api.counters.snapshots_sent.fetch_add(1, Ordering::Relaxed);
             self.api.counters.snapshots_missed.fetch_add(missed, Ordering::Relaxed);
@@ -126,8 +137,7 @@ impl Drop for SnapshotSubscription {
 mod tests {
     use super::*;
 
-    /// Offers snapshots at `server_hz` in the given places, and returns those admitted with their
-    /// missed counts.
+    /// Offers the snapshots with these numbers, made at 60 Hz, and returns those admitted with their missed counts.
     fn admitted(
         max_rate_hz: Option<f64>,
         places: impl IntoIterator<Item = u64>,
@@ -135,7 +145,7 @@ mod tests {
         let mut rate_limiter = RateLimiter::new(max_rate_hz, 60.0);
         let start = Timestamp::from_ns(1_700_000_000_000_000_000);
         let offer = |place: u64| {
-            // A server's clock jitters a little.
+            // Publishing jitters.
             let jitter_s = if place.is_multiple_of(2) { 0.001 } else { -0.001 };
             let time = start.plus_seconds(place as f64 / 60.0 + jitter_s);
             rate_limiter.admit(place, time).map(|missed| (place, missed))
@@ -149,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn a_limit_gives_its_mean_rate_and_misses_nothing() {
+    fn a_rate_limit_is_met_on_average_without_missed_snapshots() {
         for (rate_hz, expected) in [(60.0, 600), (50.0, 500), (30.0, 300), (7.0, 70), (1.0, 10)] {
             let admitted = admitted(Some(rate_hz), 0..600);
             assert!(admitted.len().abs_diff(expected) <= 1, "{rate_hz}: {}", admitted.len());
@@ -167,7 +177,7 @@ mod tests {
 
     #[test]
     fn a_slow_subscriber_with_a_limit_misses_slots_and_not_snapshots() {
-        // One second of silence at 30 Hz: 60 snapshots passed, of which it wanted 30; it gets one.
+        // One second without reading at 30 Hz: 60 snapshots passed in 30 slots, and only the last one is delivered.
         let admitted = admitted(Some(30.0), (0..60).chain(120..180));
         let missed: u64 = admitted.iter().map(|&(_, missed)| missed).sum();
         assert_eq!(admitted.len() as u64 + missed, 90);

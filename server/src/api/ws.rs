@@ -1,9 +1,9 @@
-//! `/api/v1/stream`: one WebSocket with everything that a page needs.
+//! `/api/v1/stream`: snapshots, cameras, events and observations over one WebSocket.
 //!
-//! Text messages with one key each: `{"snapshot":…}`, `{"cameras":[…]}` twice a second, and
-//! `{"event":…}`, beginning with the newest remembered ones, `{"observations":…}` frame by frame; or, by subprotocol, the same in protobuf
-//! (`stream.proto`). The client changes what it wants by a message on the open socket; one that says nothing to the
-//! point is answered with `{"error":…}`, and everything goes on as before.
+//! The server sends text messages with one key each: `{"snapshot":…}`, `{"cameras":[…]}` twice a second, `{"event":…}`
+//! beginning with the newest logged events, and `{"observations":…}` for every frame. With the subprotocol
+//! `roundel.v1.protobuf` it sends the same content as a binary `StreamMessage` (`stream.proto`). A message from the client
+//! replaces its selection. An invalid message is answered with `{"error":…}`, and the selection stays.
 
 mod socket;
 mod stream_selection;
@@ -32,11 +32,11 @@ use tokio_tungstenite::tungstenite::{
     protocol::{CloseFrame, WebSocketConfig, frame::coding::CloseCode},
 };
 
-use super::convert;
 use super::{
     ApiState, MAX_REQUEST_BYTES,
+    encoding_budget::EncodingShare,
     error::{ApiError, ErrorBody, SHUTTING_DOWN},
-    listener::count_stalled,
+    listener::{count_stalled, encoding_share},
     observation_subscription::ObservationSubscription,
     queries,
     snapshot_encoder::Encoding,
@@ -53,57 +53,59 @@ const PING_INTERVAL: Duration = Duration::from_secs(5);
 const SILENCE_TIMEOUT: Duration = Duration::from_secs(20);
 const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
 const CAMERA_INTERVAL: Duration = Duration::from_millis(500);
-/// Remembered events that are sent first.
+/// Logged events that are sent first.
 const EVENT_BACKLOG: usize = 50;
-/// Subprotocols: how messages are written, the first one if the client names none.
+/// Subprotocols, one for each encoding. The first one is the default.
 const PROTOCOLS: [&str; 2] = ["roundel.v1.json", "roundel.v1.protobuf"];
-/// Opens the stream; a WebSocket handshake.
+
+/// Opens the stream with a WebSocket handshake.
 ///
-/// A client that reads too slowly gets the newest snapshot and the number that it missed; one that
-/// does not read at all is cut off after 10 s. The subprotocol `roundel.v1.protobuf` gives binary messages (StreamMessage
-/// of `stream.proto`) instead of text. A message `{"snapshots": {…}, "cameras": true, "events": true}` (StreamRequest)
-/// on the open socket replaces what was asked for before.
+/// A slow client skips to the newest snapshot, which has the number of those it missed. A client that reads nothing for 10 s
+/// is disconnected. The subprotocol `roundel.v1.protobuf` selects binary messages (StreamMessage of `stream.proto`) instead
+/// of text. A message `{"snapshots": {…}, "cameras": true, "events": true}` (StreamRequest) on the open socket replaces the
+/// selection.
 #[utoipa::path(
     get, path = "/api/v1/stream", tag = "poses",
     params(
-        ("include" = Option<String>, Query, description = "any of snapshots,cameras,events,observations; snapshots if left out", example = "snapshots,cameras,events"),
+        ("include" = Option<String>, Query, description = "any of snapshots,cameras,events,observations [snapshots]", example = "snapshots,cameras,events"),
         ("cameras" = Option<String>, Query, description = "observations of these cameras only, commas between", example = "north"),
-        ("max_rate_hz" = Option<f64>, Query, description = "at most this many snapshots a second"),
-        ("ids" = Option<String>, Query, description = "only these objects, and those of names and codes; commas between. A server that is started anew gives ids anew", example = "1,2"),
-        ("names" = Option<String>, Query, description = "those that have these configured names, commas between", example = "cart"),
-        ("codes" = Option<String>, Query, description = "those that were seen with these codes, commas between; 8:12 for one of 8 bits", example = "12"),
+        ("max_rate_hz" = Option<f64>, Query, description = "maximum number of snapshots per second"),
+        ("ids" = Option<String>, Query, description = "only these objects, and those of names and codes; commas between. Ids change when the server restarts", example = "1,2"),
+        ("names" = Option<String>, Query, description = "objects with these configured names, commas between", example = "cart"),
+        ("codes" = Option<String>, Query, description = "objects seen with these codes, commas between; 8:12 for one of 8 bits", example = "12"),
         ("roundels" = Option<String>, Query, description = "only objects of these kinds of roundel, commas between", example = "robot"),
         ("min" = Option<String>, Query, description = "with max: only objects in this box of the world frame; its smallest corner, metres", example = "-1,-1,0"),
         ("max" = Option<String>, Query, description = "the box's largest corner, metres", example = "1,1,2"),
         ("horizon_ms" = Option<f64>, Query, description = "predict every pose this far past the server's pose time, 0 to 1000"),
-        ("omit_covariance" = Option<bool>, Query, description = "leave the covariances out"),
+        ("omit_covariance" = Option<bool>, Query, description = "omit the covariances"),
     ),
     responses(
-        (status = 101, description = "text messages with one key each: {\"snapshot\":Snapshot}, {\"cameras\":[Camera]} twice a second, {\"event\":Event}, {\"observations\":FrameObservations}; {\"error\":{code, message}} if a message of the client is wrong"),
+        (status = 101, description = "text messages with one key each: {\"snapshot\":Snapshot}, {\"cameras\":[Camera]} twice a second, {\"event\":Event}, {\"observations\":FrameObservations}; {\"error\":{code, message}} if a message from the client is invalid"),
         (status = 400, description = "names the wrong parameter", body = ErrorBody),
-        (status = 403, description = "for pages of origins that [server] allow_origins does not name", body = ErrorBody),
-        (status = 426, description = "no WebSocket handshake", body = ErrorBody),
+        (status = 403, description = "the page's origin is not in [server] allow_origins", body = ErrorBody),
+        (status = 426, description = "the request is not a WebSocket handshake", body = ErrorBody),
     ),
 )]
 pub async fn stream(
     State(api): State<Arc<ApiState>>,
     request: Request<Body>,
 ) -> Result<Response<Body>, ApiError> {
-    api.allowed_origins.check(request.headers())?;
     let selection = StreamSelection::from_query(&api, request.uri())?;
+    let share = encoding_share(request.extensions());
     let protocols = offered(&request);
     let mut handshake = Handshake::new(request).map_err(ApiError::UpgradeRequired)?;
     let chosen = handshake.choose(&protocols, &PROTOCOLS);
-    let form = if chosen == Some(PROTOCOLS[1]) { Encoding::Protobuf } else { Encoding::Json };
+    let encoding = if chosen == Some(PROTOCOLS[1]) { Encoding::Protobuf } else { Encoding::Json };
     let config = WebSocketConfig::default()
         .max_message_size(Some(MAX_REQUEST_BYTES))
         .max_frame_size(Some(MAX_REQUEST_BYTES))
         .read_buffer_size(READ_BUFFER_BYTES)
         .write_buffer_size(0);
-    Ok(handshake.answer(config, move |socket| Session::new(api, selection, form).run(socket)))
+    Ok(handshake
+        .answer(config, move |socket| Session::new(api, selection, encoding, share).run(socket)))
 }
 
-/// What is sent: one key each.
+/// A message to the client. As JSON, the variant's name is the only key.
 #[derive(Serialize)]
 #[serde(rename_all = "lowercase")]
 enum Outgoing {
@@ -116,13 +118,14 @@ enum Outgoing {
 }
 
 impl Outgoing {
-    fn encode(self, form: Encoding) -> Result<Message, serde_json::Error> {
+    fn encode(self, encoding: Encoding) -> Result<Message, serde_json::Error> {
         use v1::stream_message::Message as Alternative;
-        let alternative = match (form, self) {
+        let alternative = match (encoding, self) {
             (Encoding::Json, Self::Snapshot(EncodedSnapshot { own, shared })) => {
+                let shared = str::from_utf8(&shared).expect("JSON is UTF-8");
                 let mut text = own.json(r#"{"snapshot":"#);
                 text.reserve(shared.len() + 1);
-                text.push_str(&String::from_utf8_lossy(&shared));
+                text.push_str(shared);
                 text.push('}');
                 return Ok(text.into());
             }
@@ -158,21 +161,19 @@ fn stream_message(EncodedSnapshot { own, shared }: &EncodedSnapshot) -> Vec<u8> 
 /// Why a session ends.
 enum SessionEnd {
     Shutdown,
-    /// The client broke the protocol: close code and reason.
+    /// The client violated the protocol: close code and reason.
     Wrong(CloseCode, String),
     /// The client has left or does not read, so no close frame is sent.
     Gone,
 }
 
 impl SessionEnd {
-    /// By what reading a message ended in (RFC 6455, section 7.4.1).
+    /// The end that a read error causes, with its close code (RFC 6455, section 7.4.1).
     fn of(error: &tungstenite::Error) -> Self {
         use tungstenite::Error;
         match error {
             Error::Capacity(_) => Self::Wrong(CloseCode::Size, ApiError::TooLarge.to_string()),
-            Error::Utf8(_) => {
-                Self::Wrong(CloseCode::Invalid, "expected a text in UTF-8".to_owned())
-            }
+            Error::Utf8(_) => Self::Wrong(CloseCode::Invalid, "expected UTF-8 text".to_owned()),
             Error::Protocol(ProtocolError::ResetWithoutClosingHandshake) => Self::Gone,
             Error::Protocol(error) => Self::Wrong(CloseCode::Protocol, error.to_string()),
             _ => Self::Gone,
@@ -182,7 +183,8 @@ impl SessionEnd {
 
 struct Session {
     api: Arc<ApiState>,
-    form: Encoding,
+    encoding: Encoding,
+    share: Arc<EncodingShare>,
     subscription: Option<SnapshotSubscription>,
     cameras: Option<Interval>,
     backlog: Vec<Arc<hub::Event>>,
@@ -191,20 +193,33 @@ struct Session {
 }
 
 impl Session {
-    fn new(api: Arc<ApiState>, selection: StreamSelection, form: Encoding) -> Self {
+    fn new(
+        api: Arc<ApiState>,
+        selection: StreamSelection,
+        encoding: Encoding,
+        share: Arc<EncodingShare>,
+    ) -> Self {
         let backlog = Vec::new();
         let (subscription, cameras, events, observation_subscription) = (None, None, None, None);
-        let mut session =
-            Self { api, form, subscription, cameras, backlog, events, observation_subscription };
+        let mut session = Self {
+            api,
+            encoding,
+            share,
+            subscription,
+            cameras,
+            backlog,
+            events,
+            observation_subscription,
+        };
         session.change(selection);
         session
     }
 
-    /// Wants something else from now on.
     fn change(&mut self, selection: StreamSelection) {
         let api = &self.api;
-        let subscription =
-            selection.snapshots.map(|selection| SnapshotSubscription::new(api.clone(), selection));
+        let subscription = selection
+            .snapshots
+            .map(|selection| SnapshotSubscription::new(api.clone(), selection, self.share.clone()));
         let cameras = selection.cameras.then(|| {
             let mut ticks = interval(CAMERA_INTERVAL);
             ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -237,7 +252,7 @@ impl Session {
         let mut last_heard = Instant::now();
         loop {
             for event in std::mem::take(&mut self.backlog) {
-                self.send(socket, Outgoing::Event(convert::event(&event))).await?;
+                self.send(socket, Outgoing::Event(Arc::unwrap_or_clone(event))).await?;
             }
             let message = tokio::select! {
                 () = self.api.cancel.cancelled() => return Err(SessionEnd::Shutdown),
@@ -259,7 +274,7 @@ impl Session {
                     self.transmit(socket, Message::Ping(Default::default())).await?;
                     continue;
                 }
-                snapshot = next_snapshot(&mut self.subscription, self.form) => {
+                snapshot = next_snapshot(&mut self.subscription, self.encoding) => {
                     Outgoing::Snapshot(snapshot.ok_or(SessionEnd::Shutdown)?)
                 }
                 () = next_tick(&mut self.cameras) => Outgoing::Cameras(queries::cameras(&self.api)),
@@ -272,7 +287,7 @@ impl Session {
                 },
                 event = next_event(&mut self.events) => {
                     let event = event.ok_or(SessionEnd::Shutdown)?;
-                    Outgoing::Event(convert::event(&event))
+                    Outgoing::Event(Arc::unwrap_or_clone(event))
                 }
             };
             self.send(socket, message).await?;
@@ -281,13 +296,13 @@ impl Session {
 
     fn handle_request(&mut self, message: &Message) -> Result<(), ApiError> {
         if matches!(message, Message::Text(_) | Message::Binary(_)) {
-            self.change(StreamSelection::from_message(&self.api, message, self.form)?);
+            self.change(StreamSelection::from_message(&self.api, message, self.encoding)?);
         }
         Ok(())
     }
 
     async fn send(&self, socket: &mut Socket, message: Outgoing) -> Result<(), SessionEnd> {
-        match message.encode(self.form) {
+        match message.encode(self.encoding) {
             Ok(message) => self.transmit(socket, message).await,
             Err(error) => {
                 tracing::error!(%error, "could not encode a message as JSON");
@@ -302,7 +317,7 @@ impl Session {
         tokio::select! {
             biased;
             sent = &mut send => sent.map_err(|error| self.send_failed(&error)),
-            // The close frame must not end up within the message.
+            // A message that was begun is completed: the close frame must follow it.
             () = self.api.cancel.cancelled() => match timeout(CLOSE_TIMEOUT, &mut send).await {
                 Ok(Ok(())) => Err(SessionEnd::Shutdown),
                 _ => Err(SessionEnd::Gone),
@@ -322,10 +337,10 @@ impl Session {
 
 async fn next_snapshot(
     subscription: &mut Option<SnapshotSubscription>,
-    form: Encoding,
+    encoding: Encoding,
 ) -> Option<EncodedSnapshot> {
     match subscription {
-        Some(subscription) => subscription.next(form).await,
+        Some(subscription) => subscription.next(encoding).await,
         None => std::future::pending().await,
     }
 }

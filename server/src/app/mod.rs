@@ -1,4 +1,4 @@
-//! The program: wires the modules together, and reads the command line.
+//! Wires the modules together to servers and nodes, and implements the command line.
 
 pub mod cli;
 pub mod replay_server;

@@ -2,14 +2,13 @@
 
 use std::{net::SocketAddr, sync::Arc, thread::JoinHandle};
 
-use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
-use super::serve::ServeError;
+use super::serve::{ServeError, listen, spawn};
 use crate::{
-    api::{self, ApiState},
+    api::{self, AllowedOrigins, ApiState, access::AccessControl},
     archive::replay::{Replay, ReplayStatus, player::Player, session::ReplaySession},
-    model::hub::Hub,
+    model::{access::AccessConfig, hub::Hub},
 };
 
 /// A server that plays a recording. Dropping it ends its thread.
@@ -23,43 +22,40 @@ pub struct ReplayServer {
 }
 
 impl ReplayServer {
-    /// Binds the port and begins to play. To be called within a tokio runtime.
+    /// Binds the port and begins to play, in the current tokio runtime.
     pub async fn start(
         session: ReplaySession,
-        listen: SocketAddr,
+        address: SocketAddr,
         begin: ReplayStatus,
     ) -> Result<Self, ServeError> {
-        let listening = |source| ServeError::Listen { address: listen, source };
-        let listener = TcpListener::bind(listen).await.map_err(listening)?;
-        let address = listener.local_addr().map_err(listening)?;
-        let ReplaySession { reader, engine, updates, hub, clock, late_window_ms } = session;
+        let (listener, address) = listen(address).await?;
+        let (hub, clock, late_window_ms) =
+            (session.hub.clone(), session.clock, session.late_window_ms);
         let replay = Replay::new(begin);
-        let player = Player::new((reader, engine), updates, replay.clone());
-        let builder = std::thread::Builder::new().name("replay".to_owned());
-        let thread = builder.spawn(move || player.run());
-        let thread =
-            thread.map_err(|source| ServeError::Thread { name: "replay".to_owned(), source })?;
+        let player = Player::new(session, replay.clone());
+        let player = spawn("replay".to_owned(), move || player.run())?;
         let cancel = CancellationToken::new();
+        let access =
+            AccessControl::new(&AccessConfig::default(), AllowedOrigins::default(), address, true);
         let state = ApiState {
+            access: Arc::new(access),
             late_window_ms,
             replay: Some(replay.clone()),
             cancel: cancel.clone(),
             ..ApiState::new(hub.clone(), clock)
         };
         let api = Some(tokio::spawn(api::serve(listener, state)));
-        Ok(Self { address, hub, replay, cancel, player: Some(thread), api })
+        Ok(Self { address, hub, replay, cancel, player: Some(player), api })
     }
 
     pub fn local_addr(&self) -> SocketAddr {
         self.address
     }
 
-    /// The newest of everything.
     pub fn hub(&self) -> &Arc<Hub> {
         &self.hub
     }
 
-    /// The recording that is being played.
     pub fn replay(&self) -> &Replay {
         &self.replay
     }
@@ -67,7 +63,6 @@ impl ReplayServer {
     pub async fn shutdown(mut self) {
         self.replay.stop();
         if let Some(player) = self.player.take() {
-            // It obeys at once.
             let _ = tokio::task::spawn_blocking(move || player.join()).await;
         }
         self.cancel.cancel();

@@ -1,12 +1,16 @@
-//! Puts a server together, and takes it apart on shutdown: cameras first, then fusion, then clients. [`node`] does
-//! so with what only captures and searches.
+//! Builds a server from its configuration and shuts it down: cameras first, then fusion, then clients. [`node`] is the
+//! counterpart that only captures and searches.
 
+mod essential;
 pub mod node;
 
 use std::{
     io,
     net::SocketAddr,
-    sync::{Arc, OnceLock, mpsc::sync_channel},
+    sync::{
+        Arc, Mutex, OnceLock, PoisonError,
+        mpsc::{channel, sync_channel},
+    },
     thread::{self, JoinHandle},
     time::{Duration, Instant},
 };
@@ -16,88 +20,86 @@ use roundel_core::{
     marker::{DetectorError, MaskError},
 };
 use thiserror::Error;
-use tokio::net::TcpListener;
+use tokio::{net::TcpListener, sync::oneshot};
 use tokio_util::sync::CancellationToken;
 
 pub use crate::fusion::camera_manager::SourceContext;
-use crate::fusion::setup::{ObjectError, fusion_machine, installation, landmarks};
 use crate::{
-    api::{self, AllowedOrigins, ApiLimits, ApiState},
+    api::{
+        self, AllowedOrigins, ApiLimits, ApiState,
+        access::AccessControl,
+        tls::{CertificateSummary, Tls, TlsError},
+    },
     archive::{
-        history::{History, HistoryError},
-        record::{Recorder, RecordingOptions},
+        history::History,
+        record::{Recorder, standing},
     },
     capture::{
         source::{
             OpenSource, Playback, SourceOpener, TimesError, fleet::Fleets, push::PushEndpoints,
         },
         source_probe::SourceProbe,
-        worker::{WorkerCounts, WorkerOutput},
+        worker::WorkerOutput,
     },
     fusion::{
-        CameraMonitorParts, FusionTask, PublishSchedule, QUEUE_FRAMES,
+        FusionTask, PublishSchedule, QUEUE_FRAMES,
         calibration::{
-            Calibrator, CalibratorParts,
+            Calibrator,
             file::{CalibrationFile, CalibrationFileError},
         },
-        camera_manager::{
-            self, CameraManager, CameraManagerError, CameraManagerParts, SourceFactory,
-        },
+        camera_manager::{self, CameraManager, CameraManagerError, CameraManagerParts},
+        setup::{ObjectError, fusion_machine, landmarks},
     },
     lab::lens::LensCalibrator,
     model::{
+        access::AccessConfig,
         clock::Clock,
         config::Config,
         hub::{EventKind, Hub},
         stop::StopSignal,
     },
 };
+use essential::Essential;
 
-/// Time that shutdown may take in all.
-pub const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(5);
-/// Of it, for clients; the rest is for cameras and fusion, which need far less.
-const CLIENT_TIMEOUT: Duration = Duration::from_secs(2);
+/// Time limit of a shutdown, after which a process ends at once. Below 5 s, with what the exit itself takes.
+pub const SHUTDOWN_TIMEOUT: Duration = Duration::from_millis(4800);
+/// Parts of [`SHUTDOWN_TIMEOUT`]: for cameras, fusion and history, which rarely need a tenth of it; for the recording; and
+/// for clients.
+const PRODUCER_TIMEOUT: Duration = Duration::from_millis(1800);
+const RECORDER_TIMEOUT: Duration = Duration::from_millis(1200);
+const CLIENT_TIMEOUT: Duration = Duration::from_millis(1500);
 
-/// Why a server does not start.
 #[derive(Debug, Error)]
 pub enum ServeError {
-    /// The port is taken, or not ours to take.
     #[error("cannot listen on {address}: {source}; {}", remedy(.source))]
-    Listen {
-        /// What was to be bound.
-        address: SocketAddr,
-        source: io::Error,
-    },
-    /// The clock cannot follow a file of times.
+    Listen { address: SocketAddr, source: io::Error },
+    #[error(
+        "refusing to listen on {address}: other computers could read and change everything. Either\n  \
+         - add `tls = {{ certificate = \"roundel.pem\", key = \"roundel.key\", self_signed = true }}` under [server]\n    \
+         and an entry of [[access]] by `roundel token add NAME --role setup --config FILE`;\n  \
+         - or, if you trust everyone on this network, add `insecure = true` under [server] (the option --insecure)"
+    )]
+    Exposed { address: SocketAddr },
+    #[error(transparent)]
+    Tls(#[from] TlsError),
     #[error(transparent)]
     Times(#[from] TimesError),
-    /// The calibration file cannot be used.
     #[error(transparent)]
     Calibration(#[from] CalibrationFileError),
-    /// The kinds of roundel cannot be searched for.
     #[error("kinds of roundel: {0}")]
     Detector(#[from] DetectorError),
-    /// The history cannot be kept.
-    #[error(transparent)]
-    History(#[from] HistoryError),
-    /// A camera's mask is none.
     #[error(transparent)]
     Mask(#[from] MaskError),
-    /// A camera cannot be begun.
     #[error(transparent)]
     CameraManager(#[from] CameraManagerError),
-    /// An object cannot be followed.
     #[error(transparent)]
     Object(#[from] ObjectError),
-    /// A node takes its frames from a program.
     #[error(
-        "camera \"{camera}\" has `source = \"push:\"`: a node takes frames from cameras, and only a server can be fed"
+        "camera \"{camera}\" has `source = \"push:\"`: only a server accepts pushed frames; give the node the camera's own source"
     )]
     NodeIsFed { camera: String },
-    /// There cannot be a server there.
     #[error(transparent)]
     Client(roundel_client::Error),
-    /// The system gives no thread.
     #[error("cannot start the thread `{name}`: {source}")]
     Thread { name: String, source: io::Error },
 }
@@ -105,55 +107,57 @@ pub enum ServeError {
 fn remedy(error: &io::Error) -> &'static str {
     match error.kind() {
         io::ErrorKind::AddrInUse => {
-            "another program, perhaps another roundel, has this port: stop it, or choose another \
-             `listen` (port 0 takes a free one)"
+            "another program, perhaps another roundel, uses this port: stop it, or choose another `listen` (port 0 selects a \
+             free one)"
         }
         io::ErrorKind::PermissionDenied => "ports below 1024 need privileges: choose a higher one",
-        io::ErrorKind::AddrNotAvailable => "this machine has no such address: correct `listen`",
+        io::ErrorKind::AddrNotAvailable => "this computer has no such address: correct `listen`",
         _ => "correct `listen`",
     }
 }
 
-/// A running server. Dropping it without [`Server::shutdown`] ends its threads too, but does not
-/// wait for them.
+/// A running server. Dropping it without [`Server::shutdown`] ends its threads too, but does not wait for them.
 pub struct Server {
     address: SocketAddr,
+    certificate: Option<CertificateSummary>,
     hub: Arc<Hub>,
     clock: Clock,
     playback: Playback,
     calibrator: Arc<Calibrator>,
     lenses: Arc<LensCalibrator>,
     fleets: Arc<Fleets>,
-    camera_manager: Option<Arc<CameraManager>>,
-    recorder: Option<Arc<Recorder>>,
+    camera_manager: Arc<CameraManager>,
+    recorder: Arc<Recorder>,
+    stop_recording: StopSignal,
     history: Option<Arc<History>>,
     stop_fusion: StopSignal,
     cancel_clients: CancellationToken,
+    /// Cancelled when an essential thread has ended.
+    failed: CancellationToken,
+    /// `None` after the shutdown, like `api`.
     fusion: Option<JoinHandle<()>>,
     api: Option<tokio::task::JoinHandle<()>>,
+    is_shut_down: bool,
 }
 
 impl Server {
-    /// Binds the port and starts cameras, fusion and APIs. To be called within a tokio runtime.
+    /// Binds the port and starts cameras, fusion and APIs, in the current tokio runtime.
     ///
-    /// A camera whose source cannot be opened is no error: it is shown as failed and tried again.
+    /// A source that cannot be opened is no error: its camera is marked failed and retried.
     pub async fn start(config: Config) -> Result<Self, ServeError> {
         let fleets = Arc::<Fleets>::default();
         let shared = fleets.clone();
-        let source = move |setting: SourceContext<'_>| -> Box<dyn OpenSource> {
-            let SourceContext { camera, clock, playback, stop, port, .. } = setting;
-            let size = (camera.calibration.width(), camera.calibration.height());
-            let opener = SourceOpener::new(camera.address.clone(), size, clock, playback, stop);
-            Box::new(
-                opener.with_push_endpoint(port.unwrap_or_default()).with_fleets(shared.clone()),
-            )
+        let source = move |mut context: SourceContext<'_>| -> Box<dyn OpenSource> {
+            let endpoint = context.port.take().unwrap_or_default();
+            let opener = source_opener(context).with_push_endpoint(endpoint);
+            Box::new(opener.with_fleets(shared.clone()))
         };
         Self::start_with_fleets(config, fleets, source).await
     }
 
-    /// The same with frames of the caller's own: `source` is asked each time that a camera's worker begins. Its
-    /// sources give frames of the size of the camera's calibration, with capture times on the
-    /// setting's clock, and end their waits on its stop signal.
+    /// Like [`Server::start`], with sources of the caller. `source` is called each time a camera's worker starts; its
+    /// sources yield frames of the calibration's size with capture times on the context's clock, and end their waits
+    /// on its stop signal.
     pub async fn start_with_sources(
         config: Config,
         source: impl FnMut(SourceContext<'_>) -> Box<dyn OpenSource> + Send + 'static,
@@ -166,60 +170,141 @@ impl Server {
         fleets: Arc<Fleets>,
         source: impl FnMut(SourceContext<'_>) -> Box<dyn OpenSource> + Send + 'static,
     ) -> Result<Self, ServeError> {
-        let address = config.server.listen;
-        let listening = |source| ServeError::Listen { address, source };
-        let listener = TcpListener::bind(address).await.map_err(listening)?;
-        let address = listener.local_addr().map_err(listening)?;
+        check_exposure(config.server.listen, config.server.tls.is_some(), &config.access)?;
+        let tls = load_tls(&config)?;
+        let certificate = tls.certificate();
+        let (listener, address) = listen(config.server.listen).await?;
         let (clock, playback) = Playback::begin(config.cameras.iter().map(|c| &c.address))?;
-        let hub = Arc::new(Hub::new(installation(&config, clock.now())));
+        let hub = Arc::new(Hub::new(camera_manager::setup::installation(&config, clock.now())));
         let mut calibrated = config.clone();
         let file = load_calibration(&mut calibrated, &hub, clock)?;
-        let calibrator = Arc::new(Calibrator::new(CalibratorParts {
+        let cameras = config.cameras.iter().map(camera_manager::setup::calibrator_camera);
+        let calibrator = Arc::new(Calibrator::new(
+            hub.clone(),
+            clock,
+            (0..).map(CameraId).zip(cameras).collect(),
+            landmarks(&config),
+            config.server.calibration.clone(),
+            file,
+        ));
+        let lenses = Arc::new(LensCalibrator::new(hub.clone(), &config.folder));
+        let start_history = |settings| Arc::new(History::start(settings, hub.clone(), clock));
+        let history = config.history.clone().map(start_history);
+        // Started before fusion and cameras, so that a recording misses nothing.
+        let (recorder, recorded_manager) = new_recorder(&config, &hub, clock);
+        let stop_recording = StopSignal::default();
+        if config.recording.starts {
+            standing::start(recorder.clone(), stop_recording.clone());
+        }
+
+        // Workers drop and count observations when this queue is full.
+        let (to_fusion, from_workers) = sync_channel::<WorkerOutput>(QUEUE_FRAMES);
+        let machine = fusion_machine(&config)?;
+        let mut task = FusionTask::new(machine, hub.clone(), clock, from_workers);
+        if config.server.monitors_cameras {
+            task = task.with_camera_monitor(&landmarks(&config), calibrator.clone());
+        } else {
+            tracing::warn!(
+                "cameras are not monitored (`watch = false` in [server]): a bumped camera stays in use"
+            );
+        }
+        let (task, commands) = task.with_commands();
+        let period = Duration::from_secs_f64(1.0 / config.server.snapshot_rate_hz);
+        let schedule = PublishSchedule::new(period, config.server.publishes_per_frame);
+        let (stop_fusion, failed) = (StopSignal::default(), CancellationToken::new());
+        let stop = stop_fusion.clone();
+        let essential = Essential::new("fusion", &failed, move || stop.is_stopped());
+        let (stop, ending_hub) = (stop_fusion.clone(), hub.clone());
+        let fusion = spawn("fusion".to_owned(), move || {
+            let _essential = essential;
+            let _end = FusionEnd(ending_hub);
+            task.run(schedule, &stop);
+        })?;
+
+        let ports = Arc::new(PushEndpoints::default());
+        let parts = CameraManagerParts {
+            config: config.clone(),
             hub: hub.clone(),
             clock,
-            cameras: (0..)
-                .map(CameraId)
-                .zip(config.cameras.iter().map(camera_manager::setup::calibrator_camera))
-                .collect(),
-            landmarks: landmarks(&config),
-            path: config.server.calibration.clone(),
-            file,
-        }));
-        let lenses = Arc::new(LensCalibrator::new(hub.clone(), &config.folder));
-        let mut server = Self {
+            playback,
+            calibrator: calibrator.clone(),
+            ports: ports.clone(),
+            to_fusion,
+            commands,
+            sources: Box::new(source),
+        };
+        let camera_manager = CameraManager::start(parts, &calibrated);
+        let camera_manager = Arc::new(camera_manager.inspect_err(|_| stop_fusion.stop())?);
+        let _ = recorded_manager.set(camera_manager.clone());
+
+        let (kinds, folder) = (config.kinds.clone(), config.folder.clone());
+        let source_probe = || Arc::new(SourceProbe::new(kinds, folder, clock, playback));
+        let cancel_clients = CancellationToken::new();
+        let origins = AllowedOrigins(config.server.allow_origins.clone());
+        let setup = config.server.setup;
+        let access = AccessControl::new(&config.access, origins, address, setup);
+        let needs_tls = config.server.tls.is_some() && !config.access.insecure;
+        let access = Arc::new(if needs_tls { access.with_tls_only() } else { access });
+        let state = ApiState {
+            calibrator: calibrator.clone(),
+            lenses: lenses.clone(),
+            kinds: config.kinds.clone(),
+            fleets: fleets.clone(),
+            ports,
+            late_window_ms: config.fusion.late_window_s * 1e3,
+            source_probe: config.server.setup.then(source_probe),
+            camera_manager: config.server.setup.then(|| camera_manager.clone()),
+            access,
+            recorder: Some(recorder.clone()),
+            history: history.clone(),
+            cancel: cancel_clients.clone(),
+            limits: ApiLimits {
+                max_clients: config.limits.max_clients,
+                max_connections_per_peer: config.limits.max_connections_per_peer,
+                grace: CLIENT_TIMEOUT,
+                ..ApiLimits::default()
+            },
+            tls,
+            ..ApiState::new(hub.clone(), clock)
+        };
+        let cancel = cancel_clients.clone();
+        let essential = Essential::new("the API", &failed, move || cancel.is_cancelled());
+        let api = async move {
+            let _essential = essential;
+            api::serve(listener, state).await;
+        };
+        Ok(Self {
             address,
+            certificate,
             hub,
             clock,
             playback,
             calibrator,
             lenses,
             fleets,
-            camera_manager: None,
-            recorder: None,
-            history: None,
-            stop_fusion: StopSignal::default(),
-            cancel_clients: CancellationToken::new(),
-            fusion: None,
-            api: None,
-        };
-        if let Some(settings) = config.history.clone() {
-            server.history = Some(Arc::new(History::start(settings, server.hub.clone())?));
-        }
-        let ports = Arc::new(PushEndpoints::default());
-        // Before anything happens, so that nothing is missing in what is recorded from the begin.
-        let camera_manager = server.start_recorder(&config);
-        server.start_threads(&config, &calibrated, (ports.clone(), Box::new(source)))?;
-        server.camera_manager.iter().for_each(|it| drop(camera_manager.set(it.clone())));
-        server.start_api(listener, &config, ports);
-        Ok(server)
+            camera_manager,
+            recorder,
+            stop_recording,
+            history,
+            stop_fusion,
+            cancel_clients,
+            failed,
+            fusion: Some(fusion),
+            api: Some(tokio::spawn(api)),
+            is_shut_down: false,
+        })
     }
 
-    /// Where it listens; the port is a real one even if 0 was asked for.
+    /// The address it listens on, with the actual port where 0 was configured.
     pub fn local_addr(&self) -> SocketAddr {
         self.address
     }
 
-    /// The newest of everything.
+    /// The TLS certificate at start; `None` without `[server] tls`.
+    pub fn certificate(&self) -> Option<&CertificateSummary> {
+        self.certificate.as_ref()
+    }
+
     pub fn hub(&self) -> &Arc<Hub> {
         &self.hub
     }
@@ -228,7 +313,7 @@ impl Server {
         self.clock
     }
 
-    /// The time line of its recorded and simulated sources.
+    /// The time line of recorded and simulated sources.
     pub fn playback(&self) -> Playback {
         self.playback
     }
@@ -241,141 +326,68 @@ impl Server {
         &self.calibrator
     }
 
-    pub fn recorder(&self) -> Option<&Arc<Recorder>> {
-        self.recorder.as_ref()
+    pub fn recorder(&self) -> &Arc<Recorder> {
+        &self.recorder
     }
 
-    /// The cameras that there are, and how they become others.
-    pub fn camera_manager(&self) -> Option<&Arc<CameraManager>> {
-        self.camera_manager.as_ref()
+    /// Waits until an essential thread or task has failed. Then nothing is localized or served any more.
+    pub async fn failed(&self) {
+        self.failed.cancelled().await;
     }
 
-    fn start_threads(
-        &mut self,
-        config: &Config,
-        calibrated: &Config,
-        (ports, sources): (Arc<PushEndpoints>, SourceFactory),
-    ) -> Result<(), ServeError> {
-        // Full: observations are dropped and counted, see `worker`.
-        let (to_fusion, from_workers) = sync_channel::<WorkerOutput>(QUEUE_FRAMES);
-        let machine = fusion_machine(config)?;
-        let mut task = FusionTask::new(machine, self.hub.clone(), self.clock, from_workers);
-        if config.server.monitors_cameras {
-            let (landmarks, calibrator) = (landmarks(config), self.calibrator.clone());
-            task = task.with_camera_monitor(CameraMonitorParts { landmarks, calibrator });
-        } else {
-            tracing::warn!(
-                "cameras are not watched (`watch = false` in [server]): one that is bumped goes on to be used"
-            );
-        }
-        let (task, commands) = task.with_commands();
-        let period = Duration::from_secs_f64(1.0 / config.server.snapshot_rate_hz);
-        let schedule = PublishSchedule::new(period, config.server.publishes_per_frame);
-        let stop = self.stop_fusion.clone();
-        self.fusion = Some(spawn("fusion".to_owned(), move || task.run(schedule, &stop))?);
-        let parts = CameraManagerParts {
-            config: config.clone(),
-            hub: self.hub.clone(),
-            clock: self.clock,
-            playback: self.playback,
-            calibrator: self.calibrator.clone(),
-            ports,
-            to_fusion,
-            commands,
-            sources,
-        };
-        self.camera_manager = Some(Arc::new(CameraManager::start(parts, calibrated)?));
-        Ok(())
+    /// Ends the recording, if that is possible within a time.
+    pub async fn finish_recording(&self, timeout: Duration) {
+        self.stop_recording.stop();
+        let (recorder, deadline) = (self.recorder.clone(), Instant::now() + timeout);
+        on_thread(move || drop(within("the recording", deadline, move || recorder.stop()))).await;
     }
 
-    /// One that cannot begin is told, and no reason not to serve. It reads the camera manager once there is one, which
-    /// then says the configuration.
-    fn start_recorder(&mut self, config: &Config) -> Arc<OnceLock<Arc<CameraManager>>> {
-        let camera_manager = Arc::<OnceLock<Arc<CameraManager>>>::default();
-        let (known, first) = (camera_manager.clone(), camera_manager::redacted_text(config));
-        let text = move || known.get().map_or_else(|| first.clone(), |it| it.redacted_text());
-        let (hub, settings) = (self.hub.clone(), config.recording.clone());
-        let recorder = Recorder::new(hub, self.clock, settings, Box::new(text));
-        if config.recording.starts
-            && let Err(error) = recorder.start(&RecordingOptions::default())
-        {
-            let message = format!("Nothing is recorded: {error}.");
-            tracing::error!("{message}");
-            self.hub.publish_event(self.clock.now(), EventKind::RecordingFailed, message);
-        }
-        self.recorder = Some(Arc::new(recorder));
-        camera_manager
-    }
-
-    fn start_api(&mut self, listener: TcpListener, config: &Config, ports: Arc<PushEndpoints>) {
-        let (kinds, folder) = (config.kinds.clone(), config.folder.clone());
-        let source_probe = || Arc::new(SourceProbe::new(kinds, folder, self.clock, self.playback));
-        let state = ApiState {
-            calibrator: self.calibrator.clone(),
-            lenses: self.lenses.clone(),
-            kinds: config.kinds.clone(),
-            fleets: self.fleets.clone(),
-            ports,
-            late_window_ms: config.fusion.late_window_s * 1e3,
-            source_probe: config.server.setup.then(source_probe),
-            camera_manager: self.camera_manager.clone().filter(|_| config.server.setup),
-            allowed_origins: AllowedOrigins::new(config.server.allow_origins.clone()),
-            recorder: self.recorder.clone(),
-            history: self.history.clone(),
-            cancel: self.cancel_clients.clone(),
-            limits: ApiLimits {
-                max_clients: config.limits.max_clients,
-                grace: CLIENT_TIMEOUT,
-                ..ApiLimits::default()
-            },
-            ..ApiState::new(self.hub.clone(), self.clock)
-        };
-        self.api = Some(tokio::spawn(api::serve(listener, state)));
-    }
-
-    fn stop_cameras(&self) -> Vec<JoinHandle<WorkerCounts>> {
-        self.camera_manager
-            .as_ref()
-            .map(|camera_manager| camera_manager.stop_all())
-            .unwrap_or_default()
-    }
-
-    /// Ends cameras, then fusion, then clients; at most [`SHUTDOWN_TIMEOUT`] long. What does not end in time is
-    /// left behind with a warning.
+    /// Ends cameras, then fusion, then clients, within [`SHUTDOWN_TIMEOUT`]. Threads that do not end in time are left
+    /// running, with a warning.
     pub async fn shutdown(mut self) {
-        let deadline = Instant::now() + (SHUTDOWN_TIMEOUT - CLIENT_TIMEOUT);
-        let cameras = self.stop_cameras();
-        for calibration in
-            [self.calibrator.shut_down(), self.lenses.shut_down()].into_iter().flatten()
-        {
-            join(calibration, deadline).await;
-        }
-        for camera in cameras {
-            join(camera, deadline).await;
-        }
-        self.stop_fusion.stop();
-        if let Some(fusion) = self.fusion.take() {
-            join(fusion, deadline).await;
-        }
-        if let Some(history) = self.history.as_ref().and_then(|it| it.shut_down()) {
-            join(history, deadline).await;
-        }
-        if let Some(recorder) = self.recorder.clone() {
-            // What cameras and fusion said last is in it; its file gets its end.
-            let _ = tokio::task::spawn_blocking(move || recorder.stop()).await;
-        }
+        self.is_shut_down = true;
+        self.stop_recording.stop();
+        let (manager, calibrator) = (self.camera_manager.clone(), self.calibrator.clone());
+        let (lenses, history) = (self.lenses.clone(), self.history.clone());
+        let (stop_fusion, fusion) = (self.stop_fusion.clone(), self.fusion.take());
+        // Not on the runtime, whose threads may all hang in requests.
+        on_thread(move || {
+            let begun = Instant::now();
+            // Cameras that hang leave time for the others.
+            let (deadline, camera_deadline) =
+                (begun + PRODUCER_TIMEOUT, begun + PRODUCER_TIMEOUT * 2 / 3);
+            let stop = move || (manager.stop_all(), [calibrator.shut_down(), lenses.shut_down()]);
+            if let Some((cameras, calibrations)) = within("the cameras", camera_deadline, stop) {
+                calibrations.into_iter().flatten().for_each(|thread| join(thread, camera_deadline));
+                cameras.into_iter().for_each(|thread| join(thread, camera_deadline));
+            }
+            stop_fusion.stop();
+            if let Some(fusion) = fusion {
+                join(fusion, deadline);
+            }
+            if let Some(history) = history.and_then(|history| history.shut_down()) {
+                join(history, deadline);
+            }
+        })
+        .await;
+        // After the last output of cameras and fusion, which the recording then includes.
+        self.finish_recording(RECORDER_TIMEOUT).await;
         self.cancel_clients.cancel();
         if let Some(api) = self.api.take()
             && let Err(error) = api.await
         {
-            tracing::error!(%error, "the APIs ended badly");
+            tracing::error!(%error, "the APIs failed");
         }
     }
 }
 
 impl Drop for Server {
     fn drop(&mut self) {
-        self.stop_cameras();
+        if self.is_shut_down {
+            return;
+        }
+        self.stop_recording.stop();
+        self.camera_manager.stop_all();
         self.calibrator.shut_down();
         self.lenses.shut_down();
         self.stop_fusion.stop();
@@ -383,18 +395,81 @@ impl Drop for Server {
     }
 }
 
-/// Reads what is kept, and has the cameras stand where it says.
+/// Refuses to serve other computers without encryption and credentials, unless configured.
+pub fn check_exposure(
+    address: SocketAddr,
+    has_tls: bool,
+    access: &AccessConfig,
+) -> Result<(), ServeError> {
+    let is_protected = has_tls && !access.entries.is_empty();
+    if address.ip().is_loopback() || is_protected || access.insecure {
+        return Ok(());
+    }
+    Err(ServeError::Exposed { address })
+}
+
+fn load_tls(config: &Config) -> Result<Tls, TlsError> {
+    let Some(files) = &config.server.tls else { return Ok(Tls::default()) };
+    let tls = Tls::load(files, config.server.listen.ip())?;
+    if let Some(CertificateSummary { fingerprint, expires }) = tls.certificate() {
+        tracing::info!(fingerprint, expires, "TLS certificate");
+    }
+    Ok(tls)
+}
+
+/// Tells the hub when the fusion thread ends, also by a panic.
+struct FusionEnd(Arc<Hub>);
+
+impl Drop for FusionEnd {
+    fn drop(&mut self) {
+        self.0.set_fusion_ended();
+    }
+}
+
+/// Binds a port; returns also the actual address.
+pub(super) async fn listen(address: SocketAddr) -> Result<(TcpListener, SocketAddr), ServeError> {
+    let failed = |source| ServeError::Listen { address, source };
+    let listener = TcpListener::bind(address).await.map_err(failed)?;
+    let bound = listener.local_addr().map_err(failed)?;
+    Ok((listener, bound))
+}
+
+fn source_opener(context: SourceContext<'_>) -> SourceOpener {
+    let SourceContext { camera, clock, playback, stop, .. } = context;
+    let size = (camera.calibration.width(), camera.calibration.height());
+    SourceOpener::new(camera.address.clone(), size, clock, playback, stop)
+        .with_rules(camera.source_rules.clone())
+}
+
+/// Creates the recorder. It gets the current configuration from the returned camera manager once that is set.
+fn new_recorder(
+    config: &Config,
+    hub: &Arc<Hub>,
+    clock: Clock,
+) -> (Arc<Recorder>, Arc<OnceLock<Arc<CameraManager>>>) {
+    let camera_manager = Arc::<OnceLock<Arc<CameraManager>>>::default();
+    let known = camera_manager.clone();
+    let newest = Mutex::new((camera_manager::redacted_text(config), config.file.version()));
+    let text = move || {
+        let mut newest = newest.lock().unwrap_or_else(PoisonError::into_inner);
+        // Does not wait for a change that is being made; the text follows after it.
+        if let Some(changed) = known.get().and_then(|it| it.redacted_text_since(&newest.1)) {
+            *newest = changed;
+        }
+        newest.0.clone()
+    };
+    let recorder = Recorder::new(hub.clone(), clock, config.recording.clone(), Box::new(text));
+    (Arc::new(recorder), camera_manager)
+}
+
+/// Reads the calibration file, if there is one, and applies it to the configuration.
 fn load_calibration(
     config: &mut Config,
     hub: &Hub,
     clock: Clock,
 ) -> Result<CalibrationFile, CalibrationFileError> {
-    let Some(path) = config.server.calibration.clone() else {
-        return Ok(CalibrationFile::default());
-    };
-    let Some(mut file) = CalibrationFile::load(&path)? else {
-        return Ok(CalibrationFile::default());
-    };
+    let Some(path) = config.server.calibration.clone() else { return Ok(Default::default()) };
+    let Some(mut file) = CalibrationFile::load(&path)? else { return Ok(Default::default()) };
     for why in file.merge_into(config) {
         tracing::warn!("{why}");
         hub.publish_event(clock.now(), EventKind::CalibrationApplied, why);
@@ -404,7 +479,7 @@ fn load_calibration(
     Ok(file)
 }
 
-fn spawn<T: Send + 'static>(
+pub(super) fn spawn<T: Send + 'static>(
     name: String,
     run: impl FnOnce() -> T + Send + 'static,
 ) -> Result<JoinHandle<T>, ServeError> {
@@ -412,16 +487,40 @@ fn spawn<T: Send + 'static>(
     builder.spawn(run).map_err(|source| ServeError::Thread { name, source })
 }
 
-/// Waits for a thread without holding up the runtime.
-async fn join<T>(thread: JoinHandle<T>, deadline: Instant) {
+/// Runs blocking work on a thread of its own, which no other work can keep from starting.
+async fn on_thread(work: impl FnOnce() + Send + 'static) {
+    let (ended, end) = oneshot::channel::<()>();
+    let run = move || {
+        work();
+        drop(ended);
+    };
+    if spawn("shutdown".to_owned(), run).is_ok() {
+        let _ = end.await;
+    }
+}
+
+/// Runs work that may hang. `None`: it did not end in time and is left running.
+fn within<T: Send + 'static>(
+    what: &str,
+    deadline: Instant,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Option<T> {
+    let (ended, end) = channel();
+    spawn("shutdown".to_owned(), move || ended.send(work())).ok()?;
+    let result = end.recv_timeout(deadline.saturating_duration_since(Instant::now()));
+    result.inspect_err(|_| tracing::warn!("{what} did not end in time")).ok()
+}
+
+/// Waits for a thread.
+fn join<T>(thread: JoinHandle<T>, deadline: Instant) {
     const POLL_INTERVAL: Duration = Duration::from_millis(5);
     while !thread.is_finished() {
         if Instant::now() >= deadline {
             let name = thread.thread().name().unwrap_or_default();
-            tracing::warn!(thread = name, "did not end within the grace time");
+            tracing::warn!(thread = name, "did not end in time");
             return;
         }
-        tokio::time::sleep(POLL_INTERVAL).await;
+        thread::sleep(POLL_INTERVAL);
     }
     if thread.join().is_err() {
         tracing::error!("a thread ended with a panic");

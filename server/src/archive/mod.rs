@@ -1,4 +1,4 @@
-//! What is kept: recordings and their replay, the history of objects, and comparisons with other systems.
+//! Recordings and their replay, the history of objects, and evaluation against other systems.
 
 pub mod eval;
 pub mod history;

@@ -1,28 +1,31 @@
 //! Image files → 8-bit grey: PNG, JPEG, PGM, BMP, grey or colour (colour by BT.601's luma).
 //!
-//! The kind is told by the first bytes, not by the name. JPEG is decoded straight to its luma,
-//! without a detour over RGB. Deeper samples keep their upper eight bits' range, rounded; alpha is
-//! ignored.
+//! The first bytes determine the format, not the name. JPEG is decoded straight to luma. Deeper samples are scaled to
+//! eight bits and rounded; alpha is ignored. The size in a file's header is checked before pixels are decoded, and PNG is
+//! decoded row by row, since a small file may describe gigabytes of samples.
 
 mod pnm;
 
 use std::{
-    fs::File,
-    io::{self, Cursor, Read},
+    io::{Cursor, Read},
     path::{Path, PathBuf},
 };
 
 use roundel_core::frame::{Frame, FrameError, MAX_SIDE_PX};
 use thiserror::Error;
 use zune_core::{colorspace::ColorSpace, options::DecoderOptions};
+use zune_jpeg::JpegDecoder;
 
-/// Larger files are refused before they are read: the largest frame as an uncompressed 16-bit RGBA
-/// image has half of this at 8 k.
-const MAX_BYTES: u64 = 1 << 30;
-/// By so many a video is told.
+use crate::model::regular_file;
+
+/// Larger files are rejected before they are read. 40 megapixels of uncompressed 16-bit RGB fit.
+const MAX_BYTES: u64 = 1 << 28;
+/// Bytes by which a video container is recognized.
 const HEAD_BYTES: u64 = 16;
-/// More pixels than this are refused: a crafted header must not take all memory.
-const MAX_PIXELS: usize = 1 << 27;
+/// Images with more pixels are rejected: a crafted header must not take all memory.
+const MAX_PIXELS: usize = 100_000_000;
+/// Likewise for formats whose decoders take four to seven bytes per pixel.
+const MAX_WIDE_PIXELS: usize = 40_000_000;
 
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct GreyImage {
@@ -35,7 +38,6 @@ pub struct GreyImage {
 }
 
 impl GreyImage {
-    /// The image as the detector takes it.
     pub fn frame(&self) -> Result<Frame<'_>, FrameError> {
         Frame::new(&self.pixels, self.width, self.height, self.width)
     }
@@ -44,40 +46,28 @@ impl GreyImage {
 /// Why a file gives no image; each names the file.
 #[derive(Debug, Error)]
 pub enum ImageError {
-    /// It cannot be read.
-    #[error("{}: cannot read the image: {source}", .path.display())]
-    Read { path: PathBuf, source: io::Error },
-    /// It has no bytes.
-    #[error("{}: expected an image, found an empty file", .path.display())]
-    Empty { path: PathBuf },
-    #[error("{}: expected a PNG, JPEG, PGM or BMP image, found {found}", .path.display())]
-    FileFormat {
-        path: PathBuf,
-        /// What its first bytes look like.
-        found: String,
-    },
     #[error("{}: expected a PNG, JPEG, PGM or BMP image, found {found} video", .path.display())]
-    Video {
-        path: PathBuf,
-        /// An MP4, an AVI, a Matroska.
-        found: &'static str,
-    },
-    /// It is larger than a frame may be.
-    #[error("{}: image of {found} is too large: expected at most {MAX_SIDE_PX} pixels a side and {MAX_PIXELS} in all", .path.display())]
-    TooLarge {
-        path: PathBuf,
-        /// Its size.
-        found: String,
-    },
-    /// It begins as an image and does not go on as one.
-    #[error("{}: broken or truncated {kind} image: {reason}; save it again", .path.display())]
-    Broken { path: PathBuf, kind: &'static str, reason: String },
+    Video { path: PathBuf, found: &'static str },
+    #[error("{}: {reason}", .path.display())]
+    Unusable { path: PathBuf, reason: String },
+    /// Columns and rows differ from those expected; not decoded.
+    #[error("{}: expected another size, found {} x {} pixels", .path.display(), .found.0, .found.1)]
+    Size { path: PathBuf, found: (usize, usize) },
 }
 
-/// An error before the file's name is known.
+/// An error of a decoder, which does not know the file's name.
 enum DecodeError {
     TooLarge(String),
     Broken(String),
+    Size((usize, usize)),
+}
+
+/// The sizes that are decoded.
+#[derive(Clone, Copy)]
+struct SizeCheck {
+    /// Columns and rows; `None`: any.
+    expected: Option<(usize, usize)>,
+    max_pixels: usize,
 }
 
 impl<E: std::fmt::Display> From<E> for DecodeError {
@@ -86,28 +76,15 @@ impl<E: std::fmt::Display> From<E> for DecodeError {
     }
 }
 
-#[derive(Clone, Copy)]
-enum FileFormat {
-    Png,
-    Jpeg,
-    Pnm,
-    Bmp,
-}
-
-impl FileFormat {
-    fn name(self) -> &'static str {
-        match self {
-            Self::Png => "PNG",
-            Self::Jpeg => "JPEG",
-            Self::Pnm => "PGM",
-            Self::Bmp => "BMP",
-        }
-    }
-}
-
 pub fn load(path: &Path) -> Result<GreyImage, ImageError> {
-    let read = |source| ImageError::Read { path: path.to_owned(), source };
-    let mut file = File::open(path).map_err(read)?;
+    load_sized(path, None)
+}
+
+/// Like [`load`]; an image of another size (columns, rows) is an error.
+pub fn load_sized(path: &Path, expected: Option<(usize, usize)>) -> Result<GreyImage, ImageError> {
+    let unusable = |reason| ImageError::Unusable { path: path.to_owned(), reason };
+    let read = |error| unusable(format!("cannot read the image: {error}"));
+    let mut file = regular_file::open(path).map_err(read)?;
     let size = file.metadata().map_err(read)?.len();
     let mut bytes = Vec::new();
     file.by_ref().take(HEAD_BYTES).read_to_end(&mut bytes).map_err(read)?;
@@ -116,49 +93,63 @@ pub fn load(path: &Path) -> Result<GreyImage, ImageError> {
         return Err(ImageError::Video { path: path.to_owned(), found });
     }
     if size > MAX_BYTES {
-        let found = format!("{size} bytes");
-        return Err(ImageError::TooLarge { path: path.to_owned(), found });
+        return Err(unusable(too_large(&format!("{size} bytes"))));
     }
     // A file that grows meanwhile is cut, and then found to be broken.
     file.take(MAX_BYTES).read_to_end(&mut bytes).map_err(read)?;
-    decode(&bytes, path)
+    decode_sized(&bytes, path, expected)
+}
+
+fn too_large(found: &str) -> String {
+    format!(
+        "image of {found} is too large: expected at most {MAX_SIDE_PX} pixels a side, {MAX_PIXELS} in all ({MAX_WIDE_PIXELS} \
+         for BMP and progressive JPEG), and {MAX_BYTES} bytes"
+    )
 }
 
 /// Decodes an image file's bytes; `path` is for messages.
 pub fn decode(bytes: &[u8], path: &Path) -> Result<GreyImage, ImageError> {
-    let path = || path.to_owned();
-    let kind = match bytes {
-        [] => return Err(ImageError::Empty { path: path() }),
-        [0x89, b'P', b'N', b'G', ..] => FileFormat::Png,
-        [0xFF, 0xD8, 0xFF, ..] => FileFormat::Jpeg,
-        [b'P', b'2' | b'5' | b'3' | b'6', b' ' | b'\t' | b'\r' | b'\n', ..] => FileFormat::Pnm,
-        [b'B', b'M', _, _, _, _, _, _, _, _, ..] => FileFormat::Bmp,
+    decode_sized(bytes, path, None)
+}
+
+fn decode_sized(
+    bytes: &[u8],
+    path: &Path,
+    expected: Option<(usize, usize)>,
+) -> Result<GreyImage, ImageError> {
+    let check = SizeCheck { expected, max_pixels: MAX_PIXELS };
+    let unusable = |reason| ImageError::Unusable { path: path.to_owned(), reason };
+    let (format, decoded) = match bytes {
+        [] => return Err(unusable("expected an image, found an empty file".to_owned())),
+        [0x89, b'P', b'N', b'G', ..] => ("PNG", png(bytes, check)),
+        [0xFF, 0xD8, 0xFF, ..] => ("JPEG", jpeg(bytes, check)),
+        [b'P', b'2' | b'5' | b'3' | b'6', b' ' | b'\t' | b'\r' | b'\n', ..] => {
+            ("PGM", pnm::decode(bytes, check))
+        }
+        [b'B', b'M', _, _, _, _, _, _, _, _, ..] => ("BMP", bmp(bytes, check)),
         _ => {
             return Err(match video_container(bytes) {
-                Some(found) => ImageError::Video { path: path(), found },
-                None => ImageError::FileFormat { path: path(), found: describe_content(bytes) },
+                Some(found) => ImageError::Video { path: path.to_owned(), found },
+                None => unusable(format!(
+                    "expected a PNG, JPEG, PGM or BMP image, found {}",
+                    describe_content(bytes)
+                )),
             });
         }
     };
-    let decoded = match kind {
-        FileFormat::Png => png(bytes),
-        FileFormat::Jpeg => jpeg(bytes),
-        FileFormat::Pnm => pnm::decode(bytes),
-        FileFormat::Bmp => bmp(bytes),
-    };
-    decoded.map_err(|fault| match fault {
-        DecodeError::TooLarge(found) => ImageError::TooLarge { path: path(), found },
+    decoded.map_err(|error| match error {
+        DecodeError::TooLarge(found) => unusable(too_large(&found)),
         DecodeError::Broken(reason) => {
-            ImageError::Broken { path: path(), kind: kind.name(), reason }
+            unusable(format!("broken or truncated {format} image: {reason}; save it again"))
         }
+        DecodeError::Size(found) => ImageError::Size { path: path.to_owned(), found },
     })
 }
 
-/// What kind of video begins so.
 fn video_container(bytes: &[u8]) -> Option<&'static str> {
     let at = |place: std::ops::Range<usize>| bytes.get(place).unwrap_or_default();
     match (at(4..8), at(8..12)) {
-        // Pictures are kept in the same boxes.
+        // Still images use the same container.
         (
             b"ftyp",
             b"heic" | b"heix" | b"hevc" | b"heim" | b"heis" | b"mif1" | b"msf1" | b"avif",
@@ -170,7 +161,8 @@ fn video_container(bytes: &[u8]) -> Option<&'static str> {
     }
 }
 
-fn describe_content(bytes: &[u8]) -> String {
+/// The type of a file, without its content, since clients can name the file.
+fn describe_content(bytes: &[u8]) -> &'static str {
     let known: [(&[u8], &str); 9] = [
         (b"GIF8", "a GIF image"),
         (b"II*\0", "a TIFF image"),
@@ -183,94 +175,120 @@ fn describe_content(bytes: &[u8]) -> String {
         (b"version https://git-lfs", "a Git LFS pointer: fetch the file itself"),
     ];
     if let Some((_, name)) = known.iter().find(|(start, _)| bytes.starts_with(start)) {
-        return (*name).to_owned();
+        return name;
     }
     if bytes.get(4..8) == Some(b"ftyp") {
-        return "a HEIF or AVIF image".to_owned();
+        return "a HEIF or AVIF image";
     }
     if bytes.starts_with(b"RIFF") {
-        return "a RIFF file, such as a WebP image".to_owned();
+        return "a RIFF file, such as a WebP image";
     }
     let start = &bytes[..bytes.len().min(16)];
     if start.iter().all(|byte| byte.is_ascii_graphic() || byte.is_ascii_whitespace()) {
-        format!("text that begins with {:?}", String::from_utf8_lossy(start))
+        "text"
     } else {
-        let hex: Vec<String> = start.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
-        format!("bytes that begin with {}", hex.join(" "))
+        "data of an unknown type"
     }
 }
 
-fn check_size(width: usize, height: usize) -> Result<(), DecodeError> {
-    if width == 0 || height == 0 {
-        return Err(DecodeError::Broken(format!("its size is {width} x {height}")));
+impl SizeCheck {
+    /// For a decoder that takes several bytes per pixel.
+    fn wide(self) -> Self {
+        Self { max_pixels: MAX_WIDE_PIXELS, ..self }
     }
-    if width > MAX_SIDE_PX || height > MAX_SIDE_PX || width * height > MAX_PIXELS {
-        return Err(DecodeError::TooLarge(format!("{width} x {height} pixels")));
+
+    fn check(self, width: usize, height: usize) -> Result<(), DecodeError> {
+        if width == 0 || height == 0 {
+            return Err(format!("its size is {width} x {height}").into());
+        }
+        if self.expected.is_some_and(|expected| expected != (width, height)) {
+            return Err(DecodeError::Size((width, height)));
+        }
+        let is_side = |side| side <= MAX_SIDE_PX;
+        if !is_side(width) || !is_side(height) || width * height > self.max_pixels {
+            return Err(DecodeError::TooLarge(format!("{width} x {height} pixels")));
+        }
+        Ok(())
     }
-    Ok(())
 }
 
-fn png(bytes: &[u8]) -> Result<GreyImage, DecodeError> {
+fn png(bytes: &[u8], check: SizeCheck) -> Result<GreyImage, DecodeError> {
     let mut decoder = png::Decoder::new(Cursor::new(bytes));
-    // Palettes and 1, 2, 4 bit greys become 8 bit samples; 16 bit ones stay, to be rounded here.
+    // Expands palettes and grey of 1, 2 or 4 bits to 8 bits; 16 bits are rounded below.
     decoder.set_transformations(png::Transformations::EXPAND);
     let mut reader = decoder.read_info()?;
     let (width, height) = (reader.info().width as usize, reader.info().height as usize);
-    check_size(width, height)?;
-    let size = reader
-        .output_buffer_size()
-        .ok_or_else(|| DecodeError::TooLarge(format!("{width} x {height} pixels")))?;
-    let mut samples = vec![0; size];
-    let info = reader.next_frame(&mut samples)?;
-    samples.truncate(info.buffer_size());
-    if info.bit_depth == png::BitDepth::Sixteen {
-        samples = samples
-            .chunks_exact(2)
-            .map(|pair| scale_to_u8(u16::from_be_bytes([pair[0], pair[1]]), u16::MAX))
-            .collect();
+    check.check(width, height)?;
+    let (color, depth) = reader.output_color_type();
+    let mut pixels = vec![0; width * height];
+    let mut rows = pixels.chunks_exact_mut(width);
+    if !reader.info().interlaced {
+        while let Some(row) = reader.next_row()? {
+            let target = rows.next().ok_or("too many rows")?;
+            target.copy_from_slice(&png_row(row.data(), depth, color));
+        }
+        return Ok(GreyImage { width, height, pixels });
     }
-    let pixels = grey(samples, info.color_type.samples());
+    while let Some(row) = reader.next_interlaced_row()? {
+        let samples = png_row(row.data(), depth, color);
+        if let png::InterlaceInfo::Adam7(place) = row.interlace() {
+            png::expand_interlaced_row(&mut pixels, width, &samples, place, 8);
+        }
+    }
     Ok(GreyImage { width, height, pixels })
 }
 
-fn jpeg(bytes: &[u8]) -> Result<GreyImage, DecodeError> {
+/// The grey levels of a row of samples.
+fn png_row(row: &[u8], depth: png::BitDepth, color: png::ColorType) -> Vec<u8> {
+    let samples = if depth == png::BitDepth::Sixteen {
+        let pairs = row.chunks_exact(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]]));
+        pairs.map(|sample| scale_to_u8(sample, u16::MAX)).collect()
+    } else {
+        row.to_vec()
+    };
+    grey(samples, color.samples())
+}
+
+/// A decoder of the luma. It is strict: a truncated picture is an error, not one with a grey end.
+pub(super) fn jpeg_decoder(bytes: &[u8]) -> JpegDecoder<Cursor<&[u8]>> {
     let options = DecoderOptions::default()
         .set_max_width(MAX_SIDE_PX)
         .set_max_height(MAX_SIDE_PX)
-        // A file that was cut must not pass as one with a grey end.
         .set_strict_mode(true)
         .jpeg_set_out_colorspace(ColorSpace::Luma);
-    let mut decoder = zune_jpeg::JpegDecoder::new_with_options(Cursor::new(bytes), options);
+    JpegDecoder::new_with_options(Cursor::new(bytes), options)
+}
+
+fn jpeg(bytes: &[u8], check: SizeCheck) -> Result<GreyImage, DecodeError> {
+    let mut decoder = jpeg_decoder(bytes);
     decoder.decode_headers()?;
-    let info = decoder.info().ok_or_else(|| DecodeError::Broken("no image header".to_owned()))?;
+    let info = decoder.info().ok_or("no image header")?;
     let (width, height) = (usize::from(info.width), usize::from(info.height));
-    check_size(width, height)?;
+    // The decoder keeps the coefficients of a progressive picture.
+    let check = if info.sof.is_progressive() { check.wide() } else { check };
+    check.check(width, height)?;
     let samples = decoder.decode()?;
     let channels = decoder.output_colorspace().map_or(1, |space| space.num_components());
     Ok(GreyImage { width, height, pixels: grey(samples, channels) })
 }
 
-fn bmp(bytes: &[u8]) -> Result<GreyImage, DecodeError> {
+fn bmp(bytes: &[u8], check: SizeCheck) -> Result<GreyImage, DecodeError> {
     let options = DecoderOptions::default().set_max_width(MAX_SIDE_PX).set_max_height(MAX_SIDE_PX);
     let mut decoder = zune_bmp::BmpDecoder::new_with_options(Cursor::new(bytes), options);
     decoder.decode_headers().map_err(bmp_reason)?;
-    let (width, height) =
-        decoder.dimensions().ok_or_else(|| DecodeError::Broken("no image header".to_owned()))?;
-    check_size(width, height)?;
+    let (width, height) = decoder.dimensions().ok_or("no image header")?;
+    check.wide().check(width, height)?;
     let samples = decoder.decode().map_err(bmp_reason)?;
     let channels = decoder.colorspace().map_or(3, |space| space.num_components());
-    if samples.len() != width * height * channels {
-        return Err(DecodeError::Broken(format!(
-            "expected {} samples, found {}",
-            width * height * channels,
-            samples.len()
-        )));
+    let (expected, found) = (width * height * channels, samples.len());
+    if found != expected {
+        return Err(format!("expected {expected} samples, found {found}").into());
     }
     Ok(GreyImage { width, height, pixels: grey(samples, channels) })
 }
 
-fn bmp_reason(error: impl std::fmt::Debug) -> DecodeError {
-    DecodeError::Broken(format!("{error:?}").trim().to_owned())
+fn bmp_reason(error: impl std::fmt::Debug) -> String {
+    format!("{error:?}").trim().to_owned()
 }
 
 /// Samples of 1 (grey), 2 (grey, alpha), 3 (RGB) or 4 (RGB, alpha) channels → grey.
@@ -282,14 +300,14 @@ fn grey(samples: Vec<u8>, channels: usize) -> Vec<u8> {
     }
 }
 
-/// BT.601's luma, as JPEG has it, to the nearest level.
+/// Luma of BT.601, as in JPEG, rounded.
 fn luma(rgb: &[u8]) -> u8 {
     let [red, green, blue] = [rgb[0], rgb[1], rgb[2]].map(u32::from);
     // At most (299 + 587 + 114) · 255 + 500 over 1000: fits.
     ((299 * red + 587 * green + 114 * blue + 500) / 1000) as u8
 }
 
-/// A sample of 0 to `most` as 0 to 255, to the nearest level; larger ones count as `most`.
+/// Scales a sample from 0 to `most` to 0 to 255, rounded; larger samples count as `most`.
 fn scale_to_u8(sample: u16, most: u16) -> u8 {
     let (sample, most) = (u32::from(sample.min(most)), u32::from(most));
     ((sample * 255 + most / 2) / most) as u8
@@ -366,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_image_is_named() {
+    fn other_files_are_rejected_by_name() {
         let good = png_file(
             (64, 64),
             png::ColorType::Grayscale,
@@ -386,8 +404,8 @@ mod tests {
             (b"\0\0\0\x20ftypheic", "found a HEIF or AVIF image"),
             (b"\0\0\0\x14ftypqt  ", "found a QuickTime video"),
             (b"\x1A\x45\xDF\xA3\x01", "found a Matroska video"),
-            (b"name = \"lab\"", "found text that begins with \"name = "),
-            (&[0, 1, 2, 3], "found bytes that begin with 00 01 02 03"),
+            (b"name = \"lab\"", "image, found text"),
+            (&[0, 1, 2, 3], "found data of an unknown type"),
             (&good[..good.len() / 2], "broken or truncated PNG"),
             (&good[..20], "broken or truncated PNG"),
             (&bmp_file()[..60], "broken or truncated BMP"),

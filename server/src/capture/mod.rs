@@ -1,4 +1,4 @@
-//! Frames and what is detected in them: sources, one worker for each camera, and trials of a source.
+//! Frames and their detections: sources, one worker for each camera, and source probes.
 
 pub mod image_file;
 pub mod push_messages;

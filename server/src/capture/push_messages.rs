@@ -1,6 +1,4 @@
-//! What remote programs send, read: proto's types become core's here, and each number is looked at once.
-
-use std::fmt;
+//! Conversion of the messages of remote programs: proto types → core types, with a check of every number.
 
 use nalgebra::Vector3;
 use roundel_core::{
@@ -15,37 +13,36 @@ use roundel_core::{
 use roundel_proto::v1;
 use thiserror::Error;
 
-use crate::model::convert::{self, capture_clock, intrinsics, pixels};
 use crate::{
-    capture::source::push::{Payload, RemoteStats, SenderClock, StillImage},
+    capture::source::push::{Payload, RemoteStats, SenderClock, SentPicture},
     model::{
         capture_clock::{CaptureClock, TimeBase},
+        convert::{self, capture_clock, intrinsics, pixels},
         hub::{CameraState, Installation},
+        untrusted_text::{MAX_TEXT_BYTES, sanitized},
     },
 };
 
-/// A sender's deviation is at most so long; more is a mistake of units.
+/// Largest deviation of a sender's clock; more is a mistake of units.
 const MAX_DEVIATION_MS: f64 = 3.6e6;
 
-/// A field that does not hold what it should.
+/// A field with an invalid value.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("{field}: expected {expected}, found {found}")]
 pub struct WireFieldError {
     pub field: String,
-    /// What it may be.
     pub expected: String,
     pub found: String,
 }
 
 fn wire_error(
-    field: impl ToString,
+    field: impl Into<String>,
     expected: impl Into<String>,
     found: impl ToString,
 ) -> WireFieldError {
-    WireFieldError { field: field.to_string(), expected: expected.into(), found: found.to_string() }
+    WireFieldError { field: field.into(), expected: expected.into(), found: found.to_string() }
 }
 
-/// What a sender's times are.
 pub fn sender_clock(times: i32) -> Result<SenderClock, WireFieldError> {
     match v1::PushTimes::try_from(times) {
         Ok(v1::PushTimes::Unspecified) => Ok(SenderClock::Arrival),
@@ -60,28 +57,28 @@ pub fn sender_clock(times: i32) -> Result<SenderClock, WireFieldError> {
 pub fn frame(frame: v1::PushedFrame) -> Result<(Payload, Option<CaptureClock>), WireFieldError> {
     let clock = frame.clock.map(|clock| sent_clock("frame.clock", clock)).transpose()?;
     let capture = Timestamp::from_ns(frame.capture_time_ns);
-    let payload = match frame.picture {
-        Some(v1::pushed_frame::Picture::Jpeg(file)) => Payload::Jpeg(file, capture),
-        Some(v1::pushed_frame::Picture::Grey(grey)) => {
-            Payload::Grey(grey.pixels, (grey.width as usize, grey.height as usize), capture)
-        }
+    let picture = match frame.picture {
+        Some(v1::pushed_frame::Picture::Jpeg(file)) => SentPicture::Jpeg(file),
+        Some(v1::pushed_frame::Picture::Grey(grey)) => grey_picture(grey),
         None => return Err(wire_error("frame.picture", "`jpeg` or `grey`", "neither")),
     };
-    Ok((payload, clock))
+    Ok((Payload::Frame(picture, capture), clock))
 }
 
-/// A picture with what was seen in it, for people to look at; or why there is none.
+fn grey_picture(grey: v1::GreyPicture) -> SentPicture {
+    SentPicture::Grey(grey.pixels, (grey.width as usize, grey.height as usize))
+}
+
+/// A picture to show, with its detections, or why there is none.
 pub fn still_image(
     installation: &Installation,
     picture: v1::PushedPicture,
-) -> Result<Result<(StillImage, world::FrameObservations), String>, WireFieldError> {
+) -> Result<Result<(SentPicture, world::FrameObservations), String>, WireFieldError> {
     let v1::PushedPicture { error, picture, observations } = picture;
     let still = match picture {
-        _ if !error.is_empty() => return Ok(Err(error)),
-        Some(v1::pushed_picture::Picture::Jpeg(file)) => StillImage::Jpeg(file),
-        Some(v1::pushed_picture::Picture::Grey(grey)) => {
-            StillImage::Grey(grey.pixels, (grey.width as usize, grey.height as usize))
-        }
+        _ if !error.is_empty() => return Ok(Err(sanitized(&error))),
+        Some(v1::pushed_picture::Picture::Jpeg(file)) => SentPicture::Jpeg(file),
+        Some(v1::pushed_picture::Picture::Grey(grey)) => grey_picture(grey),
         None => return Err(wire_error("picture", "`jpeg`, `grey` or `error`", "neither")),
     };
     let seen =
@@ -89,14 +86,18 @@ pub fn still_image(
     Ok(Ok((still, seen)))
 }
 
-/// What was seen in a frame, and its clock.
+/// Detections of a frame, and the clock of their times.
 pub fn pushed_detections(
     installation: &Installation,
     message: v1::PushedObservations,
 ) -> Result<(Payload, Option<CaptureClock>), WireFieldError> {
     let clock = message.clock.map(|clock| sent_clock("observations.clock", clock)).transpose()?;
     let Some(frame) = message.observations else {
-        return Err(wire_error("observations.observations", "what was seen in a frame", "nothing"));
+        return Err(wire_error(
+            "observations.observations",
+            "the detections of a frame",
+            "nothing",
+        ));
     };
     let observations = read_observations(installation, frame, "observations")?;
     let figures = message.figures.map(|figures| RemoteStats {
@@ -118,7 +119,10 @@ pub fn read_observations(
     field: &str,
 ) -> Result<world::FrameObservations, WireFieldError> {
     let detections = frame.detections.iter().enumerate().map(|(index, detection)| {
-        read_detection(installation, detection, FieldPath { frame: field, index, name: "" })
+        read_detection(installation, detection).map_err(|error| {
+            let field = format!("{field}.detections[{index}].{}", error.field);
+            WireFieldError { field, ..error }
+        })
     });
     Ok(world::FrameObservations {
         camera: CameraId(0),
@@ -130,7 +134,6 @@ pub fn read_observations(
     })
 }
 
-/// The clock of what is sent; `None` within: it says no more than how far off it may be.
 fn sent_clock(field: &str, clock: v1::CaptureClock) -> Result<CaptureClock, WireFieldError> {
     let base = match v1::TimeBase::try_from(clock.base) {
         Ok(v1::TimeBase::Server) => TimeBase::Server,
@@ -149,123 +152,90 @@ fn sent_clock(field: &str, clock: v1::CaptureClock) -> Result<CaptureClock, Wire
     Ok(CaptureClock { base, deviation_s: clock.deviation_ms * 1e-3 })
 }
 
-/// Where in a message something stands; spelt out only where that is wrong, since there are thousands a second.
-#[derive(Clone, Copy)]
-struct FieldPath<'a> {
-    /// Of the frame's observations.
-    frame: &'a str,
-    index: usize,
-    /// Of what is in it, a dot first.
-    name: &'static str,
-}
-
-impl FieldPath<'_> {
-    fn at(self, name: &'static str) -> Self {
-        Self { name, ..self }
-    }
-}
-
-impl fmt::Display for FieldPath<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { frame, index, name } = self;
-        write!(f, "{frame}.detections[{index}]{name}")
-    }
-}
-
+/// Errors name fields relative to the detection.
 fn read_detection(
     installation: &Installation,
     detection: &v1::Detection,
-    place: FieldPath<'_>,
 ) -> Result<pose::Detection, WireFieldError> {
+    check_text(&detection.roundel, "roundel")?;
     let kind = match detection.roundel.as_str() {
         "" => None,
-        name => Some(kind_named(installation, name, place)?),
+        name => Some(kind_named(installation, name)?),
     };
-    let outer = read_ellipse(detection.outer.as_ref(), place.at(".outer"))?;
-    let inner = read_ellipse(detection.inner.as_ref(), place.at(".inner"))?;
+    let outer = read_ellipse(detection.outer.as_ref(), "outer")?;
+    let inner = read_ellipse(detection.inner.as_ref(), "inner")?;
     let threshold = u8::try_from(detection.threshold)
-        .map_err(|_| wire_error(place.at(".threshold"), "0 to 255", detection.threshold))?;
-    let code =
-        detection.code.as_ref().map(|code| read_code(code, place.at(".code"))).transpose()?;
+        .map_err(|_| wire_error("threshold", "0 to 255", detection.threshold))?;
     let ring = Ring {
         kind,
         threshold,
         black: detection.black,
         white: detection.white,
-        code,
+        code: detection.code.as_ref().map(read_code).transpose()?,
         ..Ring::of_rims(outer, inner)
     };
-    let pose = detection.pose.as_ref().map(|pose| read_pose(pose, place));
     Ok(pose::Detection {
         track: TrackNumber(detection.track),
         ring,
         capture_time: Timestamp::from_ns(detection.capture_time_ns),
-        pose: pose.transpose()?,
+        pose: detection.pose.as_ref().map(read_pose).transpose()?,
     })
 }
 
-fn kind_named(
-    installation: &Installation,
-    name: &str,
-    place: FieldPath<'_>,
-) -> Result<KindId, WireFieldError> {
+/// Rejects a long text; errors repeat short ones.
+pub fn check_text(text: &str, field: &str) -> Result<(), WireFieldError> {
+    if text.len() > MAX_TEXT_BYTES {
+        let expected = format!("at most {MAX_TEXT_BYTES} bytes");
+        return Err(wire_error(field, expected, format!("{} bytes", text.len())));
+    }
+    Ok(())
+}
+
+fn kind_named(installation: &Installation, name: &str) -> Result<KindId, WireFieldError> {
     let kind = installation.kinds.iter().position(|kind| kind == name);
     kind.and_then(|kind| u16::try_from(kind).ok()).map(KindId).ok_or_else(|| {
         let known = installation.kinds.join("\", \"");
-        wire_error(
-            place.at(".roundel"),
-            format!("a [[roundel]] of the server's configuration (\"{known}\")"),
-            format!("\"{name}\""),
-        )
+        let expected = format!("a [[roundel]] of the server's configuration (\"{known}\")");
+        wire_error("roundel", expected, format!("\"{name}\""))
     })
 }
 
 fn read_ellipse(
     ellipse: Option<&v1::Ellipse>,
-    place: FieldPath<'_>,
+    field: &str,
 ) -> Result<ellipse::Ellipse, WireFieldError> {
     let whole = ellipse.and_then(|ellipse| Some((ellipse, ellipse.center.as_ref()?)));
     let Some((ellipse, center)) = whole else {
-        return Err(wire_error(place, "an ellipse with its centre", "none"));
+        return Err(wire_error(field, "an ellipse with its centre", "none"));
     };
-    let numbers =
-        [center.u, center.v, ellipse.semi_major_px, ellipse.semi_minor_px, ellipse.angle_rad];
-    finite(&numbers, place)?;
-    Ok(ellipse::Ellipse {
-        center: camera::PixelPoint { u: center.u, v: center.v },
-        semi_major_px: ellipse.semi_major_px,
-        semi_minor_px: ellipse.semi_minor_px,
-        angle_rad: ellipse.angle_rad,
-    })
+    let (semi_major_px, semi_minor_px, angle_rad) =
+        (ellipse.semi_major_px, ellipse.semi_minor_px, ellipse.angle_rad);
+    finite(&[center.u, center.v, semi_major_px, semi_minor_px, angle_rad], field)?;
+    let center = camera::PixelPoint { u: center.u, v: center.v };
+    Ok(ellipse::Ellipse { center, semi_major_px, semi_minor_px, angle_rad })
 }
 
-fn read_code(code: &v1::CodeReading, place: FieldPath<'_>) -> Result<CodeReading, WireFieldError> {
+fn read_code(code: &v1::CodeReading) -> Result<CodeReading, WireFieldError> {
     let bits = u8::try_from(code.bits).ok().filter(|bits| (5..=16).contains(bits));
-    let bits = bits.ok_or_else(|| wire_error(format!("{place}.bits"), "5 to 16", code.bits))?;
+    let bits = bits.ok_or_else(|| wire_error("code.bits", "5 to 16", code.bits))?;
     let number = u16::try_from(code.number).ok().filter(|&number| number > 0);
-    let number =
-        number.ok_or_else(|| wire_error(format!("{place}.number"), "1 to 65535", code.number))?;
-    finite(&[code.confidence], place.at(".code.confidence"))?;
-    let zero = code.zero.as_ref().map_or((f64::NAN, f64::NAN), |zero| (zero.u, zero.v));
-    let zero = camera::PixelPoint { u: zero.0, v: zero.1 };
+    let number = number.ok_or_else(|| wire_error("code.number", "1 to 65535", code.number))?;
+    finite(&[code.confidence], "code.confidence")?;
+    let (u, v) = code.zero.as_ref().map_or((f64::NAN, f64::NAN), |zero| (zero.u, zero.v));
     let corrected = u8::try_from(code.corrected_bits).unwrap_or(u8::MAX);
-    let confidence = code.confidence;
-    Ok(CodeReading { confidence, corrected, ..CodeReading::certain(Code { bits, number }, zero) })
+    let certain = CodeReading::certain(Code { bits, number }, camera::PixelPoint { u, v });
+    Ok(CodeReading { confidence: code.confidence, corrected, ..certain })
 }
 
-fn read_pose(
-    pose: &v1::RoundelPose,
-    place: FieldPath<'_>,
-) -> Result<pose::RoundelPose, WireFieldError> {
-    let position_m = read_vector(pose.position.as_ref(), place.at(".pose.position"))?;
-    let normal = read_direction(pose.normal.as_ref(), place.at(".pose.normal"))?;
-    let other_normal = read_direction(pose.other_normal.as_ref(), place.at(".pose.other_normal"))?;
-    let angles = [pose.normal_likelihood, pose.yaw_rad.unwrap_or(0.0)];
-    finite(&angles, place.at(".pose"))?;
-    finite(&pose.covariance, place.at(".pose.covariance"))?;
+fn read_pose(pose: &v1::RoundelPose) -> Result<pose::RoundelPose, WireFieldError> {
+    let position_m = read_vector(pose.position.as_ref(), "pose.position")?;
+    let normal = read_direction(pose.normal.as_ref(), "pose.normal")?;
+    let other_normal = read_direction(pose.other_normal.as_ref(), "pose.other_normal")?;
+    finite(&[pose.normal_likelihood, pose.yaw_rad.unwrap_or(0.0)], "pose")?;
+    finite(&pose.covariance, "pose.covariance")?;
     let covariance = from_upper_triangle(&pose.covariance).ok_or_else(|| {
         let expected = "the 21 numbers of a covariance's upper triangle";
-        wire_error(place.at(".pose.covariance"), expected, pose.covariance.len())
+        wire_error("pose.covariance", expected, pose.covariance.len())
     })?;
     Ok(pose::RoundelPose {
         position_m,
@@ -278,43 +248,40 @@ fn read_pose(
     })
 }
 
-fn read_vector(
-    vector: Option<&v1::Vector3>,
-    place: FieldPath<'_>,
-) -> Result<Vector3<f64>, WireFieldError> {
-    let vector = vector.ok_or_else(|| wire_error(place, "three numbers", "none"))?;
-    finite(&[vector.x, vector.y, vector.z], place)?;
+fn read_vector(vector: Option<&v1::Vector3>, field: &str) -> Result<Vector3<f64>, WireFieldError> {
+    let vector = vector.ok_or_else(|| wire_error(field, "three numbers", "none"))?;
+    finite(&[vector.x, vector.y, vector.z], field)?;
     Ok(Vector3::new(vector.x, vector.y, vector.z))
 }
 
 fn read_direction(
     vector: Option<&v1::Vector3>,
-    place: FieldPath<'_>,
+    field: &str,
 ) -> Result<Vector3<f64>, WireFieldError> {
-    let vector = read_vector(vector, place)?;
+    let vector = read_vector(vector, field)?;
     let length = vector.norm();
     if (length - 1.0).abs() > 1e-3 {
-        return Err(wire_error(place, "a vector of length 1", format!("one of {length}")));
+        return Err(wire_error(field, "a vector of length 1", format!("one of {length}")));
     }
-    // One of length 1 but for rounding is taken bit for bit.
+    // A length that differs from 1 only by rounding leaves the vector unchanged to the last bit.
     Ok(if (length - 1.0).abs() < 1e-12 { vector } else { vector / length })
 }
 
-fn finite(numbers: &[f64], place: FieldPath<'_>) -> Result<(), WireFieldError> {
+fn finite(numbers: &[f64], field: &str) -> Result<(), WireFieldError> {
     match numbers.iter().find(|number| !number.is_finite()) {
-        Some(number) => Err(wire_error(place, "finite numbers", number)),
+        Some(number) => Err(wire_error(field, "finite numbers", number)),
         None => Ok(()),
     }
 }
 
-/// What a node sends of what its camera saw.
+/// The message of a node for its camera's detections.
 pub fn pushed_observations(
     installation: &Installation,
     seen: &world::FrameObservations,
     state: &CameraState,
 ) -> v1::PushedObservations {
     v1::PushedObservations {
-        // Given when it is sent.
+        // Assigned when it is sent.
         sequence: 0,
         clock: state.capture_clock.map(capture_clock),
         observations: Some(convert::observations(installation, seen)),
@@ -331,7 +298,7 @@ pub fn pushed_observations(
     }
 }
 
-/// The lens and the place that the server has a camera at.
+/// The message of a server for its camera's calibration.
 pub fn pushed_calibration(state: &CameraState) -> Option<v1::PushedCalibration> {
     let model = state.camera.as_ref()?;
     Some(v1::PushedCalibration {
@@ -342,17 +309,17 @@ pub fn pushed_calibration(state: &CameraState) -> Option<v1::PushedCalibration> 
     })
 }
 
-/// The lens that a server says; `None` if it is none that this version knows.
+/// The camera of a server's calibration; `None` if this version does not know the lens model.
 pub fn calibration_camera(calibration: &v1::PushedCalibration) -> Option<camera::Camera> {
-    let told = calibration.intrinsics.as_ref()?;
+    let sent = calibration.intrinsics.as_ref()?;
     camera::Camera::new(camera::Intrinsics {
         width: calibration.width as usize,
         height: calibration.height as usize,
-        fx_px: told.fx_px,
-        fy_px: told.fy_px,
-        cx_px: told.cx_px,
-        cy_px: told.cy_px,
-        lens: camera::Lens::from_ros(&told.lens, &told.distortion)?,
+        fx_px: sent.fx_px,
+        fy_px: sent.fy_px,
+        cx_px: sent.cx_px,
+        cy_px: sent.cy_px,
+        lens: camera::Lens::from_ros(&sent.lens, &sent.distortion)?,
     })
     .ok()
 }

@@ -1,11 +1,11 @@
-//! One try of a source: what it gives, before a camera is configured with it.
+//! Probes a source before a camera is configured with it.
 //!
-//! The source is opened beside everything that runs, for a few seconds, on the caller's thread. Nothing of what it gives
-//! goes to fusion. Of a source whose size nobody has said the first picture tells.
+//! The source is opened for a few seconds on the caller's thread, while cameras keep running. Nothing is sent to fusion.
+//! If no size is given, the first picture determines it.
 
 use std::{
     path::PathBuf,
-    sync::{Mutex, PoisonError, TryLockError},
+    sync::{Arc, Mutex, PoisonError, TryLockError},
     thread,
     time::{Duration, Instant},
 };
@@ -31,65 +31,63 @@ use crate::{
         capture_clock::CaptureClock,
         clock::Clock,
         simulated::simulated_camera,
+        source_rules::{SourceRuleError, SourceRules},
         stop::StopSignal,
     },
 };
 
-/// Frames are looked at for so long …
 const PROBE_DURATION: Duration = Duration::from_secs(2);
-/// … and all together, the first frame included, it takes no longer than this.
+/// Longest trial, including the time to the first frame.
 const PROBE_TIMEOUT: Duration = Duration::from_secs(15);
-/// Asked of a camera that lets one choose, where nobody says a size.
+/// Requested from a camera that supports several sizes, if no size is given.
 const DEFAULT_SIZE: (usize, usize) = (1280, 720);
 
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ProbeReport {
-    /// Why there are no frames, or no more, and what to do; empty if all is well.
+    /// Why there are no frames, or no more, and what to do; empty without an error.
     pub error: String,
-    /// Of its pictures; 0 before one.
+    /// Size of its pictures; 0 before the first one.
     pub width: usize,
     pub height: usize,
     pub frames: u64,
     pub broken: u64,
-    /// Frames a second; 0 of fewer than two.
+    /// 0 for fewer than two frames.
     pub rate_hz: f64,
-    /// Frames a second that it says it gives; 0: it does not say.
+    /// The rate that the source announces; 0: none.
     pub promised_hz: f64,
     pub capture_clock: Option<CaptureClock>,
     /// Roundels in the newest frame.
     pub roundels: usize,
-    /// Median, milliseconds.
+    /// Median.
     pub decode_ms: f64,
-    /// Following and searching, median, milliseconds.
+    /// Median of following and searching.
     pub detect_ms: f64,
 }
 
 #[derive(Debug, Error)]
 pub enum ProbeError {
-    /// The address is none.
     #[error(transparent)]
     Address(#[from] AddressError),
-    /// The size is none.
+    #[error(transparent)]
+    Rule(#[from] SourceRuleError),
     #[error(
         "width and height: expected 1 to {MAX_SIDE_PX} pixels each, or neither, found {0} x {1}"
     )]
     Size(usize, usize),
     #[error(
-        "a `push:` camera is fed by a program, so there is nothing to be opened: configure it, and look whether frames arrive"
+        "a `push:` camera is fed by a program, so there is nothing to open: configure it, and check whether frames arrive"
     )]
     Fed,
-    /// One at a time: each takes a processor.
     #[error("another source is being tried; try again in a few seconds")]
     Busy,
-    /// Kinds of roundel that cannot be searched for, or the like.
     #[error("internal error, please report it: {0}")]
     Internal(String),
 }
 
-/// Tries sources, one at a time.
+/// Tries sources, one at a time, since each takes a processor.
 pub struct SourceProbe {
     kinds: Vec<Kind>,
-    /// Relative paths begin here.
+    /// Base of relative paths.
     folder: PathBuf,
     clock: Clock,
     playback: Playback,
@@ -97,24 +95,25 @@ pub struct SourceProbe {
 }
 
 impl SourceProbe {
-    /// Searches for these kinds of roundel; relative paths begin in that folder.
     pub fn new(kinds: Vec<Kind>, folder: PathBuf, clock: Clock, playback: Playback) -> Self {
         Self { kinds, folder, clock, playback, busy: Mutex::default() }
     }
 
-    /// Opens the source and looks at what it gives for two seconds; blocks as long, and 15 s at most.
+    /// Opens the source and processes its frames for [`PROBE_DURATION`]; blocks for at most [`PROBE_TIMEOUT`]. `admit`
+    /// checks the source and returns the rules that bind it.
     pub fn probe(
         &self,
         source: &str,
         size: Option<(usize, usize)>,
+        admit: impl Fn(&SourceAddress) -> Result<Option<Arc<SourceRules>>, SourceRuleError>,
     ) -> Result<ProbeReport, ProbeError> {
         let _alone = match self.busy.try_lock() {
             Ok(guard) => guard,
             Err(TryLockError::WouldBlock) => return Err(ProbeError::Busy),
-            // What panicked left nothing behind that could do harm.
             Err(TryLockError::Poisoned(poisoned)) => PoisonError::into_inner(poisoned),
         };
         let address = SourceAddress::parse(source, &self.folder)?;
+        let rules = admit(&address)?;
         let own_size = match &address {
             SourceAddress::Push(_) => return Err(ProbeError::Fed),
             SourceAddress::Sim(sim) => {
@@ -130,7 +129,7 @@ impl SourceProbe {
         {
             return Err(ProbeError::Size(width, height));
         }
-        // Whatever a source waits for ends with this.
+        // The watchdog ends every wait of the source.
         let (stop, done) = (StopSignal::default(), StopSignal::default());
         let (stopping, waiting) = (stop.clone(), done.clone());
         let watchdog = thread::spawn(move || {
@@ -138,60 +137,54 @@ impl SourceProbe {
                 stopping.stop();
             }
         });
-        let report = self.with_size(&address, own_size.or(size), &stop);
-        done.stop();
-        // It waits for nothing else.
-        let _ = watchdog.join();
-        report
-    }
-
-    fn with_size(
-        &self,
-        address: &SourceAddress,
-        size: Option<(usize, usize)>,
-        stop: &StopSignal,
-    ) -> Result<ProbeReport, ProbeError> {
-        let (report, found) = self.open_and_measure(address, size.unwrap_or(DEFAULT_SIZE), stop)?;
-        match found {
-            Some(found) if size.is_none() => Ok(self.open_and_measure(address, found, stop)?.0),
-            _ => Ok(report),
+        let size = own_size.or(size);
+        let opener = |size| {
+            let (clock, playback) = (self.clock, self.playback);
+            SourceOpener::new(address.clone(), size, clock, playback, stop.clone())
+                .with_rules(rules.clone())
+        };
+        let first = size.unwrap_or(DEFAULT_SIZE);
+        let mut outcome = self.try_size(first, opener(first));
+        if size.is_none()
+            && let Ok((_, Some(found))) = outcome
+        {
+            outcome = self.try_size(found, opener(found));
         }
+        done.stop();
+        let _ = watchdog.join();
+        outcome.map(|(report, _)| report)
     }
 
-    /// What pictures of that size give, or another size that they have.
-    fn open_and_measure(
+    /// Expects pictures of that size; also returns another size that they have.
+    fn try_size(
         &self,
-        address: &SourceAddress,
         size: (usize, usize),
-        stop: &StopSignal,
+        mut opener: SourceOpener,
     ) -> Result<(ProbeReport, Option<(usize, usize)>), ProbeError> {
-        let mut pipeline = self.pipeline(size)?;
-        let mut report = ProbeReport::default();
-        let (clock, playback) = (self.clock, self.playback);
-        let mut opener = SourceOpener::new(address.clone(), size, clock, playback, stop.clone());
+        let mut pipeline = search_pipeline(self.kinds.clone(), size)
+            .map_err(|error| ProbeError::Internal(error.to_string()))?;
+        let (mut report, mut other_size) = (ProbeReport::default(), None);
         let outcome = opener
             .open()
             .and_then(|mut source| self.measure(&mut *source, &mut pipeline, &mut report));
-        let found = match outcome {
-            Ok(()) => None,
-            Err(SourceError::Size { found, .. }) if report.frames == 0 => Some(found),
-            Err(error) => {
-                // That a recording has an end is no failure.
-                let finished = error == SourceError::Finished && report.frames > 0;
-                if !finished {
-                    report.error = error_message(&error);
-                }
-                None
+        report.error = match outcome {
+            Ok(()) => String::new(),
+            // The end of a recording is no error.
+            Err(SourceError::Finished) if report.frames > 0 => String::new(),
+            Err(SourceError::Finished) => "the source has no frames".to_owned(),
+            Err(SourceError::Stopped) => {
+                format!("no answer: the trial timed out after {} s", PROBE_TIMEOUT.as_secs())
             }
+            Err(SourceError::Size { found, .. }) if report.frames == 0 => {
+                other_size = Some(found);
+                let ((width, height), (found_width, found_height)) = (size, found);
+                format!(
+                    "expected pictures of {width} x {height} pixels, found {found_width} x {found_height}"
+                )
+            }
+            Err(error) => error.to_string(),
         };
-        if let Some(found) = found {
-            let (width, height) = size;
-            report.error = format!(
-                "expected pictures of {width} x {height} pixels, found {} x {}",
-                found.0, found.1
-            );
-        }
-        Ok((report, found))
+        Ok((report, other_size))
     }
 
     fn measure(
@@ -236,44 +229,36 @@ impl SourceProbe {
             }
         }
     }
-
-    /// Searches only: no lens is known, and no pose is asked for.
-    fn pipeline(&self, (width, height): (usize, usize)) -> Result<Pipeline, ProbeError> {
-        let internal = |error: &dyn std::fmt::Display| ProbeError::Internal(error.to_string());
-        let camera = Camera::new(Intrinsics {
-            width,
-            height,
-            fx_px: width as f64,
-            fy_px: width as f64,
-            cx_px: 0.5 * (width as f64 - 1.0),
-            cy_px: 0.5 * (height as f64 - 1.0),
-            lens: Lens::PlumbBob([0.0; 5]),
-        });
-        Pipeline::new(PipelineParts {
-            kinds: self.kinds.clone(),
-            params: Params { mode: Mode::Fast, ..Params::default() },
-            mask: Mask::default(),
-            camera: camera.map_err(|error| internal(&error))?,
-            line_time_s: 0.0,
-            counts: Default::default(),
-        })
-        .map_err(|error| internal(&error))
-    }
 }
 
-fn error_message(error: &SourceError) -> String {
-    match error {
-        SourceError::Stopped => {
-            format!("no answer: it was given up after {} s", PROBE_TIMEOUT.as_secs())
-        }
-        SourceError::Finished => "it has no frames".to_owned(),
-        error => error.to_string(),
-    }
+/// A pipeline that only searches: its lens is arbitrary, because nothing uses the poses.
+fn search_pipeline(
+    kinds: Vec<Kind>,
+    (width, height): (usize, usize),
+) -> Result<Pipeline, Box<dyn std::error::Error>> {
+    let camera = Camera::new(Intrinsics {
+        width,
+        height,
+        fx_px: width as f64,
+        fy_px: width as f64,
+        cx_px: 0.5 * (width as f64 - 1.0),
+        cy_px: 0.5 * (height as f64 - 1.0),
+        lens: Lens::PlumbBob([0.0; 5]),
+    })?;
+    Ok(Pipeline::new(PipelineParts {
+        kinds,
+        params: Params { mode: Mode::Fast, ..Params::default() },
+        mask: Mask::default(),
+        camera,
+        line_time_s: 0.0,
+        counts: Default::default(),
+    })?)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::capture::worker::pipeline::tests::frame;
 
     fn source_probe(folder: &std::path::Path) -> SourceProbe {
         let (clock, playback) = Playback::begin(std::iter::empty()).unwrap();
@@ -281,41 +266,31 @@ mod tests {
         SourceProbe::new(kinds, folder.to_owned(), clock, playback)
     }
 
-    /// White, with a black ring of 20 px round a white disc.
-    fn draw(folder: &std::path::Path) {
-        let level = |u: f64, v: f64| {
-            let radius = (u - 80.0).hypot(v - 60.0);
-            let ink = (20.5 - radius).clamp(0.0, 1.0) - (8.5 - radius).clamp(0.0, 1.0);
-            (220.0 - 190.0 * ink).round() as u8
-        };
-        let pixels =
-            (0..120).flat_map(|v| (0..160).map(move |u| level(f64::from(u), f64::from(v))));
-        let file: Vec<u8> = b"P5\n160 120\n255\n".iter().copied().chain(pixels).collect();
-        std::fs::write(folder.join("0.pgm"), &file).unwrap();
-    }
-
     #[test]
-    fn a_source_says_its_size_rate_and_what_it_shows() {
+    fn a_report_has_size_rate_and_roundels() {
         let folder = tempfile::tempdir().unwrap();
-        draw(folder.path());
+        let pixels = frame(&[(80.0, 60.0)]);
+        std::fs::write(folder.path().join("0.pgm"), [&b"P5 320 240 255\n"[..], &pixels].concat())
+            .unwrap();
         let source_probe = source_probe(folder.path());
-        let report = source_probe.probe("images:*.pgm?fps=20&loop=true", None).unwrap();
-        assert_eq!((report.error.as_str(), report.width, report.height), ("", 160, 120));
+        let probe = |source, size| source_probe.probe(source, size, |_| Ok(None));
+        let report = probe("images:*.pgm?fps=20&loop=true", None).unwrap();
+        assert_eq!((report.error.as_str(), report.width, report.height), ("", 320, 240));
         assert_eq!((report.roundels, report.capture_clock), (1, Some(CaptureClock::EXACT)));
         assert!(report.frames > 1 && (report.rate_hz / 20.0 - 1.0).abs() < 0.3, "{report:?}");
-        // A size that is said is insisted on.
-        let report = source_probe.probe("images:*.pgm", Some((320, 240))).unwrap();
-        assert_eq!(report.error, "expected pictures of 320 x 240 pixels, found 160 x 120");
-        // One picture is no failure.
-        let report = source_probe.probe("images:*.pgm", None).unwrap();
+        // A given size is required.
+        let report = probe("images:*.pgm", Some((160, 120))).unwrap();
+        assert_eq!(report.error, "expected pictures of 160 x 120 pixels, found 320 x 240");
+        // A single picture is no error.
+        let report = probe("images:*.pgm", None).unwrap();
         assert_eq!((report.error.as_str(), report.frames, report.rate_hz), ("", 1, 0.0));
     }
 
     #[test]
-    fn what_cannot_be_tried_says_why() {
+    fn errors_say_what_to_do() {
         let folder = tempfile::tempdir().unwrap();
         let source_probe = source_probe(folder.path());
-        let error = |source, size| match source_probe.probe(source, size) {
+        let error = |source, size| match source_probe.probe(source, size, |_| Ok(None)) {
             Ok(report) => report.error,
             Err(error) => error.to_string(),
         };

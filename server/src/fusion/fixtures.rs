@@ -1,4 +1,4 @@
-//! What tests of the fusion task begin with: an installation, and frames of a camera that looks straight down.
+//! An installation and frames for the tests of fusion; the cameras look straight down.
 
 use nalgebra::Vector3;
 use roundel_core::{
@@ -14,12 +14,11 @@ use roundel_core::{
 
 use crate::model::hub::{CameraInfo, Hub, Installation};
 
-/// How far below the cameras the roundel is, metres.
+/// Distance of the roundel below the cameras, metres.
 pub(super) const DEPTH_M: f64 = 3.0;
-/// Where a camera of 640 x 480 pixels sees it.
+/// Its place in an image of 640 x 480 pixels.
 pub(super) const MIDDLE: PixelPoint = PixelPoint { u: 319.5, v: 239.5 };
 
-/// With cameras of these names, and one kind of robot.
 pub(super) fn hub(cameras: &[&str], started: Timestamp) -> Hub {
     let camera = |name: &&str| CameraInfo { name: (*name).into(), ..CameraInfo::default() };
     Hub::new(Installation {
@@ -34,7 +33,7 @@ pub(super) fn hub(cameras: &[&str], started: Timestamp) -> Hub {
     })
 }
 
-/// A roundel in the middle of the picture.
+/// A frame with a roundel in its middle.
 pub(super) fn frame(camera: CameraId, number: u64, time: Timestamp) -> FrameObservations {
     let (semi_major_px, semi_minor_px) = (20.0, 20.0);
     let rim = Ellipse { center: MIDDLE, semi_major_px, semi_minor_px, angle_rad: 0.0 };

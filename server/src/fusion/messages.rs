@@ -1,39 +1,34 @@
-//! What fusion tells people, in words.
+//! Texts of the events that fusion publishes.
 
 use roundel_core::{
-    id::{BodyId, KindId},
     marker::Code,
-    world::{Event, EventKind, WrongHeight},
+    world::{self, Event, WrongHeight},
 };
 
-use crate::model::hub::Installation;
+use crate::model::hub::{EventKind, Installation};
 
-/// Kind, body and code of an object.
-pub(super) type ObjectIdentity = (Option<KindId>, Option<BodyId>, Option<Code>);
-
-pub(super) fn object_event(
-    installation: &Installation,
-    event: &Event,
-    (kind, body, code): ObjectIdentity,
-) -> String {
-    let name = match (installation.object_name(kind, body), code) {
+/// `name`: the object's configured name, or empty.
+pub(super) fn object_event(event: &Event, name: &str, code: Option<Code>) -> (EventKind, String) {
+    let name = match (name, code) {
         ("", None) => format!("Object {}", event.object),
         ("", Some(code)) => format!("Object {} (code {})", event.object, code.number),
         (name, _) => format!("Object {} ({name})", event.object),
     };
-    match event.kind {
-        EventKind::Appeared => format!("{name} has appeared."),
-        EventKind::Predicted => format!("{name} is not seen by any camera; its pose is predicted."),
-        EventKind::Recovered => format!("{name} is seen again."),
-        EventKind::Lost => format!("{name} is lost."),
-    }
+    let (kind, what) = match event.kind {
+        world::EventKind::Appeared => (EventKind::ObjectAppeared, "has appeared"),
+        world::EventKind::Predicted => {
+            (EventKind::ObjectPredicted, "is not seen by any camera; its pose is predicted")
+        }
+        world::EventKind::Recovered => (EventKind::ObjectRecovered, "is seen again"),
+        world::EventKind::Lost => (EventKind::ObjectLost, "is lost"),
+    };
+    (kind, format!("{name} {what}."))
 }
 
-/// A camera's clock was set.
 pub(super) fn clock_step(camera: &str) -> String {
     format!(
-        "The clock of camera {camera} was set, or counts from another epoch: its times are brought to \
-         the server's, and what is left of the difference is found from what it sees."
+        "The clock of camera {camera} was set, or counts from another epoch: its offset from the server's clock is \
+         estimated again."
     )
 }
 
@@ -45,7 +40,7 @@ pub(super) fn height_mismatch(installation: &Installation, wrong: &WrongHeight) 
     let cameras: Vec<&str> = wrong.cameras.iter().map(|&id| installation.camera_name(id)).collect();
     format!(
         "{what}: seen at a height of {:.2} m by {}, and `height_m` says {:.2}. Correct it, or the diameters \
-         or the cameras' poses; until then places are wrong, and objects may appear that are not there.",
+         or the cameras' poses; until then positions are wrong, and false objects may appear.",
         wrong.seen_m,
         cameras.join(", "),
         wrong.said_m
@@ -54,32 +49,18 @@ pub(super) fn height_mismatch(installation: &Installation, wrong: &WrongHeight) 
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
     use roundel_core::{id::ObjectId, time::Timestamp};
 
     use super::*;
 
     #[test]
-    fn who_has_no_name_is_told_by_its_code() {
-        let installation = Installation {
-            name: "lab".into(),
-            source_id: "s".into(),
-            started: Timestamp::default(),
-            snapshot_rate_hz: 100.0,
-            cameras: BTreeMap::new(),
-            kinds: vec!["robot".into()],
-            object_names: BTreeMap::new(),
-            body_names: vec!["carrier".into()],
-        };
-        let told = |body, code| {
-            let event =
-                Event { time: Timestamp::default(), object: ObjectId(3), kind: EventKind::Lost };
-            object_event(&installation, &event, (Some(KindId(0)), body, code))
-        };
-        assert_eq!(told(None, None), "Object 3 is lost.");
+    fn an_object_without_a_name_is_identified_by_its_code() {
+        let (time, object) = (Timestamp::default(), ObjectId(3));
+        let event = Event { time, object, kind: world::EventKind::Lost };
         let code = Some(Code { bits: 8, number: 12 });
-        assert_eq!(told(None, code), "Object 3 (code 12) is lost.");
-        assert_eq!(told(Some(BodyId(0)), code), "Object 3 (carrier) is lost.");
+        let message = |name, code| object_event(&event, name, code).1;
+        assert_eq!(message("", None), "Object 3 is lost.");
+        assert_eq!(message("", code), "Object 3 (code 12) is lost.");
+        assert_eq!(message("carrier", code), "Object 3 (carrier) is lost.");
     }
 }

@@ -1,5 +1,5 @@
-//! The fusion thread: the one owner of all tracks. Takes what workers saw, drives the pure machine
-//! of `core::world`, and publishes snapshots at steady ticks, or sooner where there is news.
+//! The fusion thread, sole owner of all tracks. Feeds observations from the workers to `core::world` and publishes
+//! snapshots at steady ticks or, if configured, as soon as a frame was fused.
 
 mod apply_command;
 pub mod calibration;
@@ -24,9 +24,9 @@ use std::{
 };
 
 use roundel_core::{
-    id::{CameraId, ObjectId},
+    id::CameraId,
     time::Timestamp,
-    world::{Event, Fusion, Snapshot},
+    world::{Event, Fusion, Landmark},
 };
 
 use crate::{
@@ -39,36 +39,32 @@ use crate::{
         tap::RecordedItem,
     },
 };
+use calibration::Calibrator;
 use camera_monitor::CameraMonitor;
-pub use camera_monitor::CameraMonitorParts;
-use messages::ObjectIdentity;
 use mounted_cameras::MountedCameras;
 use reprojection::ReprojectionMonitor;
 pub use schedule::PublishSchedule;
 
-/// Frames from all cameras that may wait for fusion; full: the newest is dropped and counted.
+/// Capacity of the queue from the workers. When it is full, the newest frame is dropped and counted.
 pub const QUEUE_FRAMES: usize = 256;
 
-/// Drives fusion until the signal comes.
+/// Runs fusion until it is stopped.
 pub struct FusionTask {
     fusion: Fusion,
     hub: Arc<Hub>,
     clock: Clock,
     worker_outputs: Receiver<WorkerOutput>,
     commands: Receiver<FusionCommand>,
-    /// Those of which frames are used.
+    /// Frames of other cameras are ignored.
     cameras: BTreeSet<CameraId>,
     latency_ms: BTreeMap<CameraId, RunningMedian>,
-    /// What the newest snapshot says of each object, for messages about it.
-    identities: BTreeMap<ObjectId, ObjectIdentity>,
     mounted_cameras: MountedCameras,
     reprojection: ReprojectionMonitor,
     camera_monitor: Option<CameraMonitor>,
 }
 
 impl FusionTask {
-    /// A task with a fusion machine that knows objects and landmarks. What it is to know of the installation's cameras
-    /// comes by [`FusionTask::with_commands`], unless it was told already.
+    /// `fusion` knows objects and landmarks. The poses and clocks of the cameras follow as commands.
     pub fn new(
         fusion: Fusion,
         hub: Arc<Hub>,
@@ -81,29 +77,27 @@ impl FusionTask {
             hub,
             clock,
             worker_outputs,
-            // Nobody sends any.
             commands: channel().1,
             cameras,
             latency_ms: BTreeMap::new(),
-            identities: BTreeMap::new(),
             mounted_cameras: MountedCameras::default(),
             reprojection: ReprojectionMonitor::default(),
             camera_monitor: None,
         }
     }
 
-    /// The same, which notices cameras that no longer stand where they did.
-    pub fn with_camera_monitor(self, parts: CameraMonitorParts) -> Self {
-        Self { camera_monitor: Some(CameraMonitor::new(parts)), ..self }
+    /// Detects bumped and drifted cameras.
+    pub fn with_camera_monitor(self, landmarks: &[Landmark], calibrator: Arc<Calibrator>) -> Self {
+        Self { camera_monitor: Some(CameraMonitor::new(landmarks, calibrator)), ..self }
     }
 
-    /// The same, which hears of cameras that come, change and go.
+    /// Accepts commands through the returned sender.
     pub fn with_commands(self) -> (Self, Sender<FusionCommand>) {
         let (sender, commands) = channel();
         (Self { commands, ..self }, sender)
     }
 
-    /// Publishes snapshots in this schedule until the signal comes, and a last one then.
+    /// Publishes snapshots until `stop`, and a last one then.
     pub fn run(mut self, mut schedule: PublishSchedule, stop: &StopSignal) {
         while !stop.is_stopped() {
             self.collect_until_due(&schedule, stop);
@@ -118,7 +112,7 @@ impl FusionTask {
         self.publish(self.clock.now(), None);
     }
 
-    /// Takes frames until a snapshot is due; what waits already belongs to that as well.
+    /// Processes frames until the next snapshot is due.
     fn collect_until_due(&mut self, schedule: &PublishSchedule, stop: &StopSignal) {
         let mut has_news = false;
         loop {
@@ -134,7 +128,7 @@ impl FusionTask {
                     has_news = true;
                 }
                 Err(RecvTimeoutError::Timeout) => return,
-                // All cameras have finished; tracks still grow old and are lost.
+                // All cameras have finished; tracks still age and are lost.
                 Err(RecvTimeoutError::Disconnected) => {
                     stop.wait(rest);
                     return;
@@ -143,26 +137,29 @@ impl FusionTask {
         }
     }
 
-    /// Takes in what was seen in a frame.
+    /// Fuses one frame.
     pub fn observe(&mut self, output: &WorkerOutput) {
         let camera = output.observations.camera;
-        // What it was told of came before the frame that was taken with it.
+        // Commands sent before this frame was captured apply to it.
         self.process_commands();
         if !self.cameras.contains(&camera) {
             return;
         }
         if let Some(placement) = output.placement {
-            self.apply_camera_update(CameraUpdate {
-                camera,
-                change: CameraChange::Localized(Box::new(placement)),
-            });
+            let change = CameraChange::Localized(Box::new(placement));
+            self.apply_camera_update(CameraUpdate { camera, change });
         }
         let (hub, taken) = (&self.hub, self.clock.now());
         hub.tap().offer(|| RecordedItem::Detections(output.observations.clone(), taken));
         let steps = self.fusion.counts().clock_steps;
         self.fusion.observe(&output.observations);
         if self.fusion.counts().clock_steps > steps {
-            self.report_clock_step(camera, output.observations.received_time);
+            let installation = hub.installation();
+            let name = installation.camera_name(camera);
+            let message = messages::clock_step(name);
+            tracing::warn!(camera = name, "{message}");
+            let time = output.observations.received_time;
+            hub.publish_camera_event(time, EventKind::CameraClockSet, camera, message);
         }
         if let Some(camera_monitor) = &mut self.camera_monitor {
             camera_monitor.observe(&output.observations, &self.fusion);
@@ -172,33 +169,23 @@ impl FusionTask {
         median.add(latency_s * 1e3);
         let latency_ms = median.value();
         let clock = self.fusion.clock(camera);
-        self.hub.update_camera(camera, |state| {
+        hub.update_camera(camera, |state| {
             state.latency_ms = latency_ms;
             state.clock = clock;
         });
     }
 
-    fn report_clock_step(&self, camera: CameraId, time: Timestamp) {
-        let installation = self.hub.installation();
-        let name = installation.camera_name(camera);
-        let message = messages::clock_step(name);
-        tracing::warn!(camera = name, "{message}");
-        self.hub.publish_event(time, EventKind::CameraClockSet(camera), message);
-    }
-
-    /// Publishes a snapshot of an instant, fused then, or now.
+    /// Publishes the snapshot of `pose_time`; `fused_time` defaults to now.
     pub fn publish(&mut self, pose_time: Timestamp, fused_time: Option<Timestamp>) {
         let snapshot = self.fusion.snapshot(pose_time);
         let gives_frames = |camera| self.latency_ms.contains_key(&camera);
         self.mounted_cameras.publish(&mut self.fusion, &self.hub, pose_time, gives_frames);
         self.hub.set_fusion_counts(self.fusion.counts());
-        self.update_identities(&snapshot);
         self.hub.publish_snapshot(snapshot, fused_time.unwrap_or_else(|| self.clock.now()));
-        // After the snapshot, as whoever fuses a recording anew does it.
+        // After the snapshot, in the order in which a replay repeats it.
         if let Some(camera_monitor) = &mut self.camera_monitor {
             camera_monitor.advance(self.clock.now(), &mut self.fusion, &self.hub);
         } else {
-            // Nobody judges who is held back.
             self.fusion.drain_held_back().for_each(drop);
         }
         self.reprojection.advance(pose_time, &self.cameras, (&mut self.fusion, &self.hub));
@@ -209,18 +196,14 @@ impl FusionTask {
             self.hub.publish_event(pose_time, EventKind::HeightContradicted, message);
         }
         for event in events {
-            let subject = self.identities.get(&event.object).copied().unwrap_or_default();
-            let message = messages::object_event(&self.hub.installation(), &event, subject);
-            let kind = EventKind::ObjectStageChanged(event.object, event.kind);
-            self.hub.publish_event(event.time, kind, message);
+            let newest = self.hub.snapshots().borrow().clone();
+            let object = newest.snapshot.objects.iter().find(|object| object.id == event.object);
+            let installation = self.hub.installation();
+            let name = object.map_or("", |it| installation.object_name(it.kind, it.body));
+            let code = object.and_then(|object| object.code);
+            let (kind, message) = messages::object_event(&event, name, code);
+            self.hub.publish_object_event(event.time, kind, Some(event.object), message);
         }
-    }
-
-    fn update_identities(&mut self, snapshot: &Snapshot) {
-        self.identities.clear();
-        let each = snapshot.objects.iter();
-        self.identities
-            .extend(each.map(|object| (object.id, (object.kind, object.body, object.code))));
     }
 }
 

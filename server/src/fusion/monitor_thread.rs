@@ -1,8 +1,7 @@
-//! The watch over cameras in a thread of its own, which gives way to all others.
+//! Runs the camera watch ([`roundel_core::calib::watch`]) on a low-priority thread.
 //!
-//! Four times a second it computes for milliseconds ([`roundel_core::calib::watch`]); nobody waits for that but who
-//! was bumped, and in fusion's thread each frame and each client that came just then would. It is told what happened in
-//! batches, in order, and has said what it makes of one before it gets the next.
+//! The watch computes for milliseconds four times a second, which would delay frames and clients on the fusion thread.
+//! Its input is sent in ordered batches; the next batch follows the findings of the one before.
 
 use std::{
     collections::BTreeSet,
@@ -20,11 +19,11 @@ use roundel_core::{
     world::{CameraPlacement, FrameObservations},
 };
 
-/// From one batch to the next at least.
+/// Minimum time between two batches.
 const BATCH_PERIOD_NS: i64 = 50_000_000;
-/// Notes that may wait for a batch; frames beyond are left out.
+/// Capacity for the next batch. When it is full, frames are dropped.
 const MAX_INPUTS: usize = 4096;
-/// Of its thread: a tenth of what others get where all want the same core, and they need not wait for it.
+/// On a busy core the thread gets a tenth of the time of the others.
 #[cfg(target_os = "linux")]
 const NICE: i32 = 10;
 
@@ -33,29 +32,28 @@ pub(super) enum MonitorInput {
     Placed {
         camera: CameraId,
         placement: Box<CameraPlacement>,
-        /// By a person: it may be rough.
+        /// Possibly measured by hand, and inexact.
         is_configured: bool,
-        /// Other than it was known to.
+        /// Differs from the pose before.
         is_new: bool,
     },
     Removed(CameraId),
-    /// A frame, and by how much its stamps are late, seconds.
+    /// A frame and the offset of its time stamps, seconds.
     Detections(Arc<FrameObservations>, f64),
     /// Whether fusion holds a camera back.
     Held(CameraId, bool),
 }
 
-/// What the watch made of a batch.
-#[derive(Clone, Debug)]
+/// Result of one batch.
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct Findings {
     pub events: Vec<WatchEvent>,
-    /// With each camera whether its place is only written, and how it is.
+    /// For each camera: whether its pose is only configured, and its health.
     pub cameras: Vec<(CameraId, bool, Option<CameraHealth>)>,
 }
 
 type Batch = (Vec<MonitorInput>, Timestamp);
 
-/// Passes notes on to the thread, and brings findings back.
 pub(super) struct MonitorThread {
     notes: Vec<MonitorInput>,
     batches: Sender<Batch>,
@@ -65,7 +63,7 @@ pub(super) struct MonitorThread {
 }
 
 impl MonitorThread {
-    /// With a watch that knows its landmarks. Its thread ends with this.
+    /// The thread ends when this is dropped.
     pub(super) fn new(watch: Watch) -> Self {
         let (batches, received) = channel();
         let (sender, findings) = channel();
@@ -73,7 +71,7 @@ impl MonitorThread {
         if let Err(error) = thread.spawn(move || work(watch, &received, &sender)) {
             tracing::error!(
                 %error,
-                "no thread could be started for the watch: that a camera was bumped is not noticed"
+                "cannot start the thread of the camera watch: bumped cameras are not detected"
             );
         }
         Self { notes: Vec::new(), batches, findings, is_busy: false, sent: None }
@@ -85,26 +83,22 @@ impl MonitorThread {
         }
     }
 
-    /// What was made of the batch before, if that is known by now and was not taken yet.
+    /// Findings of the last batch, once.
     pub(super) fn findings(&mut self) -> Option<Findings> {
-        let findings = match self.findings.try_recv() {
-            Err(TryRecvError::Empty) => return None,
-            Err(TryRecvError::Disconnected) => {
-                if self.is_busy {
-                    tracing::error!(
-                        "the watch has ended by an error: from now on, that a camera was bumped is not noticed; start \
-                         the server anew"
-                    );
-                }
-                None
-            }
-            Ok(findings) => Some(findings),
-        };
+        let findings = self.findings.try_recv();
+        if findings == Err(TryRecvError::Empty) {
+            return None;
+        }
+        if self.is_busy && findings.is_err() {
+            tracing::error!(
+                "the camera watch has failed: bumped cameras are not detected any more; restart the server"
+            );
+        }
         self.is_busy = false;
-        findings
+        findings.ok()
     }
 
-    /// Whether a camera was placed elsewhere or removed since the batch whose findings are taken next, or just were.
+    /// Whether a camera was moved or removed after the last batch was sent.
     pub(super) fn is_outdated(&self, camera: CameraId) -> bool {
         self.notes.iter().any(|note| match note {
             MonitorInput::Placed { camera: placed, is_new, .. } => *is_new && *placed == camera,
@@ -113,7 +107,7 @@ impl MonitorThread {
         })
     }
 
-    /// Sends what was noted, if it is time for that; time passes until `now`.
+    /// Sends the batch if one is due; the watch advances to `now`.
     pub(super) fn send(&mut self, now: Timestamp) {
         let is_due =
             self.sent.is_none_or(|sent| now.ns_since(sent).saturating_abs() >= BATCH_PERIOD_NS);
@@ -121,7 +115,7 @@ impl MonitorThread {
             return;
         }
         self.sent = Some(now);
-        // Without the thread nobody hears of it.
+        // Fails if the thread has ended.
         self.is_busy = self.batches.send((std::mem::take(&mut self.notes), now)).is_ok();
     }
 }
@@ -156,11 +150,11 @@ fn work(mut watch: Watch, batches: &Receiver<Batch>, findings: &Sender<Findings>
     }
 }
 
-/// In Linux each thread has a priority of its own.
+/// In Linux each thread has its own priority.
 #[cfg(target_os = "linux")]
 fn lower_priority() {
     if let Err(error) = rustix::process::setpriority_process(None, NICE) {
-        tracing::debug!(%error, "the watch has the priority of all others");
+        tracing::debug!(%error, "the camera watch runs with normal priority");
     }
 }
 
@@ -171,9 +165,8 @@ fn lower_priority() {}
 mod tests {
     use super::*;
 
-    /// What is noted then is let go of.
     #[test]
-    fn nothing_piles_up_where_the_watch_has_ended() {
+    fn input_is_dropped_after_the_thread_has_ended() {
         let (batches, findings) = (channel().0, channel().1);
         let mut monitor_thread =
             MonitorThread { notes: Vec::new(), batches, findings, is_busy: true, sent: None };

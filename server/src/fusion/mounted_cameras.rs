@@ -1,7 +1,7 @@
-//! Where cameras that ride on objects are, told with each snapshot.
+//! Publishes the poses of cameras on moving objects with each snapshot.
 //!
-//! A place that comes or goes is an event. Objects are lost and seen again within a few frames at the edge of
-//! what cameras see, so a place that has gone is told only when it stays away.
+//! A pose that becomes known or unknown is an event. At the edge of the cameras' view, objects are lost and recovered
+//! within a few frames, so a lost pose is reported only if it stays unknown.
 
 use roundel_core::{
     id::CameraId,
@@ -11,16 +11,16 @@ use roundel_core::{
 
 use crate::model::hub::{CameraPoseState, EventKind, Hub, MountInfo, PoseStatus};
 
-/// Unknown for so long: told.
+/// A pose unknown for this long is reported, seconds.
 const LOST_AFTER_S: f64 = 1.0;
 
 #[derive(Debug)]
 struct MountedCamera {
     camera: CameraId,
-    ride: MountInfo,
-    /// Since when its place is not known, while it gives frames.
+    mount: MountInfo,
+    /// Since when its pose is unknown although it delivers frames.
     lost_since: Option<Timestamp>,
-    /// What was told last: whether its place is known.
+    /// Whether the pose was known according to the last event.
     reported: Option<bool>,
 }
 
@@ -30,19 +30,16 @@ pub(super) struct MountedCameras {
 }
 
 impl MountedCameras {
-    /// A camera rides from now on.
-    pub(super) fn set(&mut self, camera: CameraId, ride: MountInfo) {
+    pub(super) fn set(&mut self, camera: CameraId, mount: MountInfo) {
         self.remove(camera);
-        self.cameras.push(MountedCamera { camera, ride, lost_since: None, reported: None });
+        self.cameras.push(MountedCamera { camera, mount, lost_since: None, reported: None });
     }
 
-    /// It rides no more.
     pub(super) fn remove(&mut self, camera: CameraId) {
         self.cameras.retain(|mounted| mounted.camera != camera);
     }
 
-    /// Shows where each of them is at an instant. `gives_frames` says of a camera whether it has shown
-    /// anything yet: before, nobody misses its place.
+    /// Publishes the poses at `time`. A camera that has not delivered frames yet is not reported as lost.
     pub(super) fn publish(
         &mut self,
         fusion: &mut Fusion,
@@ -52,91 +49,87 @@ impl MountedCameras {
     ) {
         for mounted in &mut self.cameras {
             let camera = mounted.camera;
-            let place = place(&mounted.ride, fusion.camera_place(camera, time), time);
-            if let Some(is_placed) = mounted.state_change(&place, time, gives_frames(camera)) {
+            let pose = pose_state(&mounted.mount, fusion.camera_place(camera, time), time);
+            let is_placed = pose.placement.is_some();
+            if mounted.is_news(is_placed, time, gives_frames(camera)) {
                 let installation = hub.installation();
                 let name = installation.camera_name(camera);
                 let (kind, message) = if is_placed {
-                    let carrier = &mounted.ride.carrier;
-                    let message = format!("Camera {name} has its place, on \"{carrier}\".");
-                    (EventKind::CameraPlaced(camera), message)
+                    let carrier = &mounted.mount.carrier;
+                    let message = format!("The pose of camera {name} on \"{carrier}\" is known.");
+                    (EventKind::CameraPlaced, message)
                 } else {
-                    let message = format!("Camera {name} has no place: {}.", place.reason);
-                    (EventKind::CameraUnplaced(camera), message)
+                    let message = format!("The pose of camera {name} is unknown: {}.", pose.reason);
+                    (EventKind::CameraUnplaced, message)
                 };
                 tracing::info!(camera = name, "{message}");
-                hub.publish_event(time, kind, message);
+                hub.publish_camera_event(time, kind, camera, message);
             }
-            hub.update_camera(camera, |state| state.pose = place);
+            hub.update_camera(camera, |state| state.pose = pose);
         }
     }
 }
 
 impl MountedCamera {
-    /// Whether its place is known, if that is to be told.
-    fn state_change(
-        &mut self,
-        place: &CameraPoseState,
-        now: Timestamp,
-        gives_frames: bool,
-    ) -> Option<bool> {
-        let is_placed = place.placement.is_some();
+    /// Whether an event must report that the pose is known or unknown.
+    fn is_news(&mut self, is_placed: bool, now: Timestamp, gives_frames: bool) -> bool {
         if is_placed {
             self.lost_since = None;
-        } else if gives_frames {
-            let since = *self.lost_since.get_or_insert(now);
-            if now.seconds_since(since) < LOST_AFTER_S {
-                return None;
-            }
-        } else {
-            return None;
+        } else if !gives_frames
+            || now.seconds_since(*self.lost_since.get_or_insert(now)) < LOST_AFTER_S
+        {
+            return false;
         }
-        (self.reported.replace(is_placed) != Some(is_placed)).then_some(is_placed)
+        self.reported.replace(is_placed) != Some(is_placed)
     }
 }
 
-fn place(
-    ride: &MountInfo,
+fn pose_state(
+    mount: &MountInfo,
     placement: Result<CameraPlacement, Unplaced>,
     time: Timestamp,
 ) -> CameraPoseState {
-    match placement {
-        Ok(placement) => CameraPoseState {
-            status: PoseStatus::Riding,
-            placement: Some(placement),
-            time: Some(time),
-            reason: String::new(),
-        },
-        Err(unplaced) => CameraPoseState {
-            status: PoseStatus::Without(unplaced),
-            placement: None,
-            time: None,
-            reason: reason(ride, unplaced),
-        },
-    }
-}
-
-/// Why there is no place, and what to do.
-fn reason(ride: &MountInfo, unplaced: Unplaced) -> String {
-    let carrier = &ride.carrier;
-    match (unplaced, ride.localizes) {
-        (Unplaced::Unknown | Unplaced::CarrierUnseen, false) => format!(
-            "\"{carrier}\", which it rides on, is not followed now; cameras that stand must see it and \
-             read its code"
+    let unplaced = match placement {
+        Ok(placement) => {
+            let time = Some(time);
+            return CameraPoseState {
+                time,
+                ..CameraPoseState::fixed(PoseStatus::Riding, placement)
+            };
+        }
+        Err(unplaced) => unplaced,
+    };
+    let carrier = &mount.carrier;
+    let (status, reason) = match unplaced {
+        Unplaced::Unknown | Unplaced::CarrierUnseen if mount.localizes => (
+            PoseStatus::CarrierUnseen,
+            format!(
+                "its object \"{carrier}\" is not tracked; the camera must see one reference roundel with code and \
+                 orientation, or three"
+            ),
         ),
-        (Unplaced::Unknown | Unplaced::CarrierUnseen, true) => format!(
-            "\"{carrier}\", which it rides on, is not followed now; the camera must see one reference \
-             roundel with code and orientation, or three"
+        Unplaced::Unknown | Unplaced::CarrierUnseen => (
+            PoseStatus::CarrierUnseen,
+            format!(
+                "its object \"{carrier}\" is not tracked; fixed cameras must see it and read its code"
+            ),
         ),
-        (Unplaced::CarrierWithoutYaw, _) => format!(
-            "how \"{carrier}\", which it rides on, is turned is not seen; its code, or several of its \
-             roundels, must be in view"
+        Unplaced::CarrierWithoutYaw => (
+            PoseStatus::CarrierWithoutYaw,
+            format!(
+                "the orientation of its object \"{carrier}\" is not observed; its code, or several of its roundels, \
+                 must be visible"
+            ),
         ),
-        (Unplaced::CarrierUncertain, _) => format!(
-            "how \"{carrier}\", which it rides on, is turned is too uncertain; it must be seen larger, \
-             by more cameras, or by more roundels"
+        Unplaced::CarrierUncertain => (
+            PoseStatus::CarrierUncertain,
+            format!(
+                "the orientation of its object \"{carrier}\" is too uncertain; it must appear larger, or in more \
+                 cameras, or have more roundels"
+            ),
         ),
-    }
+    };
+    CameraPoseState { status, ..CameraPoseState::searching(reason) }
 }
 
 #[cfg(test)]
@@ -145,31 +138,25 @@ mod tests {
 
     use super::*;
 
-    fn ride() -> MountInfo {
+    fn mount(localizes: bool) -> MountInfo {
         let object_from_camera = Rigid::identity();
-        MountInfo { carrier: "drone".into(), object_from_camera, localizes: false }
+        MountInfo { carrier: "drone".into(), object_from_camera, localizes }
     }
 
     #[test]
-    fn only_a_place_that_stays_away_is_told() {
-        let mut mounted =
-            MountedCamera { camera: CameraId(0), ride: ride(), lost_since: None, reported: None };
-        let placement = CameraPlacement {
-            world_from_camera: Rigid::identity(),
-            covariance: Default::default(),
-        };
-        let mut told = Vec::new();
+    fn only_a_pose_that_stays_unknown_is_reported() {
+        let (camera, mount) = (CameraId(0), mount(false));
+        let mut mounted = MountedCamera { camera, mount, lost_since: None, reported: None };
+        let mut reported = Vec::new();
         for tenth in 0..100 {
             let time = Timestamp::default().plus_seconds(f64::from(tenth) * 0.1);
-            // It gives frames from 1 s on, has a place from 3.5 to 5 s with a gap, and after 8 s.
+            // It delivers frames from 1 s on, and has a pose from 3.5 to 5 s with a gap, and after 8 s.
             let has_place = matches!(tenth, 35..40 | 45..50 | 80..);
-            let placement = if has_place { Ok(placement) } else { Err(Unplaced::CarrierUnseen) };
-            let place = place(&ride(), placement, time);
-            told.extend(
-                mounted.state_change(&place, time, tenth >= 10).map(|is_placed| (tenth, is_placed)),
-            );
+            if mounted.is_news(has_place, time, tenth >= 10) {
+                reported.push((tenth, has_place));
+            }
         }
-        assert_eq!(told, [(20, false), (35, true), (60, false), (80, true)]);
+        assert_eq!(reported, [(20, false), (35, true), (60, false), (80, true)]);
     }
 
     #[test]
@@ -181,7 +168,7 @@ mod tests {
             Unplaced::CarrierUncertain,
         ];
         for (unplaced, localizes) in all.into_iter().flat_map(|it| [(it, false), (it, true)]) {
-            let text = reason(&MountInfo { localizes, ..ride() }, unplaced);
+            let text = pose_state(&mount(localizes), Err(unplaced), Timestamp::default()).reason;
             assert!(text.contains("\"drone\"") && text.contains("must"), "{text}");
         }
     }

@@ -1,32 +1,27 @@
-//! How far from where all other cameras have objects each camera sees them, in pixels of its picture: the sharpest sign that
-//! a lens, a place or a clock is not as it is said to be.
+//! Rms reprojection error of each camera against the others: the most sensitive sign of a wrong lens, pose or clock.
 //!
-//! The others' estimate is that of what they measured until then, so that a robot which speeds up adds what it has gone
-//! farther since their last frames: at 1.5 m/s² and 16 ms a tenth of a millimetre.
+//! The others' estimate is as old as their newest measurements, so the motion since then adds to the error: 0.1 mm at
+//! 1.5 m/s² and 16 ms.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use roundel_core::{
     camera::Camera,
     id::CameraId,
-    rigid::Rigid,
     time::Timestamp,
     world::{Compared, Fusion},
 };
 
 use crate::model::hub::Hub;
 
-/// From one look at a camera to the next.
+/// Time between two measurements of a camera.
 const PERIOD_NS: i64 = 1_000_000_000;
-/// Objects that are looked at each time, in turns: more would be felt by frames that wait meanwhile.
+/// Objects in one measurement, in turns: more would delay waiting frames.
 const OBJECTS_PER_UPDATE: usize = 2;
-/// Looks that are told of together: eight seconds.
+/// Measurements in the average: eight seconds.
 const WINDOW_LEN: usize = 8;
-/// What was measured so long before a look belongs to it.
+/// Observations up to this age are compared.
 const MAX_AGE_NS: i64 = 250_000_000;
-
-/// Sum of the squares, pixels², and of how many objects.
-type SquaredSum = (f64, usize);
 
 #[derive(Debug, Default)]
 pub(super) struct ReprojectionMonitor {
@@ -37,11 +32,12 @@ pub(super) struct ReprojectionMonitor {
 struct ErrorWindow {
     newest: Option<Timestamp>,
     count: usize,
-    kept: VecDeque<SquaredSum>,
+    /// Squared errors of each measurement, pixels².
+    kept: VecDeque<Vec<f64>>,
 }
 
 impl ReprojectionMonitor {
-    /// Looks at the camera that it looked at longest ago, if that is due: never at several in one turn.
+    /// Measures the camera that was measured longest ago, if it is due: at most one in a call.
     pub(super) fn advance(
         &mut self,
         now: Timestamp,
@@ -49,66 +45,46 @@ impl ReprojectionMonitor {
         (fusion, hub): (&mut Fusion, &Hub),
     ) {
         self.windows.retain(|camera, _| cameras.contains(camera));
-        let newest =
-            |camera: &CameraId| self.windows.get(camera).and_then(|windows| windows.newest);
+        let newest = |camera: &CameraId| self.windows.get(camera).and_then(|window| window.newest);
         let Some(&camera) = cameras.iter().min_by_key(|camera| newest(camera)) else { return };
         if newest(&camera).is_some_and(|time| now.ns_since(time) < PERIOD_NS) {
             return;
         }
         let Some(state) = hub.camera(camera) else { return };
-        let windows = self.windows.entry(camera).or_default();
-        windows.newest = Some(now);
-        let turn = windows.count * OBJECTS_PER_UPDATE;
-        windows.count += 1;
-        let squares =
-            state.camera.map_or((0.0, 0), |lens| measure((camera, &lens), now, turn, fusion));
-        windows.kept.push_back(squares);
-        if windows.kept.len() > WINDOW_LEN {
-            windows.kept.pop_front();
+        let window = self.windows.entry(camera).or_default();
+        window.newest = Some(now);
+        let turn = window.count * OBJECTS_PER_UPDATE;
+        window.count += 1;
+        let squares_px2 =
+            state.camera.map(|lens| squared_errors_px2((camera, &lens), now, turn, fusion));
+        window.kept.push_back(squares_px2.unwrap_or_default());
+        if window.kept.len() > WINDOW_LEN {
+            window.kept.pop_front();
         }
-        let reprojection_px = windows.rms_px();
-        hub.update_camera(camera, |state| state.reprojection_px = reprojection_px);
+        let count = window.kept.iter().flatten().count().max(1);
+        let mean_px2 = window.kept.iter().flatten().sum::<f64>() / count as f64;
+        hub.update_camera(camera, |state| state.reprojection_px = mean_px2.sqrt());
     }
 }
 
-impl ErrorWindow {
-    /// 0 where nothing was seen.
-    fn rms_px(&self) -> f64 {
-        let add =
-            |(sum, count): SquaredSum, (more, others): &SquaredSum| (sum + more, count + others);
-        let (sum_px2, count) = self.kept.iter().fold((0.0, 0), add);
-        if count == 0 { 0.0 } else { (sum_px2 / count as f64).sqrt() }
-    }
-}
-
-/// What a camera has seen of late.
-fn measure(
+/// Squared distances in the image between where a camera and the others see objects.
+fn squared_errors_px2(
     (camera, lens): (CameraId, &Camera),
     now: Timestamp,
     turn: usize,
     fusion: &mut Fusion,
-) -> SquaredSum {
+) -> Vec<f64> {
     let compared = fusion.compare(camera, (now, MAX_AGE_NS), (turn, OBJECTS_PER_UPDATE));
-    let mut squares = (0.0, 0);
-    for seen in compared {
-        let Ok(placement) = fusion.camera_place(camera, seen.time) else { continue };
-        let Some(squared_error_px2) = squared_error_px2(&seen, lens, &placement.world_from_camera)
-        else {
-            continue;
+    let squared_error_px2 = |seen: Compared| {
+        let world_from_camera = fusion.camera_place(camera, seen.time).ok()?.world_from_camera;
+        let pixel = |point_m: nalgebra::Vector3<f64>| {
+            let own = world_from_camera.inverse_transform_point(&point_m.into());
+            lens.project(&own.coords).ok().filter(|_| own.z > 0.0)
         };
-        squares = (squares.0 + squared_error_px2, squares.1 + 1);
-    }
-    squares
-}
-
-/// The square of how far the two are from each other in the picture; `None` if either is not in it.
-fn squared_error_px2(seen: &Compared, lens: &Camera, world_from_camera: &Rigid) -> Option<f64> {
-    let pixel = |point_m: nalgebra::Vector3<f64>| {
-        let own = world_from_camera.inverse_transform_point(&point_m.into());
-        lens.project(&own.coords).ok().filter(|_| own.z > 0.0)
+        let (own, others) = (pixel(seen.seen_m)?, pixel(seen.others_m)?);
+        Some((own.u - others.u).powi(2) + (own.v - others.v).powi(2))
     };
-    let (own, others) = (pixel(seen.seen_m)?, pixel(seen.others_m)?);
-    Some((own.u - others.u).powi(2) + (own.v - others.v).powi(2))
+    compared.into_iter().filter_map(squared_error_px2).collect()
 }
 
 #[cfg(test)]
@@ -117,7 +93,7 @@ mod tests {
 
     use roundel_core::{
         camera::{Intrinsics, Lens},
-        rigid::Covariance6,
+        rigid::{Covariance6, Rigid},
         world::{CameraPlacement, FusionParams},
     };
 
@@ -143,7 +119,7 @@ mod tests {
         .unwrap()
     }
 
-    /// What the hub says of each camera after cameras that are off by so much along x have seen the same for two seconds.
+    /// Error of each camera after two seconds, for cameras displaced along x by `offsets_m`.
     fn reported_px(offsets_m: &[f64]) -> Vec<f64> {
         let (hub, mut fusion) =
             (Arc::new(hub(&["0", "1", "2"], START)), Fusion::new(FusionParams::default()));
@@ -167,11 +143,11 @@ mod tests {
     }
 
     #[test]
-    fn cameras_that_agree_have_no_error_and_one_that_is_off_the_largest() {
+    fn the_displaced_camera_has_the_largest_error() {
         assert!(reported_px(&[0.0, 0.0, 0.0]).iter().all(|px| *px < 1e-6));
         let off_m = 0.006;
         let off = reported_px(&[0.0, 0.0, off_m]);
-        // Of the first two each has the other and the one that is off beside it, which has both of them.
+        // Each of the first two is compared with one correct and one displaced camera, the third with two correct ones.
         let expected = [off_m / 2.0, off_m / 2.0, off_m];
         for (px, expected_m) in off.iter().zip(expected) {
             let expected_px = expected_m / DEPTH_M * FOCAL_PX;
@@ -180,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_camera_alone_nothing_is_said() {
+    fn a_single_camera_has_no_error() {
         assert_eq!(reported_px(&[0.0]), [0.0]);
     }
 }

@@ -1,22 +1,20 @@
-//! When snapshots are published: at steady ticks and, where that is wanted, as soon as a frame has been fused.
+//! Times of snapshots: steady ticks and, in prompt mode, as soon as a frame was fused.
 
 use std::time::{Duration, Instant};
 
-/// From one prompt snapshot to the next at least, however many frames come: 1000 a second, as at the highest steady rate.
+/// Minimum time between two prompt snapshots: at most 1000 a second, the highest steady rate.
 const MIN_PROMPT_PERIOD: Duration = Duration::from_millis(1);
 
-/// When the next snapshot is due.
 #[derive(Clone, Copy, Debug)]
 pub struct PublishSchedule {
     period: Duration,
     is_prompt: bool,
     tick: Instant,
-    /// When the newest one between ticks was published.
+    /// Time of the newest snapshot between ticks.
     last_prompt: Instant,
 }
 
 impl PublishSchedule {
-    /// Steady ticks from now on; a prompt one has snapshots between them, each as soon as there is news.
     pub fn new(period: Duration, is_prompt: bool) -> Self {
         let now = Instant::now();
         Self { period, is_prompt, tick: now + period, last_prompt: now }
@@ -26,7 +24,7 @@ impl PublishSchedule {
         self.tick
     }
 
-    /// When the next snapshot is due, by whether there has been news since the one before.
+    /// When the next snapshot is due; `has_news`: frames were fused since the last one.
     pub fn due(&self, has_news: bool) -> Instant {
         if self.is_prompt && has_news {
             self.tick.min(self.last_prompt + MIN_PROMPT_PERIOD)
@@ -35,13 +33,12 @@ impl PublishSchedule {
         }
     }
 
-    /// To which instant the snapshot is predicted that is published `now`.
+    /// The instant to which a snapshot published `now` is predicted.
     pub fn pose_time(&self, now: Instant) -> Instant {
         if self.is_prompt { self.tick.min(now) } else { self.tick }
     }
 
-    /// Notes that a snapshot was begun and published. After a stall missed ticks are left out instead of being caught
-    /// up in a burst.
+    /// Records a published snapshot. After a stall, missed ticks are skipped.
     pub fn publish(&mut self, begun: Instant, published: Instant) {
         if self.pose_time(begun) != self.tick {
             self.last_prompt = begun;
@@ -61,7 +58,7 @@ mod tests {
     const PERIOD: Duration = Duration::from_millis(16);
 
     #[test]
-    fn steady_ones_wait_for_their_tick_whatever_comes() {
+    fn a_steady_schedule_waits_for_its_ticks() {
         let mut schedule = PublishSchedule::new(PERIOD, false);
         let first = schedule.tick();
         assert_eq!([schedule.due(true), schedule.due(false)], [first; 2]);
@@ -75,23 +72,23 @@ mod tests {
     }
 
     #[test]
-    fn prompt_ones_follow_news_and_leave_the_ticks_where_they_are() {
+    fn prompt_snapshots_do_not_move_the_ticks() {
         let mut schedule = PublishSchedule::new(PERIOD, true);
         let first = schedule.tick();
         let news = first - Duration::from_millis(9);
         assert_eq!(schedule.due(false), first);
-        assert!(schedule.due(true) < news, "nothing was published for long");
+        assert!(schedule.due(true) < news, "the last one is long ago");
         assert_eq!(schedule.pose_time(news), news);
         schedule.publish(news, news + Duration::from_micros(200));
         assert_eq!(schedule.tick(), first);
-        // More news at once has to wait a little, and never beyond the tick.
+        // News that follows at once waits for the minimum period, but not past the tick.
         assert_eq!(schedule.due(true), news + MIN_PROMPT_PERIOD);
         let again = first - Duration::from_micros(300);
         schedule.publish(again, again);
         assert_eq!(schedule.due(true), first);
         schedule.publish(first, first);
         assert_eq!(schedule.tick(), first + PERIOD);
-        // A steady one makes no news wait.
+        // A snapshot at a tick does not delay news.
         let next = first + PERIOD;
         schedule.publish(next, next);
         assert!(schedule.due(true) < next);

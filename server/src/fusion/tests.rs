@@ -19,26 +19,31 @@ fn output(frame: u64, capture_time: Timestamp) -> WorkerOutput {
     WorkerOutput { observations: Arc::new(observations), placement: None }
 }
 
+/// Processes these outputs and ends.
+fn fuse(fusion: Fusion, hub: &Arc<Hub>, clock: Clock, outputs: Vec<WorkerOutput>) {
+    let (sender, receiver) = sync_channel(QUEUE_FRAMES);
+    outputs.into_iter().for_each(|output| sender.send(output).unwrap());
+    drop(sender);
+    let stop = StopSignal::default();
+    stop.stop();
+    let task = FusionTask::new(fusion, hub.clone(), clock, receiver);
+    task.run(PublishSchedule::new(Duration::from_millis(10), false), &stop);
+}
+
 #[test]
-fn what_was_sent_before_the_end_is_fused_and_told() {
+fn queued_frames_are_fused_before_the_end() {
     let clock = Clock::anchored_now();
     let hub = hub(&clock);
-    let (sender, receiver) = sync_channel(QUEUE_FRAMES);
     let placement = CameraPlacement {
         world_from_camera: Rigid::translation(1.0, 0.0, 0.0),
         covariance: Covariance6::zeros(),
     };
-    for frame in 1..=10 {
-        // The camera's place comes with its first frame, as from a worker that has found it.
-        let placement = (frame == 1).then_some(placement);
-        let seen = output(frame, clock.now().plus_seconds((frame as f64 - 10.0) * 0.01));
-        sender.send(WorkerOutput { placement, ..seen }).unwrap();
-    }
-    drop(sender);
-    let task = FusionTask::new(Fusion::new(FusionParams::default()), hub.clone(), clock, receiver);
-    let stop = StopSignal::default();
-    stop.stop();
-    task.run(PublishSchedule::new(Duration::from_millis(10), false), &stop);
+    // The camera's pose comes with its first frame, as from a worker that has estimated it.
+    let outputs = (1..=10).map(|frame| WorkerOutput {
+        placement: (frame == 1).then_some(placement),
+        ..output(frame, clock.now().plus_seconds((frame as f64 - 10.0) * 0.01))
+    });
+    fuse(Fusion::new(FusionParams::default()), &hub, clock, outputs.collect());
 
     let newest = hub.snapshots().borrow().clone();
     assert_eq!(newest.sequence, 1, "the last one");
@@ -47,62 +52,52 @@ fn what_was_sent_before_the_end_is_fused_and_told() {
     let (events, _) = hub.events(10);
     let messages: Vec<&str> = events.iter().map(|event| event.message.as_str()).collect();
     assert_eq!(messages, [format!("Object {} (robot one) has appeared.", object.id)]);
+    assert_eq!((events[0].kind(), events[0].object_id), (EventKind::ObjectAppeared, object.id.0));
     assert!(hub.cameras()[&CameraId(0)].latency_ms >= 0.0);
 }
 
 #[test]
-fn a_clock_that_was_set_is_told() {
+fn a_clock_step_is_an_event() {
     let clock = Clock::anchored_now();
     let hub = hub(&clock);
-    let (sender, receiver) = sync_channel(QUEUE_FRAMES);
-    for frame in 1..=30 {
+    let outputs = (1..=30).map(|frame| {
         let received_time = clock.now().plus_seconds(frame as f64 * 0.03);
         let set_s = if frame > 10 { 3600.0 } else { 0.0 };
         let mut seen = output(frame, received_time.plus_seconds(set_s));
         Arc::get_mut(&mut seen.observations).unwrap().received_time = received_time;
-        sender.send(seen).unwrap();
-    }
-    drop(sender);
-    let task = FusionTask::new(Fusion::new(FusionParams::default()), hub.clone(), clock, receiver);
-    let stop = StopSignal::default();
-    stop.stop();
-    task.run(PublishSchedule::new(Duration::from_millis(10), false), &stop);
+        seen
+    });
+    fuse(Fusion::new(FusionParams::default()), &hub, clock, outputs.collect());
     let (events, _) = hub.events(10);
-    let told: Vec<_> = events.iter().map(|event| event.kind).collect();
-    assert_eq!(told, [EventKind::CameraClockSet(CameraId(0))]);
+    let kinds: Vec<_> = events.iter().map(|event| (event.kind(), event.camera.as_str())).collect();
+    assert_eq!(kinds, [(EventKind::CameraClockSet, "north")]);
     assert!(events[0].message.contains("camera north was set"), "{}", events[0].message);
     assert!(hub.cameras()[&CameraId(0)].clock.is_some());
 }
 
 #[test]
-fn a_height_that_cameras_contradict_is_told() {
+fn a_wrong_height_is_an_event() {
     let clock = Clock::anchored_now();
     let hub = hub(&clock);
-    let (sender, receiver) = sync_channel(QUEUE_FRAMES);
-    for frame in 1..=200 {
-        sender.send(output(frame, clock.now().plus_seconds(frame as f64 * 0.11))).unwrap();
-    }
-    drop(sender);
     let mut fusion = Fusion::new(FusionParams::default());
     let world_from_camera = Rigid::identity();
     let placement = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
     fusion.set_camera(CameraId(0), Some(placement));
     fusion.set_motion(KindId(0), MotionClass::Ground { height_m: Some(2.5) });
-    let task = FusionTask::new(fusion, hub.clone(), clock, receiver);
-    let stop = StopSignal::default();
-    stop.stop();
-    task.run(PublishSchedule::new(Duration::from_millis(10), false), &stop);
+    let outputs =
+        (1..=200).map(|frame| output(frame, clock.now().plus_seconds(frame as f64 * 0.11)));
+    fuse(fusion, &hub, clock, outputs.collect());
     let (events, _) = hub.events(EVENT_LOG_LEN);
-    let told: Vec<&str> = events
+    let messages: Vec<&str> = events
         .iter()
-        .filter(|event| event.kind == EventKind::HeightContradicted)
+        .filter(|event| event.kind() == EventKind::HeightContradicted)
         .map(|event| event.message.as_str())
         .collect();
     let expected =
         "Roundels \"robot\": seen at a height of 3.00 m by north, and `height_m` says 2.50.";
-    assert_eq!(told.len(), 1, "{told:?}");
-    assert!(told[0].starts_with(expected), "{told:?}");
-    // Of an object that is known by several roundels, by its name.
+    assert_eq!(messages.len(), 1, "{messages:?}");
+    assert!(messages[0].starts_with(expected), "{messages:?}");
+    // An object with several roundels is identified by its name.
     let wrong = WrongHeight {
         kind: Some(KindId(0)),
         body: Some(BodyId(0)),
@@ -110,12 +105,12 @@ fn a_height_that_cameras_contradict_is_told() {
         seen_m: 0.2,
         cameras: vec![CameraId(0)],
     };
-    let messages = messages::height_mismatch(&hub.installation(), &wrong);
-    assert!(messages.starts_with("\"carrier\": seen at a height of 0.20 m"), "{messages}");
+    let message = messages::height_mismatch(&hub.installation(), &wrong);
+    assert!(message.starts_with("\"carrier\": seen at a height of 0.20 m"), "{message}");
 }
 
 #[test]
-fn a_prompt_one_tells_of_a_frame_long_before_the_tick() {
+fn a_prompt_snapshot_precedes_the_tick() {
     let clock = Clock::anchored_now();
     let hub = hub(&clock);
     let (sender, receiver) = sync_channel(QUEUE_FRAMES);
@@ -139,7 +134,7 @@ fn a_prompt_one_tells_of_a_frame_long_before_the_tick() {
 }
 
 #[test]
-fn ticks_go_on_when_no_camera_is_left() {
+fn ticks_continue_without_cameras() {
     let clock = Clock::anchored_now();
     let hub = hub(&clock);
     let (_, receiver) = sync_channel(1);

@@ -1,8 +1,8 @@
 //! Vector drawings: one list of shapes, written as SVG or PDF, or painted as pixels.
 //!
-//! x grows to the right and y downwards from the top left corner. A drawing chooses its unit: pages use
-//! millimetres, maps and charts use pixels. SVG and PDF keep text as text. Pixels get it from a bitmap
-//! font ([`glyph`]), so that the result does not depend on installed fonts.
+//! x grows to the right and y downwards from the top left corner. Each drawing has its unit: pages use millimetres,
+//! maps and charts use pixels. Text stays text in SVG and PDF. In pixels it is drawn with a bitmap font ([`glyph`]), so
+//! that the result does not depend on installed fonts.
 
 mod axes;
 mod glyph;
@@ -18,17 +18,16 @@ pub(crate) use glyph::width as text_width;
 pub(crate) use overlay::Overlay;
 pub(crate) use pdf::pdf;
 
-/// Distance between a curve and its cubic Bézier segments, in units of the drawing.
+/// Largest distance between a curve and its cubic Bézier segments, in units of the drawing.
 pub(crate) const TOLERANCE: f64 = 1e-6;
 /// Height of capitals over the font size of common sans-serif fonts.
 const CAPITAL: f64 = 0.718;
 
-/// Red, green, blue.
 pub(crate) type Color = [u8; 3];
 pub(crate) const BLACK: Color = [0; 3];
 pub(crate) const WHITE: Color = [255; 3];
 
-/// Which point of a text its position is.
+/// The point of a text that is at its position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
     Start,
@@ -56,7 +55,7 @@ pub enum Shape {
     Line { path: BezPath, width: f64, color: Color },
     /// A line of text on its base line; `height` is that of a capital.
     Text { at: Point, anchor: Anchor, height: f64, text: String, color: Color },
-    /// Black areas, cut off at the edges of a window.
+    /// Black areas, clipped to a window.
     Clipped { window: Rect, paths: Vec<BezPath> },
 }
 
@@ -82,7 +81,6 @@ impl Shape {
         Self::Line { path: path.collect(), width, color }
     }
 
-    /// A black text.
     pub(crate) fn text(at: Point, anchor: Anchor, height: f64, text: impl Into<String>) -> Self {
         Self::Text { at, anchor, height, text: text.into(), color: BLACK }
     }

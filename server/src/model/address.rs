@@ -1,36 +1,34 @@
-//! Where frames come from, as a URL: `images:GLOB-OR-FOLDER?…`, `sim:?…`, `http://…`, `rtsp://…`, `file:PATH?…`,
-//! `gst:PIPELINE`, `v4l2:DEVICE?…` or `push:?…`.
+//! Addresses of sources: `images:GLOB-OR-FOLDER?…`, `sim:?…`, `http://…`, `rtsp://…`, `file:PATH?…`, `gst:PIPELINE`,
+//! `v4l2:DEVICE?…` and `push:?…`.
 
 mod device;
 mod media;
 mod network;
-mod push;
+mod options;
 
 use std::{
     fmt,
-    path::{Path, PathBuf},
-    str::FromStr,
+    path::{Component, Path, PathBuf},
+    time::Duration,
 };
 
 use thiserror::Error;
 
+use self::options::Options;
 use super::capture_clock::CaptureClock;
-use crate::model::suggestion::{list, nearest};
+use crate::model::{
+    redact::redact,
+    suggestion::{list, nearest},
+};
 pub use device::DeviceAddress;
 pub use media::{MediaAddress, Transport};
-pub use network::{HttpAddress, without_credentials};
-pub use push::PushAddress;
+pub use network::HttpAddress;
 
-/// The schemes that this version plays, as people write them.
 const SCHEMES: [&str; 8] = ["images:", "sim:", "http:", "v4l2:", "rtsp:", "file:", "gst:", "push:"];
-const IMAGES_KEYS: [&str; 4] = ["fps", "times", "clock", "loop"];
-const SIM_KEYS: [&str; 4] = ["preset", "seed", "robots", "camera"];
-/// Frames a second that an address may ask for.
-const MAX_FPS: f64 = 1000.0;
-/// Default frame rate.
-const USUAL_FPS: f64 = 30.0;
+const DEFAULT_FPS: f64 = 30.0;
+/// More than fit into any arena.
+const MAX_ROBOTS: usize = 10_000;
 
-/// A source's URL, read.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SourceAddress {
     /// Image files, played in real time.
@@ -39,8 +37,11 @@ pub enum SourceAddress {
     Sim(SimAddress),
     /// A network camera that sends JPEGs.
     Http(HttpAddress),
+    /// A camera of this machine.
     Device(DeviceAddress),
+    /// Played by GStreamer.
     Media(MediaAddress),
+    /// Frames or detections sent by a remote program.
     Push(PushAddress),
 }
 
@@ -49,23 +50,23 @@ pub enum SourceAddress {
 pub struct ImagesAddress {
     /// A folder or a glob, absolute or relative to the working directory.
     pub pattern: String,
-    /// Frames a second, where `times` is absent; `None`: the default, 30.
+    /// Frames a second; excludes `times`.
     pub fps: Option<f64>,
     /// A text file of capture times, one a line, ns since the Unix epoch.
     pub times: Option<PathBuf>,
-    /// Capture times are those of the file, and the server's clock follows them.
+    /// The server's clock follows the capture times of the file.
     pub file_clock: bool,
     /// Starts again after the last file.
     pub repeat: bool,
 }
 
 impl ImagesAddress {
-    /// Frames a second, where `times` is absent.
+    /// Frames a second without `times`.
     pub fn rate_hz(&self) -> f64 {
-        self.fps.unwrap_or(USUAL_FPS)
+        self.fps.unwrap_or(DEFAULT_FPS)
     }
 
-    /// Whether it is said when each file is due, so that they follow one another in time.
+    /// Whether the address gives the frames' times, so that they form a sequence.
     pub fn is_timed(&self) -> bool {
         self.fps.is_some() || self.times.is_some()
     }
@@ -75,21 +76,21 @@ impl ImagesAddress {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SimAddress {
     pub preset: SimPreset,
-    /// Decides paths, noise and lighting; the same seed gives the same world to every camera.
+    /// Determines paths, noise and lighting; cameras with the same seed see the same world.
     pub seed: u64,
-    /// Robots in the arena; `None`: as many as the preset has.
+    /// `None`: as many as the preset has.
     pub robots: Option<usize>,
-    /// The camera's place in the preset, from 0.
+    /// Index of the camera in the preset.
     pub camera: usize,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SimPreset {
-    /// The demo's: four cameras of 1280x720 at 30 Hz, plain roundels.
+    /// Four cameras of 1280x720 at 30 Hz, plain roundels.
     R4Lite,
-    /// The reference installation: the same cameras with 1920x1080 at 60 Hz, coded roundels.
+    /// The same with 1920x1080 at 60 Hz, coded roundels.
     R4,
-    /// The demo's, with elliptical discs.
+    /// `R4Lite` with elliptical discs.
     R4Elliptical,
 }
 
@@ -98,58 +99,54 @@ impl SimPreset {
         [("r4_lite", Self::R4Lite), ("r4", Self::R4), ("r4_elliptical", Self::R4Elliptical)];
 }
 
-/// Why a text is no source.
+/// `push:?stall=SECONDS`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PushAddress {
+    /// A pause of this length is a failure.
+    pub stall: Duration,
+}
+
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum AddressError {
-    #[error("no source begins with `{found}`: expected {}{}", list(SCHEMES), suggest_scheme(.found))]
-    Scheme {
-        /// What stands before the colon, or the whole text.
-        found: String,
-    },
-    /// An option that the scheme does not have.
-    #[error("unknown option `{found}` of an `{scheme}:` source{}; its options: {}", did_you_mean(.nearest), list(.known.iter().copied()))]
-    Option {
-        scheme: &'static str,
-        /// The option's name.
-        found: String,
-        /// The option that was probably meant.
-        nearest: Option<&'static str>,
-        known: &'static [&'static str],
-    },
-    /// An option's value.
-    #[error("option `{option}` must be {expected}, found `{found}`")]
-    Value { option: &'static str, expected: String, found: String },
-    /// No files are named.
-    #[error("`images:` needs a folder or a pattern, such as `images:frames/*.png?fps=30`")]
-    NoPattern,
-    #[error("control `{control}` must be a whole number, found `{found}`")]
-    Control { control: String, found: String },
-    /// Two options that exclude each other, or one that needs another.
+    /// `found`: the text up to the colon, or all of it.
+    #[error("no source begins with `{found}`: expected {}{}", list(SCHEMES), did_you_mean(.found, &SCHEMES))]
+    Scheme { found: String },
+    #[error(
+        "unknown option `{found}` of an `{scheme}:` source{}; its options: {}",
+        did_you_mean(.found, .known),
+        list(.known.iter().copied())
+    )]
+    UnknownOption { scheme: &'static str, found: String, known: &'static [&'static str] },
+    /// `what`: the option or control.
+    #[error("{what} must be {expected}, found `{found}`")]
+    Value { what: String, expected: String, found: String },
+    /// A path that is missing or wrong, or options that exclude each other.
     #[error("{0}")]
-    Options(&'static str),
-    /// A network address that is none.
+    Invalid(&'static str),
+    /// `found`: without secrets.
     #[error("`{found}` is no address of a camera: {reason}; write it as {example}")]
-    Network {
-        /// As written, without user and password.
-        found: String,
-        reason: String,
-        example: &'static str,
-    },
+    Network { found: String, reason: String, example: &'static str },
 }
 
-fn suggest_scheme(found: &str) -> String {
-    did_you_mean(&nearest(found, SCHEMES))
+fn did_you_mean(found: &str, known: &[&str]) -> String {
+    let nearest = nearest(found, known.iter().copied());
+    nearest.map(|name| format!("; did you mean `{name}`?")).unwrap_or_default()
 }
 
-fn did_you_mean(name: &Option<&'static str>) -> String {
-    name.map(|name| format!("; did you mean `{name}`?")).unwrap_or_default()
+/// Splits a pattern of files at its first component with a wildcard.
+pub fn split_pattern(pattern: &str) -> (PathBuf, PathBuf) {
+    let is_plain = |it: &Component<'_>| !it.as_os_str().to_string_lossy().contains(['*', '?', '[']);
+    let mut components = Path::new(pattern).components();
+    let plain = components.clone().take_while(is_plain).collect::<PathBuf>();
+    components.by_ref().take(plain.components().count()).for_each(drop);
+    (plain, components.collect())
 }
 
 impl SourceAddress {
-    /// Reads a URL; relative paths in it are relative to `folder`.
+    /// Relative paths in `url` are relative to `folder`.
     pub fn parse(url: &str, folder: &Path) -> Result<Self, AddressError> {
         let Some((scheme, rest)) = url.split_once(':') else {
-            return Err(AddressError::Scheme { found: url.to_owned() });
+            return Err(AddressError::Scheme { found: redact(url) });
         };
         let (path, query) = rest.split_once('?').unwrap_or((rest, ""));
         match scheme {
@@ -160,23 +157,26 @@ impl SourceAddress {
             "rtsp" => media::rtsp(url).map(Self::Media),
             "file" => media::file(path, query, folder).map(Self::Media),
             "gst" => media::pipeline(rest).map(Self::Media),
-            "push" => push::push(path, query).map(Self::Push),
+            "push" => push(path, query).map(Self::Push),
             _ => Err(AddressError::Scheme { found: format!("{scheme}:") }),
         }
     }
 
-    /// Which clock the capture times of its frames come from, as far as is known before the first one.
+    /// The clock of its capture times, as far as it is known before the first frame.
     pub fn capture_clock(&self) -> CaptureClock {
         match self {
-            Self::Images(_) | Self::Sim(_) => CaptureClock::EXACT,
-            // What it sends says more.
-            Self::Http(_) | Self::Push(_) => CaptureClock::ARRIVAL,
-            Self::Device(_) => CaptureClock::DRIVER,
-            Self::Media(media) => media.capture_clock(),
+            Self::Images(_) | Self::Sim(_) | Self::Media(MediaAddress::File { .. }) => {
+                CaptureClock::EXACT
+            }
+            // Until the sender's time stamps are known.
+            Self::Http(_) | Self::Push(_) | Self::Media(MediaAddress::Rtsp { .. }) => {
+                CaptureClock::ARRIVAL
+            }
+            Self::Device(_) | Self::Media(MediaAddress::Pipeline(_)) => CaptureClock::DRIVER,
         }
     }
 
-    /// Whether capture times are taken from files and the server's clock has to follow them.
+    /// Whether the server's clock must follow capture times from a file.
     pub fn follows_file_clock(&self) -> bool {
         matches!(self, Self::Images(images) if images.file_clock)
     }
@@ -184,119 +184,59 @@ impl SourceAddress {
 
 fn images(path: &str, query: &str, folder: &Path) -> Result<ImagesAddress, AddressError> {
     if path.trim().is_empty() {
-        return Err(AddressError::NoPattern);
+        return Err(AddressError::Invalid(
+            "`images:` needs a folder or a pattern, such as `images:frames/*.png?fps=30`",
+        ));
     }
-    let mut address = ImagesAddress {
+    let options = Options::parse("images", &["fps", "times", "clock", "loop"], query)?;
+    let address = ImagesAddress {
         pattern: folder.join(path).to_string_lossy().into_owned(),
-        fps: None,
-        times: None,
-        file_clock: false,
-        repeat: false,
+        fps: options.frame_rate()?,
+        times: options.get("times").map(|file| folder.join(file)),
+        file_clock: options.choice("clock", ["server", "file"])?,
+        repeat: options.choice("loop", ["false", "true"])?,
     };
-    for option in options("images", &IMAGES_KEYS, query) {
-        let (key, value) = option?;
-        match key {
-            "fps" => address.fps = Some(frame_rate(value)?),
-            "times" => address.times = Some(folder.join(value)),
-            "clock" => address.file_clock = choice("clock", value, "server", "file")?,
-            _ => address.repeat = choice("loop", value, "false", "true")?,
-        }
-    }
     if address.times.is_some() && address.fps.is_some() {
-        return Err(AddressError::Options("`fps` and `times` exclude each other: leave one out"));
+        return Err(AddressError::Invalid("`fps` and `times` exclude each other: leave one out"));
     }
     if address.file_clock && address.times.is_none() {
-        return Err(AddressError::Options("`clock=file` needs `times=FILE`"));
+        return Err(AddressError::Invalid("`clock=file` needs `times=FILE`"));
     }
     Ok(address)
-}
-
-fn frame_rate(value: &str) -> Result<f64, AddressError> {
-    value.parse().ok().filter(|fps| *fps > 0.0 && *fps <= MAX_FPS).ok_or_else(|| {
-        AddressError::Value {
-            option: "fps",
-            expected: format!("a number above 0, at most {MAX_FPS}"),
-            found: value.to_owned(),
-        }
-    })
-}
-
-/// Whether the option says `second` and not `first`.
-fn choice(
-    option: &'static str,
-    value: &str,
-    first: &str,
-    second: &str,
-) -> Result<bool, AddressError> {
-    match value {
-        value if value == second => Ok(true),
-        value if value == first => Ok(false),
-        _ => Err(AddressError::Value {
-            option,
-            expected: format!("`{first}` or `{second}`"),
-            found: value.to_owned(),
-        }),
-    }
 }
 
 fn sim(path: &str, query: &str) -> Result<SimAddress, AddressError> {
     if !path.is_empty() {
-        return Err(AddressError::Options(
+        return Err(AddressError::Invalid(
             "`sim:` takes no path: write `sim:?seed=1&robots=24&camera=0`",
         ));
     }
-    let mut address = SimAddress { preset: SimPreset::R4Lite, seed: 1, robots: None, camera: 0 };
-    for option in options("sim", &SIM_KEYS, query) {
-        let (key, value) = option?;
-        match key {
-            "preset" => address.preset = preset(value)?,
-            "seed" => address.seed = whole("seed", value)?,
-            "robots" => address.robots = Some(whole("robots", value)?),
-            _ => address.camera = whole("camera", value)?,
-        }
+    let options = Options::parse("sim", &["preset", "seed", "robots", "camera"], query)?;
+    let preset = |name: &str| {
+        let known = SimPreset::NAMES.iter().find(|(known, _)| *known == name);
+        known.map(|(_, preset)| *preset)
+    };
+    let robots = |value: &str| value.parse().ok().filter(|robots| *robots <= MAX_ROBOTS);
+    let robots_expected = || format!("a whole number from 0 to {MAX_ROBOTS}");
+    let expected = || format!("one of {}", list(SimPreset::NAMES.map(|(name, _)| name)));
+    Ok(SimAddress {
+        preset: options.parsed("preset", preset, expected)?.unwrap_or(SimPreset::R4Lite),
+        seed: options.whole("seed")?.unwrap_or(1),
+        robots: options.parsed("robots", robots, robots_expected)?,
+        camera: options.whole("camera")?.unwrap_or(0),
+    })
+}
+
+fn push(path: &str, query: &str) -> Result<PushAddress, AddressError> {
+    if !path.is_empty() {
+        return Err(AddressError::Invalid(
+            "`push:` takes no address: programs come to this server, and name the camera that they feed",
+        ));
     }
-    Ok(address)
-}
-
-fn preset(value: &str) -> Result<SimPreset, AddressError> {
-    let known = SimPreset::NAMES.iter().find(|(name, _)| *name == value);
-    known.map(|(_, preset)| *preset).ok_or_else(|| AddressError::Value {
-        option: "preset",
-        expected: format!("one of {}", list(SimPreset::NAMES.iter().map(|(name, _)| *name))),
-        found: value.to_owned(),
-    })
-}
-
-fn whole<T: FromStr>(option: &'static str, value: &str) -> Result<T, AddressError> {
-    value.parse().map_err(|_| AddressError::Value {
-        option,
-        expected: "a whole number from 0".to_owned(),
-        found: value.to_owned(),
-    })
-}
-
-/// The query's options, each checked to be one of `known`.
-fn options<'q>(
-    scheme: &'static str,
-    known: &'static [&'static str],
-    query: &'q str,
-) -> impl Iterator<Item = Result<(&'static str, &'q str), AddressError>> {
-    query.split('&').filter(|option| !option.is_empty()).map(move |option| {
-        let (key, value) = option.split_once('=').unwrap_or((option, ""));
-        match known.iter().find(|name| **name == key) {
-            Some(name) => Ok((*name, value)),
-            None => Err(AddressError::Option {
-                scheme,
-                found: key.to_owned(),
-                nearest: nearest(key, known.iter().copied()),
-                known,
-            }),
-        }
-    })
+    Ok(PushAddress { stall: Options::parse("push", &["stall"], query)?.stall()? })
 }
 
 impl fmt::Display for SimAddress {
-    /// The URL that reads as this address.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let preset = SimPreset::NAMES.iter().find(|(_, preset)| *preset == self.preset);
         write!(f, "sim:?preset={}&seed={}", preset.map_or("", |(name, _)| name), self.seed)?;
@@ -316,26 +256,75 @@ mod tests {
     }
 
     #[test]
-    fn paths_are_relative_to_the_folder() {
-        let SourceAddress::Images(images) =
-            parse("images:north/*.png?times=north.txt&clock=file&loop=true").unwrap()
-        else {
-            panic!("not images")
+    fn addresses_are_parsed() {
+        let url = "images:north/*.png?times=north.txt&clock=file&loop=true";
+        let images = ImagesAddress {
+            pattern: "/lab/north/*.png".into(),
+            fps: None,
+            times: Some("/lab/north.txt".into()),
+            file_clock: true,
+            repeat: true,
         };
-        assert_eq!(images.pattern, "/lab/north/*.png");
-        assert_eq!(images.times, Some("/lab/north.txt".into()));
-        assert!(images.file_clock && images.repeat);
-    }
-
-    #[test]
-    fn simulated_addresses_round_trip() {
+        assert_eq!(parse(url), Ok(SourceAddress::Images(images)));
         let url = "sim:?preset=r4_lite&seed=7&robots=3&camera=2";
-        let SourceAddress::Sim(sim) = parse(url).unwrap() else { panic!("not sim") };
+        let Ok(SourceAddress::Sim(sim)) = parse(url) else { panic!("not sim") };
         assert_eq!(sim.to_string(), url);
+        for (url, seconds) in [("push:", 1), ("push:?stall=5", 5)] {
+            let address = PushAddress { stall: Duration::from_secs(seconds) };
+            assert_eq!(parse(url), Ok(SourceAddress::Push(address)));
+        }
+
+        let url = "http://lab:p%40ss%3A@cam-1:81/stream?res=9#stall=5&fps=2.5";
+        let http = HttpAddress {
+            host: "cam-1".into(),
+            port: 81,
+            target: "/stream?res=9".into(),
+            credentials: Some(("lab".into(), "p@ss:".into())),
+            snapshot_hz: 2.5,
+            stall: Duration::from_secs(5),
+        };
+        assert_eq!(http.to_string(), "http://cam-1:81/stream?res=9");
+        assert!(!format!("{http:?}").contains("p@ss"));
+        assert_eq!(parse(url), Ok(SourceAddress::Http(http)));
+        let Ok(SourceAddress::Http(http)) = parse("http://[::1]") else { panic!("not http") };
+        assert_eq!((http.host.as_str(), http.port, http.target.as_str()), ("::1", 80, "/"));
+        assert_eq!((http.authority().as_str(), http.credentials), ("[::1]", None));
+
+        let rtsp = MediaAddress::Rtsp {
+            url: "rtsp://cam:8554/live?ch=1".into(),
+            host: "cam".into(),
+            credentials: Some(("lab".into(), "p@ss".into())),
+            transport: Transport::Udp,
+            latency: Duration::ZERO,
+            stall: Duration::from_secs(3),
+        };
+        let url = "rtsp://lab:p%40ss@cam:8554/live?ch=1#transport=udp&latency_ms=0&stall=3";
+        let run = |repeat, hurry| MediaAddress::File { path: "/lab/run.mp4".into(), repeat, hurry };
+        let pipeline = "v4l2src device=/dev/video0 ! video/x-raw,width=640 ! queue";
+        let gst = format!("gst:{pipeline}");
+        for (url, expected) in [
+            (url, rtsp),
+            ("file:run.mp4?loop=true", run(true, false)),
+            ("file:run.mp4?speed=max", run(false, true)),
+            ("file:///lab/run.mp4?speed=real", run(false, false)),
+            (gst.as_str(), MediaAddress::Pipeline(pipeline.into())),
+        ] {
+            assert_eq!(parse(url), Ok(SourceAddress::Media(expected)));
+        }
+
+        let url = "v4l2:/dev/video2?fps=25&format=Y10&auto_exposure=1&exposure_time_absolute=-40";
+        let device = DeviceAddress {
+            path: "/dev/video2".into(),
+            fps: Some(25.0),
+            format: Some(*b"Y10 "),
+            controls: vec![("auto_exposure".into(), 1), ("exposure_time_absolute".into(), -40)],
+        };
+        assert_eq!(device.to_string(), "/dev/video2");
+        assert_eq!(parse(url), Ok(SourceAddress::Device(device)));
     }
 
     #[test]
-    fn wrong_addresses_say_what_to_write() {
+    fn errors_say_what_to_write() {
         for (url, expected) in [
             (
                 "image:x",
@@ -349,12 +338,50 @@ mod tests {
             ("images:x?loop=yes", "option `loop` must be `false` or `true`, found `yes`"),
             ("images:x?fps=3&times=t", "exclude each other"),
             ("images:x?clock=file", "`clock=file` needs `times=FILE`"),
-            ("sim:?robots=-1", "option `robots` must be a whole number from 0, found `-1`"),
+            (
+                "sim:?robots=-1",
+                "option `robots` must be a whole number from 0 to 10000, found `-1`",
+            ),
+            ("sim:?robots=10001", "found `10001`"),
             (
                 "sim:?preset=r5",
                 "option `preset` must be one of `r4_lite`, `r4`, `r4_elliptical`, found `r5`",
             ),
             ("sim:arena", "takes no path"),
+            ("push:?stall=0", "seconds above 0"),
+            ("push://robot7", "programs come to this server"),
+            ("push:?stal=5", "did you mean `stall`?"),
+            ("http://", "write it as `http://192.168.1.20:81/stream`"),
+            ("http://u:secret@", "`http://` is no address of a camera"),
+            (
+                "http://host:port/",
+                "`http://host:port/` is no address of a camera: its port must be a number up to 65535, found `port`",
+            ),
+            ("http://u:%zz@host/", "two hex digits (write %25)"),
+            (
+                "http://host/#stall=0",
+                "option `stall` must be seconds above 0, at most 3600, found `0`",
+            ),
+            ("http://host/#fps=fast", "option `fps` must be a number above 0, at most 1000"),
+            (
+                "http://host/#fsp=3",
+                "unknown option `fsp` of an `http:` source; did you mean `fps`?",
+            ),
+            ("rtsp://u:secret@", "`rtsp://` is no address of a camera"),
+            ("rtsp://h/#transport=quic", "option `transport` must be `tcp` or `udp`, found `quic`"),
+            ("rtsp://h/#latency_ms=-1", "option `latency_ms` must be a whole number from 0"),
+            (
+                "rtsp://h/#latency=1",
+                "unknown option `latency` of an `rtsp:` source; did you mean `latency_ms`?",
+            ),
+            ("file:", "`file:` needs a video file"),
+            ("file:x.mp4?fps=2", "unknown option `fps` of an `file:` source"),
+            ("file:x.mp4?speed=2", "option `speed` must be `real` or `max`, found `2`"),
+            ("gst:", "`gst:` needs a pipeline without its sink"),
+            ("v4l2:video0", "needs a device file, such as `v4l2:/dev/video0?fps=30`"),
+            ("v4l2:/dev/video0?fps=0", "option `fps` must be a number above 0"),
+            ("v4l2:/dev/video0?format=YUYV422", "a code of up to four characters"),
+            ("v4l2:/dev/video0?gain=high", "control `gain` must be a whole number, found `high`"),
         ] {
             let error = parse(url).expect_err(url);
             assert!(error.contains(expected), "{url}: {error}");

@@ -1,15 +1,14 @@
 //! Camera files: the ROS `camera_info` YAML that calibration tools write.
 //!
-//! Read are `image_width`, `image_height`, `camera_matrix`, `distortion_model` and
-//! `distortion_coefficients`; rectification, projection and whatever else stands there is ignored,
-//! as ROS itself tolerates it. Beside that stands how well the parameters are known, if `roundel calibrate lens` has
-//! written the file: `parameter_names` and `parameter_covariance`. Errors name file, line, field and remedy.
+//! Reads `image_width`, `image_height`, `camera_matrix`, `distortion_model` and `distortion_coefficients`, and
+//! `parameter_names` and `parameter_covariance`, which `roundel calibrate lens` adds. Other fields are ignored.
+//! Errors name file, line, field and remedy.
 
 mod uncertainty;
 
 use std::{
     fmt::Write as _,
-    fs, io,
+    io,
     path::{Path, PathBuf},
 };
 
@@ -21,25 +20,31 @@ use serde::Deserialize;
 use serde_saphyr::Spanned;
 use thiserror::Error;
 
-/// A camera file longer than this is certainly another file.
+use super::regular_file;
+
+/// A longer file is not a camera file.
 const MAX_BYTES: u64 = 1 << 20;
 const MODELS: &str = "plumb_bob, rational_polynomial or equidistant";
 
-/// Why a file is no camera file.
 #[derive(Debug, Error)]
 pub enum CameraFileError {
-    /// It cannot be read at all.
     #[error("cannot read camera file {}: {source}; name an existing ROS camera_info YAML file", .path.display())]
     Read { path: PathBuf, source: io::Error },
-    #[error("{}:{line}: {message}; {help}", .path.display())]
-    Content {
-        path: PathBuf,
-        /// From 1.
-        line: u64,
-        /// What was expected and what was found.
-        message: String,
-        help: String,
-    },
+    /// `found`: empty, or the file's content at the end of the sentence.
+    #[error("{}:{line}: {message}{found}; {help}", .path.display())]
+    Content { path: PathBuf, line: u64, message: String, found: String, help: String },
+}
+
+impl CameraFileError {
+    /// The error without what was found in the file, for clients that name it.
+    pub fn without_content(&self) -> String {
+        match self {
+            Self::Content { path, line, message, help, .. } => {
+                format!("{}:{line}: {message}; {help}", path.display())
+            }
+            Self::Read { .. } => self.to_string(),
+        }
+    }
 }
 
 #[derive(Deserialize)]
@@ -58,16 +63,22 @@ struct Matrix {
     data: Option<Spanned<Vec<f64>>>,
 }
 
-/// Something wrong at a line, before the file's name is known.
+/// A [`CameraFileError::Content`] without the path.
 struct FieldError {
     line: u64,
     message: String,
+    found: String,
     help: String,
 }
 
 impl FieldError {
     fn at(line: u64, message: impl Into<String>, help: impl Into<String>) -> Self {
-        Self { line, message: message.into(), help: help.into() }
+        Self { line, message: message.into(), found: String::new(), help: help.into() }
+    }
+
+    /// Adds the file's content to the message.
+    fn with_content(self, found: impl Into<String>) -> Self {
+        Self { found: found.into(), ..self }
     }
 
     fn missing(field: &str, example: &str) -> Self {
@@ -79,36 +90,31 @@ pub fn load(path: &Path) -> Result<Camera, CameraFileError> {
     Ok(load_with_uncertainty(path)?.0)
 }
 
-/// The same with how well its parameters are known; `None` if the file does not say.
+/// With the uncertainty of the parameters, if the file has it.
 pub fn load_with_uncertainty(path: &Path) -> Result<(Camera, Option<LensDoubt>), CameraFileError> {
-    let text =
-        read(path).map_err(|source| CameraFileError::Read { path: path.to_owned(), source })?;
-    parse(&text).map_err(|wrong| CameraFileError::Content {
-        path: path.to_owned(),
-        line: wrong.line,
-        message: wrong.message,
-        help: wrong.help,
+    let path_buf = || path.to_owned();
+    let text = regular_file::read_text(path, MAX_BYTES)
+        .map_err(|source| CameraFileError::Read { path: path_buf(), source })?;
+    parse(&text).map_err(|FieldError { line, message, found, help }| CameraFileError::Content {
+        path: path_buf(),
+        line,
+        message,
+        found,
+        help,
     })
-}
-
-fn read(path: &Path) -> io::Result<String> {
-    let size = fs::metadata(path)?.len();
-    if size > MAX_BYTES {
-        let message = format!("expected at most {MAX_BYTES} bytes, found {size}");
-        return Err(io::Error::new(io::ErrorKind::FileTooLarge, message));
-    }
-    fs::read_to_string(path)
 }
 
 fn parse(text: &str) -> Result<(Camera, Option<LensDoubt>), FieldError> {
     let document: CameraFileYaml = serde_saphyr::from_str(text).map_err(|error| {
         let line = error.location().map_or(1, |location| location.line());
+        let reason = error.without_snippet().to_string();
         FieldError::at(
             line,
-            format!("not a camera_info YAML: {}", first_line(&error.without_snippet().to_string())),
+            "not a camera_info YAML",
             "write the file as ROS' camera_calibration does: numbers without quotes, matrices with \
              `rows`, `cols` and `data`",
         )
+        .with_content(format!(": {}", reason.lines().next().unwrap_or_default()))
     })?;
     let (width, width_line) = side("image_width", document.image_width)?;
     let (height, height_line) = side("image_height", document.image_height)?;
@@ -125,31 +131,35 @@ fn parse(text: &str) -> Result<(Camera, Option<LensDoubt>), FieldError> {
             CameraError::Focal { .. } | CameraError::Center { .. } => matrix_line,
             CameraError::Coefficient { .. } => lens_line,
         };
-        FieldError::at(line, error.to_string(), "calibrate the camera again, or correct the number")
+        let (message, found) = describe_camera_error(&error);
+        FieldError::at(line, message, "calibrate the camera again, or correct the number")
+            .with_content(found)
     })?;
     Ok((camera, uncertainty))
 }
 
-fn first_line(text: &str) -> &str {
-    text.lines().next().unwrap_or_default()
+/// The expectation, and the number that was found, with which core's messages end.
+fn describe_camera_error(error: &CameraError) -> (String, String) {
+    let mut message = error.to_string();
+    let found = message.find(", found ").map(|at| message.split_off(at));
+    (message, found.unwrap_or_default())
 }
 
 fn side(field: &str, value: Option<Spanned<f64>>) -> Result<(usize, u64), FieldError> {
     let value = value.ok_or_else(|| FieldError::missing(field, &format!("{field}: 1280")))?;
     let line = value.referenced.line();
-    let whole =
-        value.value >= 1.0 && value.value <= f64::from(u32::MAX) && value.value.fract() == 0.0;
-    if !whole {
+    if !(1.0..=f64::from(u32::MAX)).contains(&value.value) || value.value.fract() != 0.0 {
         return Err(FieldError::at(
             line,
-            format!("`{field}` must be a whole number of pixels above 0, found {}", value.value),
+            format!("`{field}` must be a whole number of pixels above 0"),
             "write the size of the camera's images",
-        ));
+        )
+        .with_content(format!(", found {}", value.value)));
     }
     Ok((value.value as usize, line))
 }
 
-/// The numbers of a matrix with the line that they begin at.
+/// The numbers of a matrix and their line.
 fn data(
     field: &str,
     matrix: Option<Spanned<Matrix>>,
@@ -171,19 +181,13 @@ fn camera_matrix(matrix: Option<Spanned<Matrix>>) -> Result<([f64; 9], u64), Fie
         let message = format!("`camera_matrix.data` must have 9 numbers, found {}", numbers.len());
         FieldError::at(line, message, "write [fx, 0, cx, 0, fy, cy, 0, 0, 1], row by row")
     })?;
-    let shape_holds = matrix[1] == 0.0
-        && matrix[3] == 0.0
-        && matrix[6] == 0.0
-        && matrix[7] == 0.0
-        && matrix[8] == 1.0;
-    if !shape_holds {
+    if [matrix[1], matrix[3], matrix[6], matrix[7], matrix[8]] != [0.0, 0.0, 0.0, 0.0, 1.0] {
         return Err(FieldError::at(
             line,
-            format!(
-                "`camera_matrix.data` must be [fx, 0, cx, 0, fy, cy, 0, 0, 1] (no skew), found {matrix:?}"
-            ),
+            "`camera_matrix.data` must be [fx, 0, cx, 0, fy, cy, 0, 0, 1] (no skew)",
             "check that the matrix is written row by row",
-        ));
+        )
+        .with_content(format!(", found {matrix:?}")));
     }
     Ok((matrix, line))
 }
@@ -202,9 +206,10 @@ fn lens(
         other => {
             return Err(FieldError::at(
                 model_line,
-                format!("unknown `distortion_model` \"{other}\": expected {MODELS}"),
+                format!("`distortion_model` must be {MODELS}"),
                 "calibrate with one of these models",
-            ));
+            )
+            .with_content(format!(", found \"{other}\"")));
         }
     };
     const EXAMPLE: &str = "distortion_coefficients: {rows: 1, cols: 5, data: [k1, k2, p1, p2, k3]}";
@@ -225,13 +230,12 @@ fn lens(
     Ok((lens, line))
 }
 
-/// The text of a camera file that reads as this camera, every number exactly. What is rectified by it keeps its focal
-/// lengths and its centre.
+/// The text of a camera file. Numbers are exact; rectified images keep focal lengths and centre.
 pub fn write(name: &str, camera: &Camera) -> String {
     write_with_uncertainty(name, camera, None)
 }
 
-/// The same with how well its parameters are known.
+/// With the uncertainty of the parameters.
 pub fn write_with_uncertainty(
     name: &str,
     camera: &Camera,
@@ -284,9 +288,13 @@ rectification_matrix:
 binning_x: 0
 ";
 
+    fn unwrap<T>(result: Result<T, FieldError>) -> T {
+        result.map_err(|wrong| wrong.message).unwrap()
+    }
+
     #[test]
     fn a_ros_file_is_read() {
-        let (camera, uncertainty) = parse(GOOD).map_err(|wrong| wrong.message).unwrap();
+        let (camera, uncertainty) = unwrap(parse(GOOD));
         assert_eq!(uncertainty, None);
         let read = camera.intrinsics();
         assert_eq!((read.width, read.height), (1280, 720));
@@ -295,7 +303,7 @@ binning_x: 0
     }
 
     #[test]
-    fn what_is_written_reads_the_same() {
+    fn a_written_file_is_read_exactly() {
         for lens in [
             Lens::PlumbBob([-0.1, 0.02, 1e-17, -0.000_1, 0.3]),
             Lens::Rational([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 1.0 / 3.0]),
@@ -320,11 +328,8 @@ binning_x: 0
                 text.contains(&format!("projection_matrix:\n  rows: 3\n  cols: 4\n  data: {p}")),
                 "{text}"
             );
-            assert_eq!(
-                parse(&text).map_err(|wrong| wrong.message).unwrap(),
-                (camera.clone(), None)
-            );
-            // With what is known of all but the second coefficient.
+            assert_eq!(unwrap(parse(&text)), (camera.clone(), None));
+            // All but the second coefficient are uncertain.
             let free: Vec<usize> =
                 (0..camera.intrinsics().lens.coefficients().len()).filter(|&k| k != 1).collect();
             let root = nalgebra::DMatrix::from_fn(free.len() + 4, free.len() + 4, |row, column| {
@@ -332,15 +337,14 @@ binning_x: 0
             });
             let uncertainty = LensDoubt { free, covariance: &root * root.transpose() };
             let text = write_with_uncertainty("known", &camera, Some(&uncertainty));
-            let (_, read) = parse(&text).map_err(|wrong| wrong.message).unwrap();
-            let read = read.unwrap();
+            let read = unwrap(parse(&text)).1.unwrap();
             assert_eq!(read.free, uncertainty.free);
             assert!((read.covariance - uncertainty.covariance).amax() < 1e-12);
         }
     }
 
     #[test]
-    fn what_is_wrong_is_named_with_its_line() {
+    fn errors_name_their_line() {
         for (from, to, line, expected) in [
             ("image_width: 1280\n", "", 1, "missing field `image_width`"),
             ("1280", "0", 1, "`image_width` must be a whole number of pixels above 0, found 0"),
@@ -349,14 +353,26 @@ binning_x: 0
             ("733.0, ", "", 7, "`camera_matrix.data` must have 9 numbers, found 8"),
             ("733.0", "-733.0", 7, "fx_px: expected a positive number of pixels, found -733"),
             ("733.0, 0", "733.0, 2", 7, "(no skew)"),
-            ("plumb_bob", "plum_bob", 8, "unknown `distortion_model` \"plum_bob\""),
+            (
+                "plumb_bob",
+                "plum_bob",
+                8,
+                "plumb_bob, rational_polynomial or equidistant, found \"plum_bob\"",
+            ),
             ("plumb_bob", "equidistant", 12, "of equidistant must have 4 numbers, found 5"),
             ("-0.1", ".nan", 12, "expected finite coefficients, found NaN as number 0"),
             ("distortion_model: plumb_bob\n", "", 1, "missing field `distortion_model`"),
         ] {
             let wrong = parse(&GOOD.replacen(from, to, 1)).expect_err(expected);
-            assert!(wrong.message.contains(expected), "{expected}: {}", wrong.message);
-            assert_eq!(wrong.line, line, "{expected}: {}", wrong.message);
+            let text = format!("{}{}", wrong.message, wrong.found);
+            assert!(text.contains(expected), "{expected}: {text}");
+            assert_eq!(wrong.line, line, "{expected}: {text}");
+            assert!(
+                !wrong.message.contains("found")
+                    || wrong.message.ends_with("found 8")
+                    || wrong.message.ends_with("found 5"),
+                "{text}"
+            );
         }
         assert!(parse("just text").is_err());
         assert!(parse("").is_err());

@@ -1,27 +1,12 @@
 //! Clocks of capture times, and their accuracy.
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum TimeBase {
-    /// The server's clock: simulated frames and played recordings.
-    #[default]
-    Server,
-    /// Arrival of the frame: includes the delays of camera and network, with their jitter.
-    Arrival,
-    /// The camera's counter, mapped to the server's clock by the frames with the least delay: without jitter, but late
-    /// by that delay.
-    Camera,
-    /// The driver's time stamp, on this machine's monotonic clock: late by exposure and readout.
-    Driver,
-    /// A camera clock that is synchronized, such as by NTP, according to the stream.
-    Synchronized,
-}
+pub use roundel_proto::v1::TimeBase;
 
 /// Clock of a source's capture times, and their accuracy.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CaptureClock {
     pub base: TimeBase,
-    /// Standard deviation of what all these times are off by together, seconds, as long as nothing better is
-    /// known; 0: they are right.
+    /// Standard deviation of the common error of all capture times before estimation, seconds; 0: exact.
     pub deviation_s: f64,
 }
 

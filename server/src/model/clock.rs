@@ -1,11 +1,10 @@
-//! The one clock of a server: monotonic, anchored to Unix time once at start and never stepped, so
-//! that a correction of the system's clock moves no capture time.
+//! The clock of a server: monotonic, anchored to Unix time at start, so that corrections of the system's clock do not move
+//! capture times.
 
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use roundel_core::time::Timestamp;
 
-/// A monotonic clock that tells Unix time as of its anchor.
 #[derive(Clone, Copy, Debug)]
 pub struct Clock {
     anchor: Instant,
@@ -13,20 +12,18 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// Anchors a clock to the system's time now.
     pub fn anchored_now() -> Self {
         let unix = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let ns = i64::try_from(unix.as_nanos()).unwrap_or(i64::MAX);
         Self::anchored(Instant::now(), Timestamp::from_ns(ns))
     }
 
-    /// A clock on which a monotonic reading stands for any instant, as playing a recording with its
-    /// own times needs.
+    /// `anchor` is `anchor_time`, as in the playback of a recording.
     pub fn anchored(anchor: Instant, anchor_time: Timestamp) -> Self {
         Self { anchor, anchor_time }
     }
 
-    /// The instant of the anchor, the earliest that this clock tells.
+    /// The anchor, the earliest time of this clock.
     pub fn start(&self) -> Timestamp {
         self.anchor_time
     }
@@ -35,13 +32,13 @@ impl Clock {
         self.at(Instant::now())
     }
 
-    /// The instant that a monotonic reading stands for; readings before the anchor count as it.
+    /// Earlier instants than the anchor map to it.
     pub fn at(&self, instant: Instant) -> Timestamp {
         let elapsed = instant.saturating_duration_since(self.anchor);
         self.anchor_time.plus_ns(i64::try_from(elapsed.as_nanos()).unwrap_or(i64::MAX))
     }
 
-    /// How long from now until `time`; zero if it has passed.
+    /// Duration from now to `time`; zero if it has passed.
     pub fn until(&self, time: Timestamp) -> Duration {
         Duration::from_nanos(u64::try_from(time.ns_since(self.now())).unwrap_or(0))
     }

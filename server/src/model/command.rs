@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use roundel_core::{
     id::{BodyId, CameraId, KindId},
-    world::{Body, CameraMount, CameraPlacement, ClockPrior, MotionClass},
+    world::{Body, CameraMount, CameraPlacement, ClockPrior, FusionParams, MotionClass},
 };
 
 use super::camera::MountInfo;
@@ -11,9 +11,8 @@ use super::camera::MountInfo;
 /// Changes cameras, objects or parameters while fusion runs.
 #[derive(Clone, Debug)]
 pub enum FusionCommand {
-    /// Adds a camera, or replaces its model.
-    SetCamera(CameraId, Box<CameraModel>),
-    RemoveCamera(CameraId),
+    /// [`CameraChange::Set`] adds unknown cameras.
+    UpdateCamera(CameraUpdate),
     SetParams(Box<FusionSettings>),
 }
 
@@ -21,7 +20,7 @@ pub enum FusionCommand {
 #[derive(Clone, Debug)]
 pub struct FusionSettings {
     /// `None`: unchanged.
-    pub limits: Option<FusionLimits>,
+    pub params: Option<FusionParams>,
     pub objects: ObjectUpdate,
     pub config: AppliedConfig,
 }
@@ -33,17 +32,6 @@ pub struct AppliedConfig {
     pub text: String,
     /// Old and new name of the object that the change renamed.
     pub renamed: Option<(String, String)>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FusionLimits {
-    /// Rms acceleration of objects, m/s²; applies to new tracks.
-    pub acceleration_m_s2: f64,
-    /// A track without detections for this long is predicted, seconds.
-    pub predicted_after_s: f64,
-    /// A track without detections for this long is lost, seconds.
-    pub lost_after_s: f64,
-    pub max_objects: usize,
 }
 
 /// Difference between two versions of the configured objects.

@@ -1,5 +1,4 @@
-//! The only place where core's types become proto's. What the fields mean stands in the `.proto`
-//! files and in core; here they only change their clothes.
+//! Converts core's types and the hub's to messages. The `.proto` files document the fields.
 
 mod fused;
 
@@ -18,17 +17,17 @@ use roundel_core::{
     pose::{Detection, RoundelPose},
     rigid::{Rigid, upper_triangle},
     time::Timestamp,
-    world::{self, ClockEstimate, FrameObservations, LifeStage, ObjectState, Unplaced},
+    world::{self, ClockEstimate, FrameObservations, LifeStage, ObjectState},
 };
 use roundel_proto::v1;
 
-use crate::model::capture_clock::{CaptureClock, TimeBase};
+use crate::model::capture_clock::CaptureClock;
 use crate::model::hub::{
-    CameraPoseState, CameraState, CameraStatus, ConfigChange, Event, EventKind, FusedSnapshot,
-    Installation, ObjectRecord, PoseStatus, SenderLink,
+    CameraPoseState, CameraState, CameraStatus, FusedSnapshot, Installation, ObjectRecord,
+    SenderLink,
 };
 
-/// A snapshot of `objects` (those that the subscriber chose out of `fused`).
+/// `chosen`: the objects of `fused` that the subscriber selected.
 pub fn snapshot(
     installation: &Installation,
     fused: &FusedSnapshot,
@@ -83,13 +82,12 @@ fn object_state(
     }
 }
 
-/// Of these cameras, those that are still there.
+/// Names of the cameras that still exist.
 fn names(installation: &Installation, cameras: &[CameraId]) -> Vec<String> {
     let each = cameras.iter().filter_map(|id| installation.cameras.get(id));
     each.map(|camera| camera.name.clone()).collect()
 }
 
-/// What one camera saw in one frame.
 pub fn observations(
     installation: &Installation,
     frame: &FrameObservations,
@@ -147,7 +145,6 @@ fn roundel_pose(pose: &RoundelPose) -> v1::RoundelPose {
     }
 }
 
-/// A camera with how it is doing.
 pub fn camera(installation: &Installation, id: CameraId, state: &CameraState) -> v1::Camera {
     let info = installation.cameras.get(&id);
     let ride = info.and_then(|info| info.ride.as_ref());
@@ -174,7 +171,7 @@ pub fn camera(installation: &Installation, id: CameraId, state: &CameraState) ->
         noise: state.noise,
         reprojection_px: state.reprojection_px,
         clock: state.clock.as_ref().map(camera_clock),
-        pose_status: pose_status(*status) as i32,
+        pose_status: (*status).into(),
         pose_reason: reason.clone(),
         pose_covariance: covariance.unwrap_or_default(),
         pose_time_ns: time.unwrap_or_default().as_ns(),
@@ -200,14 +197,7 @@ fn camera_clock(clock: &ClockEstimate) -> v1::CameraClock {
 }
 
 pub fn capture_clock(clock: CaptureClock) -> v1::CaptureClock {
-    let base = match clock.base {
-        TimeBase::Server => v1::TimeBase::Server,
-        TimeBase::Arrival => v1::TimeBase::Arrival,
-        TimeBase::Camera => v1::TimeBase::Camera,
-        TimeBase::Driver => v1::TimeBase::Driver,
-        TimeBase::Synchronized => v1::TimeBase::Synchronized,
-    };
-    v1::CaptureClock { base: base as i32, deviation_ms: clock.deviation_s * 1e3 }
+    v1::CaptureClock { base: clock.base.into(), deviation_ms: clock.deviation_s * 1e3 }
 }
 
 pub fn intrinsics(camera: &Camera) -> v1::Intrinsics {
@@ -222,7 +212,6 @@ pub fn intrinsics(camera: &Camera) -> v1::Intrinsics {
     }
 }
 
-/// An object of the list of objects.
 pub fn object(installation: &Installation, record: &ObjectRecord) -> v1::Object {
     v1::Object {
         object_id: record.id.0,
@@ -236,22 +225,7 @@ pub fn object(installation: &Installation, record: &ObjectRecord) -> v1::Object 
     }
 }
 
-pub fn event(event: &Event) -> v1::Event {
-    let object_id = match event.kind {
-        EventKind::ObjectStageChanged(id, _) | EventKind::ObjectConfigured(_, Some(id)) => id.0,
-        _ => 0,
-    };
-    v1::Event {
-        sequence: event.sequence,
-        time_ns: event.time.as_ns(),
-        kind: event_kind(event.kind) as i32,
-        object_id,
-        camera: event.camera.clone(),
-        message: event.message.clone(),
-    }
-}
-
-/// What a server says of itself, but for what it can do.
+/// Without the capabilities of the server.
 pub fn server_info(installation: &Installation) -> v1::ServerInfo {
     v1::ServerInfo {
         version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -278,73 +252,6 @@ fn camera_status(status: CameraStatus) -> v1::CameraStatus {
         CameraStatus::Running => v1::CameraStatus::Running,
         CameraStatus::Failed => v1::CameraStatus::Failed,
         CameraStatus::Finished => v1::CameraStatus::Finished,
-    }
-}
-
-fn pose_status(status: PoseStatus) -> v1::PoseStatus {
-    match status {
-        PoseStatus::Configured => v1::PoseStatus::Configured,
-        PoseStatus::Found => v1::PoseStatus::Found,
-        PoseStatus::Calibrated => v1::PoseStatus::Calibrated,
-        PoseStatus::Riding => v1::PoseStatus::Riding,
-        PoseStatus::Quarantined => v1::PoseStatus::Quarantined,
-        PoseStatus::Searching => v1::PoseStatus::Searching,
-        PoseStatus::Without(Unplaced::Unknown | Unplaced::CarrierUnseen) => {
-            v1::PoseStatus::CarrierUnseen
-        }
-        PoseStatus::Without(Unplaced::CarrierWithoutYaw) => v1::PoseStatus::CarrierWithoutYaw,
-        PoseStatus::Without(Unplaced::CarrierUncertain) => v1::PoseStatus::CarrierUncertain,
-    }
-}
-
-fn event_kind(kind: EventKind) -> v1::EventKind {
-    match kind {
-        EventKind::ObjectStageChanged(_, kind) => object_event_kind(kind),
-        EventKind::ObjectConfigured(ConfigChange::Added, _) => v1::EventKind::ObjectAdded,
-        EventKind::ObjectConfigured(ConfigChange::Changed, _) => v1::EventKind::ObjectChanged,
-        EventKind::ObjectConfigured(ConfigChange::Removed, _) => v1::EventKind::ObjectRemoved,
-        EventKind::CameraAdded(_) => v1::EventKind::CameraAdded,
-        EventKind::CameraChanged(_) => v1::EventKind::CameraChanged,
-        EventKind::CameraRemoved(_) => v1::EventKind::CameraRemoved,
-        EventKind::CameraStatusChanged(_, status) => camera_event_kind(status),
-        EventKind::CameraRateOff(_) => v1::EventKind::CameraRateOff,
-        EventKind::CameraRateAgrees(_) => v1::EventKind::CameraRateAgrees,
-        EventKind::CameraClockSet(_) => v1::EventKind::CameraClockSet,
-        EventKind::CameraPlaced(_) => v1::EventKind::CameraPlaced,
-        EventKind::CameraUnplaced(_) => v1::EventKind::CameraUnplaced,
-        EventKind::CameraBumped(_) => v1::EventKind::CameraBumped,
-        EventKind::CameraReturned(_) => v1::EventKind::CameraReturned,
-        EventKind::CameraDrifted(_) => v1::EventKind::CameraDrifted,
-        EventKind::CamerasContradict => v1::EventKind::CamerasContradict,
-        EventKind::CamerasMisplaced => v1::EventKind::CamerasMisplaced,
-        EventKind::CamerasAgree => v1::EventKind::CamerasAgree,
-        EventKind::HeightContradicted => v1::EventKind::HeightContradicted,
-        EventKind::CalibrationBegun => v1::EventKind::CalibrationBegun,
-        EventKind::CalibrationDone => v1::EventKind::CalibrationDone,
-        EventKind::CalibrationFailed => v1::EventKind::CalibrationFailed,
-        EventKind::CalibrationApplied => v1::EventKind::CalibrationApplied,
-        EventKind::RecordingBegun => v1::EventKind::RecordingBegun,
-        EventKind::RecordingEnded => v1::EventKind::RecordingEnded,
-        EventKind::RecordingFailed => v1::EventKind::RecordingFailed,
-        EventKind::RecordingLossy => v1::EventKind::RecordingLossy,
-    }
-}
-
-fn object_event_kind(kind: world::EventKind) -> v1::EventKind {
-    match kind {
-        world::EventKind::Appeared => v1::EventKind::ObjectAppeared,
-        world::EventKind::Predicted => v1::EventKind::ObjectPredicted,
-        world::EventKind::Recovered => v1::EventKind::ObjectRecovered,
-        world::EventKind::Lost => v1::EventKind::ObjectLost,
-    }
-}
-
-fn camera_event_kind(status: CameraStatus) -> v1::EventKind {
-    match status {
-        CameraStatus::Starting => v1::EventKind::Unspecified,
-        CameraStatus::Running => v1::EventKind::CameraRunning,
-        CameraStatus::Failed => v1::EventKind::CameraFailed,
-        CameraStatus::Finished => v1::EventKind::CameraFinished,
     }
 }
 
@@ -380,7 +287,6 @@ pub fn pixels(count: usize) -> u32 {
     u32::try_from(count).unwrap_or(u32::MAX)
 }
 
-/// How a camera's place agrees with what others see.
 fn agreement(health: &CameraHealth) -> v1::CameraAgreement {
     let state = match health.state {
         WatchState::Watched => v1::AgreementState::Agrees,

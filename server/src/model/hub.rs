@@ -1,9 +1,8 @@
-//! The newest of everything, for whoever asks.
+//! Newest state of everything: producers publish, consumers read, neither waits.
 //!
-//! Producers (workers, fusion) publish and never wait; consumers (the APIs) read at their own pace.
-//! Full-policies: snapshots keep the newest only (`watch`), so a slow reader skips and counts by the
-//! sequence; observations and events are rings of fixed size (`broadcast`) whose slow readers are
-//! told how many they missed; pictures are made only when somebody has asked for one.
+//! Snapshots are kept in a `watch` channel: a slow reader skips to the newest one and counts the missed ones by their
+//! sequence. Observations and events are `broadcast` rings, which report missed items to slow readers. Pictures are made
+//! only on request.
 
 mod installation;
 mod objects;
@@ -29,36 +28,36 @@ pub use super::{
         CameraInfo, CameraPoseState, CameraState, CameraStatus, DetectionCounts, MountInfo,
         PoseStatus, SenderLink,
     },
-    event::{ConfigChange, Event, EventKind},
     snapshot::FusedSnapshot,
 };
-use crate::model::tap::{RecordedItem, Tap};
+use crate::model::{
+    redact::redact,
+    tap::{RecordedItem, Tap},
+};
 pub use installation::{Installation, ObjectKey};
 pub use objects::ObjectRecord;
 use objects::RecentObjects;
+pub use roundel_proto::v1::{Event, EventKind};
 
-/// Observations that a slow reader may lag behind before it misses some.
+/// A reader that lags further behind misses observations.
 const OBSERVATION_QUEUE_LEN: usize = 256;
-/// Events remembered for those who ask later.
+/// Events kept for later readers.
 pub const EVENT_LOG_LEN: usize = 1000;
 
-/// A camera's frame with what was found in it.
+/// A frame of a camera with its detections.
 #[derive(Debug)]
 pub struct Picture {
-    /// Columns, pixels.
     pub width: usize,
-    /// Rows, pixels.
     pub height: usize,
     /// Grey values, row by row without gaps.
     pub pixels: Vec<u8>,
-    /// Found in this very frame.
+    /// Detections in this frame.
     pub observations: Arc<FrameObservations>,
-    /// The same as a JPEG file, made once for all who look at it.
+    /// JPEG file, encoded once on request.
     pub jpeg: OnceCell<Bytes>,
 }
 
 impl Picture {
-    /// Of columns and rows, with what was found in it.
     pub fn new(
         (width, height): (usize, usize),
         pixels: Vec<u8>,
@@ -76,29 +75,23 @@ struct CameraSlot {
     picture: watch::Sender<Option<Arc<Picture>>>,
 }
 
-struct EventLog {
-    next_sequence: u64,
-    newest: VecDeque<Arc<Event>>,
-}
-
-/// The meeting point of producers and consumers.
 pub struct Hub {
     installation: watch::Sender<Arc<Installation>>,
     snapshot: watch::Sender<Arc<FusedSnapshot>>,
     observations: broadcast::Sender<Arc<FrameObservations>>,
     events: broadcast::Sender<Arc<Event>>,
-    event_log: Mutex<EventLog>,
+    /// The newest events.
+    event_log: Mutex<VecDeque<Arc<Event>>>,
     objects: Mutex<RecentObjects>,
-    /// One for each camera of the installation.
     cameras: RwLock<BTreeMap<CameraId, Arc<CameraSlot>>>,
     fusion_counts: Mutex<FusionCounts>,
-    /// Where a recording takes what it records.
+    fusion_has_ended: AtomicBool,
     tap: Tap,
+    /// Cameras added, changed and removed.
     changes: [AtomicU64; 3],
 }
 
 impl Hub {
-    /// A hub with nothing in it yet.
     pub fn new(installation: Installation) -> Self {
         let slot = |id: &CameraId| (*id, Arc::default());
         Self {
@@ -107,27 +100,27 @@ impl Hub {
             snapshot: watch::Sender::default(),
             observations: broadcast::Sender::new(OBSERVATION_QUEUE_LEN),
             events: broadcast::Sender::new(EVENT_LOG_LEN),
-            event_log: Mutex::new(EventLog { next_sequence: 1, newest: VecDeque::new() }),
+            event_log: Mutex::default(),
             objects: Mutex::default(),
             fusion_counts: Mutex::default(),
+            fusion_has_ended: AtomicBool::new(false),
             tap: Tap::default(),
             changes: Default::default(),
         }
     }
 
-    /// The installation as it is now.
     pub fn installation(&self) -> Arc<Installation> {
         self.installation.borrow().clone()
     }
 
-    /// The same, and a wait for its changes.
+    /// Receives each change of the installation.
     pub fn installations(&self) -> watch::Receiver<Arc<Installation>> {
         self.installation.subscribe()
     }
 
-    /// Adds a camera, or says of one that is there what it is from now on; its state stays.
+    /// Adds a camera, or changes it; its state stays.
     pub fn set_camera(&self, id: CameraId, info: CameraInfo) {
-        // Its slot is there before anybody learns of it.
+        // The slot must exist before readers see the camera.
         let mut cameras = self.cameras.write().unwrap_or_else(PoisonError::into_inner);
         cameras.entry(id).or_default();
         drop(cameras);
@@ -136,7 +129,7 @@ impl Hub {
         });
     }
 
-    /// Takes a camera out, with all that is held of it; whoever waits for its pictures waits no more.
+    /// Removes a camera and its state; waits for its pictures end.
     pub fn remove_camera(&self, id: CameraId) {
         self.installation.send_modify(|installation| {
             Arc::make_mut(installation).cameras.remove(&id);
@@ -144,7 +137,7 @@ impl Hub {
         self.cameras.write().unwrap_or_else(PoisonError::into_inner).remove(&id);
     }
 
-    /// Says how objects are named from now on: those that are known by a whole kind, and all others by body.
+    /// Sets the names of objects that are identified by their kind, and of bodies.
     pub fn set_object_names(&self, kinds: BTreeMap<KindId, String>, bodies: Vec<String>) {
         self.installation.send_modify(|installation| {
             let installation = Arc::make_mut(installation);
@@ -153,7 +146,7 @@ impl Hub {
         });
     }
 
-    /// As which an object of the configuration is followed, or was last, within the last minute.
+    /// Id under which a configured object was tracked within the last minute.
     pub fn object_by_name(&self, name: &str) -> Option<ObjectId> {
         let named = self.installation().object_key(name)?;
         let matches = |record: &ObjectRecord| match named {
@@ -163,7 +156,7 @@ impl Hub {
         lock(&self.objects).newest(matches)
     }
 
-    /// The body of a name; one that is not known yet is from now on.
+    /// The body of a name, which is added if unknown.
     pub fn intern_body_name(&self, name: &str) -> BodyId {
         let place = |installation: &Installation| {
             installation.body_names.iter().position(|body| body == name)
@@ -184,7 +177,7 @@ impl Hub {
         self.cameras.read().unwrap_or_else(PoisonError::into_inner).get(&id).cloned()
     }
 
-    /// Hands on a new snapshot; the sequence is counted here.
+    /// Numbers and publishes a snapshot.
     pub fn publish_snapshot(&self, snapshot: Snapshot, fused_time: Timestamp) {
         lock(&self.objects).take(&snapshot);
         self.snapshot.send_modify(|newest| {
@@ -194,21 +187,19 @@ impl Hub {
         });
     }
 
-    /// The newest snapshot, and a wait for the next ones.
     pub fn snapshots(&self) -> watch::Receiver<Arc<FusedSnapshot>> {
         self.snapshot.subscribe()
     }
 
-    /// Hands on what one camera saw in one frame.
     pub fn publish_observations(&self, observations: Arc<FrameObservations>) {
         if let Some(slot) = self.slot(observations.camera) {
             *lock(&slot.newest) = Some(observations.clone());
         }
-        // An error only says that nobody listens.
+        // Fails without receivers.
         let _ = self.observations.send(observations);
     }
 
-    /// The newest frame of each camera that gave one, by camera.
+    /// The newest frame of each camera.
     pub fn newest_observations(&self) -> Vec<Arc<FrameObservations>> {
         let cameras = self.cameras.read().unwrap_or_else(PoisonError::into_inner);
         cameras.values().filter_map(|slot| lock(&slot.newest).clone()).collect()
@@ -218,69 +209,111 @@ impl Hub {
         self.observations.subscribe()
     }
 
-    /// Remembers and hands on an event.
+    /// Publishes an event that concerns neither a camera nor an object.
     pub fn publish_event(&self, time: Timestamp, kind: EventKind, message: String) {
-        match kind {
-            EventKind::CameraAdded(_) => self.changes[0].fetch_add(1, Ordering::Relaxed),
-            EventKind::CameraChanged(_) => self.changes[1].fetch_add(1, Ordering::Relaxed),
-            EventKind::CameraRemoved(_) => self.changes[2].fetch_add(1, Ordering::Relaxed),
-            _ => 0,
+        self.publish(Event {
+            time_ns: time.as_ns(),
+            kind: kind.into(),
+            message,
+            ..Event::default()
+        });
+    }
+
+    pub fn publish_camera_event(
+        &self,
+        time: Timestamp,
+        kind: EventKind,
+        camera: CameraId,
+        message: String,
+    ) {
+        let camera = self.installation().camera_name(camera).to_owned();
+        let (time_ns, kind) = (time.as_ns(), kind.into());
+        self.publish(Event { time_ns, kind, camera, message, ..Event::default() });
+    }
+
+    /// Without an id, the object is configured but not tracked.
+    pub fn publish_object_event(
+        &self,
+        time: Timestamp,
+        kind: EventKind,
+        object: Option<ObjectId>,
+        message: String,
+    ) {
+        let object_id = object.map_or(0, |object| object.0);
+        let (time_ns, kind) = (time.as_ns(), kind.into());
+        self.publish(Event { time_ns, kind, object_id, message, ..Event::default() });
+    }
+
+    /// Removes secrets from an event, numbers it, keeps it in the log and sends it to subscribers and the recording.
+    pub fn publish(&self, mut event: Event) {
+        let counter = match event.kind() {
+            EventKind::CameraAdded => Some(0),
+            EventKind::CameraChanged => Some(1),
+            EventKind::CameraRemoved => Some(2),
+            _ => None,
         };
-        let installation = self.installation();
-        let camera = kind.camera().map(|id| installation.camera_name(id).to_owned());
-        let camera = camera.unwrap_or_default();
-        let mut log = lock(&self.event_log);
-        let event = Arc::new(Event { sequence: log.next_sequence, time, kind, camera, message });
-        log.next_sequence += 1;
-        if log.newest.len() == EVENT_LOG_LEN {
-            log.newest.pop_front();
+        if let Some(counter) = counter {
+            self.changes[counter].fetch_add(1, Ordering::Relaxed);
         }
-        log.newest.push_back(event.clone());
+        event.message = redact(&event.message);
+        let mut log = lock(&self.event_log);
+        event.sequence = log.back().map_or(0, |newest| newest.sequence) + 1;
+        let event = Arc::new(event);
+        if log.len() == EVENT_LOG_LEN {
+            log.pop_front();
+        }
+        log.push_back(event.clone());
         self.tap.offer(|| RecordedItem::Event(event.clone()));
         let _ = self.events.send(event);
     }
 
-    /// Where a recording takes what it records.
     pub fn tap(&self) -> &Tap {
         &self.tap
     }
 
-    /// How many cameras were added, changed and removed since the start.
+    /// Numbers of cameras added, changed and removed since the start.
     pub fn camera_change_counts(&self) -> [u64; 3] {
         [0, 1, 2].map(|index| self.changes[index].load(Ordering::Relaxed))
     }
 
-    /// The newest remembered events, oldest first, at most `backlog`, and those from now on; none
-    /// between the two is missing or given twice.
+    /// The newest `backlog` events, oldest first, and a receiver of all later ones.
     pub fn events(&self, backlog: usize) -> (Vec<Arc<Event>>, broadcast::Receiver<Arc<Event>>) {
         let log = lock(&self.event_log);
-        let skipped = log.newest.len().saturating_sub(backlog);
-        (log.newest.iter().skip(skipped).cloned().collect(), self.events.subscribe())
+        let skipped = log.len().saturating_sub(backlog);
+        (log.iter().skip(skipped).cloned().collect(), self.events.subscribe())
     }
 
-    /// Every object of now and of the last minute, by id.
+    /// Objects tracked within the last minute, by id.
     pub fn objects(&self) -> Vec<ObjectRecord> {
         lock(&self.objects).all()
     }
 
-    /// Forgets all objects, as where time goes on elsewhere.
+    /// Forgets all objects, when a replay jumps.
     pub fn clear_objects(&self) {
         *lock(&self.objects) = RecentObjects::default();
     }
 
-    /// Changes a camera's state; of one that was removed nothing is kept.
+    /// Changes the state of a camera, unless it was removed.
     pub fn update_camera(&self, id: CameraId, change: impl FnOnce(&mut CameraState)) {
         if let Some(slot) = self.slot(id) {
             change(&mut lock(&slot.state));
         }
     }
 
-    /// What became of all that was observed, as of now.
     pub fn set_fusion_counts(&self, counts: FusionCounts) {
         *lock(&self.fusion_counts) = counts;
     }
 
-    /// What became of all that was observed, since the start.
+    pub fn set_fusion_ended(&self) {
+        self.fusion_has_ended.store(true, Ordering::Release);
+    }
+
+    /// Whether the fusion thread has ended, so that no snapshot follows.
+    pub fn fusion_has_ended(&self) -> bool {
+        self.fusion_has_ended.load(Ordering::Acquire)
+    }
+
+    /// Counts since the start.
     pub fn fusion_counts(&self) -> FusionCounts {
         *lock(&self.fusion_counts)
     }
@@ -290,25 +323,22 @@ impl Hub {
         cameras.iter().map(|(id, slot)| (*id, lock(&slot.state).clone())).collect()
     }
 
-    /// One camera's state; `None` if there is no such camera.
     pub fn camera(&self, id: CameraId) -> Option<CameraState> {
         self.slot(id).map(|slot| lock(&slot.state).clone())
     }
 
-    /// Asks the worker for a picture of its next frame, and gives the newest one and a wait for the
-    /// next; `None` if there is no such camera.
+    /// Requests a picture of the next frame; `None` for an unknown camera.
     pub fn request_picture(&self, id: CameraId) -> Option<watch::Receiver<Option<Arc<Picture>>>> {
         let slot = self.slot(id)?;
         slot.picture_wanted.store(true, Ordering::Release);
         Some(slot.picture.subscribe())
     }
 
-    /// Whether somebody waits for a picture; asking takes the request.
+    /// Whether a picture was requested since the last call.
     pub fn take_picture_request(&self, id: CameraId) -> bool {
         self.slot(id).is_some_and(|slot| slot.picture_wanted.swap(false, Ordering::AcqRel))
     }
 
-    /// Hands on a picture that was asked for.
     pub fn publish_picture(&self, id: CameraId, picture: Picture) {
         if let Some(slot) = self.slot(id) {
             slot.picture.send_replace(Some(Arc::new(picture)));
@@ -316,7 +346,7 @@ impl Hub {
     }
 }
 
-/// A panic elsewhere cannot leave these plain values half written in a way that matters: go on.
+/// Plain values stay valid when a thread panics.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,9 +1,8 @@
-//! Short words for the reasons why a candidate is no roundel, for labels and pictures; the sentence
-//! is [`Reject::reason`].
+//! Short names of rejects, for labels and pictures; [`Reject::reason`] is the sentence.
 
 use roundel_core::marker::Reject;
 
-/// The reason as lower-case words with `separator` between them: `frame_edge`.
+/// Lower-case words with `separator` between them: `frame_edge`.
 pub(crate) fn reject_name(reject: Reject, separator: char) -> String {
     let mut word = String::new();
     for letter in format!("{reject:?}").chars() {
@@ -22,7 +21,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_reason_has_a_word_of_its_own() {
+    fn names_are_distinct() {
         assert_eq!(reject_name(Reject::FrameEdge, '_'), "frame_edge");
         assert_eq!(reject_name(Reject::Tilt, ' '), "tilt");
         let words: BTreeSet<String> = Reject::ALL.iter().map(|&it| reject_name(it, '_')).collect();

@@ -1,10 +1,9 @@
-//! The simulated world and cameras that a `sim:` address names.
+//! The simulated world and cameras of a `sim:` address.
 
 use roundel_core::sim::{Scenario, ScenarioError, ScenarioParams, SimCamera};
 
 use super::address::{SimAddress, SimPreset};
 
-/// The simulated world of an address.
 pub fn simulated_scenario(address: &SimAddress) -> Result<Scenario, ScenarioError> {
     let mut params = match address.preset {
         SimPreset::R4Lite => ScenarioParams::r4_lite(address.seed),
@@ -12,7 +11,7 @@ pub fn simulated_scenario(address: &SimAddress) -> Result<Scenario, ScenarioErro
         SimPreset::R4Elliptical => ScenarioParams::r4_elliptical(address.seed),
     };
     if let Some(robots) = address.robots {
-        // As many of the fewer stand still as of the preset's.
+        // The same share of robots stands still as in the preset.
         params.still = (params.still * robots).div_ceil(params.robots.max(1)).min(params.still);
         params.robots = robots;
         params.still = params.still.min(robots - params.flying().min(robots));
@@ -20,10 +19,15 @@ pub fn simulated_scenario(address: &SimAddress) -> Result<Scenario, ScenarioErro
     Scenario::new(params)
 }
 
-/// The simulated camera of an address: its lens, place and timing.
 pub fn simulated_camera(address: &SimAddress) -> Result<SimCamera, ScenarioError> {
-    let scenario = simulated_scenario(address)?;
-    let cameras = scenario.cameras();
+    camera_of_world(simulated_scenario(address)?.cameras(), address)
+}
+
+/// The camera of an address among those of its world.
+pub fn camera_of_world(
+    cameras: &[SimCamera],
+    address: &SimAddress,
+) -> Result<SimCamera, ScenarioError> {
     cameras.get(address.camera).cloned().ok_or(ScenarioError::NoSuchCamera {
         last: cameras.len().saturating_sub(1),
         found: address.camera,

@@ -2,12 +2,11 @@
 
 use roundel_core::{time::Timestamp, world::Snapshot};
 
-/// A snapshot with what the server adds to it.
+/// A numbered snapshot.
 #[derive(Clone, Debug, Default)]
 pub struct FusedSnapshot {
-    /// Grows by one with each snapshot; 0 before the first.
+    /// Increases by one with each snapshot; 0 before the first.
     pub sequence: u64,
-    /// When fusion made it.
     pub fused_time: Timestamp,
     pub snapshot: Snapshot,
 }

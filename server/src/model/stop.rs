@@ -1,16 +1,16 @@
-//! The signal that ends threads: a flag that can be waited for.
+//! The signal that ends threads: a flag with waits.
 
 use std::{
     sync::{Arc, Condvar, Mutex, PoisonError},
     time::Duration,
 };
 
-/// Shared by whoever stops and whoever is stopped; clones are the same signal.
+/// Clones share the signal.
 #[derive(Clone, Debug, Default)]
 pub struct StopSignal(Arc<(Mutex<bool>, Condvar)>);
 
 impl StopSignal {
-    /// Ends every wait now and for ever.
+    /// Ends every wait, now and later.
     pub fn stop(&self) {
         *self.0.0.lock().unwrap_or_else(PoisonError::into_inner) = true;
         self.0.1.notify_all();
@@ -20,7 +20,7 @@ impl StopSignal {
         *self.0.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits so long, or until it is over; tells which: true when it is over.
+    /// Waits for the signal; false after the timeout.
     pub fn wait(&self, timeout: Duration) -> bool {
         let stopped = self.0.0.lock().unwrap_or_else(PoisonError::into_inner);
         let (stopped, _) = self

@@ -1,11 +1,11 @@
-//! What a mistyped name was probably meant to be, for errors that say it.
+//! Suggestions for mistyped names.
 
-/// Names this much alike (Jaro-Winkler) are taken for one mistyped.
+/// Jaro-Winkler similarity of a mistyped name.
 const ALIKE: f64 = 0.75;
-/// So are names with one slip of the finger in as many letters.
+/// Number of letters to one typing error.
 const LETTERS_A_SLIP: usize = 3;
 
-/// The known name that `name` was probably meant to be.
+/// The known name that is most similar to `name`, if any is.
 pub(crate) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let slips = (name.chars().count() / LETTERS_A_SLIP).max(1);
     known
@@ -16,6 +16,11 @@ pub(crate) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) 
         })
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .map(|(_, candidate)| candidate)
+}
+
+/// `; did you mean "…"?`, or nothing.
+pub(crate) fn did_you_mean<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> String {
+    nearest(name, known).map(|meant| format!("; did you mean \"{meant}\"?")).unwrap_or_default()
 }
 
 /// Names for a sentence: `` `a`, `b` ``.
@@ -29,7 +34,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn slips_are_forgiven_and_other_words_are_not() {
+    fn only_similar_names_are_suggested() {
         let known = ["outer_mm", "inner_mm", "name"];
         assert_eq!(nearest("outter_mm", known), Some("outer_mm"));
         assert_eq!(nearest("nmae", known), Some("name"));

@@ -13,16 +13,16 @@ use std::{
 };
 
 use roundel_core::{id::CameraId, time::Timestamp, world::FrameObservations};
+use roundel_proto::v1::Event;
 
 use crate::model::{
     command::{AppliedConfig, CameraChange, CameraModel, CameraPose, CameraUpdate},
-    event::Event,
     snapshot::FusedSnapshot,
 };
 
-/// Messages that may wait for the disk: seconds of the largest installations. Full: dropped and counted.
+/// Capacity of the item queue: seconds of the largest installations.
 const QUEUE_ITEMS: usize = 4096;
-/// Frames that may wait to be compressed; they are large. Full: dropped and counted.
+/// Capacity of the queue of frames to compress, which are large.
 const QUEUE_FRAMES: usize = 8;
 
 #[derive(Clone, Debug)]
@@ -31,20 +31,18 @@ pub enum RecordedItem {
     Detections(Arc<FrameObservations>, Timestamp),
     Event(Arc<Event>),
     CameraUpdate(CameraUpdate),
-    /// Fusion goes by it from now on.
+    /// The configuration that fusion applied.
     Settings(AppliedConfig),
-    /// A camera's picture, compressed.
     CompressedFrame(CompressedFrame),
 }
 
-/// A frame of a camera, as it was searched.
+/// A frame to compress.
 #[derive(Clone, Debug)]
 pub struct RawFrame {
     pub camera: CameraId,
     pub number: u64,
     /// Middle of the exposure.
     pub capture_time: Timestamp,
-    /// When the worker had it.
     pub received_time: Timestamp,
     /// Columns and rows.
     pub size: (usize, usize),
@@ -52,14 +50,12 @@ pub struct RawFrame {
     pub pixels: Vec<u8>,
 }
 
-/// The same as the bytes of an image file.
 #[derive(Clone, Debug)]
 pub struct CompressedFrame {
     pub camera: CameraId,
     pub number: u64,
     /// Middle of the exposure.
     pub capture_time: Timestamp,
-    /// When the worker had it.
     pub received_time: Timestamp,
     /// `jpeg` or `png`.
     pub format: &'static str,
@@ -68,10 +64,9 @@ pub struct CompressedFrame {
 
 pub struct TapReceiver {
     pub items: Receiver<RecordedItem>,
-    /// Frames to be compressed.
     pub frames: Receiver<RawFrame>,
     pub compressed: SyncSender<RecordedItem>,
-    /// What fusion knew of cameras as the recording began.
+    /// State of the cameras in fusion when the recording began.
     pub camera_updates: Vec<CameraUpdate>,
 }
 
@@ -80,52 +75,51 @@ struct TapSender {
     frames: SyncSender<RawFrame>,
 }
 
-/// What fusion was told last of a camera.
+/// State of a camera in fusion.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct LatestCameraUpdate {
     known: Option<CameraModel>,
     exempt: Option<bool>,
 }
 
-/// Takes what is recorded, while something is.
 #[derive(Default)]
 pub struct Tap {
     sender: RwLock<Option<TapSender>>,
-    /// One in so many frames is wanted; 0: none.
+    /// Every how many frames one is recorded; 0: none.
     frames_every: AtomicU32,
     dropped: AtomicU64,
     latest: Mutex<BTreeMap<CameraId, LatestCameraUpdate>>,
 }
 
 impl Tap {
-    /// Begins to take what is offered, of frames one in so many.
+    /// Starts a recording with every `frames_every`th frame; 0: none.
     pub fn open(&self, frames_every: u32) -> TapReceiver {
         let (items, item_receiver) = sync_channel(QUEUE_ITEMS);
         let (frames, frame_receiver) = sync_channel(QUEUE_FRAMES);
         self.dropped.store(0, Ordering::Relaxed);
         let compressed = items.clone();
-        // What is told while this is held waits, and so comes neither twice nor never.
-        let told = self.latest.lock().unwrap_or_else(PoisonError::into_inner);
+        // While this is locked, updates wait: each is recorded once.
+        let latest = self.latest.lock().unwrap_or_else(PoisonError::into_inner);
         let camera_updates =
-            told.iter().flat_map(|(camera, memory)| memory.updates(*camera)).collect();
+            latest.iter().flat_map(|(camera, memory)| memory.updates(*camera)).collect();
         *self.sender.write().unwrap_or_else(PoisonError::into_inner) =
             Some(TapSender { items, frames });
         self.frames_every.store(frames_every, Ordering::Relaxed);
         TapReceiver { items: item_receiver, frames: frame_receiver, compressed, camera_updates }
     }
 
-    /// Takes nothing any more; what was taken before can still be read.
+    /// Ends the recording; queued items can still be read.
     pub fn close(&self) {
         self.frames_every.store(0, Ordering::Relaxed);
         *self.sender.write().unwrap_or_else(PoisonError::into_inner) = None;
     }
 
-    /// What was offered and found no room, since the recording began.
+    /// Items dropped since the recording began.
     pub fn dropped(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
     }
 
-    /// Offers something that is recorded if there is room.
+    /// Offers an item, which is dropped and counted if the queue is full.
     pub fn offer(&self, item: impl FnOnce() -> RecordedItem) {
         let sender = self.sender.read().unwrap_or_else(PoisonError::into_inner);
         if let Some(sender) = &*sender
@@ -135,28 +129,28 @@ impl Tap {
         }
     }
 
-    /// Offers what fusion was told, which is remembered for recordings that begin later.
-    pub fn update_camera(&self, told: CameraUpdate) {
+    /// Offers a camera update, and keeps it for recordings that begin later.
+    pub fn update_camera(&self, update: CameraUpdate) {
         let mut latest = self.latest.lock().unwrap_or_else(PoisonError::into_inner);
-        let memory = latest.entry(told.camera).or_default();
-        match &told.change {
-            // Said with each snapshot, and seldom another thing than before.
+        let memory = latest.entry(update.camera).or_default();
+        match &update.change {
+            // Repeated with each snapshot, and rarely changed.
             CameraChange::HoldBackExempt(is_exempt) if memory.exempt == Some(*is_exempt) => return,
             CameraChange::Removed => {
-                latest.remove(&told.camera);
+                latest.remove(&update.camera);
             }
             change => memory.apply(change),
         }
-        self.offer(|| RecordedItem::CameraUpdate(told));
+        self.offer(|| RecordedItem::CameraUpdate(update));
     }
 
-    /// Whether a frame of this number is recorded.
+    /// Whether the frame with this number is recorded.
     pub fn wants_frame(&self, number: u64) -> bool {
         let every = u64::from(self.frames_every.load(Ordering::Relaxed));
         every > 0 && number.is_multiple_of(every)
     }
 
-    /// Offers a frame that is recorded if there is room.
+    /// Offers a frame, which is dropped and counted if the queue is full.
     pub fn offer_frame(&self, frame: RawFrame) {
         let sender = self.sender.read().unwrap_or_else(PoisonError::into_inner);
         if let Some(sender) = &*sender
@@ -185,7 +179,7 @@ impl LatestCameraUpdate {
         }
     }
 
-    /// All of it, as it would be told now.
+    /// Updates that restore this state.
     pub(crate) fn updates(&self, camera: CameraId) -> impl Iterator<Item = CameraUpdate> + use<> {
         let set = self.known.clone().map(|known| CameraChange::Set(Box::new(known)));
         let spared = self.exempt.map(CameraChange::HoldBackExempt);
@@ -195,12 +189,12 @@ impl LatestCameraUpdate {
 
 #[cfg(test)]
 mod tests {
-    use roundel_core::rigid::{Covariance6, Rigid};
-
-    use roundel_core::world::CameraPlacement;
+    use roundel_core::{
+        rigid::{Covariance6, Rigid},
+        world::CameraPlacement,
+    };
 
     use super::*;
-
     use crate::model::command::ClockModel;
 
     const NORTH: CameraId = CameraId(0);
@@ -210,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn a_recording_that_begins_late_knows_what_fusion_was_told_before() {
+    fn a_recording_starts_with_the_state_of_the_cameras() {
         let tap = Tap::default();
         let (place, clock) = (Some(CameraPose::Unknown), Some(ClockModel::Exact));
         update_camera(&tap, CameraChange::Set(Box::new(CameraModel { pose: place, clock })));
@@ -227,11 +221,11 @@ mod tests {
         tap.update_camera(CameraUpdate { camera: CameraId(1), change: CameraChange::Removed });
         let receiver = tap.open(0);
         let known: Vec<String> =
-            receiver.camera_updates.iter().map(|told| format!("{told:?}")).collect();
+            receiver.camera_updates.iter().map(|update| format!("{update:?}")).collect();
         assert_eq!(known.len(), 2, "{known:?}");
         assert!(known[0].contains("[1.0, 2.0, 3.0]") && known[0].contains("Exact"), "{known:?}");
         assert!(known[1].contains("HoldBackExempt(true)"), "{known:?}");
-        // The same once more is no news.
+        // A repeated exemption is not recorded.
         update_camera(&tap, CameraChange::HoldBackExempt(true));
         assert!(receiver.items.try_recv().is_err());
         update_camera(&tap, CameraChange::Quarantined);
@@ -239,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn what_finds_no_room_is_counted_and_holds_nobody_up() {
+    fn a_full_queue_drops_and_counts() {
         let tap = Tap::default();
         tap.offer(|| unreachable!("nothing is recorded"));
         assert!(!tap.wants_frame(4));
@@ -250,7 +244,7 @@ mod tests {
         }
         assert_eq!(tap.dropped(), 3);
         tap.close();
-        tap.offer(|| unreachable!("it was ended"));
+        tap.offer(|| unreachable!("the recording has ended"));
         assert_eq!(receiver.items.try_iter().count(), QUEUE_ITEMS);
     }
 }

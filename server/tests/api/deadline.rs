@@ -1,4 +1,4 @@
-//! Clients that say how long they wait.
+//! gRPC calls and streams with a deadline.
 
 use std::time::Duration;
 
@@ -7,13 +7,13 @@ use roundel_proto::v1;
 use tokio::time::timeout;
 use tonic::{Code, Request as Call};
 
-use crate::{
+use super::{
     grpc,
-    rig::{HANG, Rig, objects},
+    rig::{Rig, TIMEOUT, objects},
 };
 
 #[tokio::test]
-async fn streams_end_when_their_clients_have_waited_long_enough() {
+async fn streams_end_at_their_deadline() {
     let rig = Rig::start().await;
     rig.publish(objects(3));
     let mut client = grpc::connect(&rig).await;
@@ -34,18 +34,19 @@ async fn streams_end_when_their_clients_have_waited_long_enough() {
             rig.publish(objects(3));
             match snapshots.message().await {
                 Ok(Some(snapshot)) => received += snapshot.objects.len(),
-                Ok(None) => panic!("it ends without a reason"),
+                Ok(None) => panic!("the stream ends without a status"),
                 Err(status) => break (received, status),
             }
         }
     };
-    let (received, status) = timeout(HANG, end).await.expect("it goes on for ever");
-    assert!(received >= 3, "whole messages until then");
+    let (received, status) = timeout(TIMEOUT, end).await.expect("the stream does not end");
+    assert!(received >= 3, "expected whole messages until the deadline");
     assert_eq!(status.code(), Code::DeadlineExceeded, "{status}");
     assert_eq!(status.message(), "the call's deadline of 200ms has passed");
-    let status = timeout(HANG, events.message()).await.expect("it goes on for ever").unwrap_err();
-    assert_eq!(status.code(), Code::DeadlineExceeded, "one that nothing comes on, too: {status}");
-    // The connection is there for others.
+    let status =
+        timeout(TIMEOUT, events.message()).await.expect("the stream does not end").unwrap_err();
+    assert_eq!(status.code(), Code::DeadlineExceeded, "an idle stream must end, too: {status}");
+    // The connection remains usable.
     grpc::next(&mut endless).await;
     let metrics = rig.get("/metrics").await;
     assert!(metrics.text().contains("\nroundel_subscribers 1\n"), "{}", metrics.text());
@@ -53,7 +54,7 @@ async fn streams_end_when_their_clients_have_waited_long_enough() {
 }
 
 #[tokio::test]
-async fn a_time_that_is_none_is_refused() {
+async fn rejects_an_unreadable_timeout() {
     let rig = Rig::start().await;
     let request = Request::post(format!("{}/roundel.v1.Roundel/GetTime", rig.url()))
         .header("content-type", "application/grpc")

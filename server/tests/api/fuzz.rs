@@ -1,6 +1,5 @@
-//! What no client sends that means well: bytes that are no message, messages that are cut or bent, frames that lie about
-//! their length, and thousands of connections that say nothing. Whatever comes, the server lives, and somebody who reads
-//! beside it misses nothing.
+//! Malformed and malicious input: bytes that are no message, corrupted messages, frames with false lengths, and
+//! thousands of idle connections. The server survives all of it, and a well-behaved subscriber misses no snapshot.
 
 use std::time::Duration;
 
@@ -15,12 +14,12 @@ use tokio::{
 };
 use tonic::Streaming;
 
-use crate::{
+use super::{
     grpc,
-    rig::{self, HANG, Rig, objects},
+    rig::{self, Rig, TIMEOUT, objects},
 };
 
-/// Xorshift: the same bytes in every run.
+/// Xorshift, for the same bytes in every run.
 pub struct Random(pub u64);
 
 impl Random {
@@ -39,28 +38,28 @@ impl Random {
         (0..count).map(|_| self.next() as u8).collect()
     }
 
-    /// Some bytes changed, and the end cut off or something added to it.
-    pub fn bent(&mut self, bytes: &[u8]) -> Vec<u8> {
-        let mut bent = bytes.to_vec();
+    /// Changes some bytes, and possibly truncates or extends them.
+    pub fn corrupted(&mut self, bytes: &[u8]) -> Vec<u8> {
+        let mut corrupted = bytes.to_vec();
         for _ in 0..=self.below(3) {
-            if !bent.is_empty() {
-                let place = self.below(bent.len());
-                bent[place] = self.next() as u8;
+            if !corrupted.is_empty() {
+                let place = self.below(corrupted.len());
+                corrupted[place] = self.next() as u8;
             }
         }
         match self.below(3) {
-            0 => bent.truncate(self.below(bent.len() + 1)),
+            0 => corrupted.truncate(self.below(corrupted.len() + 1)),
             1 => {
                 let count = self.below(20);
-                bent.extend(self.bytes(count));
+                corrupted.extend(self.bytes(count));
             }
             _ => {}
         }
-        bent
+        corrupted
     }
 }
 
-/// A server, and a subscriber that reads all the time.
+/// A server with a subscriber that reads every snapshot.
 pub struct Bystander {
     pub rig: Rig,
     snapshots: Streaming<v1::Snapshot>,
@@ -75,7 +74,7 @@ impl Bystander {
         Self { rig, snapshots }
     }
 
-    /// The subscriber gets its snapshot.
+    /// Checks that the subscriber receives the next snapshot.
     pub async fn is_served(&mut self, after: &str) {
         self.rig.publish(objects(3));
         let snapshot = grpc::next(&mut self.snapshots).await;
@@ -83,7 +82,7 @@ impl Bystander {
     }
 
     pub async fn end(mut self) {
-        self.is_served("all of it").await;
+        self.is_served("all input").await;
         assert_eq!(self.rig.get("/healthz").await.status, 200);
         self.rig.stop().await;
     }
@@ -92,18 +91,18 @@ impl Bystander {
         TcpStream::connect(&self.rig.address).await.unwrap()
     }
 
-    /// Sends bytes on a connection of its own and gives the first of what comes back; nothing if the server hangs up.
+    /// Sends bytes on a new connection and returns the first bytes of the response; none if the server closes it.
     async fn poke(&self, bytes: &[u8]) -> Vec<u8> {
         let mut stream = self.connect().await;
-        // The server may have hung up before it had all.
+        // The server may close the connection before it has received everything.
         let _ = stream.write_all(bytes).await;
         let mut answer = vec![0; 4096];
-        let read = timeout(HANG, stream.read(&mut answer)).await.expect("no answer comes");
+        let read = timeout(TIMEOUT, stream.read(&mut answer)).await.expect("no response arrives");
         answer.truncate(read.unwrap_or_default());
         answer
     }
 
-    /// Sends bytes and listens for a while: what the server says first of all may not be an answer to them.
+    /// Sends bytes and waits briefly, for protocols where the server sends first.
     async fn linger(&self, bytes: &[u8]) {
         let mut stream = self.connect().await;
         let _ = stream.write_all(bytes).await;
@@ -125,7 +124,7 @@ fn framed(message: &[u8]) -> Vec<u8> {
     [&[0], (message.len() as u32).to_be_bytes().as_slice(), message].concat()
 }
 
-/// Every call, and requests that mean something to some of them.
+/// All gRPC calls, and requests that are valid for some of them.
 fn calls() -> (Vec<String>, Vec<Vec<u8>>) {
     let contract = include_str!("../../../proto/contract.txt").lines();
     let is_call = |line: &&str| line.starts_with("Roundel.") || line.starts_with("Push.");
@@ -153,7 +152,7 @@ fn calls() -> (Vec<String>, Vec<Vec<u8>>) {
         v1::TestSourceRequest { source: "sim:".into(), width: 9, height: 9 }.encode_to_vec(),
         v1::PushRobotRequest { object_id: 1, velocity: corner(1.0), duration_ms: 3.0 }
             .encode_to_vec(),
-        // A length that goes on for ever, and messages within messages.
+        // An endless varint, and deeply nested messages.
         vec![0x0a, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0x7f],
         (0..2000_u32).rev().fold(Vec::new(), |inner, _| {
             let mut outer = vec![0x0a];
@@ -166,7 +165,7 @@ fn calls() -> (Vec<String>, Vec<Vec<u8>>) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn bent_protobuf_harms_nobody() {
+async fn survives_corrupted_protobuf() {
     let mut bystander = Bystander::new(ApiLimits::default()).await;
     let (calls, requests) = calls();
     let mut random = Random(0x9e37_79b9_7f4a_7c15);
@@ -176,8 +175,8 @@ async fn bent_protobuf_harms_nobody() {
             let whole = &requests[random.below(requests.len())];
             let count = random.below(300);
             let body = match round % 4 {
-                0 => framed(&random.bent(whole)),
-                1 => random.bent(&framed(whole)),
+                0 => framed(&random.corrupted(whole)),
+                1 => random.corrupted(&framed(whole)),
                 2 => framed(&random.bytes(count)),
                 _ => random.bytes(count),
             };
@@ -187,17 +186,17 @@ async fn bent_protobuf_harms_nobody() {
         }
         let pokes = bodies.iter().map(|(call, kind, body)| bystander.post(call, kind, body));
         for (answer, (call, ..)) in join_all(pokes).await.iter().zip(&bodies) {
-            // Each request is whole as HTTP, so that each has an answer.
+            // Each request is valid HTTP, so each gets a response.
             let is_one = answer.starts_with("HTTP/1.1 ") && !answer.starts_with("HTTP/1.1 5");
             assert!(is_one, "{call}: {answer:?}");
         }
-        bystander.is_served("bent protobuf").await;
+        bystander.is_served("corrupted protobuf").await;
     }
     bystander.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn bent_json_is_refused_by_name() {
+async fn rejects_corrupted_json_with_an_error_body() {
     let mut bystander = Bystander::new(ApiLimits::default()).await;
     let mut random = Random(77);
     let texts = [
@@ -221,22 +220,22 @@ async fn bent_json_is_refused_by_name() {
             let body = match round {
                 0 => nested.clone().into_bytes(),
                 1 => vec![b'"'; 3_000_000],
-                _ => random.bent(text),
+                _ => random.corrupted(text),
             };
             let answer = bystander.post(path, "application/json", &body).await;
-            // Well said and still not done is a 4xx, too: nothing is simulated, and no roster is there.
-            // Who still sends when the answer to too much comes may not see it.
+            // A request that is still valid is a 4xx, too: nothing is simulated, and there is no configuration to change.
+            // A client that is still sending when an oversized body is rejected may not see the response.
             let may_be_lost = round == 1 && answer.is_empty();
             assert!(may_be_lost || answer.starts_with("HTTP/1.1 4"), "{path}: {answer:?}");
             assert!(round == 1 || answer.contains("\"error\""), "{path}: {answer}");
         }
-        bystander.is_served("bent JSON").await;
+        bystander.is_served("corrupted JSON").await;
     }
     bystander.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn bent_websocket_frames_end_their_own_socket_only() {
+async fn malformed_websocket_frames_end_only_their_own_socket() {
     let mut bystander = Bystander::new(ApiLimits::default()).await;
     let ask = format!(
         "GET /api/v1/stream HTTP/1.1\r\nhost: {}\r\nconnection: upgrade\r\nupgrade: websocket\r\n\
@@ -246,18 +245,18 @@ async fn bent_websocket_frames_end_their_own_socket_only() {
     let mut random = Random(4711);
     let masked = |head: &[u8], payload: &[u8]| [head, &[0, 0, 0, 0], payload].concat();
     let mut all = vec![
-        // Not masked; reserved bits; an opcode that there is not; lengths that lie; text that is none.
+        // Unmasked; reserved bits; an unknown opcode; false lengths; a text that is not UTF-8.
         vec![0x81, 0x02, b'h', b'i'],
         masked(&[0xf1, 0x82], b"hi"),
         masked(&[0x83, 0x82], b"hi"),
         masked(&[0x82, 0xff, 0x7f, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff], b""),
         masked(&[0x82, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff], b""),
         masked(&[0x81, 0x82], &[0xc3, 0x28]),
-        // A continuation of nothing, a ping that is too long, a close with half a code.
+        // A continuation without a start, an oversized ping, a close frame with half a code.
         masked(&[0x80, 0x80], b""),
         masked(&[0x89, 0xfe, 0x00, 0xff], &[0; 255]),
         masked(&[0x88, 0x81], &[3]),
-        // Pieces without an end.
+        // An endless fragmented message.
         [masked(&[0x01, 0x80], b""), masked(&[0x00, 0xfe, 0xea, 0x60], &[b' '; 60_000]).repeat(4)]
             .concat(),
         masked(&[0x89, 0x80], b"").repeat(5000),
@@ -270,17 +269,17 @@ async fn bent_websocket_frames_end_their_own_socket_only() {
         let mut socket = bystander.connect().await;
         socket.write_all(ask.as_bytes()).await.unwrap();
         let mut answer = [0; 12];
-        timeout(HANG, socket.read_exact(&mut answer)).await.unwrap().unwrap();
+        timeout(TIMEOUT, socket.read_exact(&mut answer)).await.unwrap().unwrap();
         assert_eq!(&answer, b"HTTP/1.1 101");
-        // The server may hang up within.
+        // The server may close the socket while the frames are sent.
         let _ = socket.write_all(&frames).await;
-        bystander.is_served("bent frames").await;
+        bystander.is_served("malformed frames").await;
     }
     bystander.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn bent_http2_ends_its_own_connection_only() {
+async fn malformed_http2_ends_only_its_own_connection() {
     let mut bystander = Bystander::new(ApiLimits::default()).await;
     let mut random = Random(99);
     let preface = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n".to_vec();
@@ -289,7 +288,7 @@ async fn bent_http2_ends_its_own_connection_only() {
         [length, &[kind, flags], &stream.to_be_bytes(), payload].concat()
     };
     let begin = [preface.clone(), frame(4, 0, 0, &[])].concat();
-    // A request of three entries of the static table: POST, http, and the path /.
+    // A request of three entries of the static table: POST, http, and the path "/".
     let request = |stream| frame(1, 4, stream, &[0x83, 0x86, 0x84]);
     let resets = (0..3000_u32).flat_map(|number| {
         let stream = 2 * number + 1;
@@ -300,7 +299,7 @@ async fn bent_http2_ends_its_own_connection_only() {
         [begin.clone(), frame(4, 0, 0, &[0, 4, 0xff, 0xff, 0xff, 0xff])].concat(),
         [begin.clone(), frame(4, 0, 0, &[]).repeat(5000)].concat(),
         [begin.clone(), frame(6, 0, 0, &[7; 8]).repeat(5000)].concat(),
-        // A head that never ends, one that says nothing, windows of nothing and of too much.
+        // An endless header, an empty one, and window updates of zero and beyond the maximum.
         [begin.clone(), frame(1, 0, 1, &[0x82]), frame(9, 0, 1, &[0x40; 16_000]).repeat(40)]
             .concat(),
         [begin.clone(), frame(1, 5, 1, &[])].concat(),
@@ -316,13 +315,13 @@ async fn bent_http2_ends_its_own_connection_only() {
     }));
     for bytes in &all {
         bystander.linger(bytes).await;
-        bystander.is_served("bent HTTP/2").await;
+        bystander.is_served("malformed HTTP/2").await;
     }
     bystander.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn thousands_who_say_nothing_take_nobodys_place() {
+async fn thousands_of_idle_connections_take_no_slots() {
     let mut bystander =
         Bystander::new(ApiLimits { max_clients: 300, ..ApiLimits::default() }).await;
     let mut held = Vec::new();
@@ -339,20 +338,20 @@ async fn thousands_who_say_nothing_take_nobodys_place() {
             bystander.is_served("half-open connections").await;
         }
     }
-    // All of them still hold the line.
+    // All idle connections are still open.
     assert_eq!(bystander.rig.get("/api/v1/info").await.status, 200);
     bystander.end().await;
     drop(held);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn half_a_request_holds_its_place_for_a_while_only() {
+async fn an_incomplete_request_is_closed_after_the_timeout() {
     let halves: [&[u8]; 6] = [
         b"",
         b"PRI",
-        b"GET /api/v1/info HTTP/1.1\r\nhost: a\r\n",
-        b"POST /api/v1/calibration HTTP/1.1\r\nhost: a\r\ncontent-type: application/json\r\ncontent-length: 10\r\n\r\n{",
-        b"POST /roundel.v1.Roundel/GetInfo HTTP/1.1\r\nhost: a\r\ncontent-type: application/grpc-web\r\ncontent-length: 10\r\n\r\n",
+        b"GET /api/v1/info HTTP/1.1\r\nhost: localhost\r\n",
+        b"POST /api/v1/calibration HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/json\r\ncontent-length: 10\r\n\r\n{",
+        b"POST /roundel.v1.Roundel/GetInfo HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/grpc-web\r\ncontent-length: 10\r\n\r\n",
         // HTTP/2 whose pings are not answered.
         b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\x00\x00\x00\x04\x00\x00\x00\x00\x00",
     ];
@@ -366,7 +365,7 @@ async fn half_a_request_holds_its_place_for_a_while_only() {
         let mut stream = bystander.connect().await;
         stream.write_all(half).await.unwrap();
         let mut rest = Vec::new();
-        let ended = timeout(HANG, stream.read_to_end(&mut rest)).await;
+        let ended = timeout(TIMEOUT, stream.read_to_end(&mut rest)).await;
         assert!(ended.is_ok(), "still open: {}", String::from_utf8_lossy(half));
     };
     join_all(halves.map(end)).await;

@@ -1,4 +1,4 @@
-//! The service, with tonic's own client.
+//! The gRPC service, called with tonic's client.
 
 use std::sync::Arc;
 
@@ -8,10 +8,9 @@ use roundel_core::{
     id::{CameraId, ObjectId, TrackNumber},
     marker::{self, CodeReading, Ring},
     pose::Detection,
-    world::{self, FrameObservations},
+    world::FrameObservations,
 };
 use roundel_proto::v1::{self, roundel_client::RoundelClient};
-use roundel_server::model::hub::{CameraStatus, EventKind};
 use tokio::time::timeout;
 use tonic::{
     Code, Streaming,
@@ -19,7 +18,7 @@ use tonic::{
 };
 use tonic_types::StatusExt;
 
-use crate::rig::{HANG, Rig, objects};
+use super::rig::{Rig, TIMEOUT, objects};
 
 pub async fn channel(rig: &Rig) -> Channel {
     Endpoint::from_shared(rig.url()).unwrap().connect().await.unwrap()
@@ -30,7 +29,7 @@ pub async fn connect(rig: &Rig) -> RoundelClient<Channel> {
 }
 
 pub async fn next<T>(messages: &mut Streaming<T>) -> T {
-    timeout(HANG, messages.message()).await.expect("no message comes").unwrap().unwrap()
+    timeout(TIMEOUT, messages.message()).await.expect("no message arrives").unwrap().unwrap()
 }
 
 async fn subscribe(rig: &Rig, request: v1::SubscribeSnapshotsRequest) -> Streaming<v1::Snapshot> {
@@ -68,7 +67,7 @@ async fn a_snapshot_arrives_with_every_field() {
 }
 
 #[tokio::test]
-async fn before_the_first_snapshot_a_call_says_so() {
+async fn fails_before_the_first_snapshot() {
     let rig = Rig::start().await;
     let status =
         connect(&rig).await.get_snapshot(v1::GetSnapshotRequest::default()).await.unwrap_err();
@@ -78,7 +77,7 @@ async fn before_the_first_snapshot_a_call_says_so() {
 }
 
 #[tokio::test]
-async fn a_selection_chooses_objects_and_fields() {
+async fn selects_objects_and_fields() {
     let rig = Rig::start().await;
     rig.publish(objects(6));
     let ids = |snapshot: &v1::Snapshot| -> Vec<u64> {
@@ -103,13 +102,13 @@ async fn a_selection_chooses_objects_and_fields() {
     };
     assert_eq!(ids(&next(&mut subscribe(&rig, request).await).await), [2, 4]);
 
-    // Faces belong to the box, and a side may be infinite.
+    // A region includes its faces, and a side may be infinite.
     let (min, max) = (corner(2.0, f64::NEG_INFINITY, 0.0), corner(4.0, 0.0, f64::INFINITY));
     let region = Some(v1::Box { min, max });
     let request = v1::SubscribeSnapshotsRequest { region, ..Default::default() };
     assert_eq!(ids(&next(&mut subscribe(&rig, request).await).await), [2, 3, 4]);
 
-    // Half a second at 1 m/s along x: object 4 has left the box, object 1 has not come to it.
+    // After half a second at 1 m/s along x, object 4 has left the region, and object 1 has not reached it.
     let request =
         v1::SubscribeSnapshotsRequest { region, horizon_ms: Some(500.0), ..Default::default() };
     let predicted = next(&mut subscribe(&rig, request).await).await;
@@ -123,7 +122,7 @@ async fn a_selection_chooses_objects_and_fields() {
 }
 
 #[tokio::test]
-async fn a_rate_limit_skips_without_missing() {
+async fn snapshots_skipped_by_a_rate_limit_are_not_missed() {
     let rig = Rig::start().await;
     let start = rig.clock.now();
     let publish = |place: i32| {
@@ -144,7 +143,7 @@ async fn a_rate_limit_skips_without_missing() {
     loop {
         let snapshot = next(&mut some).await;
         wanted += 1 + snapshot.missed;
-        assert_eq!(snapshot.sequence % 3, 1, "every third is due");
+        assert_eq!(snapshot.sequence % 3, 1, "every third snapshot is due");
         if snapshot.sequence == 61 {
             break;
         }
@@ -154,8 +153,8 @@ async fn a_rate_limit_skips_without_missing() {
 }
 
 #[tokio::test]
-async fn a_slow_subscriber_skips_to_the_newest_and_learns_what_it_missed() {
-    // What goes through HTTP/2's library, and what goes past it.
+async fn a_slow_subscriber_skips_to_the_newest_and_counts_what_it_missed() {
+    // The connection's window is as large as the stream's, or larger.
     for connection in [64 * 1024, 1024 * 1024] {
         a_slow_subscriber_skips(connection).await;
     }
@@ -177,7 +176,7 @@ async fn a_slow_subscriber_skips(connection_window: u32) {
     let mut quick = subscribe(&rig, v1::SubscribeSnapshotsRequest::default()).await;
     for _ in 1..=LAST {
         rig.publish(objects(150));
-        assert_eq!(next(&mut quick).await.missed, 0, "a slow neighbour is nobody's concern");
+        assert_eq!(next(&mut quick).await.missed, 0, "a slow subscriber must not affect another");
     }
     let (mut received, mut missed, mut before) = (0, 0, 0);
     while before < LAST {
@@ -191,13 +190,13 @@ async fn a_slow_subscriber_skips(connection_window: u32) {
         missed += snapshot.missed;
     }
     assert_eq!(received + missed, LAST);
-    // About 60 kB each: what fits into windows and buffers is a handful.
+    // A snapshot has about 60 kB, so that windows and buffers hold only a few.
     assert!(received < LAST / 4, "{received} were buffered");
     rig.stop().await;
 }
 
 #[tokio::test]
-async fn wrong_requests_name_the_field() {
+async fn invalid_requests_name_the_field() {
     let rig = Rig::start().await;
     rig.publish(objects(1));
     let mut client = connect(&rig).await;
@@ -242,7 +241,7 @@ async fn wrong_requests_name_the_field() {
         let status = client.subscribe_snapshots(request.clone()).await.unwrap_err();
         assert_eq!(status.code(), Code::InvalidArgument, "{request:?}");
         assert!(status.message().contains(message), "{request:?}: {}", status.message());
-        // For programs, the field by itself.
+        // Programs read the field from the status metadata.
         let violations = status.get_details_bad_request().unwrap().field_violations;
         let (field, expected) = status.message().split_once(": ").unwrap();
         assert_eq!(
@@ -310,7 +309,7 @@ async fn observations_are_filtered_and_gaps_are_counted() {
     }
     assert_eq!(missed, [0, 0, 0, 1, 3]);
 
-    // A ring of 256 frames: whoever does not read loses the oldest, and learns how many.
+    // The buffer holds 256 frames: a client that does not read loses the oldest, and receives their count.
     for frame in 9..2000 {
         publish(1, frame);
     }
@@ -327,7 +326,7 @@ async fn observations_are_filtered_and_gaps_are_counted() {
 }
 
 #[tokio::test]
-async fn what_the_teeth_say_comes_with_each_detection() {
+async fn detections_include_code_readings_and_levels() {
     let rig = Rig::start().await;
     let mut client = connect(&rig).await;
     let everything = v1::SubscribeObservationsRequest::default();
@@ -380,20 +379,18 @@ async fn what_the_teeth_say_comes_with_each_detection() {
 }
 
 #[tokio::test]
-async fn events_come_with_their_past_first() {
+async fn events_start_with_the_backlog() {
     let rig = Rig::start().await;
     let appear = |id| {
-        let kind = EventKind::ObjectStageChanged(ObjectId(id), world::EventKind::Appeared);
-        rig.hub.publish_event(rig.clock.now(), kind, format!("object {id} appeared"));
+        let (now, message) = (rig.clock.now(), format!("object {id} appeared"));
+        let kind = v1::EventKind::ObjectAppeared;
+        rig.hub.publish_object_event(now, kind, Some(ObjectId(id)), message);
     };
     (1..=3).for_each(appear);
     let request = v1::SubscribeEventsRequest { backlog: 2 };
     let mut events = connect(&rig).await.subscribe_events(request).await.unwrap().into_inner();
-    rig.hub.publish_event(
-        rig.clock.now(),
-        EventKind::CameraStatusChanged(CameraId(1), CameraStatus::Failed),
-        "no such file".into(),
-    );
+    let (now, kind) = (rig.clock.now(), v1::EventKind::CameraFailed);
+    rig.hub.publish_camera_event(now, kind, CameraId(1), "no such file".into());
     let mut seen = Vec::new();
     for _ in 0..3 {
         let event = next(&mut events).await;

@@ -1,4 +1,4 @@
-//! REST, its description, metrics and the page.
+//! REST, its OpenAPI description, metrics, and the dashboard's files.
 
 use std::collections::BTreeSet;
 
@@ -15,10 +15,10 @@ use roundel_proto::v1;
 use roundel_server::model::hub::{CameraStatus, EventKind};
 use serde_json::Value;
 
-use crate::rig::{Rig, objects};
+use super::rig::{Rig, objects};
 
 #[tokio::test]
-async fn a_body_that_is_too_long_is_answered_as_all_that_is_wrong() {
+async fn rejects_a_body_that_is_too_long_with_an_error_body() {
     let rig = Rig::start().await;
     for (method, path, content_type) in [
         ("POST", "configuration/check", "application/toml"),
@@ -37,7 +37,7 @@ async fn a_body_that_is_too_long_is_answered_as_all_that_is_wrong() {
 }
 
 #[tokio::test]
-async fn the_snapshot_is_grpcs_in_json() {
+async fn the_snapshot_in_json_equals_that_of_grpc() {
     let rig = Rig::start().await;
     rig.publish(objects(6));
     let json = rig.get("/api/v1/snapshot").await.json();
@@ -48,7 +48,7 @@ async fn the_snapshot_is_grpcs_in_json() {
     assert_eq!(json["objects"][0]["covariance"].as_array().unwrap().len(), 21);
     assert!(json["pose_time_ns"].is_string());
     let mut rest: v1::Snapshot = serde_json::from_value(json).unwrap();
-    let mut grpc = crate::grpc::connect(&rig)
+    let mut grpc = super::grpc::connect(&rig)
         .await
         .get_snapshot(v1::GetSnapshotRequest::default())
         .await
@@ -69,15 +69,12 @@ async fn the_snapshot_is_grpcs_in_json() {
 }
 
 #[tokio::test]
-async fn lists_and_single_things_are_readable() {
+async fn serves_lists_and_single_resources() {
     let rig = Rig::start().await;
     rig.publish(objects(2));
     rig.publish(objects(1));
-    rig.hub.publish_event(
-        rig.clock.now(),
-        EventKind::CameraStatusChanged(CameraId(1), CameraStatus::Running),
-        "camera runs".into(),
-    );
+    let (now, kind) = (rig.clock.now(), EventKind::CameraRunning);
+    rig.hub.publish_camera_event(now, kind, CameraId(1), "camera runs".into());
     let objects = rig.get("/api/v1/objects").await.json();
     assert_eq!(objects["objects"].as_array().unwrap().len(), 2);
     assert_eq!(objects["objects"][1]["stage"], "lost");
@@ -99,7 +96,7 @@ async fn lists_and_single_things_are_readable() {
     assert_eq!(rig.get("/api/v1/events?backlog=0").await.json()["events"], serde_json::json!([]));
     let info = rig.get("/api/v1/info").await.json();
     assert_eq!((&info["name"], &info["source_id"]), (&"lab".into(), &"run".into()));
-    // The rig neither records nor plays, keeps nothing, and lets nobody set it up.
+    // The rig has no recorder, replay, history or set-up.
     for ability in ["records", "replays", "keeps_history", "allows_setup"] {
         assert_eq!(info[ability], false, "{ability}");
     }
@@ -107,7 +104,7 @@ async fn lists_and_single_things_are_readable() {
 }
 
 #[tokio::test]
-async fn wrong_requests_are_answered_with_what_was_expected() {
+async fn wrong_requests_name_what_was_expected() {
     let rig = Rig::start().await;
     let early = rig.get("/api/v1/snapshot").await;
     assert_eq!(early.status, StatusCode::SERVICE_UNAVAILABLE);
@@ -206,7 +203,7 @@ async fn wrong_requests_are_answered_with_what_was_expected() {
 }
 
 #[tokio::test]
-async fn every_route_is_described_and_every_description_answers() {
+async fn openapi_describes_every_route() {
     let rig = Rig::start().await;
     rig.publish(objects(1));
     let document = rig.get("/openapi.json").await.json();
@@ -244,6 +241,7 @@ async fn every_route_is_described_and_every_description_answers() {
         "/api/v1/recording",
         "/api/v1/recordings",
         "/api/v1/replay",
+        "/api/v1/session",
         "/api/v1/simulation/drive",
         "/api/v1/simulation/push",
         "/api/v1/snapshot",
@@ -279,7 +277,7 @@ async fn every_route_is_described_and_every_description_answers() {
 }
 
 #[tokio::test]
-async fn readiness_says_what_is_missing() {
+async fn readiness_reports_what_is_missing() {
     let rig = Rig::start().await;
     assert_eq!(rig.get("/healthz").await.status, StatusCode::OK);
     let answer = rig.get("/readyz").await;
@@ -295,7 +293,7 @@ async fn readiness_says_what_is_missing() {
     assert!(missing[0].as_str().unwrap().starts_with("fusion's newest snapshot is 6"), "{missing}");
     assert_eq!(missing.as_array().unwrap().len(), 1);
 
-    // Published by another task all the time, so that a slow machine finds no stale one.
+    // A task publishes continuously, so that the newest snapshot is never stale on a slow machine.
     let (hub, clock) = (rig.hub.clone(), rig.clock);
     let fusion = tokio::spawn(async move {
         loop {
@@ -304,13 +302,17 @@ async fn readiness_says_what_is_missing() {
         }
     });
     let ready = async { while rig.get("/readyz").await.status != StatusCode::OK {} };
-    tokio::time::timeout(crate::rig::HANG, ready).await.expect("never ready");
+    tokio::time::timeout(super::rig::TIMEOUT, ready).await.expect("the server never becomes ready");
+    rig.hub.set_fusion_ended();
+    let answer = rig.get("/readyz").await;
+    assert_eq!(answer.status, StatusCode::SERVICE_UNAVAILABLE);
+    assert_eq!(answer.json()["missing"], serde_json::json!(["fusion has ended"]));
     fusion.abort();
     rig.stop().await;
 }
 
 #[tokio::test]
-async fn metrics_tell_of_cameras_objects_and_clients() {
+async fn metrics_cover_cameras_objects_and_clients() {
     let rig = Rig::start().await;
     rig.publish(objects(3));
     rig.hub.update_camera(CameraId(0), |camera| {
@@ -344,10 +346,10 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         clock_steps: 5,
         ..Default::default()
     });
-    let mut client = crate::grpc::connect(&rig).await;
+    let mut client = super::grpc::connect(&rig).await;
     let request = v1::SubscribeSnapshotsRequest::default();
     let mut snapshots = client.subscribe_snapshots(request).await.unwrap().into_inner();
-    crate::grpc::next(&mut snapshots).await;
+    super::grpc::next(&mut snapshots).await;
 
     let answer = rig.get("/metrics").await;
     assert!(answer.header("content-type").starts_with("text/plain; version=0.0.4"));
@@ -399,7 +401,7 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
     ] {
         assert!(text.lines().any(|found| found == line), "{line} is not in\n{text}");
     }
-    // Each family is announced once, before its samples.
+    // Each metric family is declared once, before its samples.
     for line in text.lines().filter(|line| !line.starts_with('#')) {
         let name = line.split(['{', ' ']).next().unwrap();
         assert_eq!(text.matches(&format!("# TYPE {name} ")).count(), 1, "{name}");
@@ -408,12 +410,14 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
     drop(snapshots);
     let gone =
         async { while !rig.get("/metrics").await.text().contains("\nroundel_subscribers 0\n") {} };
-    tokio::time::timeout(crate::rig::HANG, gone).await.expect("a subscriber that left is counted");
+    tokio::time::timeout(super::rig::TIMEOUT, gone)
+        .await
+        .expect("a disconnected subscriber is still counted");
     rig.stop().await;
 }
 
 #[tokio::test]
-async fn the_page_is_served_with_a_strict_policy_and_a_tag() {
+async fn the_dashboard_is_served_with_a_strict_policy_and_an_etag() {
     let rig = Rig::start().await;
     let page = rig.get("/").await;
     assert_eq!(page.status, StatusCode::OK);
@@ -443,17 +447,17 @@ async fn the_page_is_served_with_a_strict_policy_and_a_tag() {
 }
 
 #[tokio::test]
-async fn a_calibration_is_begun_by_json_only() {
+async fn a_calibration_starts_only_with_json() {
     let rig = Rig::start().await;
     let url = format!("{}/api/v1/calibration", rig.url());
     let send = async |kind: &'static str, body: &'static str| {
         let request = Request::post(&url).header("content-type", kind).body(Body::from(body));
         rig.request(request.unwrap()).await
     };
-    // What a page of another site could send without asking this server first.
+    // A content type that a page of another origin can send without a CORS preflight.
     let answer = send("text/plain", "{}").await;
-    assert_eq!(answer.status, StatusCode::BAD_REQUEST);
-    assert!(answer.error().1.starts_with("body: expected JSON"), "{:?}", answer.error());
+    assert_eq!(answer.status, StatusCode::UNSUPPORTED_MEDIA_TYPE);
+    assert!(answer.error().1.contains("expected application/json"), "{:?}", answer.error());
     for (body, expected) in [
         ("{\"second\": 5}", "unknown field `second`"),
         ("{\"apply\": \"perhaps\"}", "unknown calibration_apply"),
@@ -463,13 +467,13 @@ async fn a_calibration_is_begun_by_json_only() {
         assert_eq!(answer.status, StatusCode::BAD_REQUEST, "{body}");
         assert!(answer.error().1.contains(expected), "{:?}", answer.error());
     }
-    // This rig has no cameras.
+    // This rig has no running cameras.
     let answer = send("application/json", "{}").await;
     assert_eq!(
         (answer.status, answer.error().0),
         (StatusCode::CONFLICT, "failed_precondition".into())
     );
-    assert!(answer.error().1.contains("no camera"), "{:?}", answer.error());
+    assert!(answer.error().1.contains("no fixed camera"), "{:?}", answer.error());
     let shown = rig.get("/api/v1/calibration").await.json();
     assert_eq!((&shown["stage"], &shown["version"]), (&"idle".into(), &0.into()));
     rig.stop().await;

@@ -1,4 +1,4 @@
-//! The lens of a camera over REST, as far as it goes without a board; with one see `tests/tests/lens_live.rs`.
+//! Lens calibration over REST, without a board in view; `tests/tests/lens_live.rs` tests it with one.
 
 use std::{sync::Arc, time::Duration};
 
@@ -10,7 +10,7 @@ use roundel_core::{id::CameraId, world::FrameObservations};
 use roundel_server::model::hub::Picture;
 use serde_json::Value;
 
-use crate::rig::{Answer, Rig};
+use super::rig::{Answer, Rig};
 
 async fn send(rig: &Rig, method: &str, path: &str, body: &str) -> Answer {
     let request = Request::builder()
@@ -22,7 +22,7 @@ async fn send(rig: &Rig, method: &str, path: &str, body: &str) -> Answer {
     rig.request(request).await
 }
 
-/// Looks until it is so; a hang is a failure.
+/// Polls until `is_so` accepts the status; fails on a hang.
 async fn until(rig: &Rig, is_so: impl Fn(&Value) -> bool) -> Value {
     for _ in 0..1000 {
         let status = rig.get("/api/v1/lens").await.json();
@@ -31,10 +31,10 @@ async fn until(rig: &Rig, is_so: impl Fn(&Value) -> bool) -> Value {
         }
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
-    panic!("it never was so: {}", rig.get("/api/v1/lens").await.text());
+    panic!("the status never matched: {}", rig.get("/api/v1/lens").await.text());
 }
 
-/// A camera whose pictures are white, and made when they are asked for.
+/// Runs a camera that delivers a white picture on each request.
 fn show_white(rig: &Rig) -> tokio::task::JoinHandle<()> {
     let hub = rig.hub.clone();
     tokio::spawn(async move {
@@ -57,7 +57,7 @@ fn show_white(rig: &Rig) -> tokio::task::JoinHandle<()> {
 }
 
 #[tokio::test]
-async fn pictures_without_the_board_end_in_what_is_missing() {
+async fn calibration_without_a_board_reports_what_is_missing() {
     let rig = Rig::start().await;
     assert_eq!(rig.get("/api/v1/lens").await.json()["stage"], "idle");
     assert_eq!(rig.get("/api/v1/lens/picture.jpg").await.error().0, "unavailable");
@@ -67,14 +67,14 @@ async fn pictures_without_the_board_end_in_what_is_missing() {
     assert_eq!((&begun["stage"], &begun["camera"]), (&"gathering".into(), &"north".into()));
     assert_eq!(begun["board"], "7 x 5 roundels of 30 mm, 36 mm from centre to centre");
 
-    // Before the first picture somebody learns why there is none.
+    // Before the first picture the status explains the wait.
     let waiting = until(&rig, |it| it["error"] != "").await;
-    assert!(waiting["error"].as_str().unwrap().contains("no picture comes from camera north"));
+    assert!(waiting["error"].as_str().unwrap().contains("no picture from camera north"));
     let white = show_white(&rig);
     let seen = until(&rig, |it| it["frames"].as_u64() > Some(1)).await;
     assert_eq!(
         (&seen["newest"], &seen["error"]),
-        (&"no roundel of the board is seen".into(), &"".into())
+        (&"no roundel of the board is visible".into(), &"".into())
     );
     assert_eq!((&seen["width"], &seen["taken"]), (&64.into(), &0.into()));
     assert_eq!(seen["coverage"]["zones"], serde_json::json!([0, 0, 0, 0, 0, 0, 0, 0, 0]));
@@ -84,7 +84,7 @@ async fn pictures_without_the_board_end_in_what_is_missing() {
     assert_eq!(picture.header("content-type"), "image/jpeg");
     assert!(picture.body.starts_with(&[0xff, 0xd8]));
 
-    // One at a time.
+    // Only one calibration can run at a time.
     let second = send(&rig, "POST", "", r#"{"camera": "south side"}"#).await;
     assert_eq!(second.error().0, "failed_precondition");
     assert!(
@@ -105,10 +105,10 @@ async fn pictures_without_the_board_end_in_what_is_missing() {
     }
     for (method, path) in [("PUT", "/applied"), ("GET", "/file")] {
         let answer = send(&rig, method, path, "").await;
-        assert!(answer.error().1.contains("there is no lens to take"), "{}", answer.text());
+        assert!(answer.error().1.contains("there is no calibrated lens"), "{}", answer.text());
     }
 
-    // Another one begins anew, and ends without a word.
+    // A second calibration starts from the beginning, and can be cancelled without an error.
     send(&rig, "POST", "", r#"{"camera": "north", "board": "5x4", "marker": 40}"#).await;
     until(&rig, |it| it["frames"].as_u64() > Some(0)).await;
     assert_eq!(send(&rig, "DELETE", "", "").await.status, StatusCode::OK);
@@ -119,7 +119,7 @@ async fn pictures_without_the_board_end_in_what_is_missing() {
 }
 
 #[tokio::test]
-async fn a_camera_that_is_removed_ends_it() {
+async fn removing_the_camera_ends_the_calibration() {
     let rig = Rig::start().await;
     send(&rig, "POST", "", r#"{"camera": "north"}"#).await;
     rig.hub.remove_camera(CameraId(0));
@@ -129,13 +129,13 @@ async fn a_camera_that_is_removed_ends_it() {
 }
 
 #[tokio::test]
-async fn wrong_wishes_say_what_was_expected() {
+async fn wrong_requests_name_what_was_expected() {
     let rig = Rig::start().await;
     for (body, status, expected) in [
         ("{}", 400, "camera: expected a camera's name, or a `source`, found neither"),
         (r#"{"camera": "north", "source": "sim:"}"#, 400, "either a camera or a source"),
         (r#"{"camera": "east"}"#, 404, "no camera \"east\""),
-        // The rig is as open to a network as a server can be.
+        // The rig's server is open to the network and has no `setup = true`.
         (r#"{"source": "v4l2:/dev/video0"}"#, 409, "`setup = true` under [server] allows it"),
         (r#"{"camera": "north", "board": "7"}"#, 400, "board: expected COLUMNSxROWS"),
         (r#"{"camera": "north", "board": "2x2"}"#, 400, "board: expected a board of 3 to 40"),

@@ -1,4 +1,4 @@
-//! `/api/v1/cameras/{name}/frame.jpg`.
+//! The annotated camera picture: `/api/v1/cameras/{name}/frame.jpg` and gRPC.
 
 use std::{sync::Arc, time::Duration};
 
@@ -17,7 +17,7 @@ use roundel_server::model::hub::{CameraStatus, Picture};
 use zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
 use zune_jpeg::JpegDecoder;
 
-use crate::rig::{Answer, Rig};
+use super::rig::{Answer, Rig};
 
 const WIDTH: usize = 160;
 const HEIGHT: usize = 120;
@@ -51,7 +51,7 @@ fn ellipse(u: f64, v: f64, semi_major_px: f64, semi_minor_px: f64) -> Ellipse {
     Ellipse { center: PixelPoint { u, v }, semi_major_px, semi_minor_px, angle_rad: 0.0 }
 }
 
-/// Stands in for a worker: gives a picture once it is asked for one.
+/// Stands in for a worker: publishes `picture` when the hub requests one.
 async fn with_worker(rig: &Rig, picture: Picture) -> Answer {
     let worker = async {
         while !rig.hub.take_picture_request(CameraId(0)) {
@@ -71,7 +71,7 @@ fn decoded(answer: &Answer) -> Vec<u8> {
     pixels
 }
 
-/// Red, green and blue, at most over the 3 x 3 pixels round a place: the encoder smears colours.
+/// The maximum of red, green and blue over 3 x 3 pixels: the encoder smears colours.
 fn strongest(pixels: &[u8], u: usize, v: usize) -> [i32; 3] {
     let mut found = [0; 3];
     for v in v - 1..=v + 1 {
@@ -85,7 +85,7 @@ fn strongest(pixels: &[u8], u: usize, v: usize) -> [i32; 3] {
 }
 
 #[tokio::test]
-async fn the_picture_shows_frame_and_detections() {
+async fn the_picture_shows_frame_mask_and_detections() {
     let rig = Rig::start().await;
     let answer = with_worker(&rig, picture(1, ellipse(60.0, 50.0, 40.0, 20.0))).await;
     assert_eq!(answer.status, StatusCode::OK);
@@ -113,35 +113,38 @@ async fn the_picture_shows_frame_and_detections() {
     let [red, green, blue] = strongest(&pixels, 130, 100);
     assert!(
         [red, green, blue].iter().all(|c| (c - 128).abs() < 6),
-        "elsewhere the frame is itself"
+        "the rest of the frame is unchanged"
     );
     rig.stop().await;
 }
 
 #[tokio::test]
-async fn grpc_gives_the_same_file() {
+async fn grpc_serves_the_same_file() {
     let rig = Rig::start().await;
     let rest = with_worker(&rig, picture(1, ellipse(60.0, 50.0, 40.0, 20.0))).await;
     let client = Client::connect(&rig.url()).await.unwrap();
-    // Nobody makes a new one, so it is the last there was.
-    let given = client.picture("north").await.unwrap();
-    assert_eq!((given.capture_time_ns, given.jpeg == rest.body), (CAPTURE_NS, true));
+    // No worker answers this request, so the server returns the last picture.
+    let picture = client.picture("north").await.unwrap();
+    assert_eq!((picture.capture_time_ns, picture.jpeg == rest.body), (CAPTURE_NS, true));
     let error = client.picture("east").await.unwrap_err();
     let Error::Refused { code: Code::NotFound, message, .. } = &error else { panic!("{error:?}") };
     assert!(message.contains("there are: north, south side"), "{message}");
     let error = client.picture("south side").await.unwrap_err();
-    assert!(error.is_temporary() && error.to_string().contains("no frame came yet"), "{error}");
+    assert!(
+        error.is_temporary() && error.to_string().contains("no frame has arrived yet"),
+        "{error}"
+    );
     rig.stop().await;
 }
 
 #[tokio::test]
-async fn a_code_stands_above_the_tracks_number() {
+async fn draws_the_code_above_the_track_number() {
     let rig = Rig::start().await;
     let zero = PixelPoint { u: 80.0, v: 50.0 };
     let code = CodeReading::certain(marker::Code { bits: 8, number: 17 }, zero);
     let coded = coded_picture(1, ellipse(60.0, 50.0, 40.0, 20.0), Some(code));
     let pixels = decoded(&with_worker(&rig, coded).await);
-    // The upper line is white, the lower one yellow; both beside the ring's right end.
+    // The upper line is white, the lower one yellow; both are at the right end of the ring.
     let bright = |rows: std::ops::Range<usize>, is_wanted: fn([i32; 3]) -> bool| {
         let places = (104..126).flat_map(|u| rows.clone().map(move |v| (u, v)));
         places.filter(|&(u, v)| is_wanted(strongest(&pixels, u, v))).count()
@@ -154,7 +157,7 @@ async fn a_code_stands_above_the_tracks_number() {
 }
 
 #[tokio::test]
-async fn odd_detections_do_not_hurt() {
+async fn draws_pictures_with_extreme_detections() {
     let rig = Rig::start().await;
     for (u, v, a, b) in [
         (f64::NAN, 10.0, 5.0, 5.0),
@@ -176,7 +179,7 @@ async fn odd_detections_do_not_hurt() {
 }
 
 #[tokio::test]
-async fn without_frames_the_camera_says_why() {
+async fn without_frames_the_error_gives_the_cameras_reason() {
     let rig = Rig::start().await;
     rig.hub.update_camera(CameraId(0), |camera| {
         camera.status = CameraStatus::Failed;
@@ -188,7 +191,7 @@ async fn without_frames_the_camera_says_why() {
         answer.error().1,
         "no picture from camera \"north\" within a second: it is failed (no such folder)"
     );
-    // The last one there was is better than none, and its header says how old it is.
+    // The last picture is served although it is old; its header gives the capture time.
     rig.hub.publish_picture(CameraId(0), picture(1, ellipse(60.0, 50.0, 40.0, 20.0)));
     assert_eq!(rig.get("/api/v1/cameras/north/frame.jpg").await.status, StatusCode::OK);
     rig.stop().await;

@@ -1,4 +1,4 @@
-//! A server whose hub the test feeds, and a small HTTP client.
+//! A server with a hub that the test feeds, and a small HTTP client.
 
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
@@ -17,8 +17,9 @@ use roundel_core::{
     world::{LifeStage, ObjectState, ProcessNoise, Snapshot},
 };
 use roundel_server::{
-    api::{self, AllowedOrigins, ApiLimits, ApiState},
+    api::{self, AllowedOrigins, ApiLimits, ApiState, access::AccessControl},
     model::{
+        access::AccessConfig,
         clock::Clock,
         hub::{CameraInfo, CameraStatus, Hub, Installation},
     },
@@ -27,10 +28,9 @@ use serde_json::Value;
 use tokio::{net::TcpListener, task::JoinHandle};
 use tokio_util::sync::CancellationToken;
 
-/// A hang is a failure; nothing here takes a tenth of it.
-pub const HANG: Duration = Duration::from_secs(30);
+/// Timeout of every wait; nothing here takes a tenth of it.
+pub const TIMEOUT: Duration = Duration::from_secs(30);
 
-/// Whose pages may ask.
 pub const ORIGIN: &str = "https://lab.example.org";
 
 pub struct Rig {
@@ -69,31 +69,49 @@ impl Rig {
     }
 
     pub async fn start_with(hub: Arc<Hub>, limits: ApiLimits, listen: &str) -> Self {
+        Self::start_server(hub, limits, listen, &AccessConfig::default()).await
+    }
+
+    pub async fn start_with_access(access: &AccessConfig) -> Self {
+        Self::start_server(hub("run"), ApiLimits::default(), "127.0.0.1:0", access).await
+    }
+
+    async fn start_server(
+        hub: Arc<Hub>,
+        limits: ApiLimits,
+        listen: &str,
+        access: &AccessConfig,
+    ) -> Self {
         let listener = TcpListener::bind(listen).await.unwrap();
-        let address = listener.local_addr().unwrap().to_string();
+        let address = listener.local_addr().unwrap();
+        let origins = AllowedOrigins(vec![ORIGIN.into()]);
+        let access = Arc::new(AccessControl::new(access, origins, address, true));
         let (clock, cancel) = (Clock::anchored_now(), CancellationToken::new());
         let state = ApiState {
             kinds: vec![Kind::plain("robot", 0.16, 0.064), Kind::plain("cart", 0.16, 0.08)],
-            allowed_origins: AllowedOrigins::new(vec![ORIGIN.into()]),
+            access,
             limits,
             cancel: cancel.clone(),
             ..ApiState::new(hub.clone(), clock)
         };
         let server = tokio::spawn(api::serve(listener, state));
-        Self { hub, clock, address, cancel, server }
+        Self { hub, clock, address: address.to_string(), cancel, server }
     }
 
     pub fn url(&self) -> String {
         format!("http://{}", self.address)
     }
 
-    /// Shuts down and waits for the end.
+    /// Shuts down and waits until the server has ended.
     pub async fn stop(self) {
         self.cancel.cancel();
-        tokio::time::timeout(HANG, self.server).await.expect("the server does not end").unwrap();
+        tokio::time::timeout(TIMEOUT, self.server)
+            .await
+            .expect("the server does not shut down")
+            .unwrap();
     }
 
-    /// Publishes these objects as a snapshot of now.
+    /// Publishes these objects as a snapshot with the current time.
     pub fn publish(&self, objects: Vec<ObjectState>) {
         let now = self.clock.now();
         let snapshot = Snapshot { pose_time: now, capture_time: Some(now.plus_ns(-7)), objects };
@@ -111,7 +129,8 @@ impl Rig {
 
     pub async fn request(&self, request: Request<Body>) -> Answer {
         let client = legacy::Client::builder(TokioExecutor::new()).build_http();
-        let response = tokio::time::timeout(HANG, client.request(request)).await.unwrap().unwrap();
+        let response =
+            tokio::time::timeout(TIMEOUT, client.request(request)).await.unwrap().unwrap();
         let (head, body) = response.into_parts();
         let body = body.collect().await.unwrap().to_bytes().to_vec();
         Answer { status: head.status, headers: head.headers, body }
@@ -146,8 +165,8 @@ impl Answer {
     }
 }
 
-/// An object at (id, -id, 0.5 id) metres, moving with (1, 2, 0) m/s; even ones are carts with a code of
-/// the same number, and not observed now.
+/// An object at (id, -id, 0.5 id) metres, moving with (1, 2, 0) m/s. Even IDs are carts that are currently not
+/// observed, with the ID as code.
 pub fn object(id: u64) -> ObjectState {
     let place = id as f64;
     let time = Clock::anchored_now().now();

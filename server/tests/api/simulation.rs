@@ -1,4 +1,4 @@
-//! The clock and the simulated robots, without a simulation.
+//! The server's clock, and commands for simulated robots on a server without a simulation.
 
 use axum::{
     body::Body,
@@ -7,13 +7,13 @@ use axum::{
 use roundel_proto::v1;
 use tonic::Code;
 
-use crate::{
+use super::{
     grpc::connect,
     rig::{Rig, objects},
 };
 
 #[tokio::test]
-async fn the_clock_is_read_between_coming_and_going() {
+async fn clock_readings_lie_between_request_and_response() {
     let rig = Rig::start().await;
     let before = rig.clock.now().as_ns();
     let request = v1::GetTimeRequest { sent_time_ns: -5 };
@@ -25,7 +25,7 @@ async fn the_clock_is_read_between_coming_and_going() {
 }
 
 #[tokio::test]
-async fn real_robots_are_not_driven() {
+async fn real_robots_cannot_be_driven() {
     let rig = Rig::start().await;
     rig.publish(objects(2));
     let mut client = connect(&rig).await;
@@ -41,7 +41,7 @@ async fn real_robots_are_not_driven() {
 }
 
 #[tokio::test]
-async fn a_senseless_velocity_names_its_field() {
+async fn an_invalid_velocity_names_its_field() {
     let rig = Rig::start().await;
     rig.publish(objects(2));
     let mut client = connect(&rig).await;

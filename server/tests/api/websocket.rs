@@ -1,13 +1,10 @@
-//! `/api/v1/stream`, with a real WebSocket client.
+//! `/api/v1/stream`, with a third-party WebSocket client.
 
 use std::time::Duration;
 
 use futures::{SinkExt, StreamExt};
 use prost::Message as _;
-use roundel_core::{
-    id::{CameraId, ObjectId},
-    world,
-};
+use roundel_core::id::{CameraId, ObjectId};
 use roundel_proto::v1::{self, stream_message::Message as Alternative};
 use roundel_server::api::ApiLimits;
 use roundel_server::model::hub::{CameraStatus, EventKind};
@@ -25,7 +22,7 @@ use tokio_tungstenite::{
     },
 };
 
-use crate::rig::{self, HANG, Rig, objects};
+use super::rig::{self, Rig, TIMEOUT, objects};
 
 pub type Socket = WebSocketStream<MaybeTlsStream<TcpStream>>;
 
@@ -34,7 +31,7 @@ pub async fn open(rig: &Rig, query: &str) -> Socket {
     connect_async(url).await.unwrap().0
 }
 
-/// One that takes protobuf.
+/// Opens a socket that uses protobuf.
 pub async fn open_binary(rig: &Rig, query: &str) -> Socket {
     let url = format!("ws://{}/api/v1/stream{query}", rig.address);
     let mut request = url.into_client_request().unwrap();
@@ -47,7 +44,7 @@ pub async fn open_binary(rig: &Rig, query: &str) -> Socket {
 
 pub async fn next(socket: &mut Socket) -> Value {
     loop {
-        let message = timeout(HANG, socket.next()).await.expect("no message comes");
+        let message = timeout(TIMEOUT, socket.next()).await.expect("no message arrives");
         if let Message::Text(text) = message.unwrap().unwrap() {
             return serde_json::from_str(&text).unwrap();
         }
@@ -61,7 +58,7 @@ pub async fn next_snapshot(socket: &mut Socket) -> v1::Snapshot {
 }
 
 #[tokio::test]
-async fn snapshots_are_all_that_comes_by_default() {
+async fn sends_only_snapshots_by_default() {
     let rig = Rig::start().await;
     rig.publish(objects(3));
     let mut socket = open(&rig, "").await;
@@ -83,23 +80,20 @@ async fn snapshots_are_all_that_comes_by_default() {
 }
 
 #[tokio::test]
-async fn one_socket_carries_cameras_and_events_too() {
+async fn one_socket_carries_cameras_and_events() {
     let rig = Rig::start().await;
     for id in 1..=60 {
-        let kind = EventKind::ObjectStageChanged(ObjectId(id), world::EventKind::Appeared);
-        rig.hub.publish_event(rig.clock.now(), kind, String::new());
+        let (kind, id) = (EventKind::ObjectAppeared, Some(ObjectId(id)));
+        rig.hub.publish_object_event(rig.clock.now(), kind, id, String::new());
     }
     rig.hub.update_camera(CameraId(1), |camera| camera.status = CameraStatus::Running);
     let mut socket = open(&rig, "?include=cameras,events").await;
-    // The newest fifty first, in their order.
+    // The backlog of fifty events comes first, oldest first.
     for sequence in 11..=60 {
         assert_eq!(next(&mut socket).await["event"]["sequence"], sequence);
     }
-    rig.hub.publish_event(
-        rig.clock.now(),
-        EventKind::ObjectStageChanged(ObjectId(7), world::EventKind::Lost),
-        "object 7 was given up".into(),
-    );
+    let (kind, id) = (EventKind::ObjectLost, Some(ObjectId(7)));
+    rig.hub.publish_object_event(rig.clock.now(), kind, id, "object 7 was given up".into());
     let (mut cameras, mut event) = (0, None);
     while cameras < 2 || event.is_none() {
         let message = next(&mut socket).await;
@@ -118,7 +112,7 @@ async fn one_socket_carries_cameras_and_events_too() {
 }
 
 #[tokio::test]
-async fn a_wrong_query_is_refused_before_the_upgrade() {
+async fn rejects_a_wrong_query_before_the_upgrade() {
     let rig = Rig::start().await;
     let url = format!("ws://{}/api/v1/stream?max_rate_hz=NaN", rig.address);
     let error = connect_async(url).await.unwrap_err();
@@ -131,13 +125,13 @@ async fn a_wrong_query_is_refused_before_the_upgrade() {
 }
 
 #[tokio::test]
-async fn a_slow_page_skips_to_the_newest() {
-    // On a busy machine the test itself may be slower than the limit for stuck clients.
-    let limits = ApiLimits { send_timeout: HANG * 10, ..ApiLimits::default() };
+async fn a_slow_client_skips_to_the_newest() {
+    // On a busy machine the test itself may be slower than the send timeout.
+    let limits = ApiLimits { send_timeout: TIMEOUT * 10, ..ApiLimits::default() };
     let rig = Rig::start_with(rig::hub("run"), limits, "127.0.0.1:0").await;
     let mut slow = open(&rig, "").await;
     let mut quick = open(&rig, "").await;
-    // More than the kernel holds for both ends together.
+    // More than the kernel buffers on both ends.
     let last = 400;
     for _ in 1..=last {
         rig.publish(objects(100));
@@ -154,21 +148,22 @@ async fn a_slow_page_skips_to_the_newest() {
 }
 
 #[tokio::test]
-async fn what_is_wanted_changes_on_the_open_socket() {
+async fn a_message_changes_the_subscriptions_of_an_open_socket() {
     let rig = Rig::start().await;
     rig.publish(objects(3));
-    let kind = EventKind::ObjectStageChanged(ObjectId(1), world::EventKind::Appeared);
-    rig.hub.publish_event(rig.clock.now(), kind, "one".into());
+    let (kind, id) = (EventKind::ObjectAppeared, Some(ObjectId(1)));
+    rig.hub.publish_object_event(rig.clock.now(), kind, id, "one".into());
     let mut socket = open(&rig, "?ids=1").await;
     assert_eq!(next_snapshot(&mut socket).await.objects.len(), 1);
-    let wish = r#"{"snapshots": {"object_ids": [2, 3], "omit_covariance": true}, "events": true}"#;
-    socket.send(Message::text(wish)).await.unwrap();
+    let request =
+        r#"{"snapshots": {"object_ids": [2, 3], "omit_covariance": true}, "events": true}"#;
+    socket.send(Message::text(request)).await.unwrap();
     assert_eq!(next(&mut socket).await["event"]["message"], "one");
     let snapshot = next_snapshot(&mut socket).await;
     let ids: Vec<u64> = snapshot.objects.iter().map(|object| object.object_id).collect();
     assert_eq!((ids.as_slice(), snapshot.missed), ([2, 3].as_slice(), 0));
     assert!(snapshot.objects[0].covariance.is_empty());
-    // No snapshots any more, and the event is not told twice.
+    // Ends the snapshots, and does not repeat the event.
     socket.send(Message::text(r#"{"cameras": true, "events": true}"#)).await.unwrap();
     assert!(next(&mut socket).await["cameras"].is_array());
     rig.publish(objects(3));
@@ -177,7 +172,7 @@ async fn what_is_wanted_changes_on_the_open_socket() {
 }
 
 #[tokio::test]
-async fn a_wrong_wish_is_answered_and_changes_nothing() {
+async fn a_wrong_request_is_rejected_and_changes_nothing() {
     let rig = Rig::start().await;
     let mut socket = open(&rig, "?ids=2").await;
     for (wrong, why) in [
@@ -200,7 +195,7 @@ async fn a_wrong_wish_is_answered_and_changes_nothing() {
 }
 
 #[tokio::test]
-async fn a_subprotocol_gives_the_same_in_protobuf() {
+async fn a_subprotocol_selects_protobuf_with_the_same_content() {
     let rig = Rig::start().await;
     let mut text = open(&rig, "").await;
     let mut binary = open_binary(&rig, "?include=snapshots,cameras").await;
@@ -219,10 +214,10 @@ async fn a_subprotocol_gives_the_same_in_protobuf() {
     assert!(snapshot.sent_time_ns > 0);
     assert_eq!(snapshot, v1::Snapshot { sent_time_ns: snapshot.sent_time_ns, ..expected });
 
-    let wish = v1::StreamRequest { events: true, ..Default::default() };
-    binary.send(Message::binary(wish.encode_to_vec())).await.unwrap();
-    let kind = EventKind::ObjectStageChanged(ObjectId(7), world::EventKind::Lost);
-    rig.hub.publish_event(rig.clock.now(), kind, "gone".into());
+    let request = v1::StreamRequest { events: true, ..Default::default() };
+    binary.send(Message::binary(request.encode_to_vec())).await.unwrap();
+    let (kind, id) = (EventKind::ObjectLost, Some(ObjectId(7)));
+    rig.hub.publish_object_event(rig.clock.now(), kind, id, "gone".into());
     let event = async {
         loop {
             if let Alternative::Event(event) = next_binary(&mut binary).await {
@@ -230,7 +225,7 @@ async fn a_subprotocol_gives_the_same_in_protobuf() {
             }
         }
     };
-    assert_eq!(timeout(HANG, event).await.unwrap().message, "gone");
+    assert_eq!(timeout(TIMEOUT, event).await.unwrap().message, "gone");
     binary.send(Message::binary(vec![0xff; 9])).await.unwrap();
     let Alternative::Error(error) = next_binary(&mut binary).await else { panic!("no error") };
     assert_eq!(error.code, "invalid_argument");
@@ -239,7 +234,7 @@ async fn a_subprotocol_gives_the_same_in_protobuf() {
 
 pub async fn next_binary(socket: &mut Socket) -> Alternative {
     loop {
-        let message = timeout(HANG, socket.next()).await.expect("no message comes");
+        let message = timeout(TIMEOUT, socket.next()).await.expect("no message arrives");
         if let Message::Binary(bytes) = message.unwrap().unwrap() {
             return v1::StreamMessage::decode(bytes.as_ref()).unwrap().message.unwrap();
         }
@@ -247,39 +242,41 @@ pub async fn next_binary(socket: &mut Socket) -> Alternative {
 }
 
 #[tokio::test]
-async fn a_client_that_says_too_much_hears_so_and_is_cut_off() {
+async fn a_client_that_sends_an_oversized_or_invalid_message_is_closed_with_a_reason() {
     let rig = Rig::start().await;
     let mut other = open(&rig, "").await;
     for (message, code, reason) in [
         (Message::binary(vec![0; 3_000_000]), CloseCode::Size, "at most 262144 bytes"),
-        // A text that is none.
+        // A text message that is not UTF-8.
         (
             Message::Frame(Frame::message(vec![0xff], OpCode::Data(Data::Text), true)),
             CloseCode::Invalid,
             "UTF-8",
         ),
     ] {
-        let mut talker = open(&rig, "").await;
-        talker.send(message).await.unwrap();
+        let mut sender = open(&rig, "").await;
+        sender.send(message).await.unwrap();
         let end = async {
             loop {
-                if let Message::Close(frame) = talker.next().await.unwrap().unwrap() {
+                if let Message::Close(frame) = sender.next().await.unwrap().unwrap() {
                     break frame.unwrap();
                 }
             }
         };
-        let end = timeout(HANG, end).await.expect("a client that says too much is still there");
+        let end = timeout(TIMEOUT, end).await.expect("the server does not close the socket");
         assert_eq!(end.code, code);
         assert!(end.reason.contains(reason), "{end}");
-        // Its answer is taken: the connection is not reset.
-        while let Some(rest) = timeout(HANG, talker.next()).await.expect("it is not hung up") {
+        // The server drains what the client has sent, so that the connection is not reset.
+        while let Some(rest) =
+            timeout(TIMEOUT, sender.next()).await.expect("the connection is still open")
+        {
             rest.unwrap();
         }
     }
-    // So many ids as there may be have a place.
+    // A request with the largest number of IDs is accepted.
     let ids: Vec<u64> = (1_000_000..1_010_000).collect();
-    let wish = serde_json::json!({"snapshots": {"object_ids": ids}}).to_string();
-    other.send(Message::text(wish)).await.unwrap();
+    let request = serde_json::json!({"snapshots": {"object_ids": ids}}).to_string();
+    other.send(Message::text(request)).await.unwrap();
     rig.publish(objects(1));
     while !next_snapshot(&mut other).await.objects.is_empty() {
         rig.publish(objects(1));
@@ -293,7 +290,7 @@ async fn a_client_that_says_too_much_hears_so_and_is_cut_off() {
 async fn a_client_that_does_not_read_is_cut_off() {
     let limits = ApiLimits { send_timeout: Duration::from_millis(200), ..ApiLimits::default() };
     let rig = Rig::start_with(rig::hub("run"), limits, "127.0.0.1:0").await;
-    let stuck = open(&rig, "").await;
+    let stalled = open(&rig, "").await;
     let gone = async {
         loop {
             rig.publish(objects(300));
@@ -303,32 +300,32 @@ async fn a_client_that_does_not_read_is_cut_off() {
             }
         }
     };
-    timeout(HANG, gone).await.expect("a stuck client is still a subscriber");
-    drop(stuck);
+    timeout(TIMEOUT, gone).await.expect("the stalled client is still a subscriber");
+    drop(stalled);
     rig.stop().await;
 }
 
 #[tokio::test]
-async fn a_page_in_the_middle_of_a_message_hears_that_the_server_goes_down() {
+async fn a_socket_in_the_middle_of_a_message_gets_a_close_frame_on_shutdown() {
     let rig = Rig::start().await;
-    let mut page = open(&rig, "").await;
-    // More than lies between a server and a page that does not read.
+    let mut socket = open(&rig, "").await;
+    // More than the connection buffers while the client does not read.
     for _ in 0..100 {
         rig.publish(objects(500));
         tokio::time::sleep(Duration::from_millis(2)).await;
     }
     rig.cancel.cancel();
     tokio::time::sleep(Duration::from_millis(50)).await;
-    let goodbye = async {
+    let closed = async {
         loop {
-            match page.next().await.expect("a close frame").expect("whole frames") {
+            match socket.next().await.expect("a close frame").expect("whole frames") {
                 Message::Text(text) => assert!(serde_json::from_str::<Value>(&text).is_ok()),
                 Message::Close(Some(frame)) => return frame.code,
                 other => panic!("{other:?}"),
             }
         }
     };
-    let code = timeout(HANG, goodbye).await.expect("it says no goodbye");
+    let code = timeout(TIMEOUT, closed).await.expect("no close frame arrives");
     assert_eq!(code, tungstenite::protocol::frame::coding::CloseCode::Away);
     rig.stop().await;
 }

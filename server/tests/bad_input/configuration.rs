@@ -1,4 +1,4 @@
-//! What is wrong in a configuration, and what is right in the example.
+//! Mistakes in a configuration, and the correct example.
 
 use std::fs;
 
@@ -12,12 +12,12 @@ use roundel_server::model::config::{Config, ObjectConfig, ObjectRoundels};
 use super::{EXAMPLE, camera_yaml, expect, lab, problems};
 
 #[test]
-fn the_example_is_a_configuration() {
+fn the_example_is_a_valid_configuration() {
     let folder = lab();
     let config = Config::parse(EXAMPLE, folder.path()).map_err(|p| format!("{p:#?}")).unwrap();
     assert_eq!(config.name, "lab");
     assert_eq!((config.kinds.len(), config.cameras.len(), config.references.len()), (6, 4, 5));
-    // What stands in the example as a default is one: a file without it reads the same.
+    // The defaults in the example are the real ones: a file without these sections reads the same.
     let sections = ["[server]", "[detection]", "[fusion]", "[limits]"];
     let mut kept = String::new();
     let mut skipping = false;
@@ -30,16 +30,16 @@ fn the_example_is_a_configuration() {
             kept.push('\n');
         }
     }
-    // Where calibrations are kept follows from the file's name.
+    // The calibration file's path derives from the name of the configuration file.
     let file = folder.path().join("lab.toml");
     std::fs::write(&file, kept).unwrap();
-    let bare = Config::load(&file).unwrap();
-    assert_eq!(bare.server, config.server);
-    assert_eq!(bare.fusion, config.fusion);
-    assert_eq!(bare.limits, config.limits);
+    let without_defaults = Config::load(&file).unwrap();
+    assert_eq!(without_defaults.server, config.server);
+    assert_eq!(without_defaults.fusion, config.fusion);
+    assert_eq!(without_defaults.limits, config.limits);
     let modes = |config: &Config| config.cameras.iter().map(|it| it.mode).collect::<Vec<_>>();
-    assert_eq!(modes(&bare), modes(&config));
-    // Coded prints have one ratio.
+    assert_eq!(modes(&without_defaults), modes(&config));
+    // Coded roundels have a fixed ratio of diameters.
     let unwritten = EXAMPLE.replacen("inner_mm = 73.2\n", "", 1);
     let unwritten = Config::parse(&unwritten, folder.path()).unwrap();
     let [written, unwritten] = [&config, &unwritten].map(|config| config.kinds[2].clone());
@@ -48,7 +48,7 @@ fn the_example_is_a_configuration() {
 }
 
 #[test]
-fn objects_are_known_by_a_kind_a_code_or_several_roundels() {
+fn objects_are_identified_by_a_kind_a_code_or_several_roundels() {
     let folder = lab();
     let read = |text: &str| -> Vec<ObjectConfig> {
         Config::parse(text, folder.path()).map_err(|p| format!("{p:#?}")).unwrap().objects
@@ -68,21 +68,21 @@ fn objects_are_known_by_a_kind_a_code_or_several_roundels() {
         body.mounts.iter().map(|mount| mount.code.map_or(0, |code| code.number)).collect()
     };
     assert_eq!((codes(two), codes(carrier)), (vec![12], vec![3, 4, 0]));
-    // Where the prints' right, top and face look to.
-    let looks = |index: usize| {
+    // Directions of the roundels' x, y and z axes.
+    let axes = |index: usize| {
         let turn = carrier.mounts[index].object_from_roundel.rotation;
         [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| (turn * axis).map(f64::round))
     };
-    assert_eq!(looks(1), [Vector3::y(), -Vector3::x(), Vector3::z()]);
-    assert_eq!(looks(2), [Vector3::y(), Vector3::z(), Vector3::x()]);
-    // A list of tables reads the same.
+    assert_eq!(axes(1), [Vector3::y(), -Vector3::x(), Vector3::z()]);
+    assert_eq!(axes(2), [Vector3::y(), Vector3::z(), Vector3::x()]);
+    // A TOML array of tables reads the same.
     let begin = EXAMPLE.find("roundel = [").unwrap();
     let end = begin + EXAMPLE[begin..].find("\n]\n").unwrap() + 3;
     let tables = "[[object.roundel]]\nkind = \"shuttle\"\ncode = 3\nposition_m = [0.2, 0.0, 0.3]\n";
     let listed = read(&format!("{}{tables}{}", &EXAMPLE[..begin], &EXAMPLE[end..]));
     let ObjectRoundels::Body(listed) = &listed[2].carries else { panic!("{listed:?}") };
     assert_eq!(listed.mounts, carrier.mounts[..1]);
-    // Without a motion of its own it moves as its first roundel's kind, whose height is the roundel's.
+    // An object without its own motion uses that of its first roundel's kind, at the height of that roundel.
     let shuttle = EXAMPLE.replacen(
         "inner_mm = 73.2",
         "inner_mm = 73.2\nmotion = \"ground\"\nheight_m = 0.4",
@@ -94,7 +94,7 @@ fn objects_are_known_by_a_kind_a_code_or_several_roundels() {
 }
 
 #[test]
-fn each_camera_has_its_mode_or_that_of_all() {
+fn each_camera_has_its_own_mode_or_the_common_one() {
     let folder = lab();
     let modes = |text: &str| -> Vec<Mode> {
         let config = Config::parse(text, folder.path()).map_err(|p| format!("{p:#?}")).unwrap();
@@ -107,7 +107,7 @@ fn each_camera_has_its_mode_or_that_of_all() {
     assert_eq!(modes(&own), [Mode::Precise; 4]);
 }
 
-/// The keys of a line of TOML, tables' names and inline tables' keys included, with their columns.
+/// The keys in a line of TOML with their columns, including table names and keys of inline tables.
 fn keys(line: &str) -> Vec<(usize, &str)> {
     if line.starts_with('#') {
         return Vec::new();
@@ -116,7 +116,7 @@ fn keys(line: &str) -> Vec<(usize, &str)> {
         let name = line.trim_matches(['[', ']']);
         return vec![(line.find(name).unwrap(), name)];
     }
-    // Options inside quoted texts are no keys.
+    // Options inside quoted strings are not keys.
     let outside: String = line
         .split('"')
         .enumerate()
@@ -134,13 +134,13 @@ fn keys(line: &str) -> Vec<(usize, &str)> {
 }
 
 #[test]
-fn every_mistyped_key_is_named_with_its_place_and_the_right_one() {
+fn every_mistyped_key_is_named_with_its_location_and_a_correction() {
     let folder = lab();
     let lines: Vec<&str> = EXAMPLE.lines().collect();
     let mut checked = 0;
     for (number, line) in lines.iter().enumerate() {
         for (column, key) in keys(line) {
-            // The last letter but one typed twice.
+            // Doubles the last letter but one.
             let at = key.len() - 1;
             let typed = format!("{}{}{}", &key[..at], &key[at - 1..at], &key[at..]);
             let mut broken: Vec<String> = lines.iter().map(ToString::to_string).collect();
@@ -157,7 +157,7 @@ fn every_mistyped_key_is_named_with_its_place_and_the_right_one() {
 }
 
 #[test]
-fn wrong_values_are_named_with_their_line() {
+fn names_wrong_values_with_their_line() {
     let folder = lab();
     let yaml = camera_yaml();
     fs::write(folder.path().join("short.yaml"), yaml.replace("319.5, ", "")).unwrap();
@@ -171,7 +171,7 @@ fn wrong_values_are_named_with_their_line() {
         (
             "inner_mm = 64.0",
             "inner_mm = 76.0",
-            "cannot be told apart: inner to outer diameter 0.475 and 0.500",
+            "cannot be distinguished: inner to outer diameter 0.475 and 0.500",
         ),
         (
             "inner_mm = 64.0",
@@ -186,7 +186,7 @@ fn wrong_values_are_named_with_their_line() {
         (
             "[[camera]]",
             "[[roundel]]\nname = \"other\"\nouter_mm = 100\ninner_mm = 62\ninner_minor_mm = 41\n[[camera]]",
-            "roundels \"crawler\" and \"other\" cannot be told apart: the disc's diameters are 0.600 and \
+            "roundels \"crawler\" and \"other\" cannot be distinguished: the disc's diameters are 0.600 and \
              0.400 of the outer one, and 0.620 and 0.410",
         ),
         ("name = \"reference\"", "name = \"robot\"", "two kinds of roundel are named \"robot\""),
@@ -198,7 +198,7 @@ fn wrong_values_are_named_with_their_line() {
         (
             "code = { bits = 8, min_distance = 2 }",
             "code = { bits = 8 }\n[[roundel]]\nname = \"cart\"\nouter_mm = 300\ncode = { bits = 8 }",
-            "roundels \"shuttle\" and \"cart\" cannot be told apart: both have codes of 8 bits",
+            "roundels \"shuttle\" and \"cart\" cannot be distinguished: both have codes of 8 bits",
         ),
         (
             "allow_origins = []",
@@ -214,6 +214,46 @@ fn wrong_values_are_named_with_their_line() {
             "allow_origins = []",
             "allow_origins = \"*\"",
             "`allow_origins` must be a list of origins of pages, found the text \"*\"",
+        ),
+        (
+            "allow_hosts = []",
+            "allow_hosts = [\"http://lab\"]",
+            "`allow_hosts` must be a list of host names, found \"http://lab\"",
+        ),
+        (
+            "trusted_proxies = []",
+            "trusted_proxies = [\"proxy\"]",
+            "`trusted_proxies` must be IP addresses, found \"proxy\"",
+        ),
+        (
+            "[detection]",
+            "[[access]]\nname = \"alice\"\nrole = \"view\"\n[detection]",
+            "an entry of [[access]] needs a `token`, `password`, `certificate` or `forwarded`",
+        ),
+        (
+            "[detection]",
+            "[[access]]\nname = \"a\"\nrole = \"view\"\ntoken = \"secret\"\n[detection]",
+            "`token` must be \"sha256:\" and 64 hexadecimal digits",
+        ),
+        (
+            "[detection]",
+            "[[access]]\nname = \"a\"\nrole = \"root\"\nforwarded = \"a\"\n[detection]",
+            "`role` must be \"view\" or \"feed\" or \"operate\" or \"setup\", found the text \"root\"",
+        ),
+        (
+            "[detection]",
+            "[[access]]\nname = \"a\"\nrole = \"view\"\npassword = \"secret\"\n[detection]",
+            "`password` must be an argon2id hash",
+        ),
+        (
+            "[detection]",
+            "[[access]]\nname = \"a\"\nrole = \"feed\"\nforwarded = \"a\"\ncameras = [\"nowhere\"]\n[detection]",
+            "no camera is named \"nowhere\"",
+        ),
+        (
+            "[detection]",
+            "[[access]]\nname = \"a\"\nrole = \"view\"\nforwarded = \"a\"\nexpires = \"2027\"\n[detection]",
+            "`expires` must be a date, found the text \"2027\"",
         ),
         ("bits = 8", "bits = 4", "`bits` must be a whole number from 5 to 16, found 4"),
         ("bits = 8", "bits = 8.5", "`bits` must be a whole number from 5 to 16, found 8.5"),
@@ -239,7 +279,7 @@ fn wrong_values_are_named_with_their_line() {
         (
             "polarity = \"white_ring\"",
             "polarity = \"black_ring\"",
-            "roundels \"robot\" and \"dark\" cannot be told apart",
+            "roundels \"robot\" and \"dark\" cannot be distinguished",
         ),
         ("mode = \"fast\"", "mode = 1", "`mode` must be \"precise\" or \"fast\", found 1"),
         (
@@ -423,7 +463,7 @@ fn wrong_values_are_named_with_their_line() {
 }
 
 #[test]
-fn one_polygon_is_told_from_a_list_of_them() {
+fn distinguishes_one_polygon_from_a_list() {
     let folder = lab();
     let begin = EXAMPLE.find("mask = [").unwrap();
     let end = begin + EXAMPLE[begin..].find("\n]\n").unwrap() + 3;
@@ -433,26 +473,26 @@ fn one_polygon_is_told_from_a_list_of_them() {
         ("mask = \"left\"", "`mask` must be a list of polygons, found the text \"left\""),
     ] {
         let text = problems(&with(mask), folder.path());
-        assert!(text.contains(expected), "{mask} gives no \"{expected}\" but\n{text}");
+        assert!(text.contains(expected), "{mask} does not give \"{expected}\" but\n{text}");
     }
     assert!(Config::parse(&with("mask = []"), folder.path()).is_ok());
 }
 
 #[test]
-fn what_is_missing_altogether_is_said() {
+fn names_missing_sections() {
     let folder = lab();
     let text = problems("", folder.path());
     assert!(text.contains("no kind of roundel is configured"), "{text}");
     assert!(text.contains("no camera is configured"), "{text}");
 
-    // Without the cameras that ride, and so without what only those need.
+    // Without mounted cameras, and so without what only those need.
     let (from, to) =
         (EXAMPLE.find("# A camera may ride").unwrap(), EXAMPLE.find("# Roundels with").unwrap());
     let (one, next) =
         (EXAMPLE.find("# One with a code").unwrap(), EXAMPLE.find("# Names for").unwrap());
-    let bare = EXAMPLE.find("[[object]]\nname = \"forklift\"").unwrap();
+    let forklift = EXAMPLE.find("[[object]]\nname = \"forklift\"").unwrap();
     let rest = EXAMPLE.find("[fusion]").unwrap();
-    let parts = [&EXAMPLE[..from], &EXAMPLE[to..one], &EXAMPLE[next..bare], &EXAMPLE[rest..]];
+    let parts = [&EXAMPLE[..from], &EXAMPLE[to..one], &EXAMPLE[next..forklift], &EXAMPLE[rest..]];
     let standing = parts.concat();
     let cut = |text: &str, begin: usize| {
         let end = text.find("# Names for objects").unwrap();
@@ -474,7 +514,7 @@ fn what_is_missing_altogether_is_said() {
 }
 
 #[test]
-fn all_problems_are_told_at_once() {
+fn reports_all_problems_in_order() {
     let folder = lab();
     let broken = EXAMPLE
         .replacen("listen =", "listne =", 1)

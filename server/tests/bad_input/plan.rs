@@ -1,4 +1,4 @@
-//! What cannot be planned, and the good answer beside it.
+//! Wrong arguments of `roundel plan`, and correct reports beside them.
 
 use std::{
     fs,
@@ -9,8 +9,6 @@ use super::lab;
 
 fn plan(arguments: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_roundel"));
-    // No times of this machine's user.
-    command.env_remove("XDG_CONFIG_HOME").env("HOME", "/nonexistent");
     command.arg("plan").args(arguments).output().unwrap()
 }
 
@@ -21,7 +19,7 @@ fn stderr(output: &Output) -> String {
 const PINHOLE: [&str; 4] = ["--resolution", "640x480", "--fov", "60"];
 
 #[test]
-fn what_cannot_be_planned_is_named() {
+fn names_what_cannot_be_planned() {
     let folder = lab();
     let text = folder.path().join("text.toml");
     fs::write(&text, "not a configuration").unwrap();
@@ -30,7 +28,7 @@ fn what_cannot_be_planned_is_named() {
     fs::write(&lab, super::EXAMPLE).unwrap();
     let lab = lab.to_str().unwrap();
     for (arguments, code, expected) in [
-        (vec![], 1, "which camera? Say --camera FILE"),
+        (vec![], 1, "expected a camera: add --camera FILE"),
         (vec!["--camera", "/no/such.yaml"], 1, "cannot read camera file /no/such.yaml"),
         (vec!["--camera", text], 1, "not a camera_info YAML"),
         (vec!["--resolution", "640x480"], 2, "--fov"),
@@ -38,9 +36,9 @@ fn what_cannot_be_planned_is_named() {
         (vec!["--resolution", "640", "--fov", "60"], 2, "expected COLUMNSxROWS"),
         (vec!["--resolution", "640x480", "--fov", "180"], 1, "--fov: expected 1 to 150 degrees"),
         (vec!["--resolution", "8x8", "--fov", "60"], 1, "is found at no distance"),
-        (vec!["--map", "map.svg"], 1, "a map needs cameras with places"),
+        (vec!["--map", "map.svg"], 1, "--map: expected cameras with positions"),
         (vec!["--config", text], 1, "text.toml:1"),
-        (vec!["--config", lab, "--code", "8:2"], 1, "--code: expected --marker beside it"),
+        (vec!["--config", lab, "--code", "8:2"], 1, "--code: expected --marker as well"),
         (vec!["--config", "/no/such.toml"], 1, "cannot read the configuration"),
         (vec!["--config", lab, "--views", "2"], 2, "cannot be used with '--views <VIEWS>'"),
         (vec!["--config", lab, "--mount", "2"], 2, "cannot be used with '--mount <M[:M]>'"),
@@ -53,7 +51,7 @@ fn what_cannot_be_planned_is_named() {
 }
 
 #[test]
-fn what_is_wrong_about_a_pinhole_and_its_roundel_is_named() {
+fn names_what_is_wrong_with_a_pinhole_camera_and_its_roundel() {
     for (arguments, code, expected) in [
         (vec!["--marker", "0"], 2, "above 0 mm"),
         (vec!["--marker", "160:10"], 1, "expected an inner diameter of 0.2 to 0.8"),
@@ -63,24 +61,24 @@ fn what_is_wrong_about_a_pinhole_and_its_roundel_is_named() {
         (vec!["--noise=-1"], 1, "noise: expected 0 to 60 grey levels, found -1"),
         (vec!["--blur", "0"], 1, "blur: expected 0.1 to 5 px"),
         (vec!["--white", "50"], 1, "white less black: expected at least 20"),
-        (vec!["--distance", "500"], 1, "is found from"),
+        (vec!["--distance", "500"], 1, "is detected from"),
         (vec!["--distance", "0"], 1, "--distance: expected metres above 0"),
         (vec!["--lost", "2"], 1, "--lost: expected a share of 0 to 1"),
         (vec!["--lost", "NaN"], 1, "--lost: expected a share of 0 to 1"),
         (vec!["--speed=-1"], 1, "--speed: expected 0 to 1000 m/s, found -1"),
         (vec!["--speed", "NaN"], 1, "--speed: expected 0 to 1000 m/s, found NaN"),
         (vec!["--speed", "fast"], 2, "--speed"),
-        (vec!["--rate", "0"], 1, "--rate: expected 0.01 to 100000 frames a second, found 0"),
-        (vec!["--rate", "inf"], 1, "--rate: expected 0.01 to 100000 frames a second, found inf"),
-        (vec!["--speed", "900", "--rate", "0.1"], 1, "farther than the picture is wide"),
-        (vec!["--precision", "1"], 1, "say --distance M"),
+        (vec!["--rate", "0"], 1, "--rate: expected 0.01 to 100000 frames per second, found 0"),
+        (vec!["--rate", "inf"], 1, "--rate: expected 0.01 to 100000 frames per second, found inf"),
+        (vec!["--speed", "900", "--rate", "0.1"], 1, "more than the width of the picture"),
+        (vec!["--precision", "1"], 1, "add --distance M"),
         (vec!["--precision", "0.00001", "--distance", "5"], 1, "--precision: expected 0.0001"),
         (vec!["--precision", "0.001", "--distance", "5"], 1, "the best of this camera is"),
         (vec!["--arena", "10"], 2, "expected WIDTHxDEPTH in metres"),
-        (vec!["--arena", "4x3"], 1, "how high can the cameras hang?"),
+        (vec!["--arena", "4x3"], 1, "--arena: expected the mounting height of the cameras"),
         (vec!["--arena", "4x3", "--mount", "5:3"], 2, "LOWEST:HIGHEST"),
-        (vec!["--arena", "4x3", "--mount", "0.1"], 1, "which are 0.3 m high (--height)"),
-        (vec!["--arena", "4x3", "--mount", "-1"], 1, "--mount: expected cameras that hang"),
+        (vec!["--arena", "4x3", "--mount", "0.1"], 1, "whose height is 0.3 m (--height)"),
+        (vec!["--arena", "4x3", "--mount", "-1"], 1, "--mount: expected cameras at least"),
         (vec!["--arena", "800x800", "--mount", "4"], 1, "or plan parts of the arena"),
         (
             vec!["--arena", "4x3", "--mount", "4", "--map", "a.gif"],
@@ -96,7 +94,6 @@ fn what_is_wrong_about_a_pinhole_and_its_roundel_is_named() {
             1,
             "is found and its code read from",
         ),
-        (vec!["--machine", "/no/machine.toml"], 1, "`roundel plan --measure` writes such a file"),
     ] {
         let all: Vec<&str> = PINHOLE.iter().chain(&arguments).copied().collect();
         let output = plan(&all);
@@ -107,24 +104,27 @@ fn what_is_wrong_about_a_pinhole_and_its_roundel_is_named() {
 }
 
 #[test]
-fn a_camera_is_planned_and_the_cameras_for_an_arena_are_found() {
+fn plans_a_camera_and_an_arena() {
     let folder = lab();
     let camera = folder.path().join("north.yaml");
     let camera = camera.to_str().unwrap();
-    let told = plan(&["--camera", camera, "--distance", "3", "--format", "json"]);
-    assert!(told.status.success(), "{}", stderr(&told));
-    let told: serde_json::Value = serde_json::from_slice(&told.stdout).unwrap();
-    // 600 px, 160 mm, 3 m.
-    assert!((told["minor_px"].as_f64().unwrap() - 32.0).abs() < 0.6, "{told}");
-    let depth_m = told["depth_deviation_m"].as_f64().unwrap();
-    assert!((2e-4..8e-4).contains(&depth_m), "{told}");
-    assert!(told["times"].as_str().unwrap().starts_with("not measured"), "{told}");
-    assert_eq!(told["lens_uncertainty_known"], false);
+    let report = plan(&["--camera", camera, "--distance", "3", "--format", "json"]);
+    assert!(report.status.success(), "{}", stderr(&report));
+    let report: serde_json::Value = serde_json::from_slice(&report.stdout).unwrap();
+    // 600 px focal length, 160 mm, at 3 m.
+    assert!((report["minor_px"].as_f64().unwrap() - 32.0).abs() < 0.6, "{report}");
+    let depth_m = report["depth_deviation_m"].as_f64().unwrap();
+    assert!((2e-4..8e-4).contains(&depth_m), "{report}");
+    let frame_s = |name: &str| report[name].as_f64().unwrap();
+    assert!(0.0 < frame_s("frame_s") && frame_s("frame_s") <= frame_s("frame_p95_s"), "{report}");
+    assert_eq!(report["roundels_timed"], 10, "{report}");
+    assert!(report["times"].as_str().unwrap().starts_with("measured now"), "{report}");
+    assert_eq!(report["lens_uncertainty_known"], false);
 
     let map = folder.path().join("grid.svg");
     let map = map.to_str().unwrap();
-    let wish = ["--arena", "4x3", "--mount", "3:4", "--map", map];
-    let found = plan(&[&["--camera", camera][..], &wish].concat());
+    let arguments = ["--arena", "4x3", "--mount", "3:4", "--map", map];
+    let found = plan(&[&["--camera", camera][..], &arguments].concat());
     assert!(found.status.success(), "{}", stderr(&found));
     let text = String::from_utf8(found.stdout).unwrap();
     assert!(text.contains("cameras: ") && text.contains("% seen"), "{text}");
@@ -144,11 +144,11 @@ fn a_camera_is_planned_and_the_cameras_for_an_arena_are_found() {
     let unknown = plan(&["--config", lab, "--kind", "plate"]);
     assert!(stderr(&unknown).contains("no roundel \"plate\""), "{}", stderr(&unknown));
 
-    // What the camera file says of how well the lens is known is in the map.
+    // The lens uncertainty in the camera file increases the predicted error.
     let median_m = || {
-        let told = plan(&["--config", lab, "--step", "0.5", "--format", "json"]);
-        let told: serde_json::Value = serde_json::from_slice(&told.stdout).unwrap();
-        told["summary"]["median_m"].as_f64().unwrap()
+        let report = plan(&["--config", lab, "--step", "0.5", "--format", "json"]);
+        let report: serde_json::Value = serde_json::from_slice(&report.stdout).unwrap();
+        report["summary"]["median_m"].as_f64().unwrap()
     };
     let exact_m = median_m();
     let variances: Vec<f64> = (0..16).map(|at| if at % 5 == 0 { 25.0 } else { 0.0 }).collect();
@@ -161,54 +161,54 @@ fn a_camera_is_planned_and_the_cameras_for_an_arena_are_found() {
 }
 
 #[test]
-fn a_coded_plan_reaches_as_far_as_the_code_is_read() {
+fn the_range_of_a_coded_roundel_is_limited_by_its_code() {
     let json = |arguments: &[&str]| {
-        let told = plan(&[&PINHOLE[..], &["--format", "json"], arguments].concat());
-        assert!(told.status.success(), "{}", stderr(&told));
-        serde_json::from_slice::<serde_json::Value>(&told.stdout).unwrap()
+        let report = plan(&[&PINHOLE[..], &["--format", "json"], arguments].concat());
+        assert!(report.status.success(), "{}", stderr(&report));
+        serde_json::from_slice::<serde_json::Value>(&report.stdout).unwrap()
     };
-    let number = |told: &serde_json::Value, name: &str| told[name].as_f64().unwrap();
+    let number = |report: &serde_json::Value, name: &str| report[name].as_f64().unwrap();
     let marker = ["--marker", "160:96"];
     let (plain, coded) = (json(&marker), json(&["--marker", "160", "--code", "8:2"]));
     let (plain_m, coded_m) = (number(&plain, "most_distance_m"), number(&coded, "most_distance_m"));
-    // 554 px, 160 mm, 36 px.
+    // 554 px focal length, 160 mm; the code needs 36 px.
     assert!((coded_m - 2.46).abs() < 0.05 && coded_m < 0.5 * plain_m, "{plain_m} {coded_m}");
     let ring_m = number(&coded["code_unread"], "most_distance_m");
     assert!((ring_m / plain_m - 1.0).abs() < 1e-3, "{ring_m} {plain_m}");
     assert_eq!((&coded["code_is_read"], &plain["code_is_read"]), (&true.into(), &().into()));
-    // Beyond that the ring is found all the same, which is said.
+    // The report states that the ring is found beyond the range of the code.
     let beyond = ["--marker", "160", "--code", "8:2", "--distance", "4"];
     assert_eq!(json(&beyond)["code_is_read"], false);
     let table = String::from_utf8(plan(&[&PINHOLE[..], &beyond[..]].concat()).stdout).unwrap();
-    assert!(table.contains("farthest, code read, on the axis"), "{table}");
+    assert!(table.contains("maximum distance, code read, on axis"), "{table}");
     assert!(table.contains("codes of 8 bits") && table.contains("not read"), "{table}");
 
-    // One camera high up would find the rings of the whole arena. The size that nobody has said is told.
+    // One high camera finds the rings in the whole arena, but not their codes. The report names the assumed size.
     let arena = ["--arena", "4x3", "--mount", "2:6"];
-    let cameras = |told: &serde_json::Value| told["stations"].as_array().unwrap().len();
+    let cameras = |report: &serde_json::Value| report["stations"].as_array().unwrap().len();
     let (plain, coded) = (json(&arena), json(&[&arena[..], &["--code", "8:2"]].concat()));
     assert!(cameras(&plain) == 1 && cameras(&coded) >= 4, "{plain} {coded}");
     assert_eq!((number(&coded, "outer_m"), &coded["size_is_assumed"]), (0.16, &true.into()));
     assert_eq!(coded["code"]["bits"], 8);
     assert_eq!(json(&[&arena[..], &marker].concat())["size_is_assumed"], false);
     let table = String::from_utf8(plan(&[&PINHOLE[..], &arena[..]].concat()).stdout).unwrap();
-    assert!(table.contains("160.0 mm, disc 64.0 mm, assumed"), "{table}");
+    assert!(table.contains("160.0 mm, disc 64.0 mm (default size"), "{table}");
 }
 
 #[test]
-fn the_roundel_for_an_arena_and_a_precision_is_searched_for() {
+fn searches_the_roundel_for_an_arena_and_a_precision() {
     let arena = ["--arena", "4x3", "--mount", "2:4", "--precision", "2", "--format", "json"];
     let json = |arguments: &[&str]| {
-        let told = plan(&[&PINHOLE[..], &arena, arguments].concat());
-        assert!(told.status.success(), "{}", stderr(&told));
-        serde_json::from_slice::<serde_json::Value>(&told.stdout).unwrap()
+        let report = plan(&[&PINHOLE[..], &arena, arguments].concat());
+        assert!(report.status.success(), "{}", stderr(&report));
+        serde_json::from_slice::<serde_json::Value>(&report.stdout).unwrap()
     };
     let found = json(&[]);
     assert_eq!(found["outer_was_searched"], true);
     assert_eq!(found["size_is_assumed"], false);
     let outer_mm = found["outer_m"].as_f64().unwrap() * 1e3;
-    let cameras = |told: &serde_json::Value| told["stations"].as_array().unwrap().len();
-    // It does it with so many, and a tenth smaller it does not.
+    let cameras = |report: &serde_json::Value| report["stations"].as_array().unwrap().len();
+    // The roundel found needs this number of cameras, and one that is a tenth smaller needs more.
     let same = json(&["--marker", &format!("{outer_mm}:{}", 0.4 * outer_mm)]);
     assert_eq!(cameras(&same), cameras(&found), "{outer_mm}");
     let less_mm = 0.9 * outer_mm;
@@ -216,53 +216,76 @@ fn the_roundel_for_an_arena_and_a_precision_is_searched_for() {
     let less = plan(&[&PINHOLE[..], &arena, &["--marker", &marker]].concat());
     let less: Option<serde_json::Value> = serde_json::from_slice(&less.stdout).ok();
     assert!(less.is_none_or(|less| cameras(&less) > cameras(&found)), "{outer_mm}");
-    // What a frame takes there is told, and where that comes from.
-    assert!(found["longest_frame_s"].as_f64().unwrap() > 0.0, "{found}");
-    assert!(found["times"].as_str().unwrap().starts_with("not measured"), "{found}");
+    // The report contains the time per frame and how it was measured.
+    let longest_s = found["longest_frame_s"].as_f64().unwrap();
+    assert!(0.0 < longest_s && longest_s <= found["longest_frame_p95_s"].as_f64().unwrap());
+    assert!(longest_s <= found["frames_together_s"].as_f64().unwrap(), "{found}");
+    let times = found["times"].as_str().unwrap();
+    assert!(times.ends_with("with 10 of 10 roundels tracked"), "{times}");
     let table = plan(&[&PINHOLE[..], &arena[..6], &["--count", "24"]].concat());
     let table = String::from_utf8(table.stdout).unwrap();
-    assert!(table.contains("searched for: so few cameras do it"), "{table}");
-    assert!(table.contains("a frame with 24 of them straight below"), "{table}");
+    assert!(table.contains("(the size that needs the fewest cameras)"), "{table}");
+    assert!(table.contains("time per frame with 24 roundels straight below"), "{table}");
 }
 
 #[test]
-fn options_that_do_not_count_are_told() {
+fn names_options_without_effect() {
     let arena = ["--arena", "2x1", "--mount", "3", "--marker", "160:64"];
     for (arguments, expected) in [
-        (vec!["--tilt", "30"], "--tilt does not count over an arena: roundels lie face up"),
-        (vec!["--distance", "3"], "--distance does not count over an arena"),
-        (vec!["--show", "cameras"], "--show does not count without --map"),
+        (vec!["--tilt", "30"], "--tilt has no effect over an arena: roundels lie face up"),
+        (vec!["--distance", "3"], "--distance has no effect over an arena"),
+        (vec!["--show", "cameras"], "--show has no effect without --map"),
     ] {
-        let told = plan(&[&PINHOLE[..], &arena, &arguments].concat());
-        assert!(told.status.success(), "{}", stderr(&told));
-        assert!(stderr(&told).contains(expected), "{arguments:?}: {}", stderr(&told));
+        let report = plan(&[&PINHOLE[..], &arena, &arguments].concat());
+        assert!(report.status.success(), "{}", stderr(&report));
+        assert!(stderr(&report).contains(expected), "{arguments:?}: {}", stderr(&report));
     }
     let quiet = plan(&[&PINHOLE[..], &arena].concat());
     assert_eq!(stderr(&quiet), "");
     let single = plan(&[&PINHOLE[..], &["--height", "1", "--marker", "160:64"]].concat());
     assert!(
-        stderr(&single).contains("--height does not count of one camera"),
+        stderr(&single).contains("--height has no effect for a single camera"),
         "{}",
         stderr(&single)
     );
+    // The option is rejected before its file is read, so the file need not exist.
+    let machine = ["--machine", "/no/machine.toml", "--marker", "160:64"];
+    let machine = plan(&[&PINHOLE[..], &machine].concat());
+    assert!(machine.status.success() && stderr(&machine).contains("--machine has no effect"));
     let reached = ["--precision", "1", "--marker", "160:64"];
     let reached = plan(&[&PINHOLE[..], &reached].concat());
-    assert!(stderr(&reached).contains("--precision does not count"), "{}", stderr(&reached));
+    assert!(stderr(&reached).contains("--precision has no effect"), "{}", stderr(&reached));
 }
 
 #[test]
-fn faster_and_coded_roundels_take_longer() {
-    let frame_s = |arguments: &[&str]| {
+fn times_the_requested_case() {
+    let json = |arguments: &[&str]| {
         let all = [&PINHOLE[..], &["--distance", "1", "--format", "json"], arguments].concat();
-        let told = plan(&all);
-        assert!(told.status.success(), "{}", stderr(&told));
-        let told: serde_json::Value = serde_json::from_slice(&told.stdout).unwrap();
-        (told["motion_px"].as_f64().unwrap(), told["frame_s"].as_f64().unwrap())
+        let report = plan(&all);
+        assert!(report.status.success(), "{}", stderr(&report));
+        serde_json::from_slice::<serde_json::Value>(&report.stdout).unwrap()
     };
-    // 640 pixels at 60°: 554 pixels a metre at 1 m.
-    let (motion_px, slow_s) = frame_s(&["--speed", "0.1", "--rate", "50"]);
-    assert!((motion_px - 1.1).abs() < 0.05, "{motion_px}");
-    let (_, fast_s) = frame_s(&["--speed", "0.6", "--rate", "50"]);
-    let (_, coded_s) = frame_s(&["--speed", "0.1", "--rate", "50", "--code", "8:2"]);
-    assert!(slow_s < fast_s && slow_s < coded_s, "{slow_s} {fast_s} {coded_s}");
+    let slow = ["--speed", "0.1", "--rate", "50", "--count", "5"];
+    for code in [&[][..], &["--code", "8:2"], &["--polarity", "white-ring"], &["--mode", "fast"]] {
+        let report = json(&[&slow[..], code].concat());
+        // 640 pixels at 60° are 554 pixels per metre at 1 m.
+        assert!((report["motion_px"].as_f64().unwrap() - 1.1).abs() < 0.05, "{report}");
+        assert_eq!(report["roundels_timed"], 5, "{code:?}: {report}");
+    }
+    // 60 roundels of 88 px do not fit into the image.
+    let crowded = json(&["--count", "60"]);
+    assert!((5..40).contains(&crowded["roundels_timed"].as_u64().unwrap()), "{crowded}");
+}
+
+#[test]
+fn times_typical_cases_on_this_machine() {
+    let report = plan(&["--measure", "--format", "json"]);
+    assert!(report.status.success(), "{}", stderr(&report));
+    let report: serde_json::Value = serde_json::from_slice(&report.stdout).unwrap();
+    let rows = report["measured"].as_array().unwrap();
+    assert_eq!(rows.len(), 20);
+    for row in rows {
+        assert!([10, 24, 100].contains(&row["roundels"].as_u64().unwrap()), "{row}");
+        assert!(0.0 < row["measured_s"].as_f64().unwrap(), "{row}");
+    }
 }

@@ -1,4 +1,4 @@
-//! What cannot be printed, and what is printed before there is anything but paper.
+//! Wrong arguments of `roundel print`, and printing without a complete configuration.
 
 use std::{
     fs,
@@ -12,16 +12,16 @@ fn print(arguments: &[&str], folder: &Path) -> Output {
 }
 
 #[test]
-fn what_cannot_be_printed_or_would_change_nothing_is_named() {
+fn names_impossible_and_useless_options() {
     let folder = tempfile::tempdir().unwrap();
     for (arguments, expected) in [
         ("a.pdf", "expected --marker OUTER_MM[:INNER_MM]"),
         ("--marker -5:2 a.pdf", "expected a diameter above 0 mm"),
-        ("--marker 50:5 a.pdf", "another would not be found"),
+        ("--marker 50:5 a.pdf", "the detector finds no other"),
         ("--marker 160:96:95 a.pdf", "at most 0.9 of its longer one"),
         ("--marker 50:20 a.gif", "expected a name that ends in .pdf, .svg or .png"),
-        ("--marker 50:20 --dpi 600 a.pdf", "--dpi counts for .png alone"),
-        ("--marker 50:20 --dpi -5 a.png", "expected 36 to 2400 dots an inch, found -5"),
+        ("--marker 50:20 --dpi 600 a.pdf", "--dpi applies only to .png"),
+        ("--marker 50:20 --dpi -5 a.png", "expected 36 to 2400 dots per inch, found -5"),
         ("--marker 50:20 --format json a.pdf", "--list"),
         ("--board 7x5 --copies 3 a.pdf", "cannot be used with '--copies <COPIES>'"),
         ("--board 7x5 --kind robot a.pdf", "cannot be used with '--kind <NAME>'"),
@@ -30,20 +30,20 @@ fn what_cannot_be_printed_or_would_change_nothing_is_named() {
     ] {
         let arguments: Vec<&str> = arguments.split(' ').collect();
         let output = print(&arguments, folder.path());
-        let told = String::from_utf8_lossy(&output.stderr);
-        assert!(!output.status.success() && told.contains(expected), "{arguments:?}: {told}");
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success() && stderr.contains(expected), "{arguments:?}: {stderr}");
         assert!(fs::read_dir(folder.path()).unwrap().next().is_none(), "{arguments:?}");
     }
 }
 
 #[test]
-fn an_installation_is_printed_before_its_cameras_have_lenses() {
+fn prints_a_configuration_without_camera_files() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("lab.toml"), super::EXAMPLE).unwrap();
     let output = print(&["--config", "lab.toml", "lab.pdf"], folder.path());
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     assert!(fs::read(folder.path().join("lab.pdf")).unwrap().starts_with(b"%PDF"));
-    // What it carries is checked all the same.
+    // Roundels are validated nevertheless.
     let broken = super::EXAMPLE.replacen("outer_mm = 160.0", "outer_mm = -160.0", 1);
     assert_ne!(broken, super::EXAMPLE);
     fs::write(folder.path().join("lab.toml"), broken).unwrap();
@@ -52,7 +52,7 @@ fn an_installation_is_printed_before_its_cameras_have_lenses() {
 }
 
 #[test]
-fn nobody_need_read_what_is_told() {
+fn succeeds_if_standard_output_is_closed() {
     let folder = tempfile::tempdir().unwrap();
     for arguments in [&["--marker", "50:20", "a.pdf"][..], &["--code", "8:2", "--list"]] {
         let (reader, writer) = std::io::pipe().unwrap();
@@ -60,14 +60,14 @@ fn nobody_need_read_what_is_told() {
         let mut command = Command::new(env!("CARGO_BIN_EXE_roundel"));
         command.arg("print").args(arguments).current_dir(folder.path()).stdout(writer);
         let output = command.output().unwrap();
-        let told = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success() && told.is_empty(), "{arguments:?}: {told}");
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && stderr.is_empty(), "{arguments:?}: {stderr}");
     }
     assert!(folder.path().join("a.pdf").exists());
 }
 
 #[test]
-fn a_list_has_the_codes_that_were_asked_for() {
+fn lists_the_selected_codes() {
     let folder = tempfile::tempdir().unwrap();
     let json = ["--code", "8:2", "--list", "--ids", "2-3", "--format", "json"];
     let listed: serde_json::Value =

@@ -1,5 +1,5 @@
-//! `gst:aravissrc`: a GigE Vision camera, as Aravis imitates it, in a network of its own. Where networks cannot be made
-//! or Aravis is missing, this is skipped, by name.
+//! `gst:aravissrc` with Aravis' fake GigE Vision camera in a network namespace. Skipped, with a message, where
+//! namespaces or Aravis are not available.
 
 use std::{
     process::{Child, Command, Stdio},
@@ -11,23 +11,24 @@ use roundel_server::{
     model::capture_clock::TimeBase,
 };
 
-use super::{PATIENCE, alone, failure, open_again, opener};
+use super::{TIMEOUT, failure, open_again, opener, run_exclusively};
 
-const NAME: &str = "aravis::frames_of_a_gige_camera_are_counted_and_it_comes_back";
-/// Set in the process that is in a network of its own.
+const NAME: &str = "media::aravis::receives_a_gige_camera_and_recovers_from_faults";
+/// Environment variable that is set in the process inside the namespace.
 const INSIDE: &str = "ROUNDEL_TEST_NETWORK";
-const FAKE: &str = "arv-fake-gv-camera-0.8";
-/// Of the imitated camera.
+const FAKE_CAMERA: &str = "arv-fake-gv-camera-0.8";
+/// Image size of the fake camera.
 const SIZE: (usize, usize) = (512, 512);
 const PERIOD_NS: i64 = 40_000_000;
 const URL: &str = "gst:aravissrc camera-name=127.0.0.1 ! video/x-raw,format=GRAY8,width=512,height=512,framerate=25/1";
 
-/// The imitated camera; killed when dropped.
-struct Fake(Child);
+/// The fake camera's process; killed when dropped.
+struct FakeCamera(Child);
 
-impl Fake {
+impl FakeCamera {
     fn start() -> Self {
-        let child = Command::new(FAKE).args(["-i", "127.0.0.1"]).stdout(Stdio::null()).spawn();
+        let child =
+            Command::new(FAKE_CAMERA).args(["-i", "127.0.0.1"]).stdout(Stdio::null()).spawn();
         Self(child.unwrap())
     }
 
@@ -37,7 +38,7 @@ impl Fake {
     }
 }
 
-impl Drop for Fake {
+impl Drop for FakeCamera {
     fn drop(&mut self) {
         let _ = self.0.kill();
         let _ = self.0.wait();
@@ -50,12 +51,12 @@ fn works(program: &str, arguments: &[&str]) -> bool {
     run.is_ok_and(|status| status.success())
 }
 
-/// Runs this test once more where nobody else's network is; whether that could be done.
+/// Runs this test again in a network namespace; returns whether that is possible.
 fn run_inside() -> bool {
     let made = ["-n", "-rn"]
         .into_iter()
         .find(|how| works("unshare", &[how, "ip", "link", "set", "lo", "up"]));
-    let aravis = works(FAKE, &["--help"]) && works("gst-inspect-1.0", &["aravissrc"]);
+    let aravis = works(FAKE_CAMERA, &["--help"]) && works("gst-inspect-1.0", &["aravissrc"]);
     let Some(how) = made.filter(|_| aravis) else { return false };
     let script = "ip link set lo up && exec \"$0\" --exact \"$1\" --nocapture";
     let this = std::env::current_exe().unwrap();
@@ -67,59 +68,59 @@ fn run_inside() -> bool {
     true
 }
 
-/// Why it ends.
+/// Reads frames until the source fails, and returns its error.
 fn until_the_end(source: &mut dyn FrameSource) -> String {
     let begun = Instant::now();
-    while begun.elapsed() < PATIENCE {
+    while begun.elapsed() < TIMEOUT {
         match source.next_frame() {
             Ok(_) => {}
             Err(SourceError::Failed(reason)) => return reason,
             Err(other) => panic!("{other:?}"),
         }
     }
-    panic!("it does not end");
+    panic!("the source does not end");
 }
 
 #[test]
-fn frames_of_a_gige_camera_are_counted_and_it_comes_back() {
-    let _alone = alone();
+fn receives_a_gige_camera_and_recovers_from_faults() {
+    let _guard = run_exclusively();
     if std::env::var_os(INSIDE).is_none() {
         if !run_inside() {
             println!(
-                "skipped: {NAME} needs networks of its own (unshare -n), aravis-tools and libaravis-0.8-0"
+                "skipped: {NAME} needs network namespaces (unshare -n), aravis-tools and libaravis-0.8-0"
             );
         }
         return;
     }
-    let nobody = failure(URL, SIZE);
-    assert!(nobody.contains("(`arv-tool-0.8` lists those that answer)"), "{nobody}");
+    let unreachable = failure(URL, SIZE);
+    assert!(unreachable.contains("(`arv-tool-0.8` lists those that answer)"), "{unreachable}");
 
-    let camera = Fake::start();
+    let camera = FakeCamera::start();
     let (mut opener, clock) = opener(URL, SIZE);
     let mut source = open_again(&mut opener);
-    let (mut numbers, mut left_out, mut off_ms) = (Vec::new(), 0, Vec::new());
+    let (mut numbers, mut skipped, mut off_ms) = (Vec::new(), 0, Vec::new());
     while numbers.len() < 75 {
         let lent = source.next_frame().unwrap();
-        // Its corner counts the frames.
+        // The first pixel contains the frame number.
         numbers.push(lent.frame.row(0)[0]);
-        left_out += lent.info.skipped;
+        skipped += lent.info.skipped;
         assert_eq!(lent.info.clock.base, TimeBase::Camera);
         let age_s = clock.now().seconds_since(lent.info.capture_time);
         assert!((0.0..1.0).contains(&age_s), "{age_s} s old");
-        // It takes one whenever Unix time is a multiple of its period.
+        // The fake camera captures when Unix time is a multiple of its period.
         let phase_ns = (lent.info.capture_time.as_ns() + PERIOD_NS / 2).rem_euclid(PERIOD_NS);
-        // Until one came quickly, all that is known is how long the others took.
+        // Skips the first frames, while the shortest delay is not yet known.
         if numbers.len() > 25 {
             off_ms.push((phase_ns - PERIOD_NS / 2) as f64 * 1e-6);
         }
     }
     assert_eq!(source.promised_hz(), Some(25.0));
     let sent: u64 = numbers.windows(2).map(|pair| u64::from(pair[1].wrapping_sub(pair[0]))).sum();
-    assert!(numbers.windows(2).all(|pair| pair[0] != pair[1]), "none twice: {numbers:?}");
-    println!("{} of {} frames came", numbers.len() as u64 + left_out, sent + 1);
+    assert!(numbers.windows(2).all(|pair| pair[0] != pair[1]), "no frame may repeat: {numbers:?}");
+    println!("{} of {} frames received", numbers.len() as u64 + skipped, sent + 1);
     off_ms.sort_by(f64::total_cmp);
     println!("off by {:.2} ms median, {:.2} to {:.2}", off_ms[25], off_ms[0], off_ms[49]);
-    // Late together by drawing and sending the quickest frame, and steady.
+    // All are late by the same delay of the quickest frame, with little jitter.
     assert!(off_ms[3] > -1.0 && off_ms[45] < 15.0, "{off_ms:?}");
     assert!(off_ms[45] - off_ms[3] < 5.0, "{off_ms:?}");
 
@@ -132,11 +133,11 @@ fn frames_of_a_gige_camera_are_counted_and_it_comes_back() {
     source.next_frame().unwrap();
 
     drop(camera);
-    let gone = until_the_end(&mut *source);
-    assert!(gone.starts_with("gst:aravissrc"), "{gone}");
-    println!("killed: {gone}");
+    let killed = until_the_end(&mut *source);
+    assert!(killed.starts_with("gst:aravissrc"), "{killed}");
+    println!("killed: {killed}");
     drop(source);
-    let _camera = Fake::start();
+    let _camera = FakeCamera::start();
     let mut source = open_again(&mut opener);
     for _ in 0..5 {
         source.next_frame().unwrap();

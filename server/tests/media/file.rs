@@ -1,17 +1,17 @@
-//! `file:` and `gst:`.
+//! `file:` and `gst:` sources: playback timing, looping, `speed=max`, pixel formats and error messages.
 
 use std::{path::Path, process::Command};
 
 use roundel_server::{capture::source::SourceError, model::capture_clock::TimeBase};
 
-use super::{SIZE, alone, failure, open};
+use super::{SIZE, failure, open, run_exclusively};
 
-/// GStreamer's own variable: which elements it does not choose by itself.
+/// GStreamer's environment variable that changes the rank of elements; rank `NONE` disables automatic use.
 const RANKS: &str = "GST_PLUGIN_FEATURE_RANK";
-/// All that decode H.264 in Debian's packages.
+/// Disables all H.264 decoders in Debian's packages.
 const NO_H264: &str = "avdec_h264:NONE,openh264dec:NONE,vah264dec:NONE,vaapih264dec:NONE,nvh264dec:NONE,v4l2h264dec:NONE";
 
-/// A video of 20 frames at 40 Hz, grey levels from dark to light.
+/// Writes a white video of 20 frames at 40 Hz.
 fn video(folder: &Path, name: &str, encode: &str) -> String {
     let path = folder.join(name);
     let launch = format!(
@@ -27,8 +27,8 @@ fn video(folder: &Path, name: &str, encode: &str) -> String {
 }
 
 #[test]
-fn files_are_played_in_their_time_to_the_last_frame() {
-    let _alone = alone();
+fn plays_files_in_real_time_to_the_last_frame() {
+    let _guard = run_exclusively();
     let folder = tempfile::tempdir().unwrap();
     for (name, encode) in [
         ("run.avi", "jpegenc ! avimux"),
@@ -44,7 +44,7 @@ fn files_are_played_in_their_time_to_the_last_frame() {
                     frames += 1;
                     skipped += lent.info.skipped;
                     assert_eq!(lent.info.clock.base, TimeBase::Server);
-                    // White in video's range.
+                    // White in the limited range of video.
                     assert!(
                         lent.frame.row(10)[100].abs_diff(235) < 8,
                         "{}",
@@ -58,7 +58,7 @@ fn files_are_played_in_their_time_to_the_last_frame() {
             }
         };
         assert_eq!(end, SourceError::Finished, "{name}");
-        assert_eq!(frames + skipped, 20, "{name}: {frames} frames, {skipped} left out");
+        assert_eq!(frames + skipped, 20, "{name}: {frames} frames, {skipped} skipped");
         if skipped == 0 {
             let rest_ms = times.windows(2).map(|pair| pair[1].seconds_since(pair[0]) * 1e3 - 25.0);
             assert!(
@@ -71,23 +71,26 @@ fn files_are_played_in_their_time_to_the_last_frame() {
 }
 
 #[test]
-fn a_file_is_played_again() {
-    let _alone = alone();
+fn loops_a_file() {
+    let _guard = run_exclusively();
     let folder = tempfile::tempdir().unwrap();
     let path = video(folder.path(), "run.avi", "jpegenc ! avimux");
     let (mut source, _) = open(&format!("file:{path}?loop=true"));
     let mut newest = None;
     for _ in 0..45 {
         let time = source.next_frame().unwrap().info.capture_time;
-        assert!(newest.is_none_or(|newest| time > newest), "times go on from round to round");
+        assert!(
+            newest.is_none_or(|newest| time > newest),
+            "times must increase from round to round"
+        );
         newest = Some(time);
     }
 }
 
-/// However slowly they are searched, none is left out; however quickly, none waits until it is due.
+/// With `speed=max`, a slow reader loses no frame, and a fast one does not wait for the due time.
 #[test]
-fn files_in_a_hurry_lose_nothing_and_wait_for_nobody() {
-    let _alone = alone();
+fn speed_max_skips_nothing_and_does_not_wait() {
+    let _guard = run_exclusively();
     let folder = tempfile::tempdir().unwrap();
     let path = video(folder.path(), "run.mp4", "x264enc ! mp4mux");
     let (mut source, clock) = open(&format!("file:{path}?speed=max"));
@@ -98,11 +101,11 @@ fn files_in_a_hurry_lose_nothing_and_wait_for_nobody() {
                 frames += 1;
                 assert_eq!(lent.info.skipped, 0, "at frame {frames}");
                 assert!(lent.info.decoding.as_nanos() > 0, "at frame {frames}");
-                assert!(lent.info.capture_time > newest, "times go on");
+                assert!(lent.info.capture_time > newest, "times must increase");
                 newest = lent.info.capture_time;
                 assert!(clock.now() >= newest);
                 if frames <= 5 {
-                    // Two frames' time: in real time, one would be lost.
+                    // Two frame intervals: in real time, a frame would be skipped.
                     std::thread::sleep(std::time::Duration::from_millis(60));
                 }
             }
@@ -113,8 +116,8 @@ fn files_in_a_hurry_lose_nothing_and_wait_for_nobody() {
 }
 
 #[test]
-fn pipelines_give_luma_as_it_lies() {
-    let _alone = alone();
+fn pipelines_deliver_luma_of_every_pixel_format() {
+    let _guard = run_exclusively();
     for format in ["GRAY8", "NV12", "YUY2", "UYVY", "GRAY16_LE", "RGB"] {
         let pipeline = format!(
             "gst:videotestsrc is-live=true pattern=white ! video/x-raw,format={format},width={},height={},framerate=30/1",
@@ -134,8 +137,8 @@ fn pipelines_give_luma_as_it_lies() {
 }
 
 #[test]
-fn what_is_wrong_is_told_with_the_remedy() {
-    let _alone = alone();
+fn wrong_sources_give_errors_with_a_remedy() {
+    let _guard = run_exclusively();
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("note.txt"), "no video\n".repeat(500)).unwrap();
     let note = format!("file:{}", folder.path().join("note.txt").display());
@@ -159,12 +162,12 @@ fn what_is_wrong_is_told_with_the_remedy() {
     }
 }
 
-/// In a process of its own, in which no element decodes H.264.
+/// Runs in a child process in which no element decodes H.264.
 #[test]
 fn a_missing_decoder_is_named_with_its_package() {
-    let _alone = alone();
+    let _guard = run_exclusively();
     if std::env::var_os(RANKS).is_none() {
-        let name = "file::a_missing_decoder_is_named_with_its_package";
+        let name = "media::file::a_missing_decoder_is_named_with_its_package";
         let this = std::env::current_exe().unwrap();
         let mut again = Command::new(this);
         let again = again.args(["--exact", name, "--nocapture"]).env(RANKS, NO_H264).output();

@@ -1,4 +1,4 @@
-//! `rtsp://…`: capture times, and what servers do to those who watch.
+//! `rtsp://…` sources: capture times, restarts, stalls and error messages.
 
 use std::{
     thread,
@@ -11,11 +11,13 @@ use roundel_server::{
     model::capture_clock::TimeBase,
 };
 
-use super::{PATIENCE, SIZE, alone, failure, open, open_again, opener, server::RtspServer};
+use super::{
+    SIZE, TIMEOUT, failure, open, open_again, opener, rtsp_server::RtspServer, run_exclusively,
+};
 
 const BLOCKS: usize = 16;
 
-/// The number that stands in a picture of [`SIZE`].
+/// Reads the frame number that is drawn into a picture of [`SIZE`].
 pub fn number(frame: &Frame<'_>) -> u64 {
     let row = frame.row(frame.height() / 2);
     let block = frame.width() / BLOCKS;
@@ -31,24 +33,24 @@ pub fn start(test: &str, encoder: &str) -> Option<RtspServer> {
     RtspServer::start(test, &arguments.each_ref().map(String::as_str))
 }
 
-/// Each codec: frames are counted, and once the camera has told its clock its times are the truth.
+/// For each codec and transport, no frame is lost uncounted, and times are correct after the first sender report.
 #[test]
 fn capture_times_come_from_sender_reports() {
-    let _alone = alone();
+    let _guard = run_exclusively();
     for encoder in ["jpeg", "h264", "h265"] {
         let Some(camera) = start("capture_times_come_from_sender_reports", encoder) else { return };
         for transport in ["tcp", "udp"] {
-            camera.forget();
+            camera.forget_times();
             let (mut source, _) = open(&format!("{}#transport={transport}&stall=30", camera.url()));
             let begun = Instant::now();
             let mut errors_ms: Vec<f64> = Vec::new();
-            let (mut numbers, mut left_out) = (Vec::new(), 0);
+            let (mut numbers, mut skipped) = (Vec::new(), 0);
             while errors_ms.len() < 60 {
-                assert!(begun.elapsed() < PATIENCE, "{encoder} {transport}: {errors_ms:?}");
+                assert!(begun.elapsed() < TIMEOUT, "{encoder} {transport}: {errors_ms:?}");
                 let lent = source.next_frame().unwrap();
                 let number = number(&lent.frame);
                 numbers.push(number);
-                left_out += lent.info.skipped;
+                skipped += lent.info.skipped;
                 if lent.info.clock.base != TimeBase::Synchronized {
                     continue;
                 }
@@ -58,14 +60,14 @@ fn capture_times_come_from_sender_reports() {
             }
             assert!(numbers.is_sorted_by(|a, b| a < b), "{encoder} {transport}: {numbers:?}");
             let sent = numbers[numbers.len() - 1] - numbers[0] + 1;
-            let came = numbers.len() as u64 + left_out;
-            println!("{encoder} {transport}: {came} of {sent} frames came");
+            let received = numbers.len() as u64 + skipped;
+            println!("{encoder} {transport}: {received} of {sent} frames received");
             errors_ms.sort_by(f64::total_cmp);
             println!(
                 "{encoder} {transport}: off by {:.2} ms median, {:.2} to {:.2}",
                 errors_ms[30], errors_ms[0], errors_ms[59]
             );
-            // A server that is kept waiting between a picture and its stamp is late itself.
+            // The server's own stamps can be late on a busy machine.
             assert!(
                 errors_ms[3] > -5.0 && errors_ms[45] < 5.0,
                 "{encoder} {transport}: {errors_ms:?}"
@@ -81,21 +83,21 @@ fn failed(result: Result<(), SourceError>) -> String {
     }
 }
 
-/// Frames until the source ends, and why it does.
+/// Reads frames until the source fails, and returns its error.
 fn until_the_end(source: &mut dyn FrameSource) -> String {
     let begun = Instant::now();
-    while begun.elapsed() < PATIENCE {
+    while begun.elapsed() < TIMEOUT {
         if let Err(error) = source.next_frame() {
             return failed(Err(error));
         }
     }
-    panic!("it does not end");
+    panic!("the source does not end");
 }
 
 #[test]
-fn a_camera_that_is_killed_and_started_again_comes_back() {
-    let _alone = alone();
-    const NAME: &str = "a_camera_that_is_killed_and_started_again_comes_back";
+fn recovers_when_a_camera_restarts() {
+    let _guard = run_exclusively();
+    const NAME: &str = "recovers_when_a_camera_restarts";
     let Some(camera) = start(NAME, "jpeg") else { return };
     let (mut opener, _) = opener(&camera.url(), SIZE);
     let mut source = opener.open().unwrap();
@@ -105,11 +107,11 @@ fn a_camera_that_is_killed_and_started_again_comes_back() {
     let message = until_the_end(&mut *source);
     assert!(message.starts_with(&format!("rtsp://127.0.0.1:{port}/stream: ")), "{message}");
     drop(source);
-    let refused = match opener.open() {
+    let unreachable = match opener.open() {
         Ok(mut source) => until_the_end(&mut *source),
         Err(error) => failed(Err(error)),
     };
-    assert!(refused.contains("nothing listens there; check host and port"), "{refused}");
+    assert!(unreachable.contains("nothing listens there; check host and port"), "{unreachable}");
 
     let mut again = arguments("jpeg").to_vec();
     again.push(port);
@@ -122,9 +124,9 @@ fn a_camera_that_is_killed_and_started_again_comes_back() {
 }
 
 #[test]
-fn a_stall_is_noticed_within_a_second() {
-    let _alone = alone();
-    let Some(camera) = start("a_stall_is_noticed_within_a_second", "jpeg") else { return };
+fn detects_a_stall_within_a_second() {
+    let _guard = run_exclusively();
+    let Some(camera) = start("detects_a_stall_within_a_second", "jpeg") else { return };
     let (mut source, _) = open(&camera.url());
     for _ in 0..5 {
         source.next_frame().unwrap();
@@ -138,11 +140,11 @@ fn a_stall_is_noticed_within_a_second() {
     source.next_frame().unwrap();
 }
 
-/// However its packets come; GStreamer would end UDP's after a time of its own.
+/// For both transports; GStreamer's own UDP timeout must not apply.
 #[test]
-fn a_pause_shorter_than_the_stall_is_waited_for() {
-    let _alone = alone();
-    let Some(camera) = start("a_pause_shorter_than_the_stall_is_waited_for", "jpeg") else {
+fn waits_for_a_pause_shorter_than_the_stall() {
+    let _guard = run_exclusively();
+    let Some(camera) = start("waits_for_a_pause_shorter_than_the_stall", "jpeg") else {
         return;
     };
     for transport in ["tcp", "udp"] {
@@ -160,9 +162,9 @@ fn a_pause_shorter_than_the_stall_is_waited_for() {
 }
 
 #[test]
-fn wrong_paths_and_sizes_are_told() {
-    let _alone = alone();
-    let Some(camera) = start("wrong_paths_and_sizes_are_told", "jpeg") else { return };
+fn rejects_wrong_paths_and_sizes() {
+    let _guard = run_exclusively();
+    let Some(camera) = start("rejects_wrong_paths_and_sizes", "jpeg") else { return };
     let missing = failure(&format!("rtsp://127.0.0.1:{}/other", camera.port), SIZE);
     assert!(missing.contains("the camera has no such path"), "{missing}");
     let size = failure(&camera.url(), (640, 480));

@@ -1,4 +1,4 @@
-//! A server whose cameras are fed, nodes with drawn frames, and waiting for things to come about.
+//! A server with `push:` cameras, nodes with drawn frames, and a helper that waits for conditions.
 
 use std::{
     path::Path,
@@ -25,8 +25,8 @@ use roundel_server::{
 };
 use tokio::time::{sleep, timeout};
 
-/// Nothing here takes so long but on a machine that stands still.
-pub const PATIENCE: Duration = Duration::from_secs(60);
+/// Timeout of every wait; only a stalled machine reaches it.
+pub const TIMEOUT: Duration = Duration::from_secs(60);
 pub const SIZE: (usize, usize) = (320, 240);
 pub const CAMERAS: [&str; 2] = ["north", "south"];
 
@@ -43,7 +43,7 @@ fn lens() -> Camera {
     .unwrap()
 }
 
-/// White, with a black ring of 20 px round a white disc of 8 px.
+/// A white image with a black ring of 20 px around a white disc of 8 px.
 pub fn picture() -> Vec<u8> {
     let level = |u: f64, v: f64| {
         let radius = (u - 160.0).hypot(v - 120.0);
@@ -54,7 +54,7 @@ pub fn picture() -> Vec<u8> {
     pixels.map(|(u, v)| level(u as f64, v as f64)).collect()
 }
 
-/// Cameras of those names, 3 m above the floor, each looking down at another place.
+/// A configuration of these cameras, 3 m above the floor, each looking down at another place.
 pub fn config(names: &[&str], source: &str, listen: &str, folder: &Path) -> Config {
     std::fs::write(folder.join("camera.yaml"), camera_file::write("a", &lens())).unwrap();
     let mut text = format!(
@@ -80,11 +80,11 @@ impl Rig {
     }
 
     pub async fn start_at(listen: &str) -> Self {
-        Self::start_promised(listen, None).await
+        Self::start_with_rate(listen, None).await
     }
 
-    /// Whose cameras are to give so many frames a second.
-    pub async fn start_promised(listen: &str, rate_hz: Option<f64>) -> Self {
+    /// Starts a server whose cameras have the configured rate `rate_hz`.
+    pub async fn start_with_rate(listen: &str, rate_hz: Option<f64>) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let mut config = config(&CAMERAS, "push:", listen, folder.path());
         config.cameras.iter_mut().for_each(|camera| camera.rate_hz = rate_hz);
@@ -100,20 +100,24 @@ impl Rig {
         self.server.hub().camera(CameraId(index)).unwrap()
     }
 
-    /// Waits until the camera is as wanted.
+    /// Waits until `is_reached` accepts the camera.
     pub async fn until(
         &self,
         what: &str,
         index: u32,
-        wanted: impl Fn(&CameraState) -> bool,
+        is_reached: impl Fn(&CameraState) -> bool,
     ) -> CameraState {
-        come_about(what, || Some(self.camera(index)).filter(|it| wanted(it)), || self.camera(index))
-            .await
+        wait_for(
+            what,
+            || Some(self.camera(index)).filter(|it| is_reached(it)),
+            || self.camera(index),
+        )
+        .await
     }
 }
 
-/// Waits until there is what is looked for; else shows how it is.
-pub async fn come_about<T, S: std::fmt::Debug>(
+/// Polls `look` until it returns a value; `state` describes the system if that takes too long.
+pub async fn wait_for<T, S: std::fmt::Debug>(
     what: &str,
     mut look: impl FnMut() -> Option<T>,
     state: impl Fn() -> S,
@@ -126,13 +130,13 @@ pub async fn come_about<T, S: std::fmt::Debug>(
             sleep(Duration::from_millis(5)).await;
         }
     };
-    match timeout(PATIENCE, looking).await {
+    match timeout(TIMEOUT, looking).await {
         Ok(found) => found,
-        Err(_) => panic!("{what} did not come about: {:#?}", state()),
+        Err(_) => panic!("{what} did not happen: {:#?}", state()),
     }
 }
 
-/// A camera of a node: the same frame again and again, while it is on.
+/// Turns the camera of a node on and off.
 #[derive(Clone, Default)]
 pub struct Switch(Arc<AtomicBool>);
 
@@ -146,7 +150,7 @@ impl Switch {
     }
 }
 
-struct Drawn {
+struct DrawnSource {
     pixels: Arc<Vec<u8>>,
     clock: Clock,
     interval: Duration,
@@ -154,14 +158,14 @@ struct Drawn {
     stop: StopSignal,
 }
 
-impl OpenSource for Drawn {
+impl OpenSource for DrawnSource {
     fn open(&mut self) -> Result<Box<dyn FrameSource>, SourceError> {
         if !self.switch.is_on() {
             return Err(SourceError::Failed("unplugged: plug it in".to_owned()));
         }
         let Self { pixels, clock, interval, switch, stop } = self;
         let (pixels, switch, stop) = (pixels.clone(), switch.clone(), stop.clone());
-        Ok(Box::new(Drawn { pixels, clock: *clock, interval: *interval, switch, stop }))
+        Ok(Box::new(DrawnSource { pixels, clock: *clock, interval: *interval, switch, stop }))
     }
 
     fn pause(&mut self, _: Duration, stop: &StopSignal) -> bool {
@@ -169,7 +173,7 @@ impl OpenSource for Drawn {
     }
 }
 
-impl FrameSource for Drawn {
+impl FrameSource for DrawnSource {
     fn next_frame(&mut self) -> Result<LentFrame<'_>, SourceError> {
         if self.stop.wait(self.interval) {
             return Err(SourceError::Stopped);
@@ -182,13 +186,13 @@ impl FrameSource for Drawn {
     }
 }
 
-/// A node with one camera, which is off at first.
-pub struct Fed {
+/// A node whose only camera repeats one frame while it is on; it is off at first.
+pub struct TestNode {
     pub node: Node,
     pub switch: Switch,
 }
 
-impl Fed {
+impl TestNode {
     pub fn start(camera: &str, server: &str, interval: Duration) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let config = config(&[camera], "sim:", "127.0.0.1:0", folder.path());
@@ -197,7 +201,7 @@ impl Fed {
         let pixels = Arc::new(picture());
         let node = Node::start_with_sources(&config, &client, |setting| {
             let (pixels, switch, stop) = (pixels.clone(), switch.clone(), setting.stop);
-            Box::new(Drawn { pixels, clock: setting.clock, interval, switch, stop })
+            Box::new(DrawnSource { pixels, clock: setting.clock, interval, switch, stop })
         });
         Self { node: node.unwrap(), switch }
     }
@@ -206,9 +210,9 @@ impl Fed {
         self.node.reports().remove(0)
     }
 
-    /// Waits until it is connected.
+    /// Waits until the node is connected.
     pub async fn connected(&self) {
         let look = || Some(()).filter(|()| self.report().pushed.connected);
-        come_about("a connection", look, || self.report()).await;
+        wait_for("a connection", look, || self.report()).await;
     }
 }

@@ -1,11 +1,11 @@
-//! The configuration as a whole: read, checked, applied.
+//! Reading, checking and applying the whole configuration.
 
 use axum::http::Method;
 use roundel_client::Client;
 use roundel_proto::v1;
 use serde_json::json;
 
-use crate::rig::{CONFIG, Rig, THIRD, come_about};
+use super::rig::{CONFIG, Rig, THIRD_CAMERA_TOML, wait_for};
 
 const OBJECT: &str = "\n[[object]]\nname = \"cart\" # red\nroundel = \"robot\"\n";
 
@@ -16,7 +16,7 @@ fn without_b(text: &str) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_is_the_same_goes_on_while_another_configuration_takes_its_place() {
+async fn applying_a_configuration_keeps_unchanged_cameras_running() {
     let rig = Rig::start().await;
     let before = rig.running("a").await;
     let client = Client::connect(&rig.url()).await.unwrap();
@@ -30,7 +30,7 @@ async fn what_is_the_same_goes_on_while_another_configuration_takes_its_place() 
     assert_eq!(in_force.detection.unwrap().mode, "precise");
 
     let limits = "\n[limits]\nmax_objects = 7\n[fusion]\nlost_after_ms = 3000\n";
-    let text = format!("{}{THIRD}{OBJECT}{limits}", without_b(CONFIG));
+    let text = format!("{}{THIRD_CAMERA_TOML}{OBJECT}{limits}", without_b(CONFIG));
     let check = client.check_configuration(&text).await.unwrap();
     let changes = [
         "camera \"c\" is new",
@@ -40,7 +40,7 @@ async fn what_is_the_same_goes_on_while_another_configuration_takes_its_place() 
     ];
     assert_eq!((check.problems.len(), check.needs_restart.len()), (0, 0), "{check:?}");
     assert_eq!(check.changes, changes);
-    assert_eq!(rig.file(), CONFIG, "nothing is changed by that");
+    assert_eq!(rig.file(), CONFIG, "a check must change nothing");
 
     let since = rig.newest_event();
     let applied = client.apply_configuration(&text, &in_force.version).await.unwrap();
@@ -52,32 +52,32 @@ async fn what_is_the_same_goes_on_while_another_configuration_takes_its_place() 
     let after = rig.running("a").await;
     assert!(after.frames > before.frames && after.restarts == 0, "{after:?}");
     let named = || rig.server.hub().object_by_name("cart");
-    come_about("an object of that name", named, || rig.server.hub().objects()).await;
-    let told = rig.events_since(since);
+    wait_for("an object with that name", named, || rig.server.hub().objects()).await;
+    let messages = rig.events_since(since);
     for words in ["Camera b was removed; ", "Object \"cart\" was added; ", "Camera c was added; "] {
-        assert!(told.iter().any(|message| message.starts_with(words)), "{words}: {told:?}");
+        assert!(messages.iter().any(|text| text.starts_with(words)), "{words}: {messages:?}");
     }
 
-    // The version that it was made from is in force no more.
+    // Rejects a change based on a version that is no longer in force.
     let error = client.apply_configuration(CONFIG, &in_force.version).await.unwrap_err();
     assert!(error.to_string().contains("read it again"), "{error}");
-    // As text, with curl.
+    // A JSON body with the text, as sent by curl.
     let fast = text.replacen("[[roundel]]", "[detection]\nmode = \"fast\"\n\n[[roundel]]", 1);
-    let answer = rig.done(Method::PUT, "/configuration", Some(json!({ "toml": fast }))).await;
+    let answer = rig.accepted(Method::PUT, "/configuration", Some(json!({ "toml": fast }))).await;
     let changes = ["camera \"a\": mode", "camera \"c\": mode", "[detection] mode"];
     assert_eq!(answer["changes"], json!(changes));
     rig.running("a").await;
-    let again = rig.done(Method::PUT, "/configuration", Some(json!({ "toml": fast }))).await;
+    let again = rig.accepted(Method::PUT, "/configuration", Some(json!({ "toml": fast }))).await;
     assert_eq!((&again["changes"], &again["version"]), (&json!([]), &answer["version"]));
-    // A camera that is changed by itself is found under its place still.
-    rig.done(Method::PATCH, "/cameras/c", Some(json!({"name": "west"}))).await;
-    rig.done(Method::DELETE, "/cameras/west", None).await;
-    assert_eq!(rig.file(), fast.replace(THIRD, ""));
+    // Cameras can still be changed individually, and are found in the new file.
+    rig.accepted(Method::PATCH, "/cameras/c", Some(json!({"name": "west"}))).await;
+    rig.accepted(Method::DELETE, "/cameras/west", None).await;
+    assert_eq!(rig.file(), fast.replace(THIRD_CAMERA_TOML, ""));
     rig.server.shutdown().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_is_wrong_or_takes_a_start_is_said_and_nothing_is_changed() {
+async fn problems_and_needed_restarts_are_reported_and_nothing_changes() {
     let rig = Rig::start().await;
     let client = Client::connect(&rig.url()).await.unwrap();
     let wrong = CONFIG
@@ -93,7 +93,7 @@ async fn what_is_wrong_or_takes_a_start_is_said_and_nothing_is_changed() {
         "{second:?}"
     );
     let (status, message) =
-        rig.refused(Method::PUT, "/configuration", Some(json!({ "toml": wrong }))).await;
+        rig.rejected(Method::PUT, "/configuration", Some(json!({ "toml": wrong }))).await;
     assert!(status == 400 && message.starts_with("toml: line 9, column "), "{status} {message}");
 
     let other = CONFIG.replace("outer_mm = 160.0", "outer_mm = 150.0").replace(
@@ -103,9 +103,9 @@ async fn what_is_wrong_or_takes_a_start_is_said_and_nothing_is_changed() {
     let check = client.check_configuration(&other).await.unwrap();
     assert_eq!(check.needs_restart, ["[server] snapshot_rate_hz", "[[roundel]]"]);
     let error = client.apply_configuration(&other, "").await.unwrap_err().to_string();
-    assert!(error.contains("[server] snapshot_rate_hz, [[roundel]] takes a start"), "{error}");
+    assert!(error.contains("[server] snapshot_rate_hz, [[roundel]] need a restart"), "{error}");
     let (status, message) =
-        rig.refused(Method::PUT, "/configuration", Some(json!({"tml": ""}))).await;
+        rig.rejected(Method::PUT, "/configuration", Some(json!({"tml": ""}))).await;
     assert!(status == 400 && message.contains("application/toml"), "{status} {message}");
     assert_eq!(rig.file(), CONFIG);
 
@@ -113,14 +113,14 @@ async fn what_is_wrong_or_takes_a_start_is_said_and_nothing_is_changed() {
     std::fs::write(&path, format!("{CONFIG}# mine\n")).unwrap();
     let object = format!("{CONFIG}{OBJECT}");
     let error = client.apply_configuration(&object, "").await.unwrap_err().to_string();
-    assert!(error.contains("was changed since this server read it"), "{error}");
+    assert!(error.contains("has changed since this server read it"), "{error}");
     assert!(rig.server.hub().installation().object_names.is_empty());
     rig.server.shutdown().await;
 }
 
-/// Nobody who reads a configuration learns a password, and who writes it back does not lose one.
+/// A configuration that is read contains no passwords, and writing it back does not lose them.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn passwords_stay_where_they_are() {
+async fn passwords_are_neither_shown_nor_lost() {
     let secret = CONFIG.replace("images:b/*.pgm?fps=25&loop=true", "http://eve:pw@127.0.0.1:9/x");
     let rig = Rig::start_with(&secret).await;
     let client = Client::connect(&rig.url()).await.unwrap();

@@ -1,4 +1,4 @@
-//! A server with two cameras that play pictures of a roundel, and a small HTTP client.
+//! A server with two cameras that play images of a roundel, and a small HTTP client.
 
 use std::{fs, path::Path, time::Duration};
 
@@ -16,8 +16,8 @@ use roundel_server::{
 use serde_json::{Value, json};
 use tokio::time::{sleep, timeout};
 
-/// Nothing here takes so long but on a machine that stands still.
-pub const PATIENCE: Duration = Duration::from_secs(60);
+/// Timeout of every wait; only a stalled machine reaches it.
+pub const TIMEOUT: Duration = Duration::from_secs(60);
 
 pub const SIZE: (usize, usize) = (160, 120);
 
@@ -55,7 +55,7 @@ pub struct Rig {
     pub folder: tempfile::TempDir,
 }
 
-/// A lens with that focal length, for pictures of [`SIZE`].
+/// A pinhole camera of [`SIZE`].
 pub fn lens(focal_px: f64) -> Camera {
     let (width, height) = SIZE;
     let camera = Camera::new(Intrinsics {
@@ -70,11 +70,11 @@ pub fn lens(focal_px: f64) -> Camera {
     camera.unwrap()
 }
 
-/// White, with a black ring of 20 px round a white disc in the middle, moved aside by so many pixels.
-fn picture(aside_px: f64) -> Vec<u8> {
+/// A white image with a black ring of 20 px around a white disc, off the centre by `offset_px`.
+fn picture(offset_px: f64) -> Vec<u8> {
     let (width, height) = SIZE;
     let level = |u: usize, v: usize| {
-        let radius = (u as f64 - 79.5 - aside_px).hypot(v as f64 - 59.5);
+        let radius = (u as f64 - 79.5 - offset_px).hypot(v as f64 - 59.5);
         let ink = (20.5 - radius).clamp(0.0, 1.0) - (8.5 - radius).clamp(0.0, 1.0);
         (220.0 - 190.0 * ink).round() as u8
     };
@@ -86,7 +86,7 @@ pub fn write_lens(folder: &Path, name: &str, focal_px: f64) {
     fs::write(folder.join(name), camera_file::write(name, &lens(focal_px))).unwrap();
 }
 
-/// The folder of an installation.
+/// A folder with a configuration, a camera file and images.
 pub fn lab(config: &str) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     write_lens(folder.path(), "camera.yaml", 300.0);
@@ -112,7 +112,7 @@ impl Rig {
         Self { server: Server::start(config).await.unwrap(), folder }
     }
 
-    /// The configuration's file, as it is now.
+    /// The current content of the configuration file.
     pub fn file(&self) -> String {
         fs::read_to_string(self.folder.path().join("lab.toml")).unwrap()
     }
@@ -121,31 +121,30 @@ impl Rig {
         format!("http://{}", self.server.local_addr())
     }
 
-    /// The camera of that name; `None` if there is none.
     pub fn camera(&self, name: &str) -> Option<CameraState> {
         let hub = self.server.hub();
         hub.installation().camera_id(name).and_then(|id| hub.camera(id))
     }
 
-    /// Waits until a camera is as wanted.
+    /// Waits until `is_reached` accepts the camera.
     pub async fn until(
         &self,
         what: &str,
         name: &str,
-        wanted: impl Fn(&CameraState) -> bool,
+        is_reached: impl Fn(&CameraState) -> bool,
     ) -> CameraState {
-        come_about(what, || self.camera(name).filter(&wanted), || self.camera(name)).await
+        wait_for(what, || self.camera(name).filter(&is_reached), || self.camera(name)).await
     }
 
-    /// Waits until a camera gives frames, some more than it has now.
+    /// Waits until a camera has delivered more than five further frames.
     pub async fn running(&self, name: &str) -> CameraState {
         let before = self.camera(name).map_or(0, |state| state.frames);
         self.until("frames", name, |state| state.frames > before + 5 && state.error.is_empty())
             .await
     }
 
-    /// Status and JSON of an answer.
-    pub async fn ask(
+    /// Sends a request and returns the status and the JSON of the response.
+    pub async fn send(
         &self,
         method: Method,
         path: &str,
@@ -155,27 +154,27 @@ impl Rig {
         let request = Request::builder().method(method).uri(format!("{}/api/v1{path}", self.url()));
         let request = request.header(header::CONTENT_TYPE, "application/json");
         let body = body.map_or_else(Body::empty, |body| Body::from(body.to_string()));
-        let response = timeout(PATIENCE, client.request(request.body(body).unwrap())).await;
+        let response = timeout(TIMEOUT, client.request(request.body(body).unwrap())).await;
         let (head, body) = response.unwrap().unwrap().into_parts();
         let body = body.collect().await.unwrap().to_bytes();
         (head.status, serde_json::from_slice(&body).unwrap_or(Value::Null))
     }
 
-    /// The answer to what has to succeed.
-    pub async fn done(&self, method: Method, path: &str, body: Option<Value>) -> Value {
-        let (status, answer) = self.ask(method, path, body).await;
+    /// The response to a request that must succeed.
+    pub async fn accepted(&self, method: Method, path: &str, body: Option<Value>) -> Value {
+        let (status, answer) = self.send(method, path, body).await;
         assert_eq!(status, StatusCode::OK, "{answer}");
         answer
     }
 
-    /// Status and message of what has to fail.
-    pub async fn refused(&self, method: Method, path: &str, body: Option<Value>) -> (u16, String) {
-        let (status, answer) = self.ask(method, path, body).await;
+    /// Status and error message of a request that must fail.
+    pub async fn rejected(&self, method: Method, path: &str, body: Option<Value>) -> (u16, String) {
+        let (status, answer) = self.send(method, path, body).await;
         assert!(!status.is_success(), "{answer}");
         (status.as_u16(), answer["error"]["message"].as_str().unwrap().to_owned())
     }
 
-    /// The newest events' kinds and cameras, since the one with that sequence.
+    /// Messages of the events after this sequence number.
     pub fn events_since(&self, sequence: u64) -> Vec<String> {
         let (events, _) = self.server.hub().events(1000);
         let new = events.iter().filter(|event| event.sequence > sequence);
@@ -187,8 +186,8 @@ impl Rig {
     }
 }
 
-/// A third camera, as a client sends it.
-pub fn third() -> Value {
+/// The request that adds a third camera.
+pub fn third_camera() -> Value {
     json!({
         "name": "c",
         "source": "images:c/*.pgm?fps=25&loop=true",
@@ -200,8 +199,8 @@ pub fn third() -> Value {
     })
 }
 
-/// What it makes of the configuration.
-pub const THIRD: &str = r#"
+/// The text that [`third_camera`] adds to the configuration file.
+pub const THIRD_CAMERA_TOML: &str = r#"
 [[camera]]
 name = "c"
 source = "images:c/*.pgm?fps=25&loop=true"
@@ -209,11 +208,11 @@ calibration = "camera.yaml"
 pose = { position_m = [-5.0, 0.0, 3.0], orientation_xyzw = [1.0, 0.0, 0.0, 0.0] }
 "#;
 
-/// Waits for it.
-pub async fn come_about<T, S: std::fmt::Debug>(
+/// Polls `look` until it returns a value; `state` describes the system if that takes too long.
+pub async fn wait_for<T, S: std::fmt::Debug>(
     what: &str,
     mut look: impl FnMut() -> Option<T>,
-    instead: impl Fn() -> S,
+    state: impl Fn() -> S,
 ) -> T {
     let wait = async {
         loop {
@@ -223,8 +222,8 @@ pub async fn come_about<T, S: std::fmt::Debug>(
             sleep(Duration::from_millis(5)).await;
         }
     };
-    match timeout(PATIENCE, wait).await {
+    match timeout(TIMEOUT, wait).await {
         Ok(found) => found,
-        Err(_) => panic!("{what} did not come about: {:#?}", instead()),
+        Err(_) => panic!("{what} did not happen: {:#?}", state()),
     }
 }

@@ -1,4 +1,4 @@
-//! `http://…`: MJPEG and snapshots.
+//! `http://…` sources: MJPEG streams and JPEG snapshots.
 
 use std::{
     io::Write,
@@ -9,17 +9,20 @@ use std::{
 };
 
 use roundel_core::{id::CameraId, world::FrameObservations};
-use roundel_server::model::{capture_clock::TimeBase, hub::CameraStatus};
+use roundel_server::model::{
+    capture_clock::TimeBase,
+    hub::{CameraStatus, EventKind},
+};
 use tokio::{sync::broadcast::error::RecvError, time::timeout};
 
 use super::{
-    camera::{NetworkCamera, STREAM, jpeg, part},
-    rig::{PATIENCE, Rig, SIZE, running},
+    fake_camera::{FakeCamera, STREAM, jpeg, part},
+    rig::{Rig, SIZE, TIMEOUT, running},
 };
 
 const INTERVAL: Duration = Duration::from_millis(20);
 
-/// Sends pictures until nobody listens.
+/// Streams pictures until the client disconnects.
 fn stream(socket: &mut TcpStream) -> std::io::Result<()> {
     socket.write_all(STREAM.as_bytes())?;
     let picture = part(&jpeg(SIZE, 90), "");
@@ -29,19 +32,19 @@ fn stream(socket: &mut TcpStream) -> std::io::Result<()> {
     }
 }
 
-fn url(camera: &NetworkCamera) -> String {
+fn url(camera: &FakeCamera) -> String {
     format!("http://{}/stream", camera.address())
 }
 
-/// An answer that has one part only.
+/// A response that is not a stream.
 fn plain(head: &str, body: &[u8]) -> Vec<u8> {
     let head = head.replace('\n', "\r\n");
     [format!("HTTP/1.1 {head}\r\nContent-Length: {}\r\n\r\n", body.len()).as_bytes(), body].concat()
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn frames_are_counted_to_the_last_one() {
-    let camera = NetworkCamera::start(|number, request, socket| {
+async fn counts_every_frame_of_a_stream() {
+    let camera = FakeCamera::start(|number, request, socket| {
         assert!(request.starts_with("GET /stream?res=9 HTTP/1.1\r\n"), "{request}");
         if number > 0 {
             return Ok(());
@@ -64,11 +67,11 @@ async fn frames_are_counted_to_the_last_one() {
     rig.server.shutdown().await;
 }
 
-/// As many observations as wanted.
+/// Collects this number of observations.
 async fn observations(rig: &Rig, count: usize) -> Vec<Arc<FrameObservations>> {
     let mut receiver = rig.server.hub().observations();
     let mut seen = Vec::new();
-    let gather = async {
+    let collect = async {
         while seen.len() < count {
             match receiver.recv().await {
                 Ok(frame) => seen.push(frame),
@@ -77,18 +80,18 @@ async fn observations(rig: &Rig, count: usize) -> Vec<Arc<FrameObservations>> {
             }
         }
     };
-    timeout(PATIENCE, gather).await.expect("no observations");
+    timeout(TIMEOUT, collect).await.expect("no observations");
     seen
 }
 
-/// The camera's stamps are 40 ms apart, whatever happens on the way.
+/// The camera's time stamps are 40 ms apart, however late its frames arrive.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn stamps_of_the_camera_take_the_jitter_away() {
-    let camera = NetworkCamera::start(|_, _, socket| {
+async fn camera_time_stamps_remove_the_jitter() {
+    let camera = FakeCamera::start(|_, _, socket| {
         socket.write_all(STREAM.as_bytes())?;
         let begun = std::time::Instant::now();
         for frame in 0..u32::MAX {
-            // Sent up to 30 ms late, but for every fourth.
+            // Sends three of four frames late, by up to 30 ms.
             let due = INTERVAL * 2 * frame + Duration::from_millis(u64::from(frame % 4 * 10));
             sleep(due.saturating_sub(begun.elapsed()));
             let stamp_s = 7.5 + f64::from(frame) * 0.04;
@@ -98,7 +101,7 @@ async fn stamps_of_the_camera_take_the_jitter_away() {
     });
     let rig = Rig::start(&url(&camera)).await;
     let seen = observations(&rig, 60).await;
-    // Frames that were dropped leave gaps of whole intervals; what is off is what the way was at its quickest.
+    // Dropped frames leave gaps of whole intervals, which are subtracted.
     let times: Vec<i64> = seen[8..].iter().map(|it| it.capture_time.as_ns()).collect();
     let off = times.windows(2).map(|pair| {
         let rest = (pair[1] - pair[0]).rem_euclid(40_000_000);
@@ -113,19 +116,20 @@ async fn stamps_of_the_camera_take_the_jitter_away() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_camera_that_is_killed_and_started_again_comes_back() {
-    let camera = NetworkCamera::start(|_, _, socket| stream(socket));
+async fn recovers_when_a_camera_restarts() {
+    let camera = FakeCamera::start(|_, _, socket| stream(socket));
     let address = camera.address();
     let rig = Rig::start(&url(&camera)).await;
     rig.until("running", |state| running(state) && state.frames > 5).await;
     drop(camera);
     let failed = rig.until("failure", |state| state.restarts > 0).await;
     assert_eq!(failed.status, CameraStatus::Failed);
-    let refused = rig.until("refusal", |state| state.error.contains("cannot reach")).await;
-    assert!(refused.error.contains(&address.to_string()), "{}", refused.error);
-    assert!(refused.error.contains("nothing listens on that port"), "{}", refused.error);
+    let unreachable =
+        rig.until("an unreachable camera", |state| state.error.contains("cannot reach")).await;
+    assert!(unreachable.error.contains(&address.to_string()), "{}", unreachable.error);
+    assert!(unreachable.error.contains("nothing listens on that port"), "{}", unreachable.error);
 
-    let _camera = NetworkCamera::start_at(address, |_, _, socket| stream(socket));
+    let _camera = FakeCamera::start_at(address, |_, _, socket| stream(socket));
     let back =
         rig.until("recovery", |state| running(state) && state.frames > failed.frames + 5).await;
     assert_eq!(back.error, "");
@@ -133,8 +137,8 @@ async fn a_camera_that_is_killed_and_started_again_comes_back() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_stall_is_noticed_and_the_connection_made_anew() {
-    let camera = NetworkCamera::start(|number, _, socket| {
+async fn detects_a_stall_and_reconnects() {
+    let camera = FakeCamera::start(|number, _, socket| {
         if number > 0 {
             return stream(socket);
         }
@@ -143,27 +147,30 @@ async fn a_stall_is_noticed_and_the_connection_made_anew() {
             socket.write_all(&part(&jpeg(SIZE, 90), ""))?;
             sleep(INTERVAL);
         }
-        // Half a picture, and silence on a connection that stands.
+        // Half a picture, then no data on an open connection.
         socket.write_all(&part(&jpeg(SIZE, 90), "")[..300])?;
         sleep(Duration::from_secs(8));
         Ok(())
     });
     let rig = Rig::start(&url(&camera)).await;
     let message = rig.failure().await;
-    assert_eq!(message, "stalled: no picture for 1.0 s; what comes holds no JPEG, or not its end");
+    assert_eq!(
+        message,
+        "stalled: no picture for 1.0 s; the received data contain no complete JPEG"
+    );
     let back = rig.until("recovery", |state| running(state) && state.restarts == 1).await;
     assert_eq!(back.error, "");
     rig.server.shutdown().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn garbage_on_the_wire_is_counted_and_survived() {
-    let camera = NetworkCamera::start(|_, _, socket| {
+async fn corrupted_pictures_are_counted_and_skipped() {
+    let camera = FakeCamera::start(|_, _, socket| {
         socket.write_all(STREAM.as_bytes())?;
         let good = jpeg(SIZE, 90);
         let noise: Vec<u8> =
             (0..5000u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 16) as u8).collect();
-        // Whole by its markers, but what it codes is damaged.
+        // Complete by its markers, but with damaged image data.
         let mut damaged = good.clone();
         let end = damaged.len();
         damaged.truncate(end - 12);
@@ -184,9 +191,9 @@ async fn garbage_on_the_wire_is_counted_and_survived() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn single_pictures_are_asked_for_again_and_again() {
+async fn polls_a_camera_that_serves_single_pictures() {
     let picture = jpeg(SIZE, 90);
-    let camera = NetworkCamera::start(move |_, _, socket| {
+    let camera = FakeCamera::start(move |_, _, socket| {
         socket.write_all(&plain("200 OK\nContent-Type: image/jpeg", &picture))
     });
     let rig = Rig::start(&format!("{}#fps=50", url(&camera))).await;
@@ -197,12 +204,12 @@ async fn single_pictures_are_asked_for_again_and_again() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn user_and_password_are_sent_and_not_shown() {
-    let heard = Arc::new(Mutex::new(String::new()));
-    let camera = NetworkCamera::start({
-        let heard = heard.clone();
+async fn credentials_are_sent_and_not_shown() {
+    let received = Arc::new(Mutex::new(String::new()));
+    let camera = FakeCamera::start({
+        let received = received.clone();
         move |_, request, socket| {
-            request.clone_into(&mut heard.lock().unwrap());
+            request.clone_into(&mut received.lock().unwrap());
             if request.contains("authorization: Basic bGFiOmdlaGVpbQ==") {
                 return stream(socket);
             }
@@ -215,7 +222,7 @@ async fn user_and_password_are_sent_and_not_shown() {
     let shown = rig.server.hub().installation().cameras[&CameraId(0)].source.clone();
     assert_eq!(shown, format!("http://{address}/stream"));
     rig.server.shutdown().await;
-    assert!(heard.lock().unwrap().starts_with("GET /stream HTTP/1.1"));
+    assert!(received.lock().unwrap().starts_with("GET /stream HTTP/1.1"));
 
     let rig = Rig::start(&format!("http://lab:secret@{address}/stream")).await;
     let wrong = rig.failure().await;
@@ -224,30 +231,30 @@ async fn user_and_password_are_sent_and_not_shown() {
     rig.server.shutdown().await;
 }
 
-/// Each answer, and what is said about it.
+/// Each kind of wrong response, and its error message.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn wrong_answers_are_told_with_the_remedy() {
+async fn wrong_responses_give_errors_with_a_remedy() {
     let small = jpeg((32, 24), 90);
     let page = b"<html>IP Camera</html>".to_vec();
     let cases: Vec<(Vec<u8>, &str)> = vec![
         (plain("404 Not Found", b""), "/stream answers 404 Not Found: it has no such path;"),
         (
             plain("401 Unauthorized\nWWW-Authenticate: Basic", b""),
-            "wants a user and a password: http://USER:PASSWORD@",
+            "requires a user and a password, as in http://USER:PASSWORD@",
         ),
         (
             plain("401 Unauthorized\nWWW-Authenticate: Digest qop=auth", b""),
-            "wants Digest authentication",
+            "requires Digest authentication",
         ),
         (plain("503 Service Unavailable", b""), "one viewer at a time"),
-        (plain("500 Internal Server Error", b""), "the camera has a fault"),
+        (plain("500 Internal Server Error", b""), "the camera has an internal error"),
         (
             plain("302 Found\nLocation: /video", b""),
-            "/stream sends to `/video` (302 Found): redirects are not followed",
+            "/stream redirects to `/video` (302 Found): redirects are not followed",
         ),
         (
             plain("200 OK\nContent-Type: text/html", &page),
-            "expected multipart/x-mixed-replace or image/jpeg, found text/html: this is a page for people",
+            "expected multipart/x-mixed-replace or image/jpeg, found text/html: this is a web page",
         ),
         (
             plain("200 OK\nContent-Type: video/mp4", b"...."),
@@ -265,12 +272,12 @@ async fn wrong_answers_are_told_with_the_remedy() {
         (Vec::new(), "closed the connection"),
     ];
     for (answer, expected) in cases {
-        let camera = NetworkCamera::start(move |_, _, socket| socket.write_all(&answer));
+        let camera = FakeCamera::start(move |_, _, socket| socket.write_all(&answer));
         let rig = Rig::start(&url(&camera)).await;
         let message = rig.failure().await;
         assert!(message.contains(expected), "expected {expected:?}, found {message:?}");
-        let told = rig.told(CameraStatus::Failed);
-        assert!(told[0].contains(expected), "the event: {told:?}");
+        let events = rig.events(EventKind::CameraFailed);
+        assert!(events[0].contains(expected), "the event: {events:?}");
         rig.server.shutdown().await;
     }
 }

@@ -16,18 +16,17 @@ use roundel_server::{
 };
 use tokio::time::{sleep, timeout};
 
-/// Nothing here takes so long but on a machine that stands still.
-pub const PATIENCE: Duration = Duration::from_secs(60);
-/// Of the camera file.
+/// Timeout of every wait; only a stalled machine reaches it.
+pub const TIMEOUT: Duration = Duration::from_secs(60);
+/// Image size in the camera file.
 pub const SIZE: (u16, u16) = (64, 48);
 
-/// An installation with one camera of that source.
 pub struct Rig {
     pub server: Server,
     _folder: tempfile::TempDir,
 }
 
-/// Its configuration.
+/// A configuration with one camera of this source.
 pub fn config(source: &str, folder: &Path) -> Config {
     let camera = Camera::new(Intrinsics {
         width: SIZE.0.into(),
@@ -55,34 +54,36 @@ impl Rig {
         Self { server, _folder: folder }
     }
 
-    /// Waits until the camera is as wanted.
-    pub async fn until(&self, what: &str, wanted: impl Fn(&CameraState) -> bool) -> CameraState {
+    /// Waits until `is_reached` accepts the camera.
+    pub async fn until(
+        &self,
+        what: &str,
+        is_reached: impl Fn(&CameraState) -> bool,
+    ) -> CameraState {
         let look = async {
             loop {
                 let state = self.server.hub().camera(CameraId(0)).unwrap();
-                if wanted(&state) {
+                if is_reached(&state) {
                     return state;
                 }
                 sleep(Duration::from_millis(5)).await;
             }
         };
-        match timeout(PATIENCE, look).await {
+        match timeout(TIMEOUT, look).await {
             Ok(state) => state,
-            Err(_) => panic!("{what} did not come about: {:#?}", self.server.hub().cameras()),
+            Err(_) => panic!("{what} did not happen: {:#?}", self.server.hub().cameras()),
         }
     }
 
-    /// What the camera fails with.
+    /// Waits until the camera has failed, and returns its error.
     pub async fn failure(&self) -> String {
         self.until("a failure", |state| state.status == CameraStatus::Failed).await.error
     }
 
-    /// What events have told of the camera.
-    pub fn told(&self, status: CameraStatus) -> Vec<String> {
+    /// Messages of the events of this kind.
+    pub fn events(&self, kind: EventKind) -> Vec<String> {
         let (events, _) = self.server.hub().events(100);
-        let about = events.into_iter().filter(
-            |event| matches!(event.kind, EventKind::CameraStatusChanged(_, found) if found == status),
-        );
+        let about = events.into_iter().filter(|event| event.kind() == kind);
         about.map(|event| event.message.clone()).collect()
     }
 }

@@ -5,7 +5,7 @@
 
 use std::{process::ExitCode, time::Instant};
 
-use roundel_tests::paper::{ALL, INTRODUCTION, Length, state};
+use roundel_tests::paper::{ALL, INTRODUCTION, Length, machine};
 
 /// What stands above the tables, where names are given.
 const HEAD: &str = "introduction";
@@ -24,7 +24,7 @@ fn main() -> ExitCode {
     let length = if options.is_empty() { Length::Full } else { Length::Short };
     let is_wanted = |name: &str| names.is_empty() || names.iter().any(|wanted| wanted == name);
     if is_wanted(HEAD) {
-        println!("{INTRODUCTION}\n{}", state());
+        println!("{INTRODUCTION}\n{}", machine());
     }
     let mut failed = false;
     for (name, experiment) in ALL {

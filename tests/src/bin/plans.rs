@@ -3,6 +3,8 @@
 
 use std::process::ExitCode;
 
+use roundel_core::marker::Pattern;
+use roundel_server::lab::plan::timing::TimingCase;
 use roundel_tests::{
     plans::{
         Pair, compare,
@@ -35,18 +37,13 @@ fn main() -> ExitCode {
 }
 
 fn timed() -> ExitCode {
-    let [own, others] = match times() {
-        Ok(both) => both,
+    match times() {
+        Ok(all) => ended(timed_ones(&all)),
         Err(error) => {
             eprintln!("error: {error:#}");
-            return ExitCode::FAILURE;
+            ExitCode::FAILURE
         }
-    };
-    println!("As measured for the constants:");
-    timed_ones(&own);
-    println!("Others:");
-    // The constants are of the former: how well they fit those says nothing of others.
-    ended(timed_ones(&others))
+    }
 }
 
 /// How the program ends, by whether all was held.
@@ -65,27 +62,27 @@ fn timed_ones(all: &[Timed]) -> bool {
     println!(
         "  mode    | megapixels  roundels         px  px a frame  searched | measured ms  plan/measured"
     );
-    for (load, mode, pair) in all {
+    let is_coded = |case: &TimingCase| matches!(case.kind.pattern, Pattern::Coded(_));
+    for (case, searched_share, pair) in all {
         println!(
-            "{:9} | {:10.2}  {:8.1}  {:6} {:3.0}  {:10.1}  {:8} | {:11.3}  {:12.2}{}",
-            format!("{mode:?}"),
-            load.image_px * 1e-6,
-            load.roundels,
-            if load.is_coded { "coded" } else { "" },
-            load.diameter_px,
-            load.motion_px,
-            if load.searched_share > 0.0 { "yes" } else { "" },
+            "{:9} | {:10.2}  {:8}  {:6} {:3.0}  {:10.1}  {:8} | {:11.3}  {:12.2}{}",
+            format!("{:?}", case.mode),
+            (case.size.0 * case.size.1) as f64 * 1e-6,
+            case.roundels,
+            if is_coded(case) { "coded" } else { "" },
+            case.diameter_px,
+            case.motion_px,
+            if *searched_share > 0.0 { "yes" } else { "" },
             pair.simulated * 1e3,
             pair.ratio(),
             mark(pair, TIME_SHARE)
         );
     }
     for mode in MODES {
-        for (name, is_coded) in [("plain", false), ("coded", true)] {
-            for (what, searched_share) in [("followed", 0.0), ("searched", 1.0)] {
-                let is_one = |(load, its_mode, _): &&Timed| {
-                    let sort = (load.is_coded, load.searched_share, *its_mode);
-                    sort == (is_coded, searched_share, mode)
+        for (name, coded) in [("plain", false), ("coded", true)] {
+            for (what, share) in [("followed", 0.0), ("searched", 1.0)] {
+                let is_one = |(case, searched_share, _): &&Timed| {
+                    (is_coded(case), *searched_share, case.mode) == (coded, share, mode)
                 };
                 let pairs: Vec<Pair> = all.iter().filter(is_one).map(|(.., pair)| *pair).collect();
                 told(&format!("time, {mode:?}, {name}, {what}"), &pairs, TIME_SHARE);

@@ -25,8 +25,6 @@ use crate::{
 pub const SIDE_M: f64 = 0.15;
 /// Images of the fast one.
 pub const FAST: usize = 130;
-/// What is further from one image to the next is the jump, pixels.
-const JUMP_PX: f64 = 100.0;
 
 /// One dataset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,22 +54,6 @@ impl Dataset {
             Self::Large => 60.0,
             Self::Fast => 52.0,
         }
-    }
-
-    /// How far it moves from frame to frame in the mean, pixels.
-    pub fn motion_px(self) -> f64 {
-        if self != Self::Fast {
-            return 0.0;
-        }
-        let optics = PaperCamera::logitech().optics;
-        let places = (0..FAST).map(|number| self.place(&optics, number).0);
-        let moved = places.clone().zip(places.skip(1)).map(|(from, to)| (to - from).norm());
-        moved.filter(|px| *px < JUMP_PX).sum::<f64>() / (FAST - 2) as f64
-    }
-
-    /// Share of frames in which it is lost.
-    pub fn lost(self) -> f64 {
-        if self == Self::Fast { 1.0 / FAST as f64 } else { 0.0 }
     }
 
     /// Images of the static ones differ by noise alone, so that a few stand for the paper's thousand.
@@ -123,7 +105,9 @@ mod tests {
         let moved_px = |two: &[(Vector2<f64>, f64)]| (two[1].0 - two[0].0).norm();
         let far: Vec<f64> = places.windows(2).map(moved_px).filter(|px| *px > 14.0).collect();
         assert!(matches!(far[..], [px] if px > 250.0), "{far:?}");
-        assert!((3.0..14.0).contains(&Dataset::Fast.motion_px()), "{}", Dataset::Fast.motion_px());
+        let near: Vec<f64> = places.windows(2).map(moved_px).filter(|px| *px <= 14.0).collect();
+        let mean_px = near.iter().sum::<f64>() / near.len() as f64;
+        assert!((3.0..14.0).contains(&mean_px), "{mean_px}");
         for (middle, diameter_px) in places {
             let reach_px = 0.8 * diameter_px;
             assert!(middle.x > reach_px && middle.x < optics.width as f64 - reach_px);

@@ -28,8 +28,6 @@ mod sizes;
 mod speed;
 pub mod table;
 
-use std::process::Command;
-
 pub use table::{Aim, Row, Table};
 
 /// What stands above all tables, so that the program's output is the whole of `tests/paper.md`.
@@ -38,43 +36,29 @@ pub const INTRODUCTION: &str = "\
 
     cargo run --release -p roundel-tests --bin paper > tests/paper.md
 
-repeats section 6 of Krajník et al., *A Practical Multirobot Localization System*, 2014, before simulated cameras, with
-Roundel's detector, poses and calibration as they are; `-- NAME…` does some of it (table1 to table8, fig6, sizes), `--short`
-less of each. `cargo test -p roundel-tests --test paper` holds the rows of precision and range to be better than the paper's,
-and this program ends with an error where a row is worse without saying why.
+repeats section 6 of Krajník et al., *A Practical Multirobot Localization System*, 2014, with simulated cameras and
+Roundel's unmodified detector, poses and calibration. `-- NAME…` selects tables (table1 to table8, fig6, sizes), `--short`
+renders fewer pictures. `cargo test -p roundel-tests --test main paper::` requires the rows of precision and range to be better than
+the paper's. The program fails if a row is worse and gives no reason.
 
-Columns: what the paper measured; what its model predicted; what the sensor model (equations 12 to 20, as corrected in
-[errata.md](../core/docs/errata.md), or the plan's where a table says so) predicts for what is measured here; what is measured
-here; how many times better that is than the paper's measurement; and how far it is from our model where that is a tenth or
-more, with what makes the difference. What the paper does not say of its cameras and halls
-was chosen, and is told in `tests/src/paper/scene.rs`, `hall.rs`, `moving.rs` and `datasets.rs`. A rendered picture has no
-vignetting, no compression and no lens that differs from its model, so that distances and errors are what a camera as
-good as that would give. Precision is judged with lenses as `roundel calibrate lens` finds them in rendered views.
+| column | content |
+| --- | --- |
+| paper | measurement of the paper |
+| its model | prediction of the paper's model |
+| our model | prediction for this measurement: equations 12 to 20 as corrected in [errata.md](../core/docs/errata.md), or that of `roundel plan` where the table says so |
+| here | measurement in simulation |
+| better by | improvement over the paper's measurement |
+| why | deviation from our model if it is a tenth or more, and its cause |
+
+`tests/src/paper/scene.rs`, `hall.rs`, `moving.rs` and `datasets.rs` document the assumptions about cameras and halls that the paper does not
+describe. Rendered pictures have no vignetting, no compression, and lenses that match their model, so distances and errors are those of an ideal
+camera. Precision is measured with lenses as `roundel calibrate lens` finds them in rendered views.
 ";
 
-/// What was run where, for whoever compares: the commit, and the machine.
-pub fn state() -> String {
-    let git = |arguments: &[&str]| {
-        let output = Command::new("git")
-            .args(["-C", env!("CARGO_MANIFEST_DIR")])
-            .args(arguments)
-            .output()
-            .ok()
-            .filter(|output| output.status.success())?;
-        Some(String::from_utf8_lossy(&output.stdout).trim().to_owned())
-    };
-    let commit =
-        git(&["rev-parse", "--short", "HEAD"]).unwrap_or_else(|| "an unknown commit".to_owned());
-    // The tables themselves are what is being written.
-    let changed =
-        git(&["status", "--porcelain", "--untracked-files=no", "--", ":/", ":/!tests/paper.md"])
-            .is_some_and(|changed| !changed.is_empty());
-    let also = if changed { ", with changes" } else { "" };
+/// The machine that the tables were made on.
+pub fn machine() -> String {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    format!(
-        "State: all at {commit}{also}, on a machine of {threads} threads ({}).\n",
-        speed::processor()
-    )
+    format!("Machine: {threads} threads ({}).\n", speed::processor())
 }
 
 /// How much is rendered.

@@ -2,23 +2,18 @@
 //! datasets of section 6.3.2, and beside ArUco and SimpleBlobDetector.
 //!
 //! Everything runs on one thread of this machine; the least of several rounds counts, since others use it too.
-//! Times include poses. Our model is the plan's ([`roundel_core::plan::time`]), with its constants of this machine as
-//! `roundel plan --measure` finds them, on frames other than these. Nothing is sought here once all roundels are
-//! followed, so that of such frames no pixel counts.
+//! Times include poses. We have no model of time to set beside them: the plan measures its times as well. Nothing is
+//! sought here once all roundels are followed, so that of such frames no pixel counts.
 
-use std::{
-    sync::{Mutex, PoisonError},
-    time::Instant,
-};
+use std::time::Instant;
 
 use nalgebra::Vector2;
 use roundel_core::{
     frame::Frame,
     marker::{Detector, Mode, Params, Tracker},
-    plan::{paper::Speed, time::Load},
+    plan::paper::Speed,
     pose::Locator,
 };
-use roundel_server::lab::plan::machine_timings::{self, MachineTimings};
 
 use super::{
     Aim, Length, Row, Table,
@@ -47,40 +42,6 @@ fn mode_name(mode: Mode) -> &'static str {
 /// Why any time may be worse than the paper's.
 const SLOWER: &str = "this machine is slower, or was used by others";
 
-/// The constants of this machine, which are measured once; in short those that stand in for them.
-static MACHINE: Mutex<Option<MachineTimings>> = Mutex::new(None);
-
-fn constants(length: Length) -> anyhow::Result<MachineTimings> {
-    if length == Length::Short {
-        return Ok(MachineTimings::default());
-    }
-    let mut known = MACHINE.lock().unwrap_or_else(PoisonError::into_inner);
-    match *known {
-        Some(machine) => Ok(machine),
-        None => Ok(*known.insert(machine_timings::measure(|_, _| {})?.0)),
-    }
-}
-
-fn of_constants(machine: &MachineTimings) -> &'static str {
-    if machine.is_measured {
-        "the plan's, with the constants that `roundel plan --measure` finds on this machine"
-    } else {
-        "the plan's, with constants of another machine"
-    }
-}
-
-/// Plain roundels, all of them followed.
-fn followed(count: usize, diameter_px: f64, motion_px: f64) -> Load {
-    Load {
-        image_px: 0.0,
-        roundels: count as f64,
-        diameter_px,
-        motion_px,
-        is_coded: false,
-        searched_share: 0.0,
-    }
-}
-
 /// The processor's name.
 pub fn processor() -> String {
     let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
@@ -99,7 +60,6 @@ pub fn figure(length: Length) -> anyhow::Result<Table> {
     });
     let numbers = [10, 100, 400]
         .map(|count| (format!("{count} of 30 px in 1920x1080"), Case { count, ..usual }));
-    let machine = constants(length)?;
     let mut rows = Vec::new();
     let mut first: Option<[f64; 2]> = None;
     let mut of_images: [Vec<f64>; 2] = Default::default();
@@ -110,8 +70,6 @@ pub fn figure(length: Length) -> anyhow::Result<Table> {
         let first_s = *first.get_or_insert([measured[0].follow_s, measured[1].follow_s]);
         for (index, mode) in MODES.into_iter().enumerate() {
             let follow_s = measured[index].follow_s;
-            let model_s =
-                machine.of(mode).frame_s(&followed(case.count, case.diameter_px, MOTION_PX));
             let papers_s = Speed::PAPER.frame_s(case.count, case.diameter_px, 0.0, 0.0);
             if case.count == 1 && case.diameter_px == usual.diameter_px {
                 of_images[index].push(follow_s);
@@ -119,7 +77,6 @@ pub fn figure(length: Length) -> anyhow::Result<Table> {
             let each = follow_s / case.count as f64;
             let row = Row::new(format!("{name}, {}: ms", mode_name(mode)), 1e3 * follow_s)
                 .paper_model(1e3 * papers_s)
-                .model(1e3 * model_s)
                 .note(format!(
                     "{:.1} µs each, {:.2} of one of 30 px alone; {:.1} times less than by the paper's model",
                     1e6 * each,
@@ -142,9 +99,8 @@ pub fn figure(length: Length) -> anyhow::Result<Table> {
         format!(
             "Least time to follow and locate all roundels of a frame, which move by {MOTION_PX} px, on one thread of {}. Of \
              its curves the paper tells only that 400 roundels take less than 10 ms, on an i5 of 2.5 GHz; its model is \
-             equation 20 with the constants of its example. Our model is {}.",
-            processor(),
-            of_constants(&machine)
+             equation 20 with the constants of its example.",
+            processor()
         ),
         format!(
             "With the image's size, over 27 times as many pixels, times of one roundel vary by {:.0} % ({first_mode}) and \
@@ -194,14 +150,6 @@ fn mean_s(
     Ok((followed.iter().sum::<f64>() / followed.len() as f64, found))
 }
 
-/// By the plan, seconds a frame of a dataset.
-fn foretold_s(machine: &MachineTimings, mode: Mode, dataset: Dataset, image_px: f64) -> f64 {
-    let (constants, lost) = (machine.of(mode), dataset.lost());
-    let load = followed(1, dataset.diameter_px(), dataset.motion_px());
-    let searched = Load { image_px, searched_share: 1.0, ..load };
-    (1.0 - lost) * constants.frame_s(&load) + lost * constants.frame_s(&searched)
-}
-
 /// The datasets of table 5.
 const DATASETS: [Dataset; 3] = [Dataset::Small, Dataset::Large, Dataset::Fast];
 
@@ -219,34 +167,19 @@ const PLATFORMS: [(&str, [f64; 3], [f64; 3]); 5] = [
 pub fn platforms(length: Length) -> anyhow::Result<Table> {
     let camera = PaperCamera::logitech();
     let (_, print) = printed(SIDE_M);
-    let machine = constants(length)?;
-    let image_px = (camera.optics.width * camera.optics.height) as f64;
     let mut rows = Vec::new();
     let (own, own_ms, own_model_ms) = PLATFORMS[0];
     for (index, dataset) in DATASETS.into_iter().enumerate() {
         let images = dataset.pictures(&camera, &print, length);
         for mode in MODES {
             let (here_s, found) = mean_s(dataset, &images, mode, length.pick(2, 20))?;
-            let model_s = foretold_s(&machine, mode, dataset, image_px);
             let case = format!("{}, {}, beside the {own}: ms", dataset.name(), mode_name(mode));
-            let searched = match dataset {
-                Dataset::Fast => format!(", {:.4} of it the search after the jump", {
-                    let whole = Load {
-                        image_px,
-                        searched_share: 1.0,
-                        ..followed(1, dataset.diameter_px(), 0.0)
-                    };
-                    1e3 * dataset.lost() * machine.of(mode).frame_s(&whole)
-                }),
-                _ => String::new(),
-            };
             rows.push(
                 Row::new(case, 1e3 * here_s)
                     .paper(own_ms[index], Aim::Less)
                     .paper_model(own_model_ms[index])
-                    .model(1e3 * model_s)
                     .excuse(SLOWER)
-                    .note(format!("found in {found} of {}{searched}", images.len())),
+                    .note(format!("found in {found} of {}", images.len())),
             );
         }
     }
@@ -266,13 +199,11 @@ pub fn platforms(length: Length) -> anyhow::Result<Table> {
     let remarks = vec![
         format!(
             "Mean time of an image of 1024x768 with a lab's clutter, pose included, on one thread of {}; it stands beside the \
-             paper's i5 2450M, which is ten years older. Our model is {}.",
-            processor(),
-            of_constants(&machine)
+             paper's i5 2450M, which is ten years older.",
+            processor()
         ),
         "How much of the factor is the processor's is not known: WhyCon's own code is not run here. After the jump of \
-         the fast one the whole image is searched, which counts: the model's part of it is told in its row, for the clutter that \
-         the model knows."
+         the fast one the whole image is searched, which counts."
             .to_owned(),
     ];
     let title = "Table 5: image processing time".to_owned();
@@ -298,8 +229,6 @@ pub fn others(length: Length) -> anyhow::Result<Table> {
         Ok(others) => (Some(others), Vec::new()),
         Err(why) => (None, vec![format!("ArUco and SimpleBlobDetector: {why:#}")]),
     };
-    let machine = constants(length)?;
-    let image_px = (camera.optics.width * camera.optics.height) as f64;
     let mut rows = Vec::new();
     let (own, own_ms) = OTHERS[0];
     for ((dataset, name), [aruco_ms, blob_ms, whycon_ms]) in CONTESTED.into_iter().zip(own_ms) {
@@ -311,7 +240,6 @@ pub fn others(length: Length) -> anyhow::Result<Table> {
             rows.push(
                 Row::new(format!("{name}, Roundel {}: ms", mode_name(mode)), 1e3 * here_s)
                     .paper(whycon_ms, Aim::Less)
-                    .model(1e3 * foretold_s(&machine, mode, dataset, image_px))
                     .excuse(SLOWER)
                     .note(format!("found in {found} of {}", images.len())),
             );
@@ -366,10 +294,7 @@ pub fn others(length: Length) -> anyhow::Result<Table> {
              SimpleBlobDetector are OpenCV's of today with their defaults and go through every image anew.",
             processor()
         ),
-        format!(
-            "\"better by\" compares Roundel here with WhyCon on the paper's {own}. Our model is {}; it knows of no other method.",
-            of_constants(&machine)
-        ),
+        format!("\"better by\" compares Roundel here with WhyCon on the paper's {own}."),
     ];
     let title = "Table 8: image processing time beside others".to_owned();
     Ok(Table { title, rows, remarks, skipped })

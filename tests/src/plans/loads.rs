@@ -1,22 +1,16 @@
-//! What the plan foretells of time, beside what frames take whose roundels are of one size and move by so much.
+//! The plan's time per frame beside that of frames rendered by other code.
 //!
-//! The machine's constants are measured on other frames, rendered by other code ([`times`]). In: how many roundels of
-//! which size and kind in a picture of which size, and by how much they move from frame to frame. Out: the usual times of
-//! a frame in which they are followed, and of one that is searched as a whole, poses included, on one thread. All move
-//! along the same arc, on which the direction changes by a 64th of a turn a frame; a frame is exposed for a quarter of
-//! the time between two.
+//! In: how many roundels of which size and kind in a picture of which size, and by how much they move from frame to
+//! frame. Out: median times of a frame in which they are followed, and of one that is searched as a whole, poses included,
+//! on one thread: of the plan's own simulated frames, and of frames from this crate's renderer before a laboratory's
+//! clutter. All move along the same arc, on which the direction changes by a 64th of a turn a frame; a frame is exposed for
+//! a quarter of the time between two.
 
 use std::f64::consts::TAU;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
-use roundel_core::{
-    marker::{Detector, Mode, Params, Tracker},
-    plan::time::Load,
-    pose::Locator,
-};
-use roundel_server::lab::plan::{
-    contention::ContentionProbe, machine_timings, timing::TimedPipeline,
-};
+use roundel_core::plan::Imaging as PlannedImaging;
+use roundel_server::lab::plan::timing::{FRAMES, FrameTimes, TimingCase};
 
 use super::Pair;
 use crate::{
@@ -32,11 +26,6 @@ use crate::{
 
 /// Focal length over the picture's width, that of the reference installations.
 const FOCAL: f64 = 1100.0 / 1920.0;
-/// Frames from the first, which is searched, until what is kept of tracks has settled, and those that count: as many
-/// as the precise way needs to look for motion again.
-const SETTLING: usize = 7;
-const COUNTED: usize = 9;
-const FRAMES: usize = SETTLING + COUNTED;
 /// Frames of a whole turn.
 const TURN: f64 = 64.0;
 const FRAME_S: f64 = 1.0 / 60.0;
@@ -45,7 +34,7 @@ const EXPOSURE_S: f64 = 0.25 * FRAME_S;
 const MARGIN: f64 = 0.2;
 /// Grey level of the floor, not just between black and white, where noise alone makes segments.
 const FLOOR: f64 = 150.0;
-/// What is timed: width, height, roundels, their pixels, pixels a frame.
+/// Width, height, roundels, their diameter and their motion from frame to frame, pixels.
 type Listed = (usize, usize, usize, f64, f64);
 
 const PLAIN: [Listed; 26] = [
@@ -92,112 +81,79 @@ const CODED: [Listed; 14] = [
     (1920, 1080, 12, 100.0, 1.0),
     (2592, 1944, 30, 75.0, 6.0),
 ];
-/// Bits of the codes of coded ones.
+/// Bits of the codes.
 const BITS: u8 = 8;
 
-/// What is timed, the mode, and seconds a frame by the model with constants of this machine and as they are.
-pub type Timed = (Load, Mode, Pair);
+/// A case, the share of frames that are searched as a whole, and the seconds a frame.
+pub type Timed = (TimingCase, f64, Pair);
 
-/// Measures the constants of this machine, and holds them against other frames than they are from: of other sizes,
-/// numbers and motions, before a lab's clutter, rendered by other code. Each followed and searched. Beside them what was
-/// measured, as the model has it.
-pub fn times() -> anyhow::Result<[Vec<Timed>; 2]> {
-    let (machine, measured) = machine_timings::measure(|_, _| {})?;
+/// Median times of all cases in both modes, each followed and searched.
+pub fn times() -> anyhow::Result<Vec<Timed>> {
     let plain = PLAIN.iter().map(|listed| (listed, None));
     let coded = CODED.iter().map(|listed| (listed, Some(BITS)));
-    let own = measured.iter().map(|one| {
-        let planned = machine.of(one.mode).frame_s(&one.load);
-        (one.load, one.mode, Pair { planned, simulated: one.time_s })
-    });
-    let mut others = Vec::new();
-    let mut probe = ContentionProbe::new()?;
+    let mut timed = Vec::new();
     for (&(width, height, count, diameter_px, motion_px), bits) in plain.chain(coded) {
         let shown = Shown { width, height, count, diameter_px, motion_px, bits };
-        for (mode, took) in MODES.into_iter().zip(shown.took(MODES, &mut probe)) {
-            for (searched_share, simulated) in [(0.0, took.follow_s), (1.0, took.search_s)] {
-                let load = Load {
-                    image_px: (width * height) as f64,
-                    roundels: count as f64,
-                    diameter_px,
-                    motion_px,
-                    is_coded: bits.is_some(),
-                    searched_share,
+        let imaging = Imaging::default();
+        for mode in MODES {
+            let case = TimingCase {
+                size: (width, height),
+                kind: core_kinds(&[shown.kind()]).remove(0),
+                mode,
+                imaging: PlannedImaging {
+                    noise: imaging.noise,
+                    blur_px: imaging.blur_px,
+                    black: imaging.black,
+                    white: imaging.white,
+                },
+                roundels: count,
+                diameter_px,
+                motion_px,
+            };
+            let (planned, simulated) = (case.measure()?, shown.times(&case)?);
+            for searched_share in [0.0, 1.0] {
+                let pair = Pair {
+                    planned: planned.median_s(searched_share),
+                    simulated: simulated.median_s(searched_share),
                 };
-                let planned = machine.of(mode).frame_s(&load);
-                others.push((load, mode, Pair { planned, simulated }));
+                timed.push((case.clone(), searched_share, pair));
             }
         }
     }
-    Ok([own.collect(), others])
+    Ok(timed)
 }
 
-/// What is shown.
+/// Contents of the rendered frames.
 #[derive(Clone, Copy, Debug)]
 pub struct Shown {
-    /// Of the picture, pixels.
+    /// Width of the picture, pixels.
     pub width: usize,
-    /// Of the picture, pixels.
+    /// Height of the picture, pixels.
     pub height: usize,
     /// Roundels in it.
     pub count: usize,
     /// Their outer diameter, pixels.
     pub diameter_px: f64,
-    /// How far they move from frame to frame, pixels.
+    /// Motion from frame to frame, pixels.
     pub motion_px: f64,
-    /// Of coded ones: the bits of their codes.
+    /// Bits of the codes; `None` for plain roundels.
     pub bits: Option<u8>,
 }
 
-/// Usual times of a frame of a quiet machine, seconds.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Took {
-    /// In which all are followed, the search for new ones and poses included.
-    pub follow_s: f64,
-    /// That is searched as a whole, poses included.
-    pub search_s: f64,
-}
-
 impl Shown {
-    /// Times in these modes.
-    pub fn took<const N: usize>(&self, modes: [Mode; N], probe: &mut ContentionProbe) -> [Took; N] {
+    /// Times of a case on frames that show it.
+    pub fn times(&self, case: &TimingCase) -> anyhow::Result<FrameTimes> {
         let lens = Distortion::PlumbBob([-0.02, 0.0, 0.0, 0.0, 0.0]);
         let camera = Pinhole::centered(self.width, self.height, FOCAL * self.width as f64, lens);
-        let images = self.pictures(&camera);
-        let mut ways = modes.map(|mode| self.way(&camera, mode));
-        let rounds = probe.rounds(|| {
-            let times = |way: &mut TimedPipeline| {
-                way.begin(&images[1].pixels);
-                let time = |image: &Image| {
-                    let (time_s, found) = way.pass(&image.pixels);
-                    assert!(20 * found >= 19 * self.count, "{self:?}: {found} found");
-                    time_s
-                };
-                images.iter().map(time).collect::<Vec<_>>()
-            };
-            ways.iter_mut().flat_map(times).collect()
-        });
-        if !rounds.any_uncontended(probe) {
-            eprintln!("{self:?}: others used the machine all the time");
-        }
-        let times_s = rounds.times_s(probe);
-        std::array::from_fn(|mode| {
-            let times_s = &times_s[mode * FRAMES..][..FRAMES];
-            let sum_s: f64 = times_s[SETTLING..].iter().sum();
-            Took { follow_s: sum_s / COUNTED as f64, search_s: times_s[0] }
-        })
+        let pictures: Vec<_> =
+            self.pictures(&camera).into_iter().map(|image| image.pixels).collect();
+        let times = case.measure_on(&core_camera(&camera)?, &pictures)?;
+        assert!(20 * times.followed >= 19 * self.count, "{self:?}: {} found", times.followed);
+        Ok(times)
     }
 
     fn kind(&self) -> Kind {
         self.bits.map_or_else(Kind::robot, Kind::coded)
-    }
-
-    fn way(&self, camera: &Pinhole, mode: Mode) -> TimedPipeline {
-        let kinds = core_kinds(&[self.kind()]);
-        let params = Params { mode, ..Params::default() };
-        let detector = Detector::new(kinds.clone(), params).expect("a kind that can be printed");
-        let camera = core_camera(camera).expect("a camera as above");
-        let locator = Locator::new(camera, kinds, mode);
-        TimedPipeline::new(Tracker::new(detector), locator, (self.width, self.height))
     }
 
     /// Roundels in a grid, each tilted to its own side.
@@ -247,7 +203,7 @@ impl Shown {
         Clutter { boxes, lines, discs, words, ..Clutter::LAB }
     }
 
-    /// From the middle of what is passed through.
+    /// Offset from the middle of the arc.
     fn aside_px(&self, frame: f64) -> Vector2<f64> {
         let radius_px = self.motion_px * TURN / TAU;
         let angle = (frame - 0.5 * (FRAMES - 1) as f64) * TAU / TURN;

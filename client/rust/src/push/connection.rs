@@ -11,12 +11,13 @@ use tokio::{
     sync::mpsc,
     time::{Instant, MissedTickBehavior, interval, sleep, timeout},
 };
-use tonic::{Streaming, transport::Endpoint};
+use tonic::Streaming;
 
 use super::{MAX_MESSAGE_BYTES, Shared, queue::Item};
 use crate::{
     ClockOffset, Error, backoff,
-    error::error_chain,
+    call_headers::CallHeaders,
+    connector::Connector,
     v1::{
         self, push_client::PushClient, push_request::Message as Request,
         push_response::Message as Response,
@@ -34,11 +35,11 @@ const SILENCE_TIMEOUT: Duration = Duration::from_secs(2);
 const CHANNEL_CAPACITY: usize = 4;
 
 /// Connects and reconnects until the task is aborted.
-pub(super) async fn run(shared: Arc<Shared>, address: String, endpoint: Endpoint) {
-    let endpoint = endpoint.connect_timeout(CONNECT_TIMEOUT).tcp_nodelay(true);
+pub(super) async fn run(shared: Arc<Shared>, connector: Connector, headers: CallHeaders) {
+    let connector = connector.configure(|endpoint| endpoint.connect_timeout(CONNECT_TIMEOUT));
     let mut delays = backoff::delays();
     loop {
-        let error = connect(&shared, &address, &endpoint, &mut delays).await;
+        let error = connect(&shared, &connector, &headers, &mut delays).await;
         let refused = !error.is_temporary();
         shared.publish(|status| {
             status.connected = false;
@@ -52,21 +53,23 @@ pub(super) async fn run(shared: Arc<Shared>, address: String, endpoint: Endpoint
 /// Runs one connection. Returns the error that ended it.
 async fn connect(
     shared: &Shared,
-    address: &str,
-    endpoint: &Endpoint,
+    connector: &Connector,
+    headers: &CallHeaders,
     delays: &mut ExponentialBackoff,
 ) -> Error {
+    let address = connector.address.as_str();
     let unreachable = |reason: String| Error::Unreachable { address: address.to_owned(), reason };
-    let channel = match endpoint.connect().await {
+    let channel = match connector.connect().await {
         Ok(channel) => channel,
-        Err(error) => return unreachable(error_chain(&error)),
+        Err(error) => return Error::from_transport(address, &error),
     };
     let (outgoing, received) = mpsc::channel::<v1::PushRequest>(CHANNEL_CAPACITY);
     let requests = stream::unfold(received, |mut received| async move {
         let request = received.recv().await?;
         Some((request, received))
     });
-    let mut client = PushClient::new(channel).max_encoding_message_size(MAX_MESSAGE_BYTES);
+    let mut client = PushClient::with_interceptor(channel, headers.clone())
+        .max_encoding_message_size(MAX_MESSAGE_BYTES);
     let (next_sequence, dropped) = {
         let queue = &shared.lock().queue;
         (queue.next_sequence(), queue.dropped_before_next())

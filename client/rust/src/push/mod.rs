@@ -33,6 +33,7 @@ use tokio::{
 
 use crate::{
     Client, Error,
+    call_headers::Deadline,
     clock::{ClockEstimator, ClockOffset},
     v1,
 };
@@ -188,7 +189,6 @@ impl Client {
     /// # Errors
     /// [`Error::InvalidAddress`].
     pub fn push(&self, options: PushOptions) -> Result<Pusher, Error> {
-        let (address, endpoint) = crate::address::endpoint(self.address())?;
         let shared = Arc::new(Shared {
             state: Mutex::new(State {
                 queue: SendQueue::default(),
@@ -204,7 +204,8 @@ impl Client {
             options,
             run_id: format!("{:016x}{:016x}", fastrand::u64(..), fastrand::u64(..)),
         });
-        let task = tokio::spawn(connection::run(shared.clone(), address, endpoint));
+        let headers = self.headers(Deadline::NONE);
+        let task = tokio::spawn(connection::run(shared.clone(), self.connector().clone(), headers));
         Ok(Pusher { shared, task })
     }
 }

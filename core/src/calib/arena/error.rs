@@ -40,7 +40,7 @@ pub enum ArenaError {
 
 impl ArenaError {
     /// In a sentence.
-    pub fn told(&self, names: &dyn Names) -> String {
+    pub fn message(&self, names: &dyn Names) -> String {
         match self {
             Self::Cameras { found } => format!("expected each camera once, found {found:?}"),
             Self::References { seen } => {
@@ -74,7 +74,7 @@ impl ArenaError {
 
 impl fmt::Display for ArenaError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.told(&Numbers))
+        f.write_str(&self.message(&Numbers))
     }
 }
 

@@ -150,7 +150,7 @@ impl Finding {
     }
 
     /// In a sentence.
-    pub fn told(&self, names: &dyn Names) -> String {
+    pub fn message(&self, names: &dyn Names) -> String {
         let camera = |id: &CameraId| names.camera(*id);
         match self {
             Self::Unseen { camera: id, frames } => format!(
@@ -211,11 +211,11 @@ impl Finding {
                 camera(id)
             ),
             Self::Weak { camera: id, deviation_m, deviation_rad, advice } => format!(
-                "{} is weakly tied: its place is known to {:.1} mm and {:.3}°: {}",
+                "{} is weakly constrained: its pose is known to {:.1} mm and {:.3}°: {}",
                 camera(id),
                 deviation_m * 1e3,
                 deviation_rad.to_degrees(),
-                advice.told(names)
+                advice.message(names)
             ),
         }
     }
@@ -223,12 +223,12 @@ impl Finding {
 
 impl fmt::Display for Finding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.told(&Numbers))
+        f.write_str(&self.message(&Numbers))
     }
 }
 
 impl Advice {
-    fn told(&self, names: &dyn Names) -> String {
+    fn message(&self, names: &dyn Names) -> String {
         match self {
             Self::Overlap(other) => {
                 format!("let robots drive longer where it overlaps {}", names.camera(*other))

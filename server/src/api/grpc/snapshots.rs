@@ -24,7 +24,9 @@ use tonic_prost::ProstDecoder;
 use super::{Messages, until_shutdown};
 use crate::api::{
     ApiState, MAX_REQUEST_BYTES,
+    encoding_budget::EncodingShare,
     error::ApiError,
+    listener::encoding_share,
     selection::{MESSAGE_FIELDS, Selection},
     snapshot_encoder::Encoding,
     snapshot_subscription::{EncodedSnapshot, SnapshotSubscription},
@@ -52,7 +54,8 @@ impl ServerStreamingService<v1::SubscribeSnapshotsRequest> for Subscribe {
     type Future = Ready<Result<tonic::Response<Self::ResponseStream>, Status>>;
 
     fn call(&mut self, request: tonic::Request<v1::SubscribeSnapshotsRequest>) -> Self::Future {
-        ready(self.stream(request.into_inner()).map_err(Status::from))
+        let share = encoding_share(request.extensions());
+        ready(self.stream(request.into_inner(), share).map_err(Status::from))
     }
 }
 
@@ -60,11 +63,12 @@ impl Subscribe {
     fn stream(
         &self,
         request: v1::SubscribeSnapshotsRequest,
+        share: Arc<EncodingShare>,
     ) -> Result<tonic::Response<Messages<EncodedSnapshot>>, ApiError> {
         let api = &self.0;
         let selection = Selection::new(request, &api.hub.installation().kinds, &MESSAGE_FIELDS)?;
         check_subscription_limit(api)?;
-        let subscription = SnapshotSubscription::new(api.clone(), selection);
+        let subscription = SnapshotSubscription::new(api.clone(), selection, share);
         let snapshots = stream::unfold(subscription, |mut subscription| async move {
             let snapshot = subscription.next(Encoding::Protobuf).await?;
             Some((snapshot, subscription))

@@ -60,7 +60,7 @@ impl Pending {
         self.is_over.load(Ordering::Relaxed)
     }
 
-    /// Completes when the connection is to be closed in favour of a newer one.
+    /// Completes when the connection must be closed in favour of a newer one.
     pub(super) async fn evicted(&self) {
         self.eviction.notified().await;
     }

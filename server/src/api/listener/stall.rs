@@ -19,7 +19,9 @@ use axum::body::{Body, Bytes};
 use hyper::body::{Body as _, Frame, SizeHint};
 use tokio::time::sleep;
 
-/// Longer frames are handed out in pieces, since hyper buffers whatever it was given.
+use super::slots::Answering;
+
+/// Longer frames are handed out in pieces, since hyper buffers whole frames.
 const PIECE_BYTES: usize = 64 * 1024;
 const CHECKS_PER_LIMIT: u32 = 4;
 
@@ -37,7 +39,8 @@ impl Default for ResponseWatch {
 
 impl ResponseWatch {
     pub(super) fn watched(&self, body: Body) -> WatchedBody {
-        let watched = WatchedBody { body, rest: None, begin: self.begin, handed_out_ns: None };
+        let (rest, handed_out_ns, _answering) = (None, None, None);
+        let watched = WatchedBody { body, rest, begin: self.begin, handed_out_ns, _answering };
         if watched.body.is_end_stream() {
             return watched;
         }
@@ -71,11 +74,18 @@ pub(super) struct WatchedBody {
     /// The rest of a frame that is handed out in pieces.
     rest: Option<Bytes>,
     begin: Instant,
-    /// `None`: only the end is left, and it never stalls.
+    /// `None` for an empty body, which never stalls.
     handed_out_ns: Option<Arc<AtomicU64>>,
+    /// Ends with the body.
+    _answering: Option<Answering>,
 }
 
 impl WatchedBody {
+    /// Keeps the connection from being idle while this body is sent.
+    pub(super) fn answering(self, answering: Answering) -> Self {
+        Self { _answering: Some(answering), ..self }
+    }
+
     fn record(&self, ns: u64) {
         if let Some(handed_out_ns) = &self.handed_out_ns {
             handed_out_ns.store(ns, Ordering::Relaxed);

@@ -1,7 +1,7 @@
-//! Which objects a subscriber names, by id, by name or by code.
+//! Selects objects by id, name or code.
 //!
-//! Ids are given anew when a server starts; names and codes stay with their objects. Both are looked up in each snapshot:
-//! an object that is named while it is followed, or whose code is read late, is there from then on.
+//! Ids change when the server restarts; names and codes stay with their objects. Names and codes are looked up in each
+//! snapshot, so an object that gets its name or code later is included from then on.
 
 use roundel_core::{
     id::ObjectId,
@@ -13,20 +13,19 @@ use roundel_proto::v1;
 use super::FieldNames;
 use crate::{api::error::ApiError, model::hub::Installation};
 
-/// Most objects that one subscriber can name in each of the three ways.
+/// Maximum length of each list.
 pub const MAX_SELECTORS: usize = 10_000;
 
-/// Those of any of the lists; everybody if all are empty. Each list ascends and has nothing twice.
+/// Includes the objects of any list, or all objects if every list is empty. Lists are sorted, without duplicates.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub(super) struct ObjectSelector {
     ids: Vec<ObjectId>,
     names: Vec<String>,
-    /// Number and bits; bits 0: of whatever layout.
+    /// Number and bits; bits 0 match any layout.
     codes: Vec<(u16, u8)>,
 }
 
 impl ObjectSelector {
-    /// Of a request; errors call the fields by `fields`.
     pub(super) fn checked(
         request: &v1::SubscribeSnapshotsRequest,
         fields: &FieldNames,
@@ -36,14 +35,13 @@ impl ObjectSelector {
             id => Ok(ObjectId(id)),
         };
         let name = |name: &String| match name.as_str() {
-            "" => Err(ApiError::invalid(fields.names, "names of objects", "an empty one")),
+            "" => Err(ApiError::invalid("names", "names of objects", "an empty one")),
             name => Ok(name.to_owned()),
         };
-        let code = |code: &v1::Code| checked_code(code, fields.codes);
         Ok(Self {
             ids: sorted(&request.object_ids, fields.ids, "ids", id)?,
-            names: sorted(&request.names, fields.names, "names", name)?,
-            codes: sorted(&request.codes, fields.codes, "codes", code)?,
+            names: sorted(&request.names, "names", "names", name)?,
+            codes: sorted(&request.codes, "codes", "codes", checked_code)?,
         })
     }
 
@@ -51,7 +49,6 @@ impl ObjectSelector {
         self.ids.is_empty() && self.names.is_empty() && self.codes.is_empty()
     }
 
-    /// Whether an object is wanted, as it is named and was seen now.
     pub(super) fn includes(&self, installation: &Installation, state: &ObjectState) -> bool {
         let has_name = || {
             let name = installation.object_name(state.kind, state.body);
@@ -67,7 +64,7 @@ impl ObjectSelector {
     }
 }
 
-/// Each item checked; `what` they are, in the plural.
+/// Checks and sorts items; `what` they are, in the plural, is for errors.
 fn sorted<T, U: Ord>(
     items: &[T],
     field: &str,
@@ -84,16 +81,16 @@ fn sorted<T, U: Ord>(
     Ok(items)
 }
 
-fn checked_code(code: &v1::Code, field: &str) -> Result<(u16, u8), ApiError> {
+fn checked_code(code: &v1::Code) -> Result<(u16, u8), ApiError> {
     let (least, most) = CodeLayout::BITS;
     let number = u16::try_from(code.number).ok().filter(|&number| number > 0).ok_or_else(|| {
-        ApiError::invalid(field, format!("numbers of codes, from 1 to {}", u16::MAX), code.number)
+        ApiError::invalid("codes", format!("numbers of codes, from 1 to {}", u16::MAX), code.number)
     })?;
     let bits =
         u8::try_from(code.bits).ok().filter(|bits| *bits == 0 || (least..=most).contains(bits));
     let bits = bits.ok_or_else(|| {
         let expected = format!("codes of {least} to {most} bits, or 0 for any");
-        ApiError::invalid(field, expected, format!("{} bits", code.bits))
+        ApiError::invalid("codes", expected, format!("{} bits", code.bits))
     })?;
     Ok((number, bits))
 }
@@ -107,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn a_longer_list_than_any_arena_needs_is_refused() {
+    fn lists_have_a_maximum_length() {
         let request = |count: u64| v1::SubscribeSnapshotsRequest {
             object_ids: (1..=count).collect(),
             ..Default::default()
@@ -125,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn codes_and_names_that_nothing_has_are_refused_by_field() {
+    fn invalid_codes_and_names_are_rejected_by_field() {
         let error = |bits, number| {
             let codes = vec![v1::Code { bits, number }];
             selector(v1::SubscribeSnapshotsRequest { codes, ..Default::default() }).unwrap_err()

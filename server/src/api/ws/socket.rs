@@ -29,7 +29,7 @@ pub(super) struct Handshake {
 }
 
 impl Handshake {
-    /// Checks the request; the error says what it lacks.
+    /// Checks the request. The error names what is missing.
     pub(super) fn new(mut request: Request<Body>) -> Result<Self, String> {
         let response =
             create_response_with_body(&request, Body::empty).map_err(|error| error.to_string())?;
@@ -82,7 +82,7 @@ pub(super) fn offered(request: &Request<Body>) -> Vec<String> {
 
 pub(super) struct Socket {
     stream: WebSocketStream<TokioIo<Upgraded>>,
-    /// The client has sent a close frame: nothing more may be sent.
+    /// Whether the client has sent a close frame. Nothing may be sent after it.
     is_closing: bool,
     _slot: Option<Arc<ConnectionSlot>>,
 }

@@ -1,4 +1,4 @@
-//! What the client of a WebSocket wants.
+//! The parts of the stream that a WebSocket client has selected.
 
 use axum::http::Uri;
 use prost::Message as _;
@@ -14,7 +14,7 @@ use crate::api::{
     snapshot_encoder::Encoding,
 };
 
-/// Said to a client that sends something else than it should.
+/// Expected message, for errors.
 const REQUEST_EXAMPLE: &str = r#"a message such as {"snapshots": {"object_ids": [1, 2], "max_rate_hz": 30}, "cameras": true, "events": true}"#;
 const PARTS: [&str; 4] = ["snapshots", "cameras", "events", "observations"];
 
@@ -26,14 +26,14 @@ pub(super) struct StreamSelection {
 }
 
 impl StreamSelection {
-    /// By a message on the open socket.
+    /// Reads a message on the open socket.
     pub(super) fn from_message(
         api: &ApiState,
         message: &Message,
-        form: Encoding,
+        encoding: Encoding,
     ) -> Result<Self, ApiError> {
         let wrong = |found: String| ApiError::invalid("message", REQUEST_EXAMPLE, found);
-        let request: v1::StreamRequest = match (message, form) {
+        let request: v1::StreamRequest = match (message, encoding) {
             (Message::Text(text), _) => {
                 serde_json::from_str(text).map_err(|error| wrong(error.to_string()))?
             }
@@ -55,7 +55,7 @@ impl StreamSelection {
         })
     }
 
-    /// By the query of the address.
+    /// Reads the query of the handshake.
     pub(super) fn from_query(api: &ApiState, uri: &Uri) -> Result<Self, ApiError> {
         let mut parameters = QueryParameters::of(uri)?;
         let mut include: Vec<String> = parameters.take_list("include", "")?;

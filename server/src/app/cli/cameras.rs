@@ -1,13 +1,13 @@
-//! `roundel cameras`: what is connected to this machine.
+//! `roundel cameras`: lists the cameras of this computer, or tests a source.
 
-use std::{fmt::Write as _, io::Write as _, path::PathBuf, process::ExitCode};
+use std::{fmt::Write as _, path::PathBuf, process::ExitCode};
 
 use anyhow::Context;
-use clap::{Args, ValueEnum};
+use clap::Args;
 
-use super::size;
+use super::{Format, size};
 use crate::{
-    api::convert,
+    api,
     capture::{
         source::{
             Playback,
@@ -17,60 +17,44 @@ use crate::{
     },
 };
 
-/// List the cameras of this machine, with their formats and controls, or try one
+/// List the cameras of this computer with their formats and controls, or test one
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  \
     roundel cameras\n  \
     roundel cameras --test http://10.0.0.2:81/stream\n\n\
-    A camera's address in a configuration is its device file with wishes behind it:\n  \
+    In a configuration, a camera's address is its device file, followed by options:\n  \
     source = \"v4l2:/dev/video0?fps=30&auto_exposure=1&exposure_time_absolute=40\"")]
 pub struct CamerasArgs {
-    /// How it is printed
+    /// Format of the result
     #[arg(long, value_enum, default_value_t = Format::Table)]
     format: Format,
-    /// Open this source for about two seconds, and say what it gives
+    /// Open this source for about two seconds and report what it delivers
     #[arg(long, value_name = "SOURCE")]
     test: Option<String>,
-    /// Size that its pictures are to have
+    /// Size to request from the source
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size, requires = "test")]
     size: Option<(usize, usize)>,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Format {
-    Table,
-    Json,
-}
-
-/// Prints the list.
 pub(super) fn run(arguments: &CamerasArgs) -> anyhow::Result<ExitCode> {
     if let Some(source) = &arguments.test {
         return probe(source, arguments);
     }
-    let devices = devices().context("cannot list /dev")?;
-    let text = match arguments.format {
-        Format::Json => format!("{}\n", serde_json::to_string_pretty(&devices)?),
-        Format::Table => table(&devices),
-    };
-    std::io::stdout().write_all(text.as_bytes()).context("cannot write to the standard output")?;
+    arguments.format.print(&devices().context("cannot list /dev")?, |devices| table(devices))?;
     Ok(ExitCode::SUCCESS)
 }
 
-/// Says what a source gives; a failure of the source is one of the command.
+/// Tests a source. The exit code is 1 if it fails.
 fn probe(source: &str, arguments: &CamerasArgs) -> anyhow::Result<ExitCode> {
     let (clock, playback) = Playback::begin(std::iter::empty())?;
     // Rings of any ratio are found.
     let source_probe = SourceProbe::new(Vec::new(), PathBuf::new(), clock, playback);
-    let trial = source_probe.probe(source, arguments.size)?;
-    let text = match arguments.format {
-        Format::Json => format!("{}\n", serde_json::to_string_pretty(&convert::trial(&trial))?),
-        Format::Table => described(&trial),
-    };
-    std::io::stdout().write_all(text.as_bytes()).context("cannot write to the standard output")?;
+    let trial = source_probe.probe(source, arguments.size, |_| Ok(None))?;
+    arguments.format.print(&api::source_probe::message(&trial), |_| describe_probe(&trial))?;
     Ok(if trial.error.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-fn described(trial: &ProbeReport) -> String {
+fn describe_probe(trial: &ProbeReport) -> String {
     let mut text = String::new();
     let ProbeReport { width, height, frames, broken, rate_hz, promised_hz, .. } = trial;
     if *frames > 0 {
@@ -79,7 +63,7 @@ fn described(trial: &ProbeReport) -> String {
             promised_hz => format!(" ({promised_hz:.1} promised)"),
         };
         let clock = trial.capture_clock.map_or(String::new(), |clock| {
-            format!(", times by {:?} within {:.0} ms", clock.base, clock.deviation_s * 1e3)
+            format!(", capture times: {:?} ± {:.0} ms", clock.base, clock.deviation_s * 1e3)
         });
         let _ = writeln!(text, "{width}x{height} at {rate_hz:.1} Hz{promised}{clock}");
         let _ = writeln!(
@@ -96,28 +80,27 @@ fn described(trial: &ProbeReport) -> String {
 
 fn table(devices: &[DeviceListing]) -> String {
     if devices.is_empty() {
-        return "No camera is connected: this machine has no /dev/video*. Network cameras are not listed; their address \
-                (http://…, rtsp://…) stands in the configuration.\n"
+        return "No camera found: this computer has no /dev/video*. Network cameras are not listed; configure them by \
+                their address (http://…, rtsp://…).\n"
             .to_owned();
     }
     let mut text = String::new();
     for device in devices {
-        // Writing to a string cannot fail.
         let _ = match device.error.as_str() {
             "" => writeln!(text, "{}  {} ({})", device.path.display(), device.card, device.bus),
-            error => writeln!(text, "{}  cannot be asked: {error}", device.path.display()),
+            error => writeln!(text, "{}  cannot be queried: {error}", device.path.display()),
         };
         for format in &device.formats {
-            let _ = writeln!(text, "  {}", of_format(format));
+            let _ = writeln!(text, "  {}", describe_format(format));
         }
         for control in &device.controls {
-            let _ = writeln!(text, "  {}", of_control(control));
+            let _ = writeln!(text, "  {}", describe_control(control));
         }
     }
     text
 }
 
-fn of_format(format: &FormatListing) -> String {
+fn describe_format(format: &FormatListing) -> String {
     let FormatListing { width, height, rates_hz, .. } = format;
     let size = if *width == 0 { "any size".to_owned() } else { format!("{width}x{height}") };
     let rates: Vec<String> = rates_hz.iter().map(|rate| format!("{rate:.0}")).collect();
@@ -127,11 +110,11 @@ fn of_format(format: &FormatListing) -> String {
     format!("{:<4}  {size}{rates}{unread}", format.format)
 }
 
-fn of_control(control: &ControlListing) -> String {
+fn describe_control(control: &ControlListing) -> String {
     let ControlListing { name, least, most, step, default, value, is_settable, .. } = control;
     let steps = if *step > 1 { format!(" in steps of {step}") } else { String::new() };
     let fixed = if *is_settable { "" } else { "  (cannot be set now)" };
-    format!("{name}={value}  from {least} to {most}{steps}, {default} when plugged in{fixed}")
+    format!("{name}={value}  from {least} to {most}{steps}, default {default}{fixed}")
 }
 
 #[cfg(test)]
@@ -175,9 +158,9 @@ mod tests {
         assert_eq!(
             table(&[device, locked]),
             "/dev/video0  Test Camera (usb-1)\n  YUYV  640x480 at 30, 15 Hz\n  \
-             gain=64  from 0 to 255 in steps of 5, 0 when plugged in  (cannot be set now)\n\
-             /dev/video2  cannot be asked: Permission denied\n"
+             gain=64  from 0 to 255 in steps of 5, default 0  (cannot be set now)\n\
+             /dev/video2  cannot be queried: Permission denied\n"
         );
-        assert!(table(&[]).starts_with("No camera is connected"));
+        assert!(table(&[]).starts_with("No camera found"));
     }
 }

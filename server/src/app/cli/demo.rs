@@ -1,30 +1,26 @@
 //! `roundel demo`: a simulated arena through the whole server, compared with the truth.
 
-use std::{
-    collections::BTreeMap,
-    io::{self, Write as _},
-    net::SocketAddr,
-    path::Path,
-    process::ExitCode,
-    time::Duration,
-};
+use std::{collections::BTreeMap, net::SocketAddr, path::Path, process::ExitCode, time::Duration};
 
 use anyhow::{Context, anyhow};
-use clap::{Args, ValueEnum};
+use clap::Args;
 use nalgebra::Vector3;
 use roundel_core::{
     id::CameraId,
-    marker::{CodeLayout, Pattern},
     sim::{RobotTruth, Scenario},
 };
 
 use super::{
     ground_truth::Score,
-    serve::{Signals, announce, elapsed, seconds, shut_down},
+    print,
+    serve::{announce, seconds, serve_until},
+    signals::ServerEnd,
+    words,
 };
 use crate::{
     app::serve::Server,
     capture::source::fleet::Fleet,
+    lab::print::config_lines,
     model::{
         address::{SimAddress, SimPreset},
         config::{Config, Problem, ReferenceConfig, ServerConfig},
@@ -33,97 +29,93 @@ use crate::{
     },
 };
 
-/// Time from the first tracked object in which tracks settle; it does not count.
+/// Time after the first tracked object that is not scored, so that tracks can settle.
 const SETTLING_S: f64 = 2.0;
-const REPORT_EVERY: Duration = Duration::from_secs(1);
+const REPORT_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Try it without a camera: four simulated cameras, 24 robots, the dashboard.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  \
     roundel demo --duration 20\n  \
     roundel demo --preset r4\n\n\
-    Prints the dashboard's address, and once a second how far the poses are off the truth (root\n\
-    mean square of the position's error).")]
+    Prints the dashboard's address, and once a second the root mean square error of the positions against the\n\
+    ground truth.")]
 pub struct DemoArgs {
-    /// End after so many seconds
+    /// Stop after this many seconds
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     duration: Option<Duration>,
-    /// How much is simulated
-    #[arg(long, value_enum, default_value_t)]
-    preset: PresetArg,
-    /// Another seed is another world
+    /// The simulated installation
+    #[arg(long, default_value = "r4_lite", value_parser = words(&PRESETS))]
+    preset: SimPreset,
+    /// Seed of the simulated world
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Robots in the arena [default: 24]
     #[arg(long, value_name = "N")]
     robots: Option<usize>,
-    /// Where to listen; port 0 takes a free one
+    /// Address to listen on; port 0 takes a free one
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:7670")]
     listen: SocketAddr,
+    /// Allow an address that other computers reach, without encryption and credentials
+    #[arg(long)]
+    insecure: bool,
 }
 
-/// Words for simulated installations.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-enum PresetArg {
-    /// Four cameras of 1280x720 at 30 Hz, plain roundels
-    #[default]
-    #[value(name = "r4_lite")]
-    R4Lite,
-    /// Four cameras of 1920x1080 at 60 Hz, coded roundels: identities and headings; wants some cores
-    R4,
-    /// As r4_lite, with elliptical discs of three kinds: headings, but for half a turn
-    #[value(name = "r4_elliptical")]
-    R4Elliptical,
-}
+const PRESETS: [(&str, SimPreset, &str); 3] = [
+    ("r4_lite", SimPreset::R4Lite, "Four cameras of 1280x720 at 30 Hz, plain roundels"),
+    (
+        "r4",
+        SimPreset::R4,
+        "Four cameras of 1920x1080 at 60 Hz, coded roundels: identities and headings; needs several cores",
+    ),
+    (
+        "r4_elliptical",
+        SimPreset::R4Elliptical,
+        "Like r4_lite, with elliptical discs of three kinds: headings are ambiguous by half a turn",
+    ),
+];
 
 /// Runs the demo until a signal or the end of `--duration`.
 pub(super) async fn run(arguments: DemoArgs) -> anyhow::Result<ExitCode> {
     let address = SimAddress {
-        preset: match arguments.preset {
-            PresetArg::R4Lite => SimPreset::R4Lite,
-            PresetArg::R4 => SimPreset::R4,
-            PresetArg::R4Elliptical => SimPreset::R4Elliptical,
-        },
+        preset: arguments.preset,
         seed: arguments.seed,
         robots: arguments.robots,
         camera: 0,
     };
     let scenario = simulated_scenario(&address).context("cannot simulate this arena")?;
-    let config = config(&scenario, &address, arguments.listen)?;
-    let mut signals = Signals::listen()?;
+    let mut config = config(&scenario, &address, arguments.listen)?;
+    config.access.insecure = arguments.insecure;
+    let end = ServerEnd::listen(arguments.duration)?;
     let server = Server::start(config).await?;
     let fleet = server.fleets().of(&address, server.playback().origin)?;
     announce(&server)?;
-    say(&format!("dashboard: http://{}/ (Ctrl-C ends the demo)", server.local_addr()))?;
+    print(&format!("dashboard: http://{}/ (Ctrl-C ends the demo)\n", server.local_addr()))?;
     let mut total = Score::default();
     tokio::select! {
-        () = signals.next() => {}
-        () = elapsed(arguments.duration) => {}
-        // Whoever read the lines has gone.
+        () = end.wait() => {}
+        () = server.failed() => {}
+        // The reader of the output has gone.
         _ = report(&server, &fleet, &mut total) => {}
     }
-    let frames = frames(&server.hub().cameras());
-    shut_down(server).await;
-    // Nobody may be left to read it.
-    let _ = say(&format!("in all: {}; {frames}", total.line()));
-    Ok(ExitCode::SUCCESS)
+    let states = server.hub().cameras();
+    let sum = |value: fn(&CameraState) -> u64| states.values().map(value).sum::<u64>();
+    let (frames, dropped) = (sum(|state| state.frames), sum(|state| state.dropped));
+    end.begin();
+    let code = serve_until(server, &end).await;
+    let _ = print(&format!("in all: {}; {frames} frames, {dropped} dropped\n", total.line()));
+    Ok(code)
 }
 
-fn say(line: &str) -> io::Result<()> {
-    let mut stdout = io::stdout().lock();
-    writeln!(stdout, "{line}")?;
-    stdout.flush()
-}
-
-/// The scenario's cameras as an installation. It has a text like any other, so that its cameras can be changed; where
-/// the scenario's numbers are more exact than text, they count.
+/// The scenario's cameras as an installation, parsed from a text like any other so that its cameras can be changed.
+/// Kinds and references are then replaced by the scenario's own, which are not rounded.
 fn config(scenario: &Scenario, address: &SimAddress, listen: SocketAddr) -> anyhow::Result<Config> {
-    let parsed = Config::parse(&text(scenario, address), Path::new(""));
-    let told = |problems: Vec<Problem>| {
+    let internal_error = |problems: Vec<Problem>| {
         let messages: Vec<String> = problems.into_iter().map(|problem| problem.message).collect();
         anyhow!("internal error, please report it: {}", messages.join("; "))
     };
-    let config = parsed.map_err(told)?;
+    let parsed = Config::parse(&text(scenario, address), Path::new(""));
+    let config = parsed.map_err(internal_error)?;
     let setup = listen.ip().is_loopback();
     Ok(Config {
         server: ServerConfig { listen, setup, ..config.server },
@@ -135,22 +127,8 @@ fn config(scenario: &Scenario, address: &SimAddress, listen: SocketAddr) -> anyh
 
 fn text(scenario: &Scenario, address: &SimAddress) -> String {
     let mut text = "name = \"demo\"\n".to_owned();
-    let mm = |metres: f64| (metres * 1e6).round() * 1e-3;
     for kind in &scenario.params().kinds {
-        let inside = match &kind.pattern {
-            Pattern::Plain => String::new(),
-            Pattern::Coded(CodeLayout { bits, min_distance }) => {
-                format!("code = {{ bits = {bits}, min_distance = {min_distance} }}\n")
-            }
-            Pattern::Elliptical { minor_diameter_m } => {
-                format!("inner_minor_mm = {}\n", mm(*minor_diameter_m))
-            }
-        };
-        let (outer_mm, inner_mm) = (mm(kind.outer_diameter_m), mm(kind.inner_diameter_m));
-        text += &format!(
-            "\n[[roundel]]\nname = {:?}\nouter_mm = {outer_mm}\ninner_mm = {inner_mm}\n{inside}",
-            kind.name
-        );
+        text += &format!("\n{}\n", config_lines(kind).join("\n"));
     }
     for (index, camera) in scenario.cameras().iter().enumerate() {
         let source = SimAddress { camera: index, ..address.clone() };
@@ -159,20 +137,19 @@ fn text(scenario: &Scenario, address: &SimAddress) -> String {
     for ReferenceConfig { kind, code, position_m, orientation, .. } in references(scenario) {
         let name = &scenario.params().kinds[usize::from(kind.0)].name;
         let number = code.map(|code| format!("code = {}\n", code.number)).unwrap_or_default();
-        let turned = orientation.map(|turn| {
-            let way = |axis: Vector3<f64>| format!("{:?}", (turn * axis).as_slice());
-            format!("right = {}\ntop = {}\n", way(Vector3::x()), way(Vector3::y()))
-        });
+        let turn = orientation.unwrap_or_default();
+        let [right, top] = [Vector3::x(), Vector3::y()].map(|axis| turn * axis);
         text += &format!(
-            "\n[[reference]]\nroundel = {name:?}\n{number}position_m = {:?}\n{}",
+            "\n[[reference]]\nroundel = {name:?}\n{number}position_m = {:?}\nright = {:?}\ntop = {:?}\n",
             position_m.as_slice(),
-            turned.unwrap_or_default()
+            right.as_slice(),
+            top.as_slice()
         );
     }
     text
 }
 
-/// Robots with codes that never move, so that this arena can be calibrated.
+/// The coded robots that never move. They serve as references for calibrating the arena.
 fn references(scenario: &Scenario) -> Vec<ReferenceConfig> {
     let reference = |truth: RobotTruth| ReferenceConfig {
         kind: truth.kind,
@@ -185,11 +162,11 @@ fn references(scenario: &Scenario) -> Vec<ReferenceConfig> {
     robots.filter(|truth| truth.still && truth.code.is_some()).map(reference).collect()
 }
 
-/// Compares every snapshot with the truth and prints a line each second, until nobody reads them.
-async fn report(server: &Server, fleet: &Fleet, total: &mut Score) -> io::Result<()> {
+/// Compares every snapshot with the truth and prints a line each second; ends only when printing fails.
+async fn report(server: &Server, fleet: &Fleet, total: &mut Score) -> anyhow::Result<()> {
     let origin = server.playback().origin;
     let mut snapshots = server.hub().snapshots();
-    let mut ticks = tokio::time::interval(REPORT_EVERY);
+    let mut ticks = tokio::time::interval(REPORT_INTERVAL);
     ticks.tick().await;
     let mut second = Score::default();
     let mut settled_s = f64::INFINITY;
@@ -197,7 +174,7 @@ async fn report(server: &Server, fleet: &Fleet, total: &mut Score) -> io::Result
         tokio::select! {
             changed = snapshots.changed() => {
                 if changed.is_err() {
-                    // The hub is gone: the caller is taking the server apart.
+                    // The hub is gone: the caller is shutting the server down.
                     return std::future::pending().await;
                 }
                 let fused = snapshots.borrow_and_update().clone();
@@ -206,22 +183,23 @@ async fn report(server: &Server, fleet: &Fleet, total: &mut Score) -> io::Result
                     settled_s = time_s + SETTLING_S;
                 }
                 if time_s >= settled_s {
-                    second.add(&fleet.scenario(), &fused.snapshot, time_s);
+                    for score in [&mut second, &mut *total] {
+                        score.add(&fleet.scenario(), &fused.snapshot, time_s);
+                    }
                 }
             }
             _ = ticks.tick() => {
                 let elapsed_s = server.clock().now().seconds_since(origin);
-                let cameras = cameras(&server.hub().cameras());
-                total.merge(&second);
-                say(&format!("{elapsed_s:6.1} s  {}; {cameras}", second.line()))?;
+                let cameras = describe(&server.hub().cameras());
+                print(&format!("{elapsed_s:6.1} s  {}; {cameras}\n", second.line()))?;
                 second = Score::default();
             }
         }
     }
 }
 
-/// The cameras' rates, and the worst of their times.
-fn cameras(states: &BTreeMap<CameraId, CameraState>) -> String {
+/// The cameras' rates, and the longest of their times.
+fn describe(states: &BTreeMap<CameraId, CameraState>) -> String {
     let rates: Vec<String> = states.values().map(|state| format!("{:.1}", state.rate_hz)).collect();
     let worst = |value: fn(&CameraState) -> f64| states.values().map(value).fold(0.0, f64::max);
     format!(
@@ -230,9 +208,4 @@ fn cameras(states: &BTreeMap<CameraId, CameraState>) -> String {
         worst(|state| state.detect_ms),
         worst(|state| state.latency_ms),
     )
-}
-
-fn frames(states: &BTreeMap<CameraId, CameraState>) -> String {
-    let sum = |value: fn(&CameraState) -> u64| states.values().map(value).sum::<u64>();
-    format!("{} frames, {} left out", sum(|state| state.frames), sum(|state| state.dropped))
 }

@@ -1,4 +1,4 @@
-//! `roundel detect`: what the detector finds in image files.
+//! `roundel detect`: finds roundels in image files.
 
 mod output;
 mod search;
@@ -12,17 +12,14 @@ use std::{
 };
 
 use anyhow::Context;
-use clap::{Args, ValueEnum};
-use roundel_core::marker::{CodeLayout, Mode, Params};
+use clap::Args;
+use roundel_core::marker::{CodeLayout, Mode};
 
-use self::search::{ImageDetections, ImageSearch, SearchOptions};
-use super::error_chain;
-use crate::{
-    lab::{
-        drawing::Overlay,
-        print::spec::{self, Diameters, PolarityArg, PrintSpec},
-    },
-    model::camera_file,
+use self::search::{ImageDetections, ImageSearch};
+use super::{Format, error_chain, words};
+use crate::lab::{
+    drawing::Overlay,
+    print::spec::{self, Diameters, PolarityArg},
 };
 
 /// Find roundels in images.
@@ -44,59 +41,44 @@ pub struct DetectArgs {
     /// Camera file (ROS camera_info YAML), for poses
     #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,
-    /// Diameters of the print in millimetres; without the inner one, rings of any ratio are found,
-    /// coded ones at theirs (0.6); of an elliptical disc the longer and the shorter one
+    /// Diameters of the print in millimetres. Without the inner one, rings of any ratio are found (with --code, those
+    /// of ratio 0.6). An elliptical disc has a longer and a shorter inner diameter
     #[arg(long, value_name = "OUTER_MM[:INNER_MM[:MINOR_MM]]", value_parser = spec::diameters)]
     marker: Option<Diameters>,
-    /// Read codes: bits, and the least Hamming distance that the prints were made with [default
-    /// distance: 1]
+    /// Read codes: bits and minimum Hamming distance of the printed codes [default distance: 1]
     #[arg(long, value_name = "BITS[:DISTANCE]", value_parser = spec::code)]
     code: Option<CodeLayout>,
-    /// Which of ring and disc is black; a white ring stands on black
+    /// Whether ring or disc is black; a white ring is printed on black
     #[arg(long, value_enum, default_value_t)]
     polarity: PolarityArg,
-    /// What is worth more, precision or time
-    #[arg(long, value_enum, default_value_t)]
-    mode: ModeArg,
+    /// Prefer precision or speed
+    #[arg(long, default_value = "precise", value_parser = words(&MODES))]
+    mode: Mode,
     /// The images are consecutive frames of one camera: tracks carry over
     #[arg(long)]
     sequence: bool,
-    /// Write each image as PNG with what was found drawn in
+    /// Write each image as PNG with its detections to this folder
     #[arg(long, value_name = "DIR")]
     draw: Option<PathBuf>,
-    /// Tell which candidates were refused, and why; with --draw, draw them too
+    /// Report rejected candidates and the reasons; with --draw, draw them too
     #[arg(long)]
     explain: bool,
-    /// How to print [default: table on a terminal, json into a file or pipe]
+    /// A table, or one JSON object per line and image [default: table on a terminal, json into a file or pipe]
     #[arg(long, value_enum)]
     format: Option<Format>,
 }
 
-/// How results are printed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Format {
-    /// For people
-    Table,
-    /// One JSON object a line, an image each
-    Json,
-}
+const MODES: [(&str, Mode, &str); 2] = [
+    ("precise", Mode::Precise, "Rims and poses fitted to the grey levels"),
+    ("fast", Mode::Fast, "Rims from moments, poses in closed form"),
+];
 
-/// Words for modes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-enum ModeArg {
-    /// Fit rims and poses to the grey levels
-    #[default]
-    Precise,
-    /// Rims from moments, poses in closed form
-    Fast,
-}
-
-/// Searches all images and prints what was found, in the order given.
+/// Searches all images and prints the detections in their order.
 pub(super) fn run(arguments: &DetectArgs) -> anyhow::Result<ExitCode> {
-    let mut search = ImageSearch::new(options(arguments)?)?;
+    let mut search = ImageSearch::new(arguments)?;
     if let Some(folder) = &arguments.draw {
         fs::create_dir_all(folder)
-            .with_context(|| format!("cannot make the folder {}", folder.display()))?;
+            .with_context(|| format!("cannot create the folder {}", folder.display()))?;
     }
     let mut drawn = HashSet::new();
     let mut failed = false;
@@ -114,7 +96,7 @@ pub(super) fn run(arguments: &DetectArgs) -> anyhow::Result<ExitCode> {
             Format::Json => output::json(&mut out, path, &outcome, arguments.explain),
             Format::Table => output::table(&mut out, path, &outcome, arguments.explain),
         };
-        // Each line is there as soon as it is known. Who reads them may have seen enough.
+        // Output is flushed after each image. The search ends when the reader closes the pipe.
         match printed.and_then(|()| out.flush()) {
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => break,
             printed => printed.context("cannot write to the standard output")?,
@@ -128,26 +110,7 @@ pub(super) fn run(arguments: &DetectArgs) -> anyhow::Result<ExitCode> {
     Ok(if failed { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 
-fn options(arguments: &DetectArgs) -> anyhow::Result<SearchOptions> {
-    let mode = match arguments.mode {
-        ModeArg::Precise => Mode::Precise,
-        ModeArg::Fast => Mode::Fast,
-    };
-    let polarity = arguments.polarity.into();
-    let elliptical = arguments.marker.is_some_and(|diameters| diameters.minor_m.is_some());
-    if elliptical && arguments.code.is_some() {
-        anyhow::bail!("--marker with an elliptical disc and --code exclude each other");
-    }
-    Ok(SearchOptions {
-        print: PrintSpec { diameters: arguments.marker, code: arguments.code, polarity },
-        camera: arguments.camera.as_deref().map(camera_file::load).transpose()?,
-        params: Params { mode, ..Params::default() },
-        sequence: arguments.sequence,
-        explain: arguments.explain,
-    })
-}
-
-/// A name of its own for each drawing of this run.
+/// The drawing's file name, unique in this run.
 fn drawing_name(image: &Path, taken: &mut HashSet<String>) -> String {
     let stem = image.file_stem().unwrap_or_default().to_string_lossy();
     let mut name = format!("{stem}.png");

@@ -1,9 +1,7 @@
-//! `roundel eval`: a recording beside another system's trajectories.
+//! `roundel eval`: compares a recording with another system's trajectories.
 
 use std::{
     fmt::Write as _,
-    fs,
-    io::Write as _,
     path::{Path, PathBuf},
     process::ExitCode,
 };
@@ -11,84 +9,79 @@ use std::{
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 
-use crate::archive::{
-    eval::{
-        Sample, estimate,
-        metrics::{ErrorStatistics, EvalMetrics, EvalSettings, evaluate},
-        plots, truth,
+use super::{Format, number};
+use crate::{
+    archive::{
+        eval::{
+            Sample, estimate,
+            metrics::{ErrorStatistics, EvalMetrics, EvalSettings, evaluate},
+            plots, truth,
+        },
+        replay::reader::Reader,
     },
-    replay::reader::Reader,
+    model::regular_file,
 };
+
+/// Larger trajectories are not read.
+const MAX_TRUTH_BYTES: u64 = 1 << 30;
 
 /// Compare a recording with another system's trajectories.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     roundel eval run.mcap --truth truth.csv\n  \
     roundel eval run.mcap --truth mocap.tum --object 12 --draw pictures --format json\n\n\
-    The truth is a table with the columns time_ns (or time_s), x, y, z, perhaps qx, qy, qz, qw and object (a\n\
-    name, code or id of the recording), or a trajectory in TUM's form. One time offset and one rigid transform\n\
-    are found for everything, unless --offset and --align none say otherwise; figures are those of the `evo` tool,\n\
-    and --export writes both trajectories for it, as they were compared.")]
+    The truth is a table with the columns time_ns (or time_s), x, y, z, and optionally qx, qy, qz, qw and object (a\n\
+    name, code or id of the recording), or a trajectory in the TUM format. One time offset and one rigid transform\n\
+    are estimated for all objects, unless --offset or --align none is given. The metrics are those of the `evo` tool;\n\
+    --export writes the compared trajectories for it.")]
 pub struct EvalArgs {
     /// The recording
     file: PathBuf,
-    /// What the other system says
+    /// The other system's trajectories
     #[arg(long, value_name = "FILE")]
     truth: PathBuf,
-    /// Whether the two frames may differ
+    /// How the two coordinate frames are aligned
     #[arg(long, value_enum, default_value_t = Align::Rigid)]
     align: Align,
-    /// What the truth's clock is ahead of the recording's, seconds [default: found out]
+    /// Seconds by which the truth's clock is ahead of the recording's [default: estimated]
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
     offset: Option<f64>,
-    /// How far it may be, either way
-    #[arg(long, value_name = "SECONDS", default_value_t = 1.0, value_parser = offset)]
+    /// Maximum estimated offset in either direction
+    #[arg(long, value_name = "SECONDS", default_value_t = 1.0, value_parser = |text: &str| number(text, [0.0, 3600.0]))]
     max_offset: f64,
-    /// Samples between the two ends of a move of which the relative error is taken
+    /// Number of samples between the poses of a relative error
     #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..))]
     delta: u32,
-    /// The object that the truth is of, by name, code or id, where it does not say
+    /// The truth's object by name, code or id, if the file does not name it
     #[arg(long, value_name = "OBJECT")]
     object: Option<String>,
-    /// Draw pictures into this folder
+    /// Write plots into this folder
     #[arg(long, value_name = "DIR")]
     draw: Option<PathBuf>,
-    /// Write what was compared into this folder, in TUM's form
+    /// Write the compared trajectories into this folder, in the TUM format
     #[arg(long, value_name = "DIR")]
     export: Option<PathBuf>,
-    /// How to print it
+    /// Format of the report
     #[arg(long, value_enum, default_value_t = Format::Table)]
     format: Format,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Align {
-    /// By one rotation and translation
+    /// One rotation and translation
     Rigid,
-    /// Not at all
+    /// No alignment
     None,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Format {
-    Table,
-    Json,
-}
-
-fn offset(text: &str) -> Result<f64, String> {
-    let offset = text.parse().ok().filter(|offset: &f64| (0.0..=3600.0).contains(offset));
-    offset.ok_or_else(|| format!("expected 0 to 3600 seconds, found `{text}`"))
-}
-
-/// Prints the metrics.
 pub(super) fn run(arguments: &EvalArgs) -> anyhow::Result<ExitCode> {
-    let text = fs::read_to_string(&arguments.truth)
+    let text = regular_file::read_text(&arguments.truth, MAX_TRUTH_BYTES)
         .with_context(|| format!("cannot read {}", arguments.truth.display()))?;
     let truths = truth::read(&arguments.truth.display().to_string(), &text)?;
     let mut reader = Reader::open(&arguments.file, false)?;
     let estimate = estimate::read(&mut reader)?;
     for sentence in &reader.file().damage().sentences {
-        eprintln!("not whole: {sentence}");
+        eprintln!("damaged: {sentence}");
     }
     let settings = EvalSettings {
         aligns: arguments.align == Align::Rigid,
@@ -106,11 +99,7 @@ pub(super) fn run(arguments: &EvalArgs) -> anyhow::Result<ExitCode> {
         export(&metrics, folder)
             .with_context(|| format!("cannot write into {}", folder.display()))?;
     }
-    let text = match arguments.format {
-        Format::Json => format!("{}\n", serde_json::to_string_pretty(&metrics)?),
-        Format::Table => table(&metrics),
-    };
-    std::io::stdout().write_all(text.as_bytes()).context("cannot write to the standard output")?;
+    arguments.format.print(&metrics, table)?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -118,7 +107,6 @@ fn table(metrics: &EvalMetrics) -> String {
     let mut text = String::new();
     let [x, y, z] = metrics.translation_m;
     let degrees = metrics.truth_from_estimate.rotation.angle().to_degrees();
-    // Writing to a string cannot fail.
     let _ = writeln!(
         text,
         "truth's clock ahead by {:.1} ms; truth's frame moved by ({x:.3}, {y:.3}, {z:.3}) m and turned by {degrees:.2}°",
@@ -129,34 +117,31 @@ fn table(metrics: &EvalMetrics) -> String {
         "\n{:<16} {:>8} {:>8} {:>8} {:>8} {:>8} {:>8} {:>8} {:>6} {:>6}",
         "mm", "rms", "median", "p95", "max", "RPE rms", "jitter", "deg rms", "seen", "gaps"
     );
+    let millimetres = |ErrorStatistics { rms, median, p95, max, .. }: &ErrorStatistics| {
+        let [rms, median, p95, max] = [rms, median, p95, max].map(|metres| metres * 1e3);
+        format!("{rms:>8.2} {median:>8.2} {p95:>8.2} {max:>8.2}")
+    };
     for object in &metrics.objects {
-        let ErrorStatistics { rms, median, p95, max, .. } = object.ate_m;
         let turned = object.ate_deg.map_or("-".to_owned(), |it| format!("{:.3}", it.rms));
-        let name =
-            if object.name.is_empty() { object.object_id.to_string() } else { object.name.clone() };
+        let id = object.object_id.to_string();
+        let name = if object.name.is_empty() { &id } else { &object.name };
         let _ = writeln!(
             text,
-            "{name:<16} {:>8.2} {:>8.2} {:>8.2} {:>8.2} {:>8.2} {:>8.3} {turned:>8} {:>5.1}% {:>6}",
-            rms * 1e3,
-            median * 1e3,
-            p95 * 1e3,
-            max * 1e3,
+            "{name:<16} {} {:>8.2} {:>8.3} {turned:>8} {:>5.1}% {:>6}",
+            millimetres(&object.ate_m),
             object.rpe_m.rms * 1e3,
             object.jitter_m * 1e3,
             object.seen * 1e2,
             object.gaps
         );
     }
-    let ErrorStatistics { rms, median, p95, max, count, .. } = metrics.ate_m;
     let _ = writeln!(
         text,
-        "{:<16} {:>8.2} {:>8.2} {:>8.2} {:>8.2} {:>8.2}  ({count} samples; RPE over {} samples)",
+        "{:<16} {} {:>8.2}  ({} samples; RPE over {} samples)",
         "all",
-        rms * 1e3,
-        median * 1e3,
-        p95 * 1e3,
-        max * 1e3,
+        millimetres(&metrics.ate_m),
         metrics.rpe_m.rms * 1e3,
+        metrics.ate_m.count,
         metrics.rpe_delta
     );
     let late = metrics.latency_ms;
@@ -171,27 +156,26 @@ fn table(metrics: &EvalMetrics) -> String {
     text
 }
 
-/// Each object's trajectories as they were compared, but for the alignment: `NAME.estimate.tum` and `NAME.truth.tum`,
-/// with the same times.
+/// Writes the compared trajectories of each object, with equal times but without alignment: `NAME.estimate.tum` and
+/// `NAME.truth.tum`.
 fn export(metrics: &EvalMetrics, folder: &Path) -> std::io::Result<()> {
-    fs::create_dir_all(folder)?;
+    std::fs::create_dir_all(folder)?;
     for object in &metrics.objects {
-        let tame = |it: char| if it.is_alphanumeric() { it } else { '-' };
-        let name: String =
-            format!("{}-{}", object.object_id, object.name).chars().map(tame).collect();
+        let name = format!("{}-{}", object.object_id, object.name);
+        let name = name.replace(|it: char| !it.is_alphanumeric(), "-");
         let [mut estimate, mut truth] = [String::new(), String::new()];
         for pair in &object.pairs {
             let ns = pair.estimate.time.as_ns();
-            line(&mut estimate, ns, &pair.estimate);
-            line(&mut truth, ns, &pair.truth);
+            write_line(&mut estimate, ns, &pair.estimate);
+            write_line(&mut truth, ns, &pair.truth);
         }
-        fs::write(folder.join(format!("{name}.estimate.tum")), estimate)?;
-        fs::write(folder.join(format!("{name}.truth.tum")), truth)?;
+        std::fs::write(folder.join(format!("{name}.estimate.tum")), estimate)?;
+        std::fs::write(folder.join(format!("{name}.truth.tum")), truth)?;
     }
     Ok(())
 }
 
-fn line(text: &mut String, ns: i64, sample: &Sample) {
+fn write_line(text: &mut String, ns: i64, sample: &Sample) {
     let (p, q) = (sample.position_m, sample.orientation.unwrap_or_default());
     let (seconds, part) = (ns.div_euclid(1_000_000_000), ns.rem_euclid(1_000_000_000));
     let _ = writeln!(

@@ -5,7 +5,7 @@ use roundel_core::{
     world::{LifeStage, Snapshot},
 };
 
-/// An object farther than this from a robot is not taken for it.
+/// Maximum distance between an object and its robot.
 const MATCH_RADIUS_M: f64 = 0.15;
 
 /// Sums of squared errors of robots in snapshots.
@@ -13,15 +13,14 @@ const MATCH_RADIUS_M: f64 = 0.15;
 pub(super) struct Score {
     still: Sum,
     moving: Sum,
-    /// Snapshots compared.
-    pub snapshots: usize,
-    /// Tracked objects, over all snapshots.
-    pub tracked: usize,
-    /// Of these, objects without a robot near them.
-    pub astray: usize,
-    /// Of these, objects whose teeth were read, and those of them that were misread.
-    pub read: usize,
-    pub misread: usize,
+    snapshots: usize,
+    /// Tracked objects, summed over all snapshots.
+    tracked: usize,
+    /// Tracked objects without a robot near them.
+    astray: usize,
+    /// Tracked objects with a code, and those with the wrong one.
+    read: usize,
+    misread: usize,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -67,20 +66,7 @@ impl Score {
         }
     }
 
-    /// Adds another score.
-    pub(super) fn merge(&mut self, other: &Self) {
-        for (sum, other) in [(&mut self.still, &other.still), (&mut self.moving, &other.moving)] {
-            sum.count += other.count;
-            sum.squares_m2 += other.squares_m2;
-        }
-        self.snapshots += other.snapshots;
-        self.tracked += other.tracked;
-        self.astray += other.astray;
-        self.read += other.read;
-        self.misread += other.misread;
-    }
-
-    /// One line for a person, without the time.
+    /// One line, without the time.
     pub(super) fn line(&self) -> String {
         let millimetres = |sum: &Sum| {
             sum.rms_mm().map_or_else(|| "   –   ".to_owned(), |rms_mm| format!("{rms_mm:4.1} mm"))
@@ -143,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_are_sorted_by_motion_and_strays_are_told() {
+    fn errors_are_sorted_by_motion_and_strays_are_counted() {
         let scenario = Scenario::r4_lite(1);
         let robots = scenario.truth(2.0);
         let at = |still: bool| {
@@ -165,10 +151,9 @@ mod tests {
         assert!((score.still.rms_mm().unwrap() - 5.0).abs() < 1e-9);
         assert!((score.moving.rms_mm().unwrap() - 12.0).abs() < 1e-9);
         assert_eq!((score.tracked, score.astray), (3, 1));
-        let mut twice = score;
-        twice.merge(&score);
-        assert_eq!(twice.still.rms_mm(), score.still.rms_mm());
-        assert!(twice.line().ends_with("tracked 3.0 (2 astray)"), "{}", twice.line());
+        score.add(&scenario, &snapshot, 2.0);
+        assert!((score.still.rms_mm().unwrap() - 5.0).abs() < 1e-9);
+        assert!(score.line().ends_with("tracked 3.0 (2 astray)"), "{}", score.line());
     }
 
     #[test]

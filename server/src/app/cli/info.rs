@@ -1,55 +1,46 @@
-//! `roundel info`: what is in a recording, and what of it can be read.
+//! `roundel info`: summarises and checks a recording.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
     fmt::Write as _,
-    io::Write as _,
     path::PathBuf,
     process::ExitCode,
 };
 
-use anyhow::Context;
-use clap::{Args, ValueEnum};
-use indicatif::{ProgressBar, ProgressStyle};
+use clap::Args;
 use prost::Message;
 use roundel_core::time::Timestamp;
 use roundel_proto::v1;
 use serde::Serialize;
 
+use super::{Format, progress_bar};
 use crate::archive::record::{
     file_reader::{Channel, FileReader, RecordedMessage},
     megabytes,
     schema::Topic,
 };
 
-/// A pause between two snapshots that is so many times as long as usual is a gap.
+/// A pause between two snapshots is a gap if it is this many times the median pause.
 const GAP_FACTOR: f64 = 5.0;
 
-/// Say what is in a recording, and what of it can be read.
+/// Summarise and check a recording.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  \
     roundel info recordings/lab-20261122T221055Z-001.mcap\n\n\
-    Reads the whole file. The code is 1 if something of it cannot be read.")]
+    Reads the whole file. The exit code is 1 if a part of it cannot be read.")]
 pub struct InfoArgs {
     /// The recording
     file: PathBuf,
-    /// How to print it
+    /// Format of the report
     #[arg(long, value_enum, default_value_t = Format::Table)]
     format: Format,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Format {
-    Table,
-    Json,
-}
-
-/// What is in a recording.
-#[derive(Debug, Default, Serialize)]
+#[derive(Debug, Serialize)]
 struct Report {
     file: String,
     bytes: u64,
-    /// As strings: nanoseconds exceed what a JSON number holds.
+    /// Strings, since nanoseconds exceed the precision of a JSON number.
     begin_time_ns: String,
     end_time_ns: String,
     duration_s: f64,
@@ -75,15 +66,9 @@ struct TopicReport {
     bytes: u64,
 }
 
-/// Prints the report.
 pub(super) fn run(arguments: &InfoArgs) -> anyhow::Result<ExitCode> {
-    let mut reader = FileReader::open(&arguments.file)?;
-    let report = read(&mut reader)?;
-    let text = match arguments.format {
-        Format::Json => format!("{}\n", serde_json::to_string_pretty(&report)?),
-        Format::Table => table(&report),
-    };
-    std::io::stdout().write_all(text.as_bytes()).context("cannot write to the standard output")?;
+    let report = read(&mut FileReader::open(&arguments.file)?)?;
+    arguments.format.print(&report, table)?;
     Ok(if report.complete { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
@@ -117,23 +102,21 @@ impl ContentCounts {
         }
     }
 
-    /// How many pauses are far longer than usual, and the longest one.
+    /// Number of gaps and the longest one, in seconds.
     fn gaps(&mut self) -> (u64, f64) {
         self.snapshots.sort_unstable();
         let steps = self.snapshots.windows(2).map(|pair| pair[1].seconds_since(pair[0]));
-        let steps: Vec<f64> = steps.collect();
-        let mut sorted = steps.clone();
-        sorted.sort_by(f64::total_cmp);
-        let usual_s = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
-        let long = steps.iter().copied().filter(|step| *step > GAP_FACTOR * usual_s);
-        long.fold((0, 0.0), |(count, longest), step| (count + 1, f64::max(longest, step)))
+        let mut steps: Vec<f64> = steps.collect();
+        steps.sort_by(f64::total_cmp);
+        let usual_s = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
+        let gaps = steps.len() - steps.partition_point(|step| *step <= GAP_FACTOR * usual_s);
+        (gaps as u64, if gaps > 0 { steps[steps.len() - 1] } else { 0.0 })
     }
 }
 
 fn read(reader: &mut FileReader) -> anyhow::Result<Report> {
-    let bar = ProgressBar::new(reader.chunks().len() as u64);
-    let style = ProgressStyle::with_template("reading [{bar:30}] {percent} %");
-    bar.set_style(style.context("the progress bar's template is wrong")?.progress_chars("=> "));
+    let chunks = reader.chunks().len() as u64;
+    let bar = progress_bar(Some(chunks), "reading [{bar:30}] {percent} %")?;
     let mut counts = ContentCounts::default();
     while let Some(messages) = reader.next_chunk()? {
         messages.iter().for_each(|raw| counts.add(raw));
@@ -175,15 +158,11 @@ fn read(reader: &mut FileReader) -> anyhow::Result<Report> {
 
 fn table(report: &Report) -> String {
     let mut text = String::new();
-    let Report { file, installation, version, duration_s, objects, .. } = report;
-    // Writing to a string cannot fail.
+    let Report { file, installation, version, begin_time_ns, end_time_ns, .. } = report;
+    let Report { duration_s, objects, gaps, longest_gap_s, .. } = report;
     let _ = writeln!(text, "{file}: {}, {duration_s:.1} s", megabytes(report.bytes));
     let _ = writeln!(text, "installation \"{installation}\", recorded by Roundel {version}");
-    let _ = writeln!(
-        text,
-        "from {} to {} ns since the Unix epoch; {objects} objects",
-        report.begin_time_ns, report.end_time_ns
-    );
+    let _ = writeln!(text, "from {begin_time_ns} to {end_time_ns} ns Unix time; {objects} objects");
     let _ = writeln!(text, "\n{:<28} {:>9} {:>9} {:>10}", "topic", "messages", "Hz", "raw");
     for TopicReport { topic, messages, rate_hz, bytes } in &report.topics {
         let size = megabytes(*bytes);
@@ -193,22 +172,18 @@ fn table(report: &Report) -> String {
         let each = report.cameras.iter().map(|(name, frames)| format!("{name} {frames}"));
         let _ = writeln!(text, "\nframes: {}", each.collect::<Vec<_>>().join(", "));
     }
-    if report.gaps > 0 {
-        let _ = writeln!(
-            text,
-            "\n{} gaps between snapshots, the longest of {:.2} s",
-            report.gaps, report.longest_gap_s
-        );
+    if *gaps > 0 {
+        let _ = writeln!(text, "\n{gaps} gaps between snapshots, the longest {longest_gap_s:.2} s");
     }
     if !report.can_be_fused_anew {
         let _ = writeln!(
             text,
-            "\nIts snapshots can be played; fused anew it cannot be, since it does not say what fusion was told of \
-             cameras (it was streamed by `roundel record --output`)."
+            "\nThe snapshots can be replayed, but the recording cannot be fused again: it lacks the camera updates that fusion \
+             received (it was streamed by `roundel record --output`)."
         );
     }
     for sentence in &report.damage {
-        let _ = writeln!(text, "\nnot whole: {sentence}");
+        let _ = writeln!(text, "\ndamaged: {sentence}");
     }
     text
 }

@@ -3,35 +3,43 @@
 mod calibrate;
 #[cfg(all(target_os = "linux", target_pointer_width = "64"))]
 mod cameras;
+mod connection;
 mod demo;
 mod detect;
 mod eval;
 mod ground_truth;
 mod info;
+mod log;
 mod node;
 mod plan;
 mod print;
 mod record;
 mod replay;
 mod serve;
+mod signals;
+mod token;
 mod watch;
 
 use std::{
     fs::{self, File},
-    io::{self, IsTerminal, stderr},
+    io::{self, Write as _},
     path::Path,
     process::ExitCode,
 };
 
-use clap::{Parser, Subcommand};
+use anyhow::Context;
+use clap::{
+    Parser, Subcommand, ValueEnum,
+    builder::{PossibleValue, PossibleValuesParser, TypedValueParser},
+};
+use indicatif::{ProgressBar, ProgressStyle};
 use roundel_core::camera::MAX_SIDE_PX;
-use tracing_subscriber::EnvFilter;
+use serde::Serialize;
 
-/// Async tasks only pass bytes on; detection and fusion have threads of their own.
+use crate::lab::print::spec;
+
+/// Async tasks only forward bytes; detection and fusion run on their own threads.
 const ASYNC_THREADS: usize = 2;
-
-/// What is logged where RUST_LOG does not say. The finder of ChArUco boards warns of each picture without one.
-const LOG: &str = "info,calib_targets_charuco=error";
 
 /// Localizes robots with printed roundels and cameras.
 #[derive(Debug, Parser)]
@@ -56,17 +64,69 @@ enum Command {
     Info(info::InfoArgs),
     Replay(replay::ReplayArgs),
     Eval(eval::EvalArgs),
+    Token(token::TokenArgs),
     #[cfg(all(target_os = "linux", target_pointer_width = "64"))]
     Cameras(cameras::CamerasArgs),
 }
 
-/// Runs the command that the process was started with. Errors go to stderr; the code is 0 for
-/// success, 1 for failure, 2 for wrong arguments.
+/// Format of a report.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Format {
+    /// Text
+    Table,
+    /// JSON, for programs
+    Json,
+}
+
+impl Format {
+    fn print<T: Serialize>(
+        self,
+        report: &T,
+        table: impl FnOnce(&T) -> String,
+    ) -> anyhow::Result<()> {
+        print(&match self {
+            Self::Table => table(report),
+            Self::Json => serde_json::to_string_pretty(report)? + "\n",
+        })
+    }
+}
+
+/// Parses a number within bounds.
+fn number(text: &str, [least, most]: [f64; 2]) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|number| (least..=most).contains(number));
+    number.ok_or_else(|| format!("expected {least} to {most}, found `{text}`"))
+}
+
+/// A parser for the words of a table with their values and help texts.
+fn words<T: Copy + Send + Sync>(
+    table: &'static [(&'static str, T, &'static str)],
+) -> impl TypedValueParser<Value = T> {
+    let possible = table.iter().map(|(word, _, help)| PossibleValue::new(*word).help(*help));
+    PossibleValuesParser::new(possible).try_map(|text| {
+        let known = table.iter().find(|(word, ..)| *word == text);
+        known.map(|(_, value, _)| *value).ok_or("unknown word")
+    })
+}
+
+/// Writes to the standard output and flushes it.
+fn print(text: &str) -> anyhow::Result<()> {
+    let mut stdout = io::stdout().lock();
+    let written = stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush());
+    written.context("cannot write to the standard output")
+}
+
+/// A progress bar with that many steps, or a spinner, on stderr; hidden where that is no terminal.
+fn progress_bar(steps: Option<u64>, template: &str) -> anyhow::Result<ProgressBar> {
+    let bar = steps.map_or_else(ProgressBar::new_spinner, ProgressBar::new);
+    bar.set_style(ProgressStyle::with_template(template)?.progress_chars("=> "));
+    Ok(bar)
+}
+
+/// Runs the command of the process's arguments. Errors go to stderr. The exit code is 0 for success, 1 for failure, 2 for
+/// invalid arguments.
 pub fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(LOG));
-    let colors = stderr().is_terminal();
-    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colors).with_writer(stderr).init();
+    log::start();
     let outcome = match arguments.command {
         Command::Demo(arguments) => run_async(demo::run(arguments)),
         Command::Serve(arguments) => run_async(serve::run(arguments)),
@@ -79,6 +139,7 @@ pub fn main() -> ExitCode {
         Command::Record(arguments) => run_async(record::run(arguments)),
         Command::Info(arguments) => info::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
+        Command::Token(arguments) => token::run(&arguments),
         Command::Replay(arguments) => run_async(replay::run(arguments)),
         #[cfg(all(target_os = "linux", target_pointer_width = "64"))]
         Command::Cameras(arguments) => cameras::run(&arguments),
@@ -89,36 +150,33 @@ pub fn main() -> ExitCode {
     })
 }
 
-/// The error with its causes, each said once: many name their cause in their own words already.
+/// The error, followed by the causes that its text does not already include.
 fn error_chain(error: &anyhow::Error) -> String {
-    error.chain().map(ToString::to_string).fold(String::new(), |told, cause| {
-        if told.is_empty() {
-            cause
-        } else if told.contains(&cause) {
-            told
-        } else {
-            format!("{told}: {cause}")
+    let mut text = error.to_string();
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !text.contains(&cause) {
+            text += &format!(": {cause}");
         }
-    })
+    }
+    text
 }
 
-/// Whether a file can be written there, before long work is done for it; leaves everything as it is.
+/// Checks whether a file can be written, without changing anything. Called before long work that writes it.
 fn check_writable(path: &Path) -> io::Result<()> {
     match File::options().write(true).create_new(true).open(path) {
         Ok(_) => fs::remove_file(path),
         Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(error),
-        // A pipe is not opened: that would wait for who reads it.
+        // Opening a pipe would wait for its reader.
         Err(_) if !path.is_file() && !path.is_dir() => Ok(()),
         Err(_) => File::options().write(true).open(path).map(drop),
     }
 }
 
-/// Columns and rows of pictures.
+/// Parses columns and rows of pictures.
 fn size(text: &str) -> Result<(usize, usize), String> {
-    let side =
-        |side: &str| side.trim().parse().ok().filter(|side| (1..=MAX_SIDE_PX).contains(side));
-    let sides = text.split_once('x').and_then(|(w, h)| Some((side(w)?, side(h)?)));
-    sides.ok_or_else(|| {
+    let is_side = |side: &usize| (1..=MAX_SIDE_PX).contains(side);
+    let size = spec::sides(text).ok().filter(|(width, height)| is_side(width) && is_side(height));
+    size.ok_or_else(|| {
         format!(
             "expected a size such as 1280x720, at most {MAX_SIDE_PX} pixels a side, found `{text}`"
         )
@@ -131,7 +189,7 @@ fn run_async(command: impl Future<Output = anyhow::Result<ExitCode>>) -> anyhow:
         .enable_all()
         .build()?;
     let outcome = runtime.block_on(command);
-    // What is left is blocking work of clients that did not end in time.
+    // Does not wait for blocking work of clients that did not end in time.
     runtime.shutdown_background();
     outcome
 }
@@ -143,7 +201,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_cause_is_said_once() {
+    fn a_cause_is_printed_once() {
         let cause = anyhow::anyhow!("no such file").context("cannot read a.png: no such file");
         assert_eq!(error_chain(&cause), "cannot read a.png: no such file");
         let cause = anyhow::anyhow!("no such file").context("a.png");
@@ -151,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn where_a_file_may_go_is_told_without_leaving_one() {
+    fn a_writable_path_is_recognized_without_creating_a_file() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("a.toml");
         check_writable(&file).unwrap();

@@ -1,77 +1,63 @@
-//! `roundel node`: captures and searches here, for a server elsewhere.
+//! `roundel node`: captures and searches frames on this computer, for a server on another one.
 
-use std::{fmt::Write as _, io::Write as _, path::PathBuf, process::ExitCode, time::Duration};
+use std::{fmt::Write as _, path::PathBuf, process::ExitCode, time::Duration};
 
-use anyhow::{Context, bail};
-use clap::{Args, ValueEnum};
+use anyhow::bail;
+use clap::Args;
 use roundel_client::Client;
 use serde_json::json;
 
-use super::serve::{Signals, elapsed, seconds};
+use super::{Format, connection::ConnectionArgs, print, serve::seconds, signals::ServerEnd};
 use crate::{
     app::serve::node::{Node, NodeReport},
-    model::config::Config,
+    model::{config::Config, redact::redact},
 };
 
-/// Capture and search frames on this machine, for a server on another one
+/// Capture and search frames on this computer, for a server on another one
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  \
     roundel node --config robot7.toml --server http://10.0.0.1:7670\n\n\
-    The file lists cameras and kinds of roundel as that of `roundel serve` does; poses are not looked at.\n\
+    The file lists cameras and kinds of roundel like that of `roundel serve`; poses are ignored.\n\
     The server has a [[camera]] of the same name with source = \"push:\". While the server is away, frames\n\
-    go on being searched; what is seen meanwhile and grows too old to be of use is dropped and counted.\n\
-    SIGINT (Ctrl-C) or SIGTERM ends it, and it says what became of all frames.")]
+    are still searched; observations that become too old to be useful are dropped and counted.\n\
+    SIGINT (Ctrl-C) or SIGTERM shuts it down, and it reports the frames sent and dropped.")]
 pub struct NodeArgs {
     /// The node's TOML file
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
-    /// The server's address; without it, that of `[node] server`
+    /// The server's address [default: `[node] server` in the file]
     #[arg(long, value_name = "URL")]
     server: Option<String>,
-    /// End after so many seconds
+    #[command(flatten)]
+    connection: ConnectionArgs,
+    /// Stop after this many seconds
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     duration: Option<Duration>,
-    /// How to say at the end what became of the frames
+    /// Format of the final report
     #[arg(long, value_enum, default_value_t = Format::Table)]
     format: Format,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Format {
-    Table,
-    Json,
-}
-
-/// Works until a signal or the end of `--duration`.
+/// Runs until a signal or the end of `--duration`.
 pub(super) async fn run(arguments: NodeArgs) -> anyhow::Result<ExitCode> {
     let config = Config::load_node(&arguments.config)?;
-    let Some(server) = arguments.server.or(config.node.clone()) else {
+    let Some(server) = arguments.server.or(config.node.as_ref().map(|node| node.server.clone()))
+    else {
         bail!(
-            "which server? Name it with --server http://HOST:PORT, or write [node] and server = \"http://HOST:PORT\" \
-             into {}",
+            "expected a server: add --server http://HOST:PORT, or [node] with server = \"http://HOST:PORT\" to {}",
             arguments.config.display()
         );
     };
-    let mut signals = Signals::listen()?;
-    let client = Client::connect_lazily(&server)?;
+    let end = ServerEnd::listen(arguments.duration)?;
+    let options = arguments.connection.node_options(config.node.as_ref());
+    let client = Client::connect_lazily_with(&server, &options)?;
     let node = Node::start(&config, &client)?;
-    say(&format!("sending to {}\n", client.address()))?;
-    tokio::select! {
-        () = signals.next() => tracing::info!("ending on a signal"),
-        () = elapsed(arguments.duration) => {}
-    }
+    print(&format!("sending to {}\n", redact(client.address())))?;
+    end.wait().await;
+    tracing::info!("shutting down");
     let reports = node.shutdown().await;
-    say(&match arguments.format {
-        Format::Table => table(&reports),
-        Format::Json => format!("{:#}\n", as_json(&reports)),
-    })?;
+    arguments.format.print(&as_json(&reports), |_| table(&reports))?;
     Ok(ExitCode::SUCCESS)
-}
-
-fn say(text: &str) -> anyhow::Result<()> {
-    let mut stdout = std::io::stdout().lock();
-    let written = stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush());
-    written.context("cannot write to the standard output")
 }
 
 fn table(reports: &[NodeReport]) -> String {

@@ -1,68 +1,64 @@
-//! `roundel record`: tells a server to record, or records what it serves here.
+//! `roundel record`: controls recording on a server, or records the server's streams on this computer.
 
 mod local;
 
-use std::{io::Write as _, path::PathBuf, process::ExitCode, time::Duration};
+use std::{path::PathBuf, process::ExitCode, time::Duration};
 
-use anyhow::Context;
-use clap::{Args, ValueEnum};
-use indicatif::{ProgressBar, ProgressStyle};
+use clap::Args;
 use roundel_client::Client;
 use roundel_proto::v1;
 
-use super::serve::{Signals, elapsed, seconds};
+use super::{
+    Format, connection::ConnectionArgs, print, progress_bar, serve::seconds,
+    signals::signal_or_after,
+};
 use crate::archive::record::megabytes;
 
-const LOOK_EVERY: Duration = Duration::from_millis(500);
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(500);
+const PROGRESS: &str = "recording: {msg}";
 
-/// Record what a server sees and says, to look at, replay and evaluate it later.
+/// Record a server's data for inspection, replay and evaluation.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     roundel record                                  the server on this machine, until Ctrl-C\n  \
     roundel record --server http://arena:7670 --name trial --seconds 60\n  \
     roundel record --detach; …; roundel record --stop\n  \
-    roundel record --output run.mcap                here, out of what the server streams\n\n\
-    Files are MCAP, which Foxglove opens, in the server's folder ([recording] in its configuration) unless\n\
-    --output says otherwise; `roundel info`, `roundel replay` and `roundel eval` read them. Only what a server\n\
-    records itself can be fused anew: what is streamed lacks what fusion was told of its cameras.")]
+    roundel record --output run.mcap                on this computer, from the server's streams\n\n\
+    Files are MCAP, which Foxglove opens. The server writes them to the folder of [recording] in its configuration,\n\
+    unless --output names a file on this computer. `roundel info`, `roundel replay` and `roundel eval` read them. Only a\n\
+    recording made by the server can be fused again: the streams lack the camera updates that fusion received.")]
 pub struct RecordArgs {
     /// Address of the running server
     #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:7670")]
     server: String,
-    /// Begin of the files' names [default: the installation's name]
+    #[command(flatten)]
+    connection: ConnectionArgs,
+    /// Prefix of the files' names [default: the installation's name]
     #[arg(long, value_name = "NAME", default_value = "", hide_default_value = true)]
     name: String,
-    /// End after so many seconds
+    /// Stop after this many seconds
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     seconds: Option<Duration>,
-    /// Keep one in so many frames of each camera, 0: none [default: as configured]
+    /// Record every Nth frame of each camera, 0: none [default: as configured]
     #[arg(long, value_name = "N")]
     frames_every: Option<u32>,
-    /// Leave it recording
+    /// Return at once and leave the server recording
     #[arg(long, conflicts_with_all = ["stop", "output"])]
     detach: bool,
-    /// End the recording that is being made
+    /// Stop the current recording
     #[arg(long, conflicts_with_all = ["output", "name", "seconds", "frames_every"])]
     stop: bool,
-    /// Record into this file on this machine instead
+    /// Record the server's streams into this file on this computer instead
     #[arg(long, value_name = "FILE", conflicts_with_all = ["name", "frames_every"])]
     output: Option<PathBuf>,
-    /// How to print what became of it
+    /// Format of the result; JSON is one line, as in REST
     #[arg(long, value_enum, default_value_t = Format::Table)]
     format: Format,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Format {
-    /// Sentences
-    Table,
-    /// As REST gives it, one line
-    Json,
-}
-
-/// Records until a signal, the given time, or the recording's own end; 1 if that was a failure.
+/// Records until a signal, the end of `--seconds`, or the end of the recording. The exit code is 1 if the recording failed.
 pub(super) async fn run(arguments: RecordArgs) -> anyhow::Result<ExitCode> {
-    let client = Client::connect(&arguments.server).await?;
+    let client = arguments.connection.connect(&arguments.server).await?;
     if let Some(path) = &arguments.output {
         return local::record(&client, path, arguments.seconds).await;
     }
@@ -80,17 +76,17 @@ pub(super) async fn run(arguments: RecordArgs) -> anyhow::Result<ExitCode> {
     if arguments.detach {
         return print_outcome(&begun, arguments.format);
     }
-    let mut signals = Signals::listen()?;
+    let signal = signal_or_after(None)?;
     let ended = tokio::select! {
         ended = follow(&client) => ended?,
-        () = signals.next() => client.stop_recording().await?,
+        () = signal => client.stop_recording().await?,
     };
     print_outcome(&ended, arguments.format)
 }
 
-/// Shows how it is doing until it has ended by itself.
+/// Shows the progress until the recording has ended.
 async fn follow(client: &Client) -> anyhow::Result<v1::Recording> {
-    let bar = progress()?;
+    let bar = progress_bar(None, PROGRESS)?;
     loop {
         let now = client.recording().await?;
         if now.state() != v1::RecordingState::Recording {
@@ -99,22 +95,14 @@ async fn follow(client: &Client) -> anyhow::Result<v1::Recording> {
         }
         let lost = if now.dropped > 0 { format!(", {} lost", now.dropped) } else { String::new() };
         bar.set_message(format!(
-            "{:.0} s, {} in {} messages{lost}, {} left on the disk",
+            "{:.0} s, {} in {} messages{lost}, {} free on the disk",
             now.seconds,
             megabytes(now.bytes),
             now.messages,
             megabytes(now.disk_free_bytes)
         ));
-        elapsed(Some(LOOK_EVERY)).await;
+        tokio::time::sleep(PROGRESS_INTERVAL).await;
     }
-}
-
-/// A line that tells how far it is; none where there is no terminal.
-fn progress() -> anyhow::Result<ProgressBar> {
-    let bar = ProgressBar::new_spinner();
-    let style = ProgressStyle::with_template("recording: {msg}");
-    bar.set_style(style.context("the progress bar's template is wrong")?);
-    Ok(bar)
 }
 
 fn print_outcome(recording: &v1::Recording, format: Format) -> anyhow::Result<ExitCode> {
@@ -130,14 +118,14 @@ fn print_outcome(recording: &v1::Recording, format: Format) -> anyhow::Result<Ex
                 megabytes(recording.bytes)
             );
             if *dropped > 0 {
-                text += &format!("; {dropped} messages are missing, the disk was too slow");
+                text += &format!("; {dropped} messages were dropped: the disk was too slow");
             }
             if is_failed {
-                text += &format!("; it ended by itself: {}", recording.error);
+                text += &format!("; the recording failed: {}", recording.error);
             }
             text
         }
     };
-    writeln!(std::io::stdout(), "{text}").context("cannot write to the standard output")?;
+    print(&(text + "\n"))?;
     Ok(if is_failed { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }

@@ -1,14 +1,18 @@
-//! `roundel replay`: serves a recording as if it were live, or fuses it anew into another one.
+//! `roundel replay`: serves a recording as if it were live, or fuses it again into another one.
 
-use std::{io::Write as _, net::SocketAddr, path::PathBuf, process::ExitCode};
+use std::{
+    net::SocketAddr,
+    path::{Path, PathBuf},
+    process::ExitCode,
+    time::{Duration, Instant},
+};
 
-use anyhow::{Context, bail};
-use clap::{Args, ValueEnum};
-use indicatif::{ProgressBar, ProgressStyle};
+use anyhow::bail;
+use clap::Args;
 
-use super::serve::{Signals, seconds};
+use super::{number, print, progress_bar, serve::seconds, signals::ServerEnd, words};
 use crate::{
-    app::replay_server::ReplayServer,
+    app::{replay_server::ReplayServer, serve::check_exposure},
     archive::{
         record::megabytes,
         replay::{
@@ -17,138 +21,114 @@ use crate::{
             session::{ReplayOptions, ReplaySession, initial_status},
         },
     },
+    model::access::AccessConfig,
 };
 
-/// Serve a recording as if it were live, or fuse it anew into another one.
+/// Serve a recording as if it were live, or fuse it again into another one.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
-    roundel replay run.mcap                               the dashboard has a time line\n  \
+    roundel replay run.mcap                               the dashboard shows a time line\n  \
     roundel replay run.mcap --speed 4 --start 30 --loop\n  \
     roundel replay run.mcap --from observations --config other.toml\n  \
-    roundel replay run.mcap --from observations --to anew.mcap   as fast as it goes\n\n\
+    roundel replay run.mcap --from observations --to fused.mcap   at full speed\n\n\
     Times are those of the recording. While it is served: PATCH /api/v1/replay with {\"paused\": true},\n\
-    {\"position_s\": 12.5}, {\"speed\": 0.5}, {\"looping\": true}; gRPC has ControlReplay. Fused anew, the same file\n\
+    {\"position_s\": 12.5}, {\"speed\": 0.5}, {\"looping\": true}; gRPC has ControlReplay. Fusing the same file again\n\
     gives the same bits each time.")]
 pub struct ReplayArgs {
     /// The recording
     file: PathBuf,
-    /// What is taken from it
-    #[arg(long, value_enum, default_value_t = FromArg::Snapshots)]
-    from: FromArg,
-    /// How many recorded seconds pass in one, 0.01 to 100
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = speed)]
+    /// Recorded data to start from
+    #[arg(long, default_value = "snapshots", value_parser = words(&REPLAY_FROM))]
+    from: ReplayFrom,
+    /// Recorded seconds per second, 0.01 to 100; --to FILE has no limit
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = |text: &str| number(text, SPEEDS))]
     speed: f64,
-    /// Where to begin, seconds from the recording's begin
-    #[arg(long, value_name = "SECONDS", value_parser = position, default_value_t = 0.0)]
+    /// Start position, seconds after the start of the recording
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = |text: &str| number(text, [0.0, 1e9]))]
     start: f64,
-    /// Begin again after the end
+    /// Loop
     #[arg(long = "loop")]
     looping: bool,
-    /// Wait at the begin
+    /// Start paused
     #[arg(long)]
     paused: bool,
-    /// Fuse (and search) by this configuration instead of the recorded one
+    /// Fuse (and search) with this configuration instead of the recorded one
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Where to listen; port 0 takes a free one
+    /// Address to listen on; port 0 takes a free one
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:7670")]
     listen: SocketAddr,
-    /// Serve nothing: write what comes out into this file, as fast as it goes
+    /// Allow an address that other computers reach, without encryption and credentials
+    #[arg(long)]
+    insecure: bool,
+    /// Write the result into this file at full speed instead of serving it
     #[arg(long, value_name = "FILE", conflicts_with_all = ["speed", "start", "looping", "paused", "listen"])]
     to: Option<PathBuf>,
-    /// End after so many seconds
+    /// Stop after this many seconds
     #[arg(long, value_name = "SECONDS", value_parser = seconds, conflicts_with = "to")]
-    duration: Option<std::time::Duration>,
+    duration: Option<Duration>,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum FromArg {
-    /// Snapshots and events as they were
-    Snapshots,
-    /// Observations, which are fused anew
-    Observations,
-    /// Frames, which are searched and fused anew
-    Frames,
-}
+const REPLAY_FROM: [(&str, ReplayFrom, &str); 3] = [
+    ("snapshots", ReplayFrom::Snapshots, "Snapshots and events as recorded"),
+    ("observations", ReplayFrom::Observations, "Observations, fused again"),
+    ("frames", ReplayFrom::Frames, "Frames, searched and fused again"),
+];
 
-fn speed(text: &str) -> Result<f64, String> {
-    let [slowest, fastest] = SPEEDS;
-    let speed = text.parse().ok().filter(|speed| (slowest..=fastest).contains(speed));
-    speed.ok_or_else(|| {
-        format!("expected {slowest} to {fastest}, found `{text}` (as fast as it goes: --to FILE)")
-    })
-}
-
-fn position(text: &str) -> Result<f64, String> {
-    let position = text.parse().ok().filter(|position: &f64| (0.0..=1e9).contains(position));
-    position.ok_or_else(|| format!("expected seconds, 0 or more, found `{text}`"))
-}
-
-/// Serves until a signal; with `--to`, until the file is whole.
+/// Serves until a signal; with `--to`, until the file is complete.
 pub(super) async fn run(arguments: ReplayArgs) -> anyhow::Result<ExitCode> {
-    let from = match arguments.from {
-        FromArg::Snapshots => ReplayFrom::Snapshots,
-        FromArg::Observations => ReplayFrom::Observations,
-        FromArg::Frames => ReplayFrom::Frames,
-    };
+    let from = arguments.from;
     if arguments.config.is_some() && from == ReplayFrom::Snapshots {
-        bail!("--config says how to fuse anew: add --from observations, or --from frames");
+        bail!("--config applies only when fusing again: add --from observations or --from frames");
     }
-    let wanted =
-        ReplayOptions { file: arguments.file.clone(), from, config: arguments.config.clone() };
-    let session = tokio::task::spawn_blocking(move || ReplaySession::open(&wanted)).await??;
+    let options = ReplayOptions { file: arguments.file.clone(), from, config: arguments.config };
+    let session = tokio::task::spawn_blocking(move || ReplaySession::open(&options)).await??;
     if let Some(to) = arguments.to {
-        return tokio::task::spawn_blocking(move || fuse_anew(session, &to)).await?;
+        return tokio::task::spawn_blocking(move || write_fused(session, &to)).await?;
     }
     let mut begin = initial_status(&session, &arguments.file, from);
     let length_s = begin.span.1.seconds_since(begin.span.0);
     if arguments.start > length_s {
-        bail!("--start: the recording has {length_s:.3} s, found {}", arguments.start);
+        bail!(
+            "--start: expected at most {length_s:.3} s, the length of the recording, found {}",
+            arguments.start
+        );
     }
     begin.position = begin.span.0.plus_seconds(arguments.start);
-    (begin.speed, begin.paused, begin.looping) =
-        (arguments.speed, arguments.paused, arguments.looping);
-    let mut signals = Signals::listen()?;
+    begin.speed = arguments.speed;
+    begin.paused = arguments.paused;
+    begin.looping = arguments.looping;
+    let end = ServerEnd::listen(arguments.duration)?;
+    let access = AccessConfig { insecure: arguments.insecure, ..AccessConfig::default() };
+    check_exposure(arguments.listen, false, &access)?;
     let server = ReplayServer::start(session, arguments.listen, begin).await?;
-    let mut stdout = std::io::stdout();
-    writeln!(stdout, "listening on http://{}", server.local_addr())
-        .and_then(|()| writeln!(stdout, "{length_s:.1} s of {}", arguments.file.display()))
-        .and_then(|()| stdout.flush())
-        .context("cannot write to the standard output")?;
+    let (address, file) = (server.local_addr(), arguments.file.display());
+    print(&format!("listening on http://{address}\n{length_s:.1} s of {file}\n"))?;
     for sentence in &server.replay().status().damage {
         tracing::warn!("{sentence}");
     }
-    tokio::select! {
-        () = signals.next() => {}
-        () = super::serve::elapsed(arguments.duration) => {}
-    }
+    end.wait().await;
     server.shutdown().await;
     Ok(ExitCode::SUCCESS)
 }
 
-fn fuse_anew(session: ReplaySession, to: &std::path::Path) -> anyhow::Result<ExitCode> {
-    let bar = ProgressBar::new_spinner();
-    let style = ProgressStyle::with_template("replaying: {pos} s");
-    bar.set_style(style.context("the progress bar's template is wrong")?);
-    let begun = std::time::Instant::now();
+fn write_fused(session: ReplaySession, to: &Path) -> anyhow::Result<ExitCode> {
+    let bar = progress_bar(None, "replaying: {pos} s")?;
+    let begun = Instant::now();
     let copied = copy(session, to, |second| bar.set_position(second as u64))?;
     bar.finish_and_clear();
-    let elapsed_s = begun.elapsed().as_secs_f64();
     let mut text = format!(
-        "{}: {} snapshots of {:.1} s, {} in {} messages; {:.1} times as fast as it was",
+        "{}: {} snapshots of {:.1} s, {} in {} messages, at {:.1} times the recorded speed",
         to.display(),
         copied.snapshots,
         copied.seconds,
         megabytes(copied.bytes),
         copied.messages,
-        copied.seconds / elapsed_s
+        copied.seconds / begun.elapsed().as_secs_f64()
     );
     if copied.invalid_messages > 0 {
-        text += &format!(
-            "; {} messages said what cannot be, and were left out",
-            copied.invalid_messages
-        );
+        text += &format!("; {} invalid messages were skipped", copied.invalid_messages);
     }
-    writeln!(std::io::stdout(), "{text}").context("cannot write to the standard output")?;
+    print(&(text + "\n"))?;
     Ok(if copied.invalid_messages > 0 { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }

@@ -1,30 +1,29 @@
 //! `roundel serve`: runs an installation.
 
-use std::{future::pending, io::Write as _, path::PathBuf, process::ExitCode, time::Duration};
+use std::{path::PathBuf, process::ExitCode, time::Duration};
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use clap::Args;
-use tokio::signal::unix::{Signal, SignalKind, signal};
 
+use super::{print, signals::ServerEnd};
 use crate::{app::serve::Server, model::config::Config};
 
-/// Exit code of a process that a second signal ended.
-const ENDED_BY_SIGNAL: i32 = 130;
-/// Signals within this time count as one: a terminal or a supervisor may well send one to the
-/// process and to its group.
-const ONE_SIGNAL: Duration = Duration::from_millis(300);
+/// Exit code after the failure of an essential thread.
+const FAILED: i32 = 1;
+/// Time for finishing the recording after such a failure.
+const RECORDING_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Run an installation: cameras in, world poses out.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  \
     roundel serve --config deploy/roundel.example.toml\n\n\
-    Prints the address that it listens on. SIGINT (Ctrl-C) or SIGTERM ends it; a second one ends it\n\
-    at once. RUST_LOG sets what is logged, e.g. RUST_LOG=debug.")]
+    Prints the address that it listens on. SIGINT (Ctrl-C), SIGTERM or SIGHUP shuts it down within 5 s; a\n\
+    second one ends it at once. RUST_LOG sets the log level, such as RUST_LOG=debug.")]
 pub struct ServeArgs {
     /// The installation's TOML file
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
-    /// End after so many seconds
+    /// Stop after this many seconds
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     duration: Option<Duration>,
 }
@@ -48,73 +47,36 @@ pub(super) async fn run(arguments: ServeArgs) -> anyhow::Result<ExitCode> {
             arguments.config.display()
         );
     }
-    let mut signals = Signals::listen()?;
+    let end = ServerEnd::listen(arguments.duration)?;
     let server = Server::start(config).await?;
     announce(&server)?;
-    tokio::select! {
-        () = signals.next() => tracing::info!("ending on a signal"),
-        () = elapsed(arguments.duration) => {}
-    }
-    shut_down(server).await;
-    Ok(ExitCode::SUCCESS)
+    Ok(serve_until(server, &end).await)
 }
 
-/// Says where the server listens: the one line that scripts wait for.
+/// Prints where the server listens: the line that scripts wait for. Its certificate comes first.
 pub(super) fn announce(server: &Server) -> anyhow::Result<()> {
-    let mut stdout = std::io::stdout().lock();
-    writeln!(stdout, "listening on http://{}", server.local_addr())
-        .and_then(|()| stdout.flush())
-        .context("cannot write to the standard output")
-}
-
-/// Waits so long; for ever without a duration.
-pub(super) async fn elapsed(duration: Option<Duration>) {
-    match duration {
-        Some(duration) => tokio::time::sleep(duration).await,
-        None => pending().await,
+    let mut text = String::new();
+    let mut scheme = "http";
+    if let Some(certificate) = server.certificate() {
+        text = format!("TLS certificate: {certificate}\n");
+        scheme = "https";
     }
+    print(&format!("{text}listening on {scheme}://{}\n", server.local_addr()))
 }
 
-/// Takes the server apart; a further signal meanwhile ends the process at once.
-pub(super) async fn shut_down(server: Server) {
-    let second_signal = async {
-        tokio::time::sleep(ONE_SIGNAL).await;
-        match Signals::listen() {
-            // Hears what comes from now on.
-            Ok(mut signals) => signals.next().await,
-            Err(_) => pending().await,
-        }
-    };
+/// Serves until `end`, or until an essential thread has failed, and shuts down. The exit code is 1 after a failure.
+pub(super) async fn serve_until(server: Server, end: &ServerEnd) -> ExitCode {
     tokio::select! {
-        () = server.shutdown() => {}
-        () = second_signal => {
-            tracing::warn!("ending at once on a second signal");
-            std::process::exit(ENDED_BY_SIGNAL);
+        biased;
+        () = server.failed() => {
+            end.begin();
+            server.finish_recording(RECORDING_TIMEOUT).await;
+            tracing::error!("ending with an error, so that a supervisor restarts this server");
+            std::process::exit(FAILED);
         }
+        () = end.wait() => {}
     }
-}
-
-/// SIGINT and SIGTERM.
-pub(super) struct Signals {
-    interrupt: Signal,
-    terminate: Signal,
-}
-
-impl Signals {
-    /// From now on the signals no longer end the process by themselves.
-    pub(super) fn listen() -> anyhow::Result<Self> {
-        let listen = |kind| signal(kind).context("cannot listen for signals");
-        Ok(Self {
-            interrupt: listen(SignalKind::interrupt())?,
-            terminate: listen(SignalKind::terminate())?,
-        })
-    }
-
-    /// Waits for either.
-    pub(super) async fn next(&mut self) {
-        tokio::select! {
-            _ = self.interrupt.recv() => {}
-            _ = self.terminate.recv() => {}
-        }
-    }
+    tracing::info!("shutting down");
+    server.shutdown().await;
+    ExitCode::SUCCESS
 }

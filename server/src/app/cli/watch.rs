@@ -1,41 +1,41 @@
 //! `roundel watch`: the stream of snapshots as a live table, or as lines of JSON.
 
 use std::{
-    fmt::Write as _,
     io::{self, IsTerminal, Write},
     process::ExitCode,
-    time::Duration,
 };
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use futures::StreamExt;
 use roundel_client::{Client, Subscription, Update, position_sigma_m, speed_m_s};
 use roundel_proto::{json, v1};
 
-use super::serve::Signals;
+use super::{Format, connection::ConnectionArgs, signals::signal_or_after};
 
-/// Rate of the table if nobody asks for one: quick enough to the eye.
+/// Default rate of the table, hertz.
 const TABLE_RATE_HZ: f64 = 10.0;
-/// Rows of a terminal that does not say how many it has.
+/// Rows of a terminal that does not report its size.
 const DEFAULT_ROWS: u16 = 24;
 /// Rows above the first object.
 const HEADER_ROWS: usize = 3;
 
-/// Watch where every object is.
+/// Watch the poses of all objects.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     roundel watch\n  \
     roundel watch --server http://arena:7670 --name drone --code 12\n  \
     roundel watch --format json --count 600 > run.jsonl\n\n\
-    Columns: id: the server's number for the object; code: that of a coded print; position in metres\n\
-    (world frame); speed in m/s; sigma: standard deviation of the position, root mean square over\n\
-    the axes, in millimetres; age: of the newest observation, at the pose's time; residual: about 1\n\
-    when the covariances are right.")]
+    Columns: id: the server's number for the object; code: number of its coded print; position in metres\n\
+    (world frame); speed in m/s; sigma: standard deviation of the position, root mean square over the\n\
+    axes, in millimetres; age: of the newest observation at the pose's time; residual: about 1 when the\n\
+    covariances are right.")]
 pub struct WatchArgs {
     /// Address of the server
     #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:7670")]
     server: String,
-    /// At most so many snapshots a second [default: 10 for the table, all for json]
+    #[command(flatten)]
+    connection: ConnectionArgs,
+    /// Most snapshots per second [default: 10 for the table, all for json]
     #[arg(long, value_name = "HZ")]
     rate: Option<f64>,
     /// Only this object; may be repeated
@@ -47,45 +47,31 @@ pub struct WatchArgs {
     /// Only the object with the code of this number; may be repeated
     #[arg(long = "code", value_name = "N")]
     codes: Vec<u32>,
-    /// How to print
-    #[arg(long, value_enum, default_value_t = WatchFormat::Table)]
-    format: WatchFormat,
-    /// End after so many snapshots
+    /// A table, refreshed in place on a terminal, or one snapshot per line, as in REST
+    #[arg(long, value_enum, default_value_t = Format::Table)]
+    format: Format,
+    /// Stop after this many snapshots
     #[arg(long, value_name = "N")]
     count: Option<u64>,
 }
 
-/// How snapshots are printed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum WatchFormat {
-    /// A table, refreshed in place on a terminal
-    Table,
-    /// One snapshot a line, as REST gives it
-    Json,
-}
-
-/// Prints snapshots until `--count`, a signal, or a reader that hangs up.
-///
-/// # Errors
-/// If no server is there at the start, or if it refuses what was asked for. A server that goes away
-/// later is waited for.
+/// Prints snapshots until `--count`, a signal, or a closed output. Fails if there is no server at the start, or if it
+/// rejects the subscription; a connection that is lost later is retried.
 pub(super) async fn run(args: WatchArgs) -> anyhow::Result<ExitCode> {
-    let mut signals = Signals::listen()?;
-    let client = Client::connect(&args.server).await?;
+    let signal = signal_or_after(None)?;
+    let client = args.connection.connect(&args.server).await?;
     let info = client.info().await?;
-    let stdout = io::stdout();
     let screen = match args.format {
-        WatchFormat::Json => Screen::Lines,
-        WatchFormat::Table if stdout.is_terminal() => Screen::open_terminal()?,
-        WatchFormat::Table => Screen::Blocks,
+        Format::Json => Screen::Lines,
+        Format::Table if io::stdout().is_terminal() => Screen::open_terminal()?,
+        Format::Table => Screen::Blocks,
     };
-    let mut watch = Watch { view: View::new(client.address(), info), screen, count: args.count };
+    let view = View { address: client.address().to_owned(), info, ..View::default() };
     let ended = tokio::select! {
-        ended = watch.follow(&client, subscription(&args)) => ended,
-        () = signals.next() => Ok(()),
+        // Drops the screen before an error is printed, which restores the terminal.
+        ended = follow(&client, &args, view, screen) => ended,
+        () = signal => Ok(()),
     };
-    // Before an error is printed, the terminal is what it was.
-    drop(watch);
     match ended {
         Err(error) if is_broken_pipe(&error) => Ok(ExitCode::SUCCESS),
         ended => ended.map(|()| ExitCode::SUCCESS),
@@ -93,94 +79,80 @@ pub(super) async fn run(args: WatchArgs) -> anyhow::Result<ExitCode> {
 }
 
 fn subscription(args: &WatchArgs) -> Subscription {
-    let mut wanted = Subscription::default()
+    let subscription = Subscription::default()
         .ids(args.ids.iter().copied())
         .names(&args.names)
         .codes(args.codes.iter().copied());
-    let default_rate_hz = match args.format {
-        WatchFormat::Table => Some(TABLE_RATE_HZ),
-        WatchFormat::Json => None,
-    };
-    if let Some(rate_hz) = args.rate.or(default_rate_hz) {
-        wanted = wanted.max_rate_hz(rate_hz);
+    let default_rate_hz = (args.format == Format::Table).then_some(TABLE_RATE_HZ);
+    match args.rate.or(default_rate_hz) {
+        Some(rate_hz) => subscription.max_rate_hz(rate_hz),
+        None => subscription,
     }
-    wanted
 }
 
-/// Whoever read the output has enough of it.
 fn is_broken_pipe(error: &anyhow::Error) -> bool {
     let cause = error.downcast_ref::<io::Error>();
     cause.is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
 }
 
-struct Watch {
-    view: View,
+async fn follow(
+    client: &Client,
+    args: &WatchArgs,
+    mut view: View,
     screen: Screen,
-    count: Option<u64>,
-}
-
-impl Watch {
-    async fn follow(&mut self, client: &Client, wanted: Subscription) -> anyhow::Result<()> {
-        let mut snapshots = client.snapshots(wanted);
-        let mut printed = 0;
-        while self.count.is_none_or(|count| printed < count) {
-            let Some(update) = snapshots.next().await else { break };
-            match update? {
-                Update::Snapshot(snapshot) => {
-                    self.view.take(snapshot, snapshots.missed());
-                    self.screen.show(&self.view)?;
-                    printed += 1;
-                }
-                Update::Disconnected { reason, retry_in, .. } => {
-                    self.view.show_disconnected(&reason, retry_in);
-                    self.screen.tell(&self.view)?;
-                }
-                Update::Reconnected { gap, missed, .. } => {
-                    self.view.show_reconnected(gap, missed);
-                    self.screen.tell(&self.view)?;
-                    // A server that was started anew may be another version, or have another name.
-                    if let Ok(info) = client.info().await {
-                        self.view.info = info;
-                    }
-                }
-                _ => {}
+) -> anyhow::Result<()> {
+    let mut snapshots = client.snapshots(subscription(args));
+    let mut printed = 0;
+    while args.count.is_none_or(|count| printed < count) {
+        let Some(update) = snapshots.next().await else { break };
+        match update? {
+            Update::Snapshot(snapshot) => {
+                view.take(snapshot, snapshots.missed());
+                screen.show(&view)?;
+                printed += 1;
             }
+            Update::Disconnected { reason, retry_in, .. } => {
+                let retry_s = retry_in.as_secs_f64();
+                view.notice = format!("connection lost ({reason}); next try in {retry_s:.1} s");
+                screen.show_notice(&view)?;
+            }
+            Update::Reconnected { gap, missed, .. } => {
+                let missed = match missed {
+                    Some(missed) => format!("missed {missed} snapshots"),
+                    None => "the server has restarted".to_owned(),
+                };
+                view.notice = format!("reconnected after {:.1} s; {missed}", gap.as_secs_f64());
+                screen.show_notice(&view)?;
+                // A restarted server may have another version or name.
+                if let Ok(info) = client.info().await {
+                    view.info = info;
+                }
+            }
+            _ => {}
         }
-        Ok(())
     }
+    Ok(())
 }
 
-/// What is shown.
+#[derive(Default)]
 struct View {
     address: String,
     info: v1::ServerInfo,
     snapshot: v1::Snapshot,
-    /// Snapshots a second that the server makes, over those received so far.
+    /// Snapshots that the server makes per second, smoothed.
     rate_hz: Option<f64>,
     missed: u64,
-    /// Of the connection; empty while there is nothing to say.
+    /// State of the connection; empty while there is nothing to say.
     notice: String,
 }
 
 impl View {
-    fn new(address: &str, info: v1::ServerInfo) -> Self {
-        Self {
-            address: address.to_owned(),
-            info,
-            snapshot: v1::Snapshot::default(),
-            rate_hz: None,
-            missed: 0,
-            notice: String::new(),
-        }
-    }
-
     fn take(&mut self, snapshot: v1::Snapshot, missed: u64) {
         let before = &self.snapshot;
         let elapsed_ns = snapshot.fused_time_ns.saturating_sub(before.fused_time_ns);
         self.rate_hz = if snapshot.source_id == before.source_id && elapsed_ns > 0 {
             let made = snapshot.sequence.saturating_sub(before.sequence) as f64;
             let newest_hz = made / (elapsed_ns as f64 * 1e-9);
-            // Smoothed, so that the digits can be read.
             Some(self.rate_hz.map_or(newest_hz, |rate_hz| 0.9 * rate_hz + 0.1 * newest_hz))
         } else {
             None
@@ -189,42 +161,23 @@ impl View {
         self.missed = missed;
     }
 
-    fn show_disconnected(&mut self, reason: &str, retry_in: Duration) {
-        self.notice =
-            format!("connection lost ({reason}); next try in {:.1} s", retry_in.as_secs_f64());
-    }
-
-    fn show_reconnected(&mut self, gap: Duration, missed: Option<u64>) {
-        let gap_s = gap.as_secs_f64();
-        self.notice = match missed {
-            Some(missed) => {
-                format!(
-                    "connection is back after {gap_s:.1} s; {missed} snapshots were made meanwhile"
-                )
-            }
-            None => format!("connection is back after {gap_s:.1} s; the server was started anew"),
-        };
-    }
-
     fn header(&self) -> String {
         let snapshot = &self.snapshot;
         let name = if self.info.name.is_empty() { "roundel" } else { &self.info.name };
-        let mut header = format!("{name} at {} (version {})", self.address, self.info.version);
-        if let Some(rate_hz) = self.rate_hz {
-            let _ = write!(header, "  {rate_hz:.1} snapshots/s");
-        }
+        let mut parts = vec![format!("{name} at {} (version {})", self.address, self.info.version)];
+        parts.extend(self.rate_hz.map(|rate_hz| format!("{rate_hz:.1} snapshots/s")));
         if snapshot.capture_time_ns != 0 {
             let age_ms = milliseconds(snapshot.sent_time_ns - snapshot.capture_time_ns);
-            let _ = write!(header, "  {age_ms:.0} ms from capture to here");
+            parts.push(format!("{age_ms:.0} ms from capture"));
         }
-        let _ = write!(header, "  {} objects", snapshot.objects.len());
+        parts.push(format!("{} objects", snapshot.objects.len()));
         if self.missed > 0 {
-            let _ = write!(header, "  {} missed", self.missed);
+            parts.push(format!("{} missed", self.missed));
         }
-        header
+        parts.join("  ")
     }
 
-    /// Header, notice (perhaps empty), column titles, and at most `rows` objects.
+    /// Header, notice (may be empty), column titles, and at most `rows` objects.
     fn lines(&self, rows: usize) -> Vec<String> {
         let mut lines = vec![self.header(), self.notice.clone()];
         let objects = &self.snapshot.objects;
@@ -270,62 +223,46 @@ fn milliseconds(ns: i64) -> f64 {
     ns as f64 * 1e-6
 }
 
-/// Where it is shown.
 enum Screen {
-    /// A terminal's second screen, drawn over in place.
+    /// A terminal's alternate screen, redrawn in place.
     Terminal,
     /// One table after the other.
     Blocks,
-    /// One snapshot a line.
+    /// One snapshot per line.
     Lines,
 }
 
 impl Screen {
-    /// Takes the terminal's second screen, without cursor and without breaking long lines.
+    /// Switches to the terminal's alternate screen, without cursor and without line wrapping.
     fn open_terminal() -> io::Result<Self> {
-        let mut stdout = io::stdout().lock();
-        stdout.write_all(b"\x1b[?1049h\x1b[?25l\x1b[?7l")?;
-        stdout.flush()?;
-        Ok(Self::Terminal)
+        write_now("\x1b[?1049h\x1b[?25l\x1b[?7l").map(|()| Self::Terminal)
     }
 
     fn show(&self, view: &View) -> anyhow::Result<()> {
-        let mut text = String::new();
-        match self {
+        let text = match self {
             Self::Terminal => {
                 let rows = terminal_size::terminal_size().map_or(DEFAULT_ROWS, |(_, rows)| rows.0);
                 let lines = view.lines(usize::from(rows).saturating_sub(HEADER_ROWS));
-                text.push_str("\x1b[H");
-                text.push_str(&lines.join("\x1b[K\r\n"));
-                text.push_str("\x1b[K\x1b[J");
+                format!("\x1b[H{}\x1b[K\x1b[J", lines.join("\x1b[K\r\n"))
             }
             Self::Blocks => {
-                let lines = view.lines(usize::MAX);
-                let told = lines.iter().filter(|line| !line.is_empty());
-                told.for_each(|line| {
+                let mut text = String::new();
+                for line in view.lines(usize::MAX).iter().filter(|line| !line.is_empty()) {
                     text.push_str(line.trim_end());
                     text.push('\n');
-                });
-                text.push('\n');
+                }
+                text + "\n"
             }
-            Self::Lines => {
-                text = serde_json::to_string(&view.snapshot)?;
-                text.push('\n');
-            }
-        }
-        let mut stdout = io::stdout().lock();
-        stdout.write_all(text.as_bytes())?;
-        stdout.flush()?;
-        Ok(())
+            Self::Lines => serde_json::to_string(&view.snapshot)? + "\n",
+        };
+        Ok(write_now(&text)?)
     }
 
-    /// Shows what happened to the connection.
-    fn tell(&self, view: &View) -> anyhow::Result<()> {
+    fn show_notice(&self, view: &View) -> anyhow::Result<()> {
         match self {
             Self::Terminal => self.show(view),
             Self::Blocks | Self::Lines => {
-                writeln!(io::stderr(), "{}: {}", view.address, view.notice)?;
-                Ok(())
+                Ok(writeln!(io::stderr(), "{}: {}", view.address, view.notice)?)
             }
         }
     }
@@ -334,11 +271,16 @@ impl Screen {
 impl Drop for Screen {
     fn drop(&mut self) {
         if let Self::Terminal = self {
-            // Nothing more can be done for a terminal that has gone.
-            let _ = io::stdout().write_all(b"\x1b[?7h\x1b[?25h\x1b[?1049l");
-            let _ = io::stdout().flush();
+            // A terminal that has gone needs no restoring.
+            let _ = write_now("\x1b[?7h\x1b[?25h\x1b[?1049l");
         }
     }
+}
+
+fn write_now(text: &str) -> io::Result<()> {
+    let mut stdout = io::stdout().lock();
+    stdout.write_all(text.as_bytes())?;
+    stdout.flush()
 }
 
 #[cfg(test)]
@@ -371,7 +313,7 @@ mod tests {
 
     fn view() -> View {
         let info = v1::ServerInfo { name: "lab".into(), version: "9".into(), ..Default::default() };
-        let mut view = View::new("http://127.0.0.1:1", info);
+        let mut view = View { address: "http://127.0.0.1:1".into(), info, ..View::default() };
         view.take(snapshot(10, "a"), 0);
         view
     }
@@ -398,9 +340,9 @@ mod tests {
     }
 
     #[test]
-    fn the_rate_is_the_servers_and_begins_anew_with_it() {
+    fn the_rate_is_that_of_the_server_and_resets_when_it_restarts() {
         let mut view = view();
-        // Five snapshots in a tenth of a second, of which one was wanted.
+        // Five snapshots in a tenth of a second, one of which was received.
         view.take(snapshot(15, "a"), 0);
         assert!((view.rate_hz.unwrap() - 50.0).abs() < 1e-9);
         view.take(snapshot(1, "b"), 0);

@@ -1,17 +1,17 @@
-//! A node: cameras that are captured and searched here, and fused by a server elsewhere.
+//! A node: captures and searches frames on this computer, for a server on another one that fuses the observations.
 //!
-//! Each camera has its worker, as in a server; what it sees goes through [`roundel_client::Pusher`] into the camera of
-//! the same name of the server, whose source there is `push:`. While the server is away cameras go on being searched;
-//! what the server could still use is kept, the rest is dropped and counted.
+//! Each camera has a worker, as in a server. A [`roundel_client::Pusher`] sends its observations to the server's camera
+//! of the same name, whose source is `push:`. While the server is away, frames are still searched; observations that are
+//! recent enough are kept, older ones are dropped and counted.
 //!
-//! The server's word on lenses counts: what its configuration or a calibration of the arena says of a camera's lens is
-//! taken over between two frames. Where cameras stand does not matter here.
+//! The server decides on lenses: a lens from its configuration or from an arena calibration replaces the node's between
+//! two frames. Poses do not matter to a node.
 
 mod picture;
 
 use std::{
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc, Mutex, MutexGuard, PoisonError,
         mpsc::{Receiver, RecvTimeoutError, sync_channel},
     },
     thread::JoinHandle,
@@ -21,45 +21,37 @@ use std::{
 use roundel_client::{Client, PushOptions, PushStatus, Pusher};
 use roundel_core::id::CameraId;
 use roundel_proto::v1;
-use tokio::task::JoinSet;
+use tokio::{sync::watch, task::JoinSet};
 
-use super::{SHUTDOWN_TIMEOUT, ServeError, join, spawn};
+use super::{ServeError, SourceContext, join, on_thread, source_opener, spawn};
 use crate::{
     capture::{
         push_messages::{calibration_camera, pushed_observations},
-        source::{OpenSource, Playback, SourceOpener},
+        source::{OpenSource, Playback},
         worker::{
             self, PoseSource, Worker, WorkerCounts, WorkerOutput, WorkerParts,
             calibration_update::{CalibrationMailbox, CalibrationUpdate},
             pipeline::Pipeline,
         },
     },
-    fusion::{QUEUE_FRAMES, camera_manager::setup::pipeline_parts, setup::installation},
+    fusion::{
+        QUEUE_FRAMES,
+        camera_manager::setup::{installation, pipeline_parts},
+    },
     model::{
         address::SourceAddress,
-        clock::Clock,
         config::Config,
         hub::{CameraStatus, Hub},
         stop::StopSignal,
     },
 };
 
-/// How often it is looked whether a camera has failed.
+/// Time between checks for failed cameras.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
-/// What was seen last may still be sent for so long at the end.
+/// Time limit for ending the cameras at shutdown.
+const CAMERA_TIMEOUT: Duration = Duration::from_millis(2500);
+/// Time limit for sending the last observations then.
 const FLUSH_TIMEOUT: Duration = Duration::from_secs(2);
-
-/// What a source of a node has to fit into.
-pub struct NodeSourceContext<'a> {
-    /// The camera's pose in the configuration.
-    pub index: usize,
-    pub config: &'a Config,
-    pub clock: Clock,
-    /// The time line of recorded and simulated frames.
-    pub playback: Playback,
-    /// Ends every wait of the source.
-    pub stop: StopSignal,
-}
 
 pub struct Node {
     hub: Arc<Hub>,
@@ -70,30 +62,26 @@ pub struct Node {
     listeners: JoinSet<()>,
 }
 
-/// What became of a camera's frames.
+/// Counts of one camera's frames.
 #[derive(Clone, Debug)]
 pub struct NodeReport {
     pub camera: String,
+    /// Frames that were searched.
     pub frames: u64,
     pub pushed: PushStatus,
 }
 
 impl Node {
-    /// Starts cameras; the server may come later. To be called within a tokio runtime.
+    /// Starts the cameras, in the current tokio runtime. The server need not be reachable yet.
     pub fn start(config: &Config, server: &Client) -> Result<Self, ServeError> {
-        Self::start_with_sources(config, server, |setting| {
-            let camera = &setting.config.cameras[setting.index];
-            let size = (camera.calibration.width(), camera.calibration.height());
-            let NodeSourceContext { clock, playback, stop, .. } = setting;
-            Box::new(SourceOpener::new(camera.address.clone(), size, clock, playback, stop))
-        })
+        Self::start_with_sources(config, server, |context| Box::new(source_opener(context)))
     }
 
-    /// The same with frames of the caller's own, as [`super::Server::start_with_sources`].
+    /// Like [`Node::start`], with sources of the caller, as in [`super::Server::start_with_sources`].
     pub fn start_with_sources(
         config: &Config,
         server: &Client,
-        mut source: impl FnMut(NodeSourceContext<'_>) -> Box<dyn OpenSource>,
+        mut source: impl FnMut(SourceContext<'_>) -> Box<dyn OpenSource>,
     ) -> Result<Self, ServeError> {
         let fed = config.cameras.iter().find(|it| matches!(it.address, SourceAddress::Push(_)));
         if let Some(camera) = fed {
@@ -111,24 +99,26 @@ impl Node {
                 .clock(move || clock.now().as_ns());
             let pusher = server.push(options).map_err(ServeError::Client)?;
             let mailbox = CalibrationMailbox::default();
-            let listener = ServerListener {
+            let calibrations = CalibrationListener {
                 name: camera.name.clone(),
                 index,
                 size: (camera.calibration.width(), camera.calibration.height()),
                 mailbox: mailbox.clone(),
                 faults: faults.clone(),
             };
-            listeners.spawn(listener.clone().follow(pusher.calibration()));
-            listeners.spawn(listener.tell(pusher.statuses()));
+            listeners.spawn(calibrations.run(pusher.calibration()));
+            listeners.spawn(log_connection(camera.name.clone(), pusher.statuses()));
             pushers.push(pusher);
-            let setting = NodeSourceContext { index, config, clock, playback, stop: stop.clone() };
+            let (stop, port) = (stop.clone(), None);
+            let context =
+                SourceContext { index, camera, clock, playback, stop: stop.clone(), port };
             let (id, before) = (CameraId(index as u32), WorkerCounts::default());
             let worker = Worker::new(WorkerParts {
                 id,
                 name: camera.name.clone(),
-                opener: source(setting),
+                opener: source(context),
                 pipeline: Pipeline::new(pipeline_parts(camera, config, before.detection)?)?,
-                // The server finds it; nothing is placed here.
+                // The server knows or searches for the pose.
                 pose: PoseSource::Mounted,
                 calibration_version: 0,
                 mailbox,
@@ -138,7 +128,6 @@ impl Node {
                 promised_hz: camera.rate_hz,
                 before,
             });
-            let stop = stop.clone();
             let name = format!("camera {}", camera.name);
             cameras.push(spawn(name, move || worker::run(worker, &stop))?);
         }
@@ -146,13 +135,12 @@ impl Node {
         for index in 0..pushers.len() {
             listeners.spawn(picture::answer_requests(hub.clone(), pushers.clone(), index));
         }
-        let reported = vec![String::new(); pushers.len()];
         let forwarder = Forwarder {
             hub: hub.clone(),
             pushers: pushers.clone(),
             faults,
             from_workers,
-            reported,
+            reported: vec![String::new(); pushers.len()],
         };
         let forwarder = spawn("forwarder".to_owned(), move || forwarder.run())?;
         Ok(Self { hub, pushers, stop, cameras, forwarder, listeners })
@@ -162,84 +150,71 @@ impl Node {
         &self.hub
     }
 
-    /// What became of each camera's frames so far.
+    /// The counts of all cameras so far.
     pub fn reports(&self) -> Vec<NodeReport> {
-        let cameras = Self::searched_frames(&self.hub).into_iter().zip(self.pushers.iter());
-        let report = |((camera, frames), pusher): ((String, u64), &Pusher)| NodeReport {
-            camera,
-            frames,
-            pushed: pusher.status(),
-        };
-        cameras.map(report).collect()
+        let statuses = self.pushers.iter().map(Pusher::status).collect();
+        reports(&self.hub, statuses)
     }
 
-    /// Every camera's name, and how many of its frames were searched.
-    fn searched_frames(hub: &Hub) -> Vec<(String, u64)> {
-        let (installation, states) = (hub.installation(), hub.cameras());
-        let name = |id: CameraId| installation.camera_name(id).to_owned();
-        states.iter().map(|(id, state)| (name(*id), state.frames)).collect()
-    }
-
-    /// Ends cameras, sends what they saw last, and says what became of everything.
+    /// Ends cameras, sends their last observations, and returns the final counts.
     pub async fn shutdown(mut self) -> Vec<NodeReport> {
         self.stop.stop();
-        let deadline = Instant::now() + SHUTDOWN_TIMEOUT;
-        for camera in self.cameras.drain(..) {
-            join(camera, deadline).await;
-        }
-        // It ends when the last camera has.
-        join(self.forwarder, deadline).await;
+        let deadline = Instant::now() + CAMERA_TIMEOUT;
+        on_thread(move || {
+            self.cameras.into_iter().for_each(|camera| join(camera, deadline));
+            // Ends when the last camera has.
+            join(self.forwarder, deadline);
+        })
+        .await;
         self.listeners.shutdown().await;
-        let mut reports = Vec::new();
-        let Some(pushers) = Arc::into_inner(self.pushers) else { return reports };
-        for (pusher, (camera, frames)) in pushers.into_iter().zip(Self::searched_frames(&self.hub))
-        {
-            let pushed = pusher.finish(FLUSH_TIMEOUT).await;
-            reports.push(NodeReport { camera, frames, pushed });
+        let mut statuses = Vec::new();
+        for pusher in Arc::into_inner(self.pushers).unwrap_or_default() {
+            statuses.push(pusher.finish(FLUSH_TIMEOUT).await);
         }
-        reports
+        reports(&self.hub, statuses)
     }
 }
 
-/// Why what a camera sees is not sent, by camera.
+fn reports(hub: &Hub, statuses: Vec<PushStatus>) -> Vec<NodeReport> {
+    let (installation, states) = (hub.installation(), hub.cameras());
+    let cameras = states.iter().map(|(id, state)| (installation.camera_name(*id), state.frames));
+    cameras
+        .zip(statuses)
+        .map(|((camera, frames), pushed)| NodeReport { camera: camera.to_owned(), frames, pushed })
+        .collect()
+}
+
+/// Why a camera's observations are not sent, by camera.
 struct CameraFaults(Mutex<Vec<Option<String>>>);
 
 impl CameraFaults {
-    fn set(&self, index: usize, fault: Option<String>) {
-        let mut faults = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(slot) = faults.get_mut(index) {
-            *slot = fault;
-        }
-    }
-
-    fn of(&self, index: usize) -> Option<String> {
-        let faults = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        faults.get(index).cloned().flatten()
+    fn lock(&self) -> MutexGuard<'_, Vec<Option<String>>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// Hands what workers saw to the pushers, and tells them of failures.
+/// Passes the workers' observations and failures to the pushers.
 struct Forwarder {
     hub: Arc<Hub>,
     pushers: Arc<Vec<Pusher>>,
     faults: Arc<CameraFaults>,
     from_workers: Receiver<WorkerOutput>,
-    /// What the pushers were told last, by camera; what they are given to send takes it back.
+    /// The fault reported last, by camera; cleared by the next observations.
     reported: Vec<String>,
 }
 
 impl Forwarder {
-    /// Until the last worker has ended.
+    /// Runs until the last worker has ended.
     fn run(mut self) {
-        let mut look = Instant::now();
+        let mut checked = Instant::now();
         loop {
             match self.from_workers.recv_timeout(POLL_INTERVAL) {
                 Ok(output) => self.forward(&output),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return,
             }
-            if look.elapsed() >= POLL_INTERVAL {
-                look = Instant::now();
+            if checked.elapsed() >= POLL_INTERVAL {
+                checked = Instant::now();
                 self.report_faults();
             }
         }
@@ -252,23 +227,23 @@ impl Forwarder {
         else {
             return;
         };
-        if self.faults.of(index).is_none() {
+        if self.faults.lock()[index].is_none() {
             pusher.observations(pushed_observations(&self.hub.installation(), seen, &state));
             self.reported[index].clear();
         }
     }
 
     fn report_faults(&mut self) {
-        // What a camera saw before it failed is told before: it is in the queue by the time that this is known.
+        // Observations from before a failure are in the queue by now, and must be sent first.
         let states = self.hub.cameras();
         while let Ok(output) = self.from_workers.try_recv() {
             self.forward(&output);
         }
         for (index, state) in states.into_values().enumerate() {
-            let fault = match (self.faults.of(index), state.status) {
+            let fault = match (self.faults.lock()[index].clone(), state.status) {
                 (Some(fault), _) => fault,
                 (None, CameraStatus::Failed) => state.error,
-                (None, CameraStatus::Finished) => "its source has no more frames".to_owned(),
+                (None, CameraStatus::Finished) => "its source has ended".to_owned(),
                 (None, CameraStatus::Starting | CameraStatus::Running) => continue,
             };
             if self.reported[index] != fault {
@@ -279,32 +254,29 @@ impl Forwarder {
     }
 }
 
-/// Follows what the server says of one camera.
-#[derive(Clone)]
-struct ServerListener {
+/// Applies one camera's calibrations from the server.
+struct CalibrationListener {
     name: String,
     index: usize,
-    /// Of the source's pictures.
+    /// Size of the source's pictures.
     size: (usize, usize),
     mailbox: CalibrationMailbox,
     faults: Arc<CameraFaults>,
 }
 
-type Calibrations = tokio::sync::watch::Receiver<Option<v1::PushedCalibration>>;
-
-impl ServerListener {
-    async fn follow(self, mut calibrations: Calibrations) {
+impl CalibrationListener {
+    async fn run(self, mut calibrations: watch::Receiver<Option<v1::PushedCalibration>>) {
         while calibrations.changed().await.is_ok() {
             let Some(calibration) = calibrations.borrow_and_update().clone() else { continue };
-            let fault = self.take_over(&calibration).err();
+            let fault = self.apply(&calibration).err();
             if let Some(fault) = &fault {
                 tracing::warn!(camera = self.name, "{fault}");
             }
-            self.faults.set(self.index, fault);
+            self.faults.lock()[self.index] = fault;
         }
     }
 
-    fn take_over(&self, calibration: &v1::PushedCalibration) -> Result<(), String> {
+    fn apply(&self, calibration: &v1::PushedCalibration) -> Result<(), String> {
         let size = (calibration.width as usize, calibration.height as usize);
         if size != self.size {
             return Err(format!(
@@ -315,43 +287,30 @@ impl ServerListener {
         }
         let Some(lens) = calibration_camera(calibration) else {
             return Err(
-                "the server's calibration of this camera is none that this node knows: both should be of one \
-                 version"
+                "this node does not support the server's calibration of this camera: run the same version on both"
                     .to_owned(),
             );
         };
-        // Where it stands, nobody asks here.
-        self.mailbox.put(CalibrationUpdate {
-            lens,
-            pose: PoseSource::Unchanged,
-            version: calibration.version,
-        });
-        tracing::info!(
-            camera = self.name,
-            version = calibration.version,
-            "lens taken over from the server"
-        );
+        // The pose does not matter to a node.
+        let version = calibration.version;
+        self.mailbox.put(CalibrationUpdate { lens, pose: PoseSource::Unchanged, version });
+        tracing::info!(camera = self.name, version, "using the server's lens");
         Ok(())
     }
+}
 
-    /// Says when the connection comes and goes.
-    async fn tell(self, mut statuses: tokio::sync::watch::Receiver<PushStatus>) {
-        let (camera, mut was) = (&self.name, (false, String::new()));
-        while statuses.changed().await.is_ok() {
-            let status = statuses.borrow_and_update().clone();
-            let now = (status.connected, status.error.clone());
-            if now == was {
-                continue;
-            }
-            match status.connected {
-                true => tracing::info!(
-                    camera,
-                    dropped = status.dropped,
-                    "the server takes what it sees"
-                ),
-                false => tracing::warn!(camera, "{}", status.error),
-            }
-            was = now;
+async fn log_connection(camera: String, mut statuses: watch::Receiver<PushStatus>) {
+    let mut was = (false, String::new());
+    while statuses.changed().await.is_ok() {
+        let PushStatus { connected, error, dropped, .. } = statuses.borrow_and_update().clone();
+        if was == (connected, error.clone()) {
+            continue;
         }
+        if connected {
+            tracing::info!(camera, dropped, "connected to the server");
+        } else {
+            tracing::warn!(camera, "{error}");
+        }
+        was = (connected, error);
     }
 }

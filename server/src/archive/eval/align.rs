@@ -1,31 +1,30 @@
-//! By how much clocks and frames differ: one time offset and one rigid transform for everything.
+//! Alignment of recording and truth: one time offset and one rigid transform for all trajectories.
 //!
 //! The transform is Umeyama's (1991, without scale): with centred positions of estimate x and truth y, the singular
-//! value decomposition of Σ y xᵀ = U D Vᵀ gives R = U diag(1, 1, det U det V) Vᵀ and t = ȳ - R x̄. The offset is that at
-//! which the error after this transform is least: looked for in steps of [`STEP_S`], then between neighbours by golden
-//! sections. Nothing that stands still says anything of it.
+//! value decomposition of Σ y xᵀ = U D Vᵀ gives R = U diag(1, 1, det U det V) Vᵀ and t = ȳ - R x̄. The offset minimizes
+//! the error after this transform: a search in steps of [`STEP_S`], refined by golden sections. Trajectories without
+//! motion do not determine it.
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use roundel_core::rigid::Rigid;
 
 use super::{Sample, Trajectory};
 
-/// Offsets are first tried in such steps.
+/// Step of the offset search.
 const STEP_S: f64 = 0.02;
-/// Golden sections after that: each leaves 0.62 of the interval.
+/// Golden sections; each keeps 0.62 of the interval.
 const SECTIONS: usize = 40;
-/// Instants that are tried with, of each pair of trajectories, at most.
+/// Maximum number of samples per trajectory in the offset search.
 const MAX_INSTANTS: usize = 400;
 
-/// Where an estimate and a truth are at one instant.
+/// Estimate and truth at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pair {
-    /// As estimated, at the estimate's time.
     pub estimate: Sample,
     pub truth: Sample,
 }
 
-/// The pairs of a trajectory with the truth so many seconds later on the truth's clock.
+/// Pairs of an estimate's samples with the truth. The truth's clock is `offset_s` ahead.
 pub fn pairs(estimate: &Trajectory, truth: &Trajectory, offset_s: f64) -> Vec<Pair> {
     let pair = |sample: &Sample| {
         let truth = truth.at(sample.time.plus_seconds(offset_s))?;
@@ -34,7 +33,7 @@ pub fn pairs(estimate: &Trajectory, truth: &Trajectory, offset_s: f64) -> Vec<Pa
     estimate.samples.iter().filter_map(pair).collect()
 }
 
-/// truth_from_estimate that leaves the least squares; `None` of fewer than three pairs.
+/// The least-squares truth_from_estimate; `None` for fewer than three pairs.
 pub fn rigid<'a>(pairs: impl Iterator<Item = &'a Pair> + Clone) -> Option<Rigid> {
     let count = pairs.clone().count();
     if count < 3 {
@@ -52,7 +51,7 @@ pub fn rigid<'a>(pairs: impl Iterator<Item = &'a Pair> + Clone) -> Option<Rigid>
     let (u, v_t) = (svd.u?, svd.v_t?);
     let mut sign = Matrix3::identity();
     if u.determinant() * v_t.determinant() < 0.0 {
-        // The one of the smallest singular value, which nalgebra puts last.
+        // nalgebra sorts the smallest singular value last.
         sign[(2, 2)] = -1.0;
     }
     let turn = Rotation3::from_matrix_unchecked(u * sign * v_t);
@@ -60,20 +59,22 @@ pub fn rigid<'a>(pairs: impl Iterator<Item = &'a Pair> + Clone) -> Option<Rigid>
     Some(Rigid::from_parts((to - turn * from).into(), turn))
 }
 
-/// Root mean square distance after a transform.
-pub fn rms_m<'a>(pairs: impl Iterator<Item = &'a Pair>, truth_from_estimate: &Rigid) -> f64 {
-    let (mut sum, mut count) = (0.0, 0usize);
-    for pair in pairs {
-        let moved = truth_from_estimate * nalgebra::Point3::from(pair.estimate.position_m);
-        sum += (moved.coords - pair.truth.position_m).norm_squared();
-        count += 1;
-    }
-    (sum / count.max(1) as f64).sqrt()
+/// Error of a pair after a transform.
+pub fn error_m(pair: &Pair, truth_from_estimate: &Rigid) -> Vector3<f64> {
+    let moved = truth_from_estimate * nalgebra::Point3::from(pair.estimate.position_m);
+    moved.coords - pair.truth.position_m
 }
 
-/// What the truth's clock is ahead of the recording's, within ± `most_s`, as far as motion shows it; `aligns`: frames
-/// may differ, too.
-pub fn offset_s(matched: &[(&Trajectory, &Trajectory)], most_s: f64, aligns: bool) -> f64 {
+/// Rms distance after a transform.
+pub fn rms_m<'a>(pairs: impl Iterator<Item = &'a Pair>, truth_from_estimate: &Rigid) -> f64 {
+    let squares: Vec<f64> =
+        pairs.map(|pair| error_m(pair, truth_from_estimate).norm_squared()).collect();
+    (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
+}
+
+/// Estimates the lead of the truth's clock over the recording's, within ± `max_s`; 0 without motion. With `aligns`, frames may
+/// differ as well.
+pub fn offset_s(matched: &[(&Trajectory, &Trajectory)], max_s: f64, aligns: bool) -> f64 {
     let thin = |trajectory: &Trajectory| {
         let every = trajectory.samples.len().div_ceil(MAX_INSTANTS).max(1);
         let samples = trajectory.samples.iter().step_by(every).copied().collect();
@@ -85,16 +86,16 @@ pub fn offset_s(matched: &[(&Trajectory, &Trajectory)], most_s: f64, aligns: boo
     let error_m = |offset_s: f64| {
         let all = thinned.iter().flat_map(|(estimate, truth)| pairs(estimate, truth, offset_s));
         let all: Vec<Pair> = all.collect();
-        // Little in common may agree by chance.
+        // A short overlap may agree by chance.
         if all.len() * 2 < whole.min(2 * super::MIN_PAIRS) || all.len() < super::MIN_PAIRS {
             return f64::INFINITY;
         }
         let frame = if aligns { rigid(all.iter()) } else { Some(Rigid::identity()) };
         frame.map_or(f64::INFINITY, |frame| rms_m(all.iter(), &frame))
     };
-    let steps = (most_s / STEP_S).ceil() as i64;
+    let steps = (max_s / STEP_S).ceil() as i64;
     let tried = (-steps..=steps).map(|step| step as f64 * STEP_S);
-    // Of equals, as of what stands still, the one nearest to 0.
+    // The offset nearest to 0 among equally good ones.
     let better =
         |a: &(f64, f64), b: &(f64, f64)| a.1.total_cmp(&b.1).then(a.0.abs().total_cmp(&b.0.abs()));
     let best = tried.map(|offset| (offset, error_m(offset))).min_by(better).unwrap_or_default();
@@ -108,7 +109,7 @@ pub fn offset_s(matched: &[(&Trajectory, &Trajectory)], most_s: f64, aligns: boo
         if error_m(left) <= error_m(right) { high = right } else { low = left }
     }
     let refined = (low + high) / 2.0;
-    // A still scene is as good anywhere: then clocks are taken to agree.
+    // Without motion, any offset is equally good.
     if error_m(refined) < error_m(0.0) { refined } else { 0.0 }
 }
 
@@ -137,7 +138,7 @@ mod tests {
     fn offset_and_frame_are_found() {
         let turn = UnitQuaternion::from_euler_angles(0.3, -0.2, 2.0);
         let frame = Rigid::from_parts(Vector3::new(3.0, -1.0, 0.5).into(), turn);
-        // The truth's clock shows 83.7 ms more, so at one reading it shows what was before.
+        // The truth's clock is 83.7 ms ahead, so at an equal reading it shows an earlier pose.
         let (estimate, truth) = (course(0.0, &Rigid::identity()), course(-0.0837, &frame));
         let found_s = offset_s(&[(&estimate, &truth)], 1.0, true);
         assert!((found_s - 0.0837).abs() < 1e-4, "{found_s}");
@@ -149,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_still_says_nothing_of_time() {
+    fn without_motion_the_offset_is_zero() {
         let mut still = course(0.0, &Rigid::identity());
         let place = still.samples[0].position_m;
         still.samples.iter_mut().for_each(|sample| sample.position_m = place);

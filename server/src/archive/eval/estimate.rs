@@ -1,4 +1,4 @@
-//! What a recording says: one trajectory per object, and how late its snapshots were.
+//! Trajectories of a recording's objects, and latencies of its snapshots.
 
 use std::collections::BTreeMap;
 
@@ -13,24 +13,24 @@ use crate::archive::{
     replay::{ReplayError, reader::Reader},
 };
 
-/// What a recording says of objects.
 #[derive(Clone, Debug, Default)]
 pub struct RecordedTrajectories {
-    /// Each object while some camera saw it.
+    /// By id, while a camera observed them.
     pub objects: BTreeMap<u64, RecordedObject>,
-    /// Seconds from the capture of the newest observation to the snapshot that it is in.
+    /// From the newest capture to the snapshot, seconds.
     pub latencies_s: Vec<f64>,
+    /// Pose times of the snapshots.
     pub times: Vec<Timestamp>,
 }
 
 #[derive(Clone, Debug, Default)]
 pub struct RecordedObject {
-    /// Its number in its code, if it has one.
+    /// Code number.
     pub code: Option<u32>,
     pub trajectory: Trajectory,
 }
 
-/// Reads a recording's snapshots. Only what was observed counts: predictions beyond that do not.
+/// Reads a recording's snapshots. Predicted objects are skipped.
 pub fn read(reader: &mut Reader) -> Result<RecordedTrajectories, ReplayError> {
     let mut estimate = RecordedTrajectories::default();
     while let Some(raw) = reader.take()? {
@@ -52,13 +52,12 @@ impl RecordedTrajectories {
         }
         self.times.push(time);
         if snapshot.capture_time_ns != 0 {
-            let late_ns = snapshot.fused_time_ns - snapshot.capture_time_ns;
+            let late_ns = snapshot.fused_time_ns.saturating_sub(snapshot.capture_time_ns);
             self.latencies_s.push(late_ns as f64 * 1e-9);
         }
         for state in &snapshot.objects {
             if state.stage() == v1::LifeStage::Tracked {
-                let seen = self.objects.entry(state.object_id).or_default();
-                seen.add(time, state);
+                self.objects.entry(state.object_id).or_default().add(time, state);
             }
         }
     }

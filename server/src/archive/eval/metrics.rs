@@ -1,29 +1,28 @@
-//! The figures of an evaluation.
+//! Metrics of an evaluation.
 
 use nalgebra::Vector3;
-use roundel_core::rigid::Rigid;
+use roundel_core::{rigid::Rigid, time::Timestamp};
 use serde::Serialize;
 
 use super::{
-    EvalError, MIN_PAIRS, Trajectory,
-    align::{self, Pair},
-    estimate::RecordedTrajectories,
+    EvalError, MIN_PAIRS, Sample, Trajectory,
+    align::{self, Pair, error_m},
+    estimate::{RecordedObject, RecordedTrajectories},
 };
 
-/// A pause this many times as long as usual is a gap.
+/// Steps longer than the median by this factor are gaps.
 const GAP_FACTOR: f64 = 3.0;
 
 #[derive(Clone, Debug)]
 pub struct EvalSettings {
     /// Whether frames may differ by a rigid transform.
     pub aligns: bool,
-    /// What the truth's clock is ahead, seconds; `None`: found out, within `most_offset_s`.
+    /// How far the truth's clock is ahead, seconds; `None`: estimated within ± `most_offset_s`.
     pub offset_s: Option<f64>,
-    /// See `offset_s`.
     pub most_offset_s: f64,
-    /// Relative errors are of pairs so many samples apart.
+    /// Number of samples between the poses of a relative error.
     pub delta: usize,
-    /// The object that is meant, by name, id or code, where the truth does not say.
+    /// The truth's object, by name, id or code, if the truth has no name.
     pub object: Option<String>,
 }
 
@@ -33,16 +32,14 @@ impl Default for EvalSettings {
     }
 }
 
-/// Of errors, all in one unit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct ErrorStatistics {
-    /// Root mean square.
     pub rms: f64,
     pub mean: f64,
     pub median: f64,
-    /// Standard deviation about the mean.
+    /// Standard deviation.
     pub std: f64,
-    /// Exceeded by one in twenty.
+    /// 95th percentile.
     pub p95: f64,
     pub max: f64,
     pub count: usize,
@@ -75,44 +72,43 @@ impl ErrorStatistics {
 #[derive(Clone, Debug, Serialize)]
 pub struct ObjectMetrics {
     pub name: String,
-    /// The recording's id of it.
+    /// In the recording.
     pub object_id: u64,
-    /// Distance after the alignment, metres.
+    /// Absolute error after the alignment, metres.
     pub ate_m: ErrorStatistics,
-    /// Angle after the alignment, degrees; `None`: one of both says none.
+    /// Absolute angle after the alignment, degrees; `None`: estimate or truth has no orientation.
     pub ate_deg: Option<ErrorStatistics>,
-    /// Error of moves over `delta` samples, metres.
+    /// Relative error over `delta` samples, metres.
     pub rpe_m: ErrorStatistics,
-    /// What changes from one sample to the next: the error's white part, each axis, metres.
+    /// Standard deviation of the error's white noise, per axis, metres.
     pub jitter_m: f64,
-    /// Pauses that are far longer than usual, while the truth goes on.
+    /// Number of unusually long steps.
     pub gaps: usize,
-    /// The longest, seconds.
     pub longest_gap_s: f64,
-    /// Share of the recording's snapshots, while the truth lasts, in which it was observed.
+    /// Share of the snapshots during the truth in which the object was observed.
     pub seen: f64,
-    /// Both, instant by instant.
     #[serde(skip)]
     pub pairs: Vec<Pair>,
 }
 
 #[derive(Clone, Debug, Serialize)]
 pub struct EvalMetrics {
-    /// What the truth's clock was taken to be ahead of the recording's, seconds.
+    /// How far the truth's clock is ahead of the recording's, seconds.
     pub offset_s: f64,
-    /// truth_from_recording: metres, …
+    /// Translation of truth_from_recording, metres.
     pub translation_m: [f64; 3],
-    /// … and the turn as x y z w.
+    /// Rotation of truth_from_recording, x y z w.
     pub rotation_xyzw: [f64; 4],
-    /// Of all objects together, metres.
+    /// Absolute error of all objects, metres.
     pub ate_m: ErrorStatistics,
+    /// Relative error of all objects, metres.
     pub rpe_m: ErrorStatistics,
-    /// Samples between the ends of a move.
+    /// Number of samples between the poses of a relative error.
     pub rpe_delta: usize,
-    /// From the newest capture to the snapshot with it, milliseconds.
+    /// From the newest capture to the snapshot, milliseconds.
     pub latency_ms: ErrorStatistics,
     pub objects: Vec<ObjectMetrics>,
-    /// Names in the truth for which the recording has no object.
+    /// Names in the truth that no object of the recording has.
     pub missing: Vec<String>,
     /// truth_from_recording.
     #[serde(skip)]
@@ -128,7 +124,7 @@ pub fn evaluate(
     let (matched, missing) = matched(estimate, truths, settings)?;
     let trajectories: Vec<(&Trajectory, &Trajectory)> =
         matched.iter().map(|(id, truth)| (&estimate.objects[id].trajectory, *truth)).collect();
-    let found = |most_s| align::offset_s(&trajectories, most_s, settings.aligns);
+    let found = |max_s| align::offset_s(&trajectories, max_s, settings.aligns);
     let offset_s = settings.offset_s.unwrap_or_else(|| found(settings.most_offset_s));
     let paired: Vec<Vec<Pair>> = trajectories
         .iter()
@@ -140,25 +136,35 @@ pub fn evaluate(
     }
     let frame = if settings.aligns { align::rigid(paired.iter().flatten()) } else { None };
     let frame = frame.unwrap_or_else(Rigid::identity);
-    let objects: Vec<ObjectMetrics> = matched
-        .iter()
-        .zip(paired)
-        .map(|(&(id, truth), pairs)| {
-            object_metrics(id, (truth, offset_s), pairs, &frame, (estimate, settings.delta))
-        })
-        .collect();
-    let all = |errors: fn(&ObjectMetrics, &Rigid, usize) -> Vec<f64>| {
-        ErrorStatistics::of(
-            objects.iter().flat_map(|it| errors(it, &frame, settings.delta)).collect(),
-        )
+    let mut objects = Vec::new();
+    for (&(object_id, truth), pairs) in matched.iter().zip(paired) {
+        let exists = |time: &&Timestamp| truth.at(time.plus_seconds(offset_s)).is_some();
+        let possible = estimate.times.iter().filter(exists).count();
+        let samples = &estimate.objects[&object_id].trajectory.samples;
+        let (gaps, longest_gap_s) = gaps(samples);
+        objects.push(ObjectMetrics {
+            name: truth.name.clone(),
+            object_id,
+            ate_m: ErrorStatistics::of(distances(&pairs, &frame)),
+            ate_deg: angles_deg(&pairs, &frame).map(ErrorStatistics::of),
+            rpe_m: ErrorStatistics::of(relative_errors(&pairs, settings.delta)),
+            jitter_m: jitter_m(&pairs, &frame),
+            gaps,
+            longest_gap_s,
+            seen: pairs.len() as f64 / possible.max(1) as f64,
+            pairs,
+        });
+    }
+    let all = |errors: &dyn Fn(&[Pair]) -> Vec<f64>| {
+        ErrorStatistics::of(objects.iter().flat_map(|object| errors(&object.pairs)).collect())
     };
     let turn = frame.rotation;
     Ok(EvalMetrics {
         offset_s,
         translation_m: frame.translation.vector.into(),
         rotation_xyzw: [turn.i, turn.j, turn.k, turn.w],
-        ate_m: all(|object, frame, _| distances(&object.pairs, frame)),
-        rpe_m: all(|object, _, delta| relative_errors(&object.pairs, delta)),
+        ate_m: all(&|pairs| distances(pairs, &frame)),
+        rpe_m: all(&|pairs| relative_errors(pairs, settings.delta)),
         rpe_delta: settings.delta,
         latency_ms: ErrorStatistics::of(
             estimate.latencies_s.iter().map(|late_s| late_s * 1e3).collect(),
@@ -172,7 +178,6 @@ pub fn evaluate(
 /// Objects with their truths, and names of truths without an object.
 type MatchedTrajectories<'a> = (Vec<(u64, &'a Trajectory)>, Vec<String>);
 
-/// Which object each truth is of, and those truths that are of none.
 fn matched<'a>(
     estimate: &RecordedTrajectories,
     truths: &'a [Trajectory],
@@ -187,11 +192,10 @@ fn matched<'a>(
         each.collect::<Vec<_>>().join(", ")
     };
     let named = |name: &str| {
-        let by = |of: &dyn Fn(u64, &super::estimate::RecordedObject) -> bool| {
-            let mut all = estimate.objects.iter().filter(|(id, seen)| of(**id, seen));
-            // Of several of one name, the one that was seen longest.
-            let longest = all.by_ref().max_by_key(|(_, seen)| seen.trajectory.samples.len());
-            longest.map(|(id, _)| *id)
+        // The longest trajectory, if there are several with this name.
+        let by = |is_it: &dyn Fn(u64, &RecordedObject) -> bool| {
+            let all = estimate.objects.iter().filter(|(id, seen)| is_it(**id, seen));
+            all.max_by_key(|(_, seen)| seen.trajectory.samples.len()).map(|(id, _)| *id)
         };
         by(&|_, seen| !name.is_empty() && seen.trajectory.name == name)
             .or_else(|| by(&|_, seen| seen.code.is_some_and(|code| code.to_string() == name)))
@@ -203,7 +207,7 @@ fn matched<'a>(
         let id = named(wanted).or_else(|| only.filter(|_| settings.object.is_none()));
         let id = id.ok_or_else(|| {
             EvalError::Object(format!(
-                "which object of the recording the truth is of is not clear; say it with --object: there are {}",
+                "the truth's object in the recording is ambiguous: select one with --object; the recording has {}",
                 known()
             ))
         })?;
@@ -218,7 +222,7 @@ fn matched<'a>(
     }
     if matched.is_empty() {
         return Err(EvalError::Object(format!(
-            "no name of the truth ({}) is a name, code or id of an object of the recording; there are {}",
+            "no name in the truth ({}) is a name, code or id of an object in the recording, which has {}",
             missing.join(", "),
             known()
         )));
@@ -234,65 +238,40 @@ fn hint(trajectories: &[(&Trajectory, &Trajectory)]) -> String {
     let Some((estimate, truth)) = trajectories.first() else { return String::new() };
     let ([begin, end], [from, to]) = (span(estimate), span(truth));
     format!(
-        "the first object was seen from {begin} to {end} ns, and the truth is of {from} to {to} ns: if their clocks \
-         differ by more than --max-offset, say by how much with --offset"
+        "the first object was seen from {begin} to {end} ns, and the truth covers {from} to {to} ns: if their clocks differ by \
+         more than --max-offset, set the difference with --offset"
     )
 }
 
-fn object_metrics(
-    id: u64,
-    (truth, offset_s): (&Trajectory, f64),
-    pairs: Vec<Pair>,
-    frame: &Rigid,
-    (estimate, delta): (&RecordedTrajectories, usize),
-) -> ObjectMetrics {
-    let samples = &estimate.objects[&id].trajectory.samples;
+/// Number of gaps, and the longest, seconds.
+fn gaps(samples: &[Sample]) -> (usize, f64) {
     let steps: Vec<f64> =
         samples.windows(2).map(|pair| pair[1].time.seconds_since(pair[0].time)).collect();
     let usual_s = ErrorStatistics::of(steps.clone()).median;
-    let gaps = steps.iter().copied().filter(|step| *step > GAP_FACTOR * usual_s);
-    let (count, longest) = gaps.fold((0, 0.0), |(n, most), gap| (n + 1, f64::max(most, gap)));
-    let lasts =
-        |time: &&roundel_core::time::Timestamp| truth.at(time.plus_seconds(offset_s)).is_some();
-    let possible = estimate.times.iter().filter(lasts).count();
-    let angles: Option<Vec<f64>> = pairs
-        .iter()
-        .map(|pair| {
-            let turned = frame.rotation * pair.estimate.orientation?;
-            Some(turned.angle_to(&pair.truth.orientation?).to_degrees())
-        })
-        .collect();
-    ObjectMetrics {
-        name: truth.name.clone(),
-        object_id: id,
-        ate_m: ErrorStatistics::of(distances(&pairs, frame)),
-        ate_deg: angles.filter(|angles| !angles.is_empty()).map(ErrorStatistics::of),
-        rpe_m: ErrorStatistics::of(relative_errors(&pairs, delta)),
-        jitter_m: jitter_m(&pairs, frame),
-        gaps: count,
-        longest_gap_s: longest,
-        seen: pairs.len() as f64 / possible.max(1) as f64,
-        pairs,
-    }
+    let gaps = steps.into_iter().filter(|step| *step > GAP_FACTOR * usual_s);
+    gaps.fold((0, 0.0), |(count, longest), gap| (count + 1, f64::max(longest, gap)))
 }
 
-/// Error vectors after the alignment.
-pub fn errors(pairs: &[Pair], frame: &Rigid) -> Vec<Vector3<f64>> {
-    let moved = |it: &Pair| frame * nalgebra::Point3::from(it.estimate.position_m);
-    pairs.iter().map(|pair| moved(pair).coords - pair.truth.position_m).collect()
+/// `None` if a pose has no orientation.
+fn angles_deg(pairs: &[Pair], frame: &Rigid) -> Option<Vec<f64>> {
+    let angle = |pair: &Pair| {
+        let turned = frame.rotation * pair.estimate.orientation?;
+        Some(turned.angle_to(&pair.truth.orientation?).to_degrees())
+    };
+    pairs.iter().map(angle).collect::<Option<Vec<f64>>>().filter(|angles| !angles.is_empty())
 }
 
 fn distances(pairs: &[Pair], frame: &Rigid) -> Vec<f64> {
-    errors(pairs, frame).iter().map(Vector3::norm).collect()
+    pairs.iter().map(|pair| error_m(pair, frame).norm()).collect()
 }
 
-/// Errors of the moves from sample to sample, `delta` apart, one after the other: of the relative pose's translation
-/// where both say how they are turned, else of the distance that was moved.
+/// Relative errors of consecutive poses `delta` samples apart: of the relative translation if both have orientations,
+/// otherwise of the distance.
 fn relative_errors(pairs: &[Pair], delta: usize) -> Vec<f64> {
     let steps: Vec<&Pair> = pairs.iter().step_by(delta.max(1)).collect();
     let error = |ends: &[&Pair]| {
         let [first, second] = [ends[0], ends[1]];
-        let pose = |sample: &super::Sample| {
+        let pose = |sample: &Sample| {
             Some(Rigid::from_parts(sample.position_m.into(), sample.orientation?))
         };
         let relative = |first, second| Some(pose(first)?.inverse() * pose(second)?);
@@ -301,9 +280,8 @@ fn relative_errors(pairs: &[Pair], delta: usize) -> Vec<f64> {
         match turned {
             Some((truth, estimate)) => (truth.inverse() * estimate).translation.vector.norm(),
             None => {
-                let far = |first: &super::Sample, second: &super::Sample| {
-                    (second.position_m - first.position_m).norm()
-                };
+                let far =
+                    |first: &Sample, second: &Sample| (second.position_m - first.position_m).norm();
                 let truth = far(&first.truth, &second.truth);
                 (truth - far(&first.estimate, &second.estimate)).abs()
             }
@@ -312,9 +290,9 @@ fn relative_errors(pairs: &[Pair], delta: usize) -> Vec<f64> {
     steps.windows(2).map(error).collect()
 }
 
-/// Of white noise σ the second difference has the variance 6 σ²; what changes slowly has next to none.
+/// Second differences of white noise σ have the variance 6 σ²; slow changes of the error contribute little.
 fn jitter_m(pairs: &[Pair], frame: &Rigid) -> f64 {
-    let errors = errors(pairs, frame);
+    let errors: Vec<Vector3<f64>> = pairs.iter().map(|pair| error_m(pair, frame)).collect();
     let second = errors.windows(3).map(|it| (it[0] - it[1] * 2.0 + it[2]).norm_squared() / 3.0);
     let count = errors.len().saturating_sub(2).max(1);
     (second.sum::<f64>() / count as f64 / 6.0).sqrt()

@@ -1,16 +1,16 @@
-//! Evaluation: a recording beside another system's trajectories.
+//! Evaluation: compares a recording with another system's trajectories, the truth.
 //!
-//! | module | what it does |
+//! | module | purpose |
 //! | --- | --- |
-//! | [`truth`] | reads what the other system says |
-//! | [`estimate`] | reads what the recording says |
-//! | [`align`] | by how much clocks and frames differ |
+//! | [`truth`] | reads the other system's trajectories |
+//! | [`estimate`] | reads the recording's trajectories |
+//! | [`align`] | estimates the offset of clocks and the transform of frames |
 //! | [`metrics`] | absolute and relative errors, jitter, latency, gaps |
-//! | [`plots`] | the same as pictures |
+//! | [`plots`] | plots of trajectories and errors |
 //!
-//! Figures are those of `evo` (M. Grupp, *evo: Python package for the evaluation of odometry and SLAM*): absolute
+//! Metrics are those of `evo` (M. Grupp, *evo: Python package for the evaluation of odometry and SLAM*): absolute
 //! trajectory error after one rigid alignment (S. Umeyama, 1991, without scale), relative error of consecutive pairs.
-//! `tests/tests/eval.rs` holds them against it.
+//! A test compares them with its results.
 
 pub mod align;
 pub mod estimate;
@@ -22,31 +22,30 @@ use nalgebra::{UnitQuaternion, Vector3};
 use roundel_core::time::Timestamp;
 use thiserror::Error;
 
-/// Where something was at an instant.
+/// Pose at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// When, on its system's clock.
+    /// On the clock of its system.
     pub time: Timestamp,
-    /// Metres, in its system's frame.
+    /// In the frame of its system.
     pub position_m: Vector3<f64>,
-    /// Its frame's axes in the system's; `None`: not said, or not observed.
+    /// `None`: unknown or not observed.
     pub orientation: Option<UnitQuaternion<f64>>,
 }
 
-/// Where one thing was, in the order of time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Trajectory {
-    /// What it is called there; empty: nothing.
+    /// Name in its system, or empty.
     pub name: String,
-    /// Times grow strictly.
+    /// Strictly increasing in time.
     pub samples: Vec<Sample>,
 }
 
-/// Two trajectories are compared with linear interpolation over no more than this: beyond, there is a gap.
+/// Maximum step that is interpolated; longer steps are gaps.
 const MAX_STEP_S: f64 = 0.25;
 
 impl Trajectory {
-    /// Where it was then; `None` before its begin, after its end, and within gaps.
+    /// The interpolated pose at a time; `None` before the start, after the end, and within gaps.
     pub fn at(&self, time: Timestamp) -> Option<Sample> {
         let after = self.samples.partition_point(|sample| sample.time < time);
         let next = self.samples.get(after)?;
@@ -68,33 +67,25 @@ impl Trajectory {
     }
 }
 
-/// Why there is nothing to compare.
 #[derive(Debug, Error)]
 pub enum EvalError {
-    /// The other system's file is not what it should be.
+    /// Invalid file of the other system; lines count from 1.
     #[error("{file}:{line}: {message}")]
-    Truth {
-        file: String,
-        /// Where in it, from 1.
-        line: usize,
-        /// What was expected, and what was found.
-        message: String,
-    },
-    /// The recording cannot be read.
+    Truth { file: String, line: usize, message: String },
     #[error(transparent)]
     Recording(#[from] crate::archive::replay::ReplayError),
-    /// Which object is meant is not clear, or it is not there.
+    /// The object is ambiguous or missing.
     #[error("{0}")]
     Object(String),
-    /// There are too few instants at which both say something.
     #[error(
-        "the recording and the truth have {found} instants in common, and at least {MIN_PAIRS} are needed; {hint}"
+        "expected at least {MIN_PAIRS} common instants of recording and truth, found {found}; {hint}"
     )]
     Apart {
         found: usize,
-        /// What may be the matter.
+        /// A possible reason.
         hint: String,
     },
 }
 
+/// Minimum number of common instants.
 pub const MIN_PAIRS: usize = 10;

@@ -1,4 +1,4 @@
-//! An evaluation as pictures (SVG): trajectories from above, and the distance from the truth over time.
+//! Plots of an evaluation as SVG: trajectories from above, and errors over time.
 
 use std::{fs, io, ops::Range, path::Path};
 
@@ -6,13 +6,13 @@ use kurbo::{Point, Rect, Size};
 use nalgebra::Point3;
 use roundel_core::time::Timestamp;
 
-use super::metrics::{EvalMetrics, errors};
+use super::{align::error_m, metrics::EvalMetrics};
 use crate::lab::drawing::{Anchor, Axes, Color, Drawing, LETTER_PX, Shape};
 
 const SIZE: Size = Size::new(900.0, 600.0);
 const AREA: Rect = Rect::new(70.0, 48.0, 880.0, 548.0);
 const TRUTH: Color = [150; 3];
-/// Colours of objects, which repeat.
+/// Repeated colours of objects.
 const OBJECTS: [Color; 6] =
     [[0, 114, 178], [213, 94, 0], [0, 158, 115], [204, 121, 167], [230, 159, 0], [86, 180, 233]];
 
@@ -53,10 +53,11 @@ fn plot_errors(metrics: &EvalMetrics) -> Drawing {
     let begin = metrics.objects.iter().filter_map(|it| it.pairs.first()).map(|it| it.estimate.time);
     let begin: Timestamp = begin.min().unwrap_or_default();
     let curves = metrics.objects.iter().zip(OBJECTS.iter().cycle()).map(|(object, &color)| {
-        let errors_m = errors(&object.pairs, &metrics.truth_from_estimate);
-        let times_s = object.pairs.iter().map(|pair| pair.estimate.time.seconds_since(begin));
-        let points = times_s.zip(errors_m.iter().map(|error_m| error_m.norm() * 1e3)).collect();
-        Curve { points, width: 1.0, color }
+        let points = object.pairs.iter().map(|pair| {
+            let error_mm = error_m(pair, &metrics.truth_from_estimate).norm() * 1e3;
+            (pair.estimate.time.seconds_since(begin), error_mm)
+        });
+        Curve { points: points.collect(), width: 1.0, color }
     });
     let curves: Vec<Curve> = curves.collect();
     let (times, most) = (range(&curves, |it| it.0), range(&curves, |it| it.1).end);

@@ -1,9 +1,9 @@
-//! What another system says: a table with a head, or a trajectory in TUM's form.
+//! Reads another system's trajectories: a CSV table, or a trajectory in TUM's format.
 //!
-//! A table's columns are named in its first line, in any order, with commas between: the time as `time_ns` or `time_s`
-//! (or `timestamp`, in either unit: beyond 1e14 it is nanoseconds), `x`, `y`, `z` in metres (or `x_m` …), perhaps
-//! `qx`, `qy`, `qz`, `qw`, and perhaps who it is, as `object`, `name`, `id` or `code`. TUM's form has no head: time in
-//! seconds, x y z, qx qy qz qw, with spaces between; lines that begin with # are left out.
+//! A table's first line names its columns, in any order: the time as `time_ns` or `time_s` (or `timestamp`, in either
+//! unit: above 1e14 it is nanoseconds), `x`, `y`, `z` in metres (or `x_m` …), optionally `qx`, `qy`, `qz`, `qw`, and
+//! optionally the object as `object`, `name`, `id` or `code`. TUM's format has no header: time in seconds, x y z,
+//! qx qy qz qw, separated by spaces. Lines that begin with # are skipped.
 
 use std::collections::BTreeMap;
 
@@ -12,34 +12,30 @@ use roundel_core::time::Timestamp;
 
 use super::{EvalError, Sample, Trajectory};
 
-/// Above, a plain time stamp is in nanoseconds.
+/// Larger values of `timestamp` are nanoseconds.
 const NANOSECONDS_ABOVE: f64 = 1e14;
 
-/// Columns' places.
+/// Indices of columns.
 struct Columns {
     time: usize,
-    /// `None`: as large as it is.
+    /// `None`: by magnitude.
     in_seconds: Option<bool>,
     position: [usize; 3],
     orientation: Option<[usize; 4]>,
     name: Option<usize>,
 }
 
-/// Reads such a file's text.
+/// Parses a file's text; its name is for errors.
 pub fn read(file: &str, text: &str) -> Result<Vec<Trajectory>, EvalError> {
     let wrong =
         |line: usize, message: String| EvalError::Truth { file: file.to_owned(), line, message };
-    let mut lines = (1..).zip(text.lines()).filter(|(_, line)| {
-        let line = line.trim();
-        !line.is_empty() && !line.starts_with('#')
-    });
-    let mut lines = lines.by_ref().peekable();
+    let is_content = |line: &str| !line.trim().is_empty() && !line.trim().starts_with('#');
+    let mut lines = (1..).zip(text.lines()).filter(|(_, line)| is_content(line)).peekable();
     let Some((first, head)) = lines.peek().copied() else {
-        return Err(wrong(1, "expected a table of times and places, found nothing".to_owned()));
+        return Err(wrong(1, "expected a table of times and positions, found nothing".to_owned()));
     };
     let has_head = head.chars().any(|it| it.is_ascii_alphabetic() && !matches!(it, 'e' | 'E'));
-    let separator = |line: &str| if line.contains(',') { ',' } else { ' ' };
-    let by = separator(head);
+    let by = if head.contains(',') { ',' } else { ' ' };
     let columns = if has_head {
         lines.next();
         columns(&split(head, by)).map_err(|message| wrong(first, message))?
@@ -59,7 +55,7 @@ pub fn read(file: &str, text: &str) -> Result<Vec<Trajectory>, EvalError> {
         let trajectory = all.entry(name.clone()).or_default();
         trajectory.name = name;
         if trajectory.samples.last().is_some_and(|last| last.time >= sample.time) {
-            let message = "expected times that grow, found one that is not after the one before";
+            let message = "expected increasing times, found one that is not after the one before";
             return Err(wrong(number, message.to_owned()));
         }
         trajectory.samples.push(sample);
@@ -113,13 +109,12 @@ fn sample(cells: &[&str], columns: &Columns) -> Result<(String, Sample), String>
     };
     let stamp = number(columns.time)?;
     let in_seconds = columns.in_seconds.unwrap_or(stamp.abs() < NANOSECONDS_ABOVE);
-    // Whole nanoseconds are exact, which doubles of that size are not.
-    let whole = cell(columns.time)?.parse::<i64>().ok().filter(|_| !in_seconds);
-    let ns = whole.unwrap_or(if in_seconds {
-        seconds_as_ns(cell(columns.time)?)?
-    } else {
-        stamp as i64
-    });
+    let text = cell(columns.time)?;
+    // Doubles of that size do not hold nanoseconds exactly.
+    let ns = match in_seconds {
+        true => seconds_as_ns(text)?,
+        false => text.parse().unwrap_or(stamp as i64),
+    };
     let [x, y, z] = columns.position;
     let position_m = Vector3::new(number(x)?, number(y)?, number(z)?);
     let orientation = match columns.orientation {
@@ -136,7 +131,7 @@ fn sample(cells: &[&str], columns: &Columns) -> Result<(String, Sample), String>
     Ok((name, Sample { time: Timestamp::from_ns(ns), position_m, orientation }))
 }
 
-/// `1700000000.123456789`, to the nanosecond, which a double is not at that size.
+/// Parses decimal seconds exactly.
 fn seconds_as_ns(text: &str) -> Result<i64, String> {
     let wrong = || format!("expected seconds, found {text:?}");
     let plain = text.bytes().all(|byte| byte.is_ascii_digit() || byte == b'.');
@@ -173,21 +168,24 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_said_with_its_line() {
-        let told = |text: &str| read("t.csv", text).unwrap_err().to_string();
-        assert!(told("").contains("t.csv:1: expected a table of times and places, found nothing"));
+    fn errors_name_the_line() {
+        let error = |text: &str| read("t.csv", text).unwrap_err().to_string();
         assert!(
-            told("time_s,x,y\n")
+            error("").contains("t.csv:1: expected a table of times and positions, found nothing")
+        );
+        assert!(
+            error("time_s,x,y\n")
                 .contains("t.csv:1: expected a column z or z_m, found time_s, x, y")
         );
         assert!(
-            told("time_s,x,y,z\n0,1,2,3\n1,1,two,3\n")
+            error("time_s,x,y,z\n0,1,2,3\n1,1,two,3\n")
                 .contains("t.csv:3: expected a number in column 3")
         );
         assert!(
-            told("time_s,x,y,z\n1,1,2,3\n1,1,2,3\n").contains("t.csv:3: expected times that grow")
+            error("time_s,x,y,z\n1,1,2,3\n1,1,2,3\n")
+                .contains("t.csv:3: expected increasing times")
         );
-        assert!(told("time_s,x,y,z,qx\n").contains("expected all of qx, qy, qz and qw"));
-        assert!(told("0 1 2 3 0 0 0 2\n").contains("expected a quaternion of length 1, found 2"));
+        assert!(error("time_s,x,y,z,qx\n").contains("expected all of qx, qy, qz and qw"));
+        assert!(error("0 1 2 3 0 0 0 2\n").contains("expected a quaternion of length 1, found 2"));
     }
 }

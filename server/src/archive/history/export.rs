@@ -1,11 +1,31 @@
-//! A history as a table for other programs: CSV, and Parquet with the feature of that name.
+//! Exports of a history: CSV, and Parquet with the feature `parquet`.
 
-use std::fmt::Write as _;
+use std::{fmt::Write as _, ops::Deref};
 
-use super::{HistoryError, store::HistoryResult};
+use super::{
+    HistoryError,
+    store::{HistoryObject, HistoryPoint, HistoryResult},
+};
 
-/// A row for each point, below a row of names. Angles in radians, lengths in metres; empty: not known.
-pub fn csv(result: &HistoryResult) -> String {
+/// Rows of a piece of a CSV table.
+const PIECE_ROWS: usize = 500;
+const CSV_HEADER: &str = "time_ns,object_id,name,roundel,code,x_m,y_m,z_m,yaw_rad,source_id\n";
+
+/// A header and a row for each point, in pieces of some rows. Angles are in radians, lengths in metres; unknown values are
+/// empty.
+pub fn csv(result: impl Deref<Target = HistoryResult>) -> impl Iterator<Item = String> {
+    let (mut object, mut row) = (0, 0);
+    let rows = std::iter::from_fn(move || {
+        let (identity, points) = result.objects.get(object)?;
+        let next = points.len().min(row + PIECE_ROWS);
+        let text = csv_rows(identity, &points[row..next]);
+        (object, row) = if next < points.len() { (object, next) } else { (object + 1, 0) };
+        Some(text)
+    });
+    std::iter::once(CSV_HEADER.to_owned()).chain(rows)
+}
+
+fn csv_rows(identity: &HistoryObject, points: &[HistoryPoint]) -> String {
     let quoted = |text: &str| {
         if text.contains([',', '"', '\n']) {
             format!("\"{}\"", text.replace('"', "\"\""))
@@ -13,41 +33,36 @@ pub fn csv(result: &HistoryResult) -> String {
             text.to_owned()
         }
     };
-    let mut text = "time_ns,object_id,name,roundel,code,x_m,y_m,z_m,yaw_rad,source_id\n".to_owned();
-    for (identity, points) in &result.objects {
-        let [name, kind, run] =
-            [&identity.name, &identity.kind, &identity.run].map(|it| quoted(it));
-        let code = if identity.code > 0 { identity.code.to_string() } else { String::new() };
-        for point in points {
-            let [x, y, z] = point.position_m;
-            let yaw = point.yaw_rad.map_or(String::new(), |yaw| yaw.to_string());
-            // Writing to a string cannot fail.
-            let _ = writeln!(
-                text,
-                "{},{},{name},{kind},{code},{x},{y},{z},{yaw},{run}",
-                point.time.as_ns(),
-                identity.id
-            );
-        }
+    let [name, kind, run] = [&identity.name, &identity.kind, &identity.run].map(|it| quoted(it));
+    let code = if identity.code > 0 { identity.code.to_string() } else { String::new() };
+    let mut text = String::new();
+    for point in points {
+        let [x, y, z] = point.position_m;
+        let yaw = point.yaw_rad.map_or(String::new(), |yaw| yaw.to_string());
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            text,
+            "{},{},{name},{kind},{code},{x},{y},{z},{yaw},{run}",
+            point.time.as_ns(),
+            identity.id
+        );
     }
     text
 }
 
-/// The same columns as Parquet: `time_ns` as a timestamp in UTC, `code` and `yaw_rad` null where they are not known.
+/// The same columns as Parquet: `time_ns` as a timestamp in UTC, `code` and `yaw_rad` null where unknown.
 #[cfg(feature = "parquet")]
 pub fn parquet(result: &HistoryResult) -> Result<Vec<u8>, HistoryError> {
-    columns::written(result).map_err(|error| HistoryError::Format(format!("no Parquet: {error}")))
+    columns::write(result)
+        .map_err(|error| HistoryError::Format(format!("cannot write Parquet: {error}")))
 }
 
-/// Says how to get it.
-///
-/// # Errors
-/// [`HistoryError::Format`], always.
+/// Fails, since the feature is disabled.
 #[cfg(not(feature = "parquet"))]
 pub fn parquet(_: &HistoryResult) -> Result<Vec<u8>, HistoryError> {
     Err(HistoryError::Format(
-        "this server was built without Parquet (`cargo build --release -p roundel-server --features parquet` builds it \
-         with that); history.csv has the same columns"
+        "this server was built without Parquet (`cargo build --release -p roundel-server --features parquet` \
+         includes it); history.csv has the same columns"
             .to_owned(),
     ))
 }
@@ -84,7 +99,7 @@ mod columns {
 
     type Row<'a> = (&'a HistoryObject, &'a HistoryPoint);
 
-    pub(super) fn written(result: &HistoryResult) -> Result<Vec<u8>> {
+    pub(super) fn write(result: &HistoryResult) -> Result<Vec<u8>> {
         let rows: Vec<Row> = result
             .objects
             .iter()
@@ -114,7 +129,7 @@ mod columns {
         file.into_inner()
     }
 
-    /// The next column; `None`: null, of which a required column has none.
+    /// Writes the next column; `None` is null.
     fn column<T: DataType, W: Write + Send>(
         group: &mut SerializedRowGroupWriter<'_, W>,
         rows: &[Row],
@@ -122,9 +137,9 @@ mod columns {
     ) -> Result<()> {
         let Some(mut column) = group.next_column()? else { return Ok(()) };
         let values: Vec<Option<T::T>> = rows.iter().map(|&row| value(row)).collect();
-        let is_there: Vec<i16> = values.iter().map(|value| i16::from(value.is_some())).collect();
-        let there: Vec<T::T> = values.into_iter().flatten().collect();
-        column.typed::<T>().write_batch(&there, Some(&is_there), None)?;
+        let levels: Vec<i16> = values.iter().map(|value| i16::from(value.is_some())).collect();
+        let present: Vec<T::T> = values.into_iter().flatten().collect();
+        column.typed::<T>().write_batch(&present, Some(&levels), None)?;
         column.close()
     }
 }
@@ -134,7 +149,6 @@ mod tests {
     use roundel_core::time::Timestamp;
 
     use super::*;
-    use crate::archive::history::store::{HistoryObject, HistoryPoint};
 
     fn result() -> HistoryResult {
         let identity = |id, name: &str, code| HistoryObject {
@@ -163,8 +177,8 @@ mod tests {
     }
 
     #[test]
-    fn rows_of_csv_quote_what_must_be_quoted() {
-        let text = csv(&result());
+    fn csv_quotes_special_characters() {
+        let text: String = csv(&result()).collect();
         let rows: Vec<&str> = text.lines().collect();
         assert_eq!(rows[1], r#"1,3,"cart, ""old""",robot,12,1.5,-0.5,0.25,0.5,r1"#);
         assert_eq!(rows[2], r#"2,3,"cart, ""old""",robot,12,2.5,-0.5,0.25,,r1"#);
@@ -172,9 +186,19 @@ mod tests {
         assert_eq!(rows.len(), 4);
     }
 
+    #[test]
+    fn csv_pieces_have_every_row_once() {
+        let mut long = result();
+        let first = long.objects[0].1[0];
+        long.objects[0].1 = vec![first; 2 * PIECE_ROWS + 1];
+        let pieces: Vec<String> = csv(&long).collect();
+        let rows = |piece: &String| piece.lines().count();
+        assert_eq!(pieces.iter().map(rows).collect::<Vec<_>>(), [1, PIECE_ROWS, PIECE_ROWS, 1, 1]);
+    }
+
     #[cfg(not(feature = "parquet"))]
     #[test]
-    fn without_the_feature_it_says_how_to_get_it() {
+    fn without_the_feature_the_error_says_how_to_enable_it() {
         let error = parquet(&result()).unwrap_err().to_string();
         assert!(error.contains("--features parquet"), "{error}");
     }

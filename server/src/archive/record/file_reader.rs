@@ -1,33 +1,101 @@
-//! A recording again, however broken its file is.
+//! Reads one file of a recording, even if it is damaged.
 //!
-//! Records are walked by their lengths, chunk by chunk, so that a file needs neither index nor end. What cannot be read
-//! is left out and told as [`Damage`]; only a file in which nothing of ours can be read is an error.
-
-mod parts;
+//! The reader steps from record to record by their lengths and needs neither the index nor the end of a file. Unreadable
+//! parts are skipped and reported as [`Damage`]. A file is rejected only if none of its channels is one of a recording.
 
 use std::{
     collections::BTreeMap,
     fs::File,
     io::{self, BufReader, Read, Seek, SeekFrom},
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
+use anyhow::Context as _;
 use mcap::{
     MAGIC,
-    read::ChunkReader,
     records::{Record, op},
 };
-pub use parts::{Channel, ChunkInfo, Damage, ReadError, RecordedMessage};
 use roundel_core::time::Timestamp;
+use thiserror::Error;
 
 use super::{
-    megabytes,
+    chunk, megabytes,
     schema::{FORMAT_VERSION, FRAME_TOPIC_PREFIX, IMAGE_SCHEMA, METADATA, Topic},
 };
 
 const RECORD_HEADER_LEN: u64 = 9;
 
-/// A file that is being read.
+#[derive(Debug, Error)]
+pub enum ReadError {
+    #[error("cannot read {}: {source}", .path.display())]
+    Open { path: PathBuf, source: io::Error },
+    #[error("{}: expected a recording (an MCAP file written by `roundel record`), found {found}", .path.display())]
+    Foreign {
+        path: PathBuf,
+        /// Description of the file.
+        found: String,
+    },
+    #[error(
+        "{}: recorded by Roundel {version} in format {format}, but this version reads formats up to {FORMAT_VERSION}: use \
+         that version or a newer one",
+        .path.display()
+    )]
+    Newer { path: PathBuf, version: String, format: u32 },
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Channel {
+    Topic(Topic),
+    /// Frames of this camera.
+    Frame(Arc<str>),
+    /// A topic of another program.
+    Foreign(Arc<str>),
+}
+
+impl Channel {
+    pub fn name(&self) -> String {
+        match self {
+            Self::Topic(topic) => topic.name().to_owned(),
+            Self::Frame(camera) => format!("{FRAME_TOPIC_PREFIX}{camera}"),
+            Self::Foreign(topic) => topic.to_string(),
+        }
+    }
+}
+
+#[derive(Clone, Debug)]
+pub struct RecordedMessage {
+    pub channel: Channel,
+    /// Time of recording.
+    pub log_time: Timestamp,
+    /// Time of the content.
+    pub publish_time: Timestamp,
+    pub sequence: u32,
+    pub data: Vec<u8>,
+}
+
+/// Unreadable parts of a file.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Damage {
+    /// Descriptions in the order of the file.
+    pub sentences: Vec<String>,
+    /// Unreadable bytes.
+    pub bytes: u64,
+    /// The file has no end: it was truncated, or is still being written.
+    pub is_cut_off: bool,
+}
+
+/// Position and times of a chunk.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ChunkInfo {
+    /// First byte of its record.
+    pub offset: u64,
+    pub begin: Timestamp,
+    pub end: Timestamp,
+    /// Channels of its messages; empty without an index.
+    channels: Vec<u16>,
+}
+
 pub struct FileReader {
     path: PathBuf,
     file: BufReader<File>,
@@ -65,11 +133,11 @@ impl FileReader {
             return Err(ReadError::Newer { path: path.to_owned(), version, format });
         }
         if reader.damage.is_cut_off {
-            // The channels stand where they were first used; without an end nothing repeats them.
+            // Channels are defined where they are first used; only the end of a file repeats them.
             while reader.next_chunk().map_err(failed)?.is_some() {}
             reader.next = 0;
         }
-        if !reader.channels.values().any(|source| !matches!(source, Channel::Foreign(_))) {
+        if reader.channels.values().all(|channel| matches!(channel, Channel::Foreign(_))) {
             return Err(reader.not_a_recording());
         }
         Ok(reader)
@@ -79,83 +147,80 @@ impl FileReader {
         &self.path
     }
 
-    /// Its length, bytes.
+    /// Bytes.
     pub fn length(&self) -> u64 {
         self.length
     }
 
-    /// What its head says of it.
     pub fn metadata(&self) -> &BTreeMap<String, String> {
         &self.metadata
     }
 
-    /// What could not be read so far.
+    /// Damage found so far.
     pub fn damage(&self) -> &Damage {
         &self.damage
     }
 
-    /// Its chunks, in the order of the file.
+    /// In the order of the file.
     pub fn chunks(&self) -> &[ChunkInfo] {
         &self.chunks
     }
 
-    /// Whether there are frames in it.
     pub fn has_frames(&self) -> bool {
-        self.channels.values().any(|source| matches!(source, Channel::Frame(_)))
+        self.channels.values().any(|channel| matches!(channel, Channel::Frame(_)))
     }
 
+    /// Log times of the first and the last message.
     pub fn span(&self) -> Option<(Timestamp, Timestamp)> {
-        // A chunk without messages, such as that of the schemas, has no times.
+        // A chunk without messages has no times.
         let timed = || self.chunks.iter().filter(|chunk| chunk.end.as_ns() > 0);
         let begin = timed().map(|chunk| chunk.begin).min()?;
         let end = timed().map(|chunk| chunk.end).max()?;
         Some((begin, end))
     }
 
-    /// Goes on with the chunk of this number.
+    /// Continues with the chunk of this number.
     pub fn seek(&mut self, chunk: usize) {
         self.next = chunk.min(self.chunks.len());
     }
 
-    /// The chunk in which something of this instant is, or of the next later one.
+    /// Number of the first chunk that ends at this time or later.
     pub fn chunk_at(&self, time: Timestamp) -> usize {
         self.chunks.partition_point(|chunk| chunk.end < time)
     }
 
-    /// All messages of one topic, in the order of the file; only chunks that have some are read.
+    /// All messages of a topic, in the order of the file. Reads only chunks that may have some.
     pub fn collect(&mut self, topic: Topic) -> io::Result<Vec<RecordedMessage>> {
-        let source = Channel::Topic(topic);
-        let is_it = |channel: &u16| self.channels.get(channel) == Some(&source);
-        let has = |chunk: &ChunkInfo| chunk.channels.is_empty() || chunk.channels.iter().any(is_it);
-        let numbers: Vec<usize> =
-            (0..self.chunks.len()).filter(|&number| has(&self.chunks[number])).collect();
+        let wanted = Channel::Topic(topic);
         let (next, mut all) = (self.next, Vec::new());
-        for number in numbers {
-            self.seek(number);
-            let messages = self.next_chunk()?.unwrap_or_default();
-            all.extend(messages.into_iter().filter(|raw| raw.channel == source));
+        for number in 0..self.chunks.len() {
+            let channels = &self.chunks[number].channels;
+            let is_wanted = |channel: &u16| self.channels.get(channel) == Some(&wanted);
+            if channels.is_empty() || channels.iter().any(is_wanted) {
+                self.seek(number);
+                let messages = self.next_chunk()?.unwrap_or_default();
+                all.extend(messages.into_iter().filter(|raw| raw.channel == wanted));
+            }
         }
         self.next = next;
         Ok(all)
     }
 
-    /// The messages of the next chunk; `None` at the end. One that is broken is told and left out.
+    /// The messages of the next chunk (none if it is damaged); `None` at the end of the file.
     pub fn next_chunk(&mut self) -> io::Result<Option<Vec<RecordedMessage>>> {
         let Some(place) = self.chunks.get(self.next).cloned() else { return Ok(None) };
         self.next += 1;
         let body = self.record_at(place.offset)?;
-        let mut messages = Vec::new();
-        if let Err(why) = self.read_chunk(&body, &mut messages) {
-            self.note_damage(
-                body.len() as u64,
-                format!(
-                    "the chunk at byte {} is broken ({why}): {} of it are lost",
-                    place.offset,
-                    megabytes(body.len() as u64)
-                ),
+        let messages = self.read_chunk(&body).unwrap_or_else(|why| {
+            let lost = body.len() as u64;
+            let sentence = format!(
+                "the chunk at byte {} is corrupt ({why:#}): {} are lost",
+                place.offset,
+                megabytes(lost)
             );
-            messages.clear();
-        }
+            self.note_damage(lost, sentence);
+            Vec::new()
+        });
         Ok(Some(messages))
     }
 
@@ -166,38 +231,34 @@ impl FileReader {
         }
     }
 
-    fn read_chunk(
-        &mut self,
-        body: &[u8],
-        messages: &mut Vec<RecordedMessage>,
-    ) -> Result<(), String> {
-        let told = |error: mcap::McapError| error.to_string();
-        let Record::Chunk { header, data } =
-            mcap::read::parse_record(op::CHUNK, body).map_err(told)?
-        else {
-            return Ok(());
-        };
-        for record in ChunkReader::new(header, &data).map_err(told)? {
-            match record.map_err(told)? {
-                Record::Message { header, data } => {
-                    let Some(source) = self.channels.get(&header.channel_id) else {
-                        return Err(format!("no channel {}", header.channel_id));
-                    };
+    fn read_chunk(&mut self, body: &[u8]) -> anyhow::Result<Vec<RecordedMessage>> {
+        let mut messages = Vec::new();
+        let records = chunk::decompress(body)?;
+        let mut rest = records.as_slice();
+        while !rest.is_empty() {
+            let (opcode, body, after) = chunk::split_record(rest)?;
+            rest = after;
+            match chunk::parse(opcode, body)? {
+                Some(Record::Message { header, data }) => {
+                    let channel = self.channels.get(&header.channel_id);
                     messages.push(RecordedMessage {
-                        channel: source.clone(),
+                        channel: channel
+                            .with_context(|| format!("no channel {}", header.channel_id))?
+                            .clone(),
                         log_time: time(header.log_time),
                         publish_time: time(header.publish_time),
                         sequence: header.sequence,
                         data: data.into_owned(),
                     });
                 }
-                other => self.read_definition(other),
+                Some(definition) => self.read_definition(definition),
+                None => {}
             }
         }
-        Ok(())
+        Ok(messages)
     }
 
-    /// Takes what says how messages are to be read.
+    /// Registers schemas, channels and metadata.
     fn read_definition(&mut self, record: Record<'_>) {
         match record {
             Record::Schema { header, .. } => {
@@ -208,12 +269,12 @@ impl FileReader {
                 let ours = Topic::ALL
                     .into_iter()
                     .find(|topic| topic.name() == channel.topic && topic.schema() == schema);
-                let source = match (ours, channel.topic.strip_prefix(FRAME_TOPIC_PREFIX)) {
+                let known = match (ours, channel.topic.strip_prefix(FRAME_TOPIC_PREFIX)) {
                     (Some(topic), _) => Channel::Topic(topic),
                     (None, Some(camera)) if schema == IMAGE_SCHEMA => Channel::Frame(camera.into()),
                     _ => Channel::Foreign(channel.topic.as_str().into()),
                 };
-                self.channels.insert(channel.id, source);
+                self.channels.insert(channel.id, known);
             }
             Record::Metadata(metadata) if metadata.name == METADATA => {
                 self.metadata = metadata.metadata;
@@ -242,29 +303,31 @@ impl FileReader {
     fn not_a_recording(&self) -> ReadError {
         let topics: Vec<String> = self.channels.values().map(Channel::name).collect();
         let found = if self.damage.is_cut_off && topics.is_empty() {
-            format!("the begin of one, {}, without a complete chunk", megabytes(self.length))
+            let damage = self.damage.sentences.join("; ");
+            format!("{} of one without a complete chunk: {damage}", megabytes(self.length))
         } else if topics.is_empty() {
             "an MCAP file without any topic".to_owned()
         } else {
-            format!("an MCAP file of something else, with the topics {}", topics.join(", "))
+            format!("an MCAP file of another program, with the topics {}", topics.join(", "))
         };
         ReadError::Foreign { path: self.path.clone(), found }
     }
 
-    /// Notes where chunks are, and all else outside of them.
+    /// Finds the chunks, and reads all other records.
     fn scan(&mut self) -> io::Result<()> {
         let mut offset = MAGIC.len() as u64;
         loop {
             let left = self.length.saturating_sub(offset);
-            if left < RECORD_HEADER_LEN {
+            let header = match left {
+                ..RECORD_HEADER_LEN => None,
+                _ => Some(self.record_header_at(offset)?),
+            };
+            let is_whole =
+                |(opcode, length): &(u8, u64)| *opcode != 0 && *length <= left - RECORD_HEADER_LEN;
+            let Some((opcode, length)) = header.filter(is_whole) else {
                 self.note_truncation(offset, left);
                 return Ok(());
-            }
-            let (opcode, length) = self.record_header_at(offset)?;
-            if opcode == 0 || length > left - RECORD_HEADER_LEN {
-                self.note_truncation(offset, left);
-                return Ok(());
-            }
+            };
             match opcode {
                 op::FOOTER => return Ok(()),
                 op::CHUNK if length >= 16 => {
@@ -277,20 +340,18 @@ impl FileReader {
                 op::MESSAGE_INDEX if length >= 2 => {
                     let mut channel = [0; 2];
                     self.file.read_exact(&mut channel)?;
-                    let channel = u16::from_le_bytes(channel);
-                    self.chunks
-                        .iter_mut()
-                        .last()
-                        .into_iter()
-                        .for_each(|it| it.channels.push(channel));
+                    if let Some(chunk) = self.chunks.last_mut() {
+                        chunk.channels.push(u16::from_le_bytes(channel));
+                    }
                 }
                 op::SCHEMA | op::CHANNEL | op::METADATA => {
                     let body = self.record_at(offset)?;
-                    match mcap::read::parse_record(opcode, &body) {
-                        Ok(record) => self.read_definition(record.into_owned()),
+                    match chunk::parse(opcode, &body) {
+                        Ok(Some(record)) => self.read_definition(record),
+                        Ok(None) => {}
                         Err(error) => self.note_damage(
                             length,
-                            format!("the record at byte {offset} is broken ({error})"),
+                            format!("the record at byte {offset} is corrupt ({error})"),
                         ),
                     }
                 }
@@ -303,12 +364,12 @@ impl FileReader {
     fn note_truncation(&mut self, offset: u64, left: u64) {
         self.damage.is_cut_off = true;
         let lost = if left == 0 {
-            "nothing after its last complete chunk".to_owned()
+            "and nothing is lost".to_owned()
         } else {
-            format!("{} after its last complete chunk are lost", megabytes(left))
+            format!("and {} after the last complete chunk are lost", megabytes(left))
         };
         self.note_damage(left, format!(
-            "the file has no end, as after a crash or while it is written: it was read up to byte {offset}, {lost}"
+            "the file has no end, as after a crash or during recording: it was read up to byte {offset}, {lost}"
         ));
     }
 
@@ -322,7 +383,7 @@ impl FileReader {
 
     fn record_at(&mut self, offset: u64) -> io::Result<Vec<u8>> {
         let (_, length) = self.record_header_at(offset)?;
-        // A file may have been cut since it was walked.
+        // The file may have been truncated since the scan.
         let mut body = Vec::new();
         (&mut self.file).take(length).read_to_end(&mut body)?;
         Ok(body)

@@ -1,17 +1,13 @@
-//! One file of a recording.
+//! Writes one file of a recording.
 //!
-//! Messages gather in chunks, which are compressed and written whole: what a crash leaves is readable to the last
-//! complete chunk. A failed write leaves no torn chunk either: the file is cut back to the last complete one.
+//! Messages are collected in chunks, and each chunk is compressed and written at once. After a crash, the file is readable up
+//! to its last complete chunk. After a failed write, it is truncated to its last complete chunk.
 
 use std::{
     collections::BTreeMap,
-    fs::File,
-    io::{self, BufWriter, Write},
+    fs::{self, File},
+    io::{self, BufWriter},
     path::{Path, PathBuf},
-    sync::{
-        Arc,
-        atomic::{AtomicU64, Ordering},
-    },
 };
 
 use mcap::{WriteOptions, records::MessageHeader, write::NoSeek};
@@ -19,84 +15,65 @@ use prost::Message;
 use roundel_core::time::Timestamp;
 
 use super::schema::{
-    CompressedImage, ENCODING, FORMAT_VERSION, FRAME_TOPIC_PREFIX, IMAGE_SCHEMA, METADATA, Topic,
-    descriptors, image_descriptors,
+    ENCODING, FORMAT_VERSION, FRAME_TOPIC_PREFIX, IMAGE_SCHEMA, METADATA, Topic, descriptors,
+    image_descriptors,
 };
+use crate::model::text_file;
 
-/// A chunk is closed when it has grown to so much, uncompressed.
+/// A chunk is closed at this size, uncompressed.
 const CHUNK_BYTES: u64 = 1 << 20;
-/// Doubles hardly compress, so more effort gains next to nothing.
+/// Floating-point numbers hardly compress, so a higher level gains little.
 const COMPRESSION_LEVEL: u32 = 1;
 const BUFFER_BYTES: usize = 1 << 18;
 
-type Writer = mcap::Writer<NoSeek<BufWriter<CountingFile>>>;
+type Writer = mcap::Writer<NoSeek<BufWriter<File>>>;
 
-/// A file that knows how long it is.
-struct CountingFile {
-    file: File,
-    written: Arc<AtomicU64>,
-}
-
-impl Write for CountingFile {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let count = self.file.write(bytes)?;
-        self.written.fetch_add(count as u64, Ordering::Relaxed);
-        Ok(count)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.file.flush()
-    }
-}
-
-/// A message's times and number.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct MessageStamp {
-    /// When it was recorded.
+    /// Time of recording.
     pub log_time: Timestamp,
-    /// When it was made.
+    /// Time of the content.
     pub publish_time: Timestamp,
-    /// Counts the messages of its kind.
+    /// Sequence number within the channel.
     pub sequence: u64,
 }
 
 impl MessageStamp {
-    /// Both times are one.
     pub fn at(time: Timestamp, sequence: u64) -> Self {
         Self { log_time: time, publish_time: time, sequence }
     }
 }
 
-/// A file that is being written.
 pub struct FileWriter {
     path: PathBuf,
     writer: Writer,
-    /// The same file, to be forced to the disk and cut.
+    /// The same file, for its length and for syncing.
     file: File,
-    written: Arc<AtomicU64>,
-    /// So long it was after the last complete chunk.
+    /// Length after the last complete chunk.
     complete_bytes: u64,
     channels: [u16; Topic::ALL.len()],
     frames: BTreeMap<String, u16>,
     messages: u64,
-    buffer: Vec<u8>,
 }
 
 impl FileWriter {
-    /// Begins a file that is not there yet; `about` is put into its head.
+    /// Creates a file with `about` in its header; fails if the file exists.
     pub fn create(path: &Path, about: &BTreeMap<String, String>) -> io::Result<Self> {
         let file = File::options().write(true).create_new(true).open(path)?;
-        let written = Arc::<AtomicU64>::default();
-        let sink = CountingFile { file: file.try_clone()?, written: written.clone() };
+        // On a full disk, a file without its header is of no use.
+        Self::begin(path, file, about).inspect_err(|_| drop(fs::remove_file(path)))
+    }
+
+    fn begin(path: &Path, file: File, about: &BTreeMap<String, String>) -> io::Result<Self> {
         let options = WriteOptions::new()
             .profile("")
             .library(concat!("roundel ", env!("CARGO_PKG_VERSION")))
             .chunk_size(Some(CHUNK_BYTES))
             .compression_level(COMPRESSION_LEVEL)
             .compression_threads(0)
-            // Chunks are written when they are whole.
+            // Chunks are written when they are complete.
             .disable_seeking(true);
-        let sink = NoSeek::new(BufWriter::with_capacity(BUFFER_BYTES, sink));
+        let sink = NoSeek::new(BufWriter::with_capacity(BUFFER_BYTES, file.try_clone()?));
         let mut writer = options.create(sink).map_err(io_error)?;
         let mut metadata = about.clone();
         metadata.insert("format".into(), FORMAT_VERSION.to_string());
@@ -105,22 +82,18 @@ impl FileWriter {
         writer.write_metadata(&record).map_err(io_error)?;
         let mut channels = [0; Topic::ALL.len()];
         for (channel, topic) in channels.iter_mut().zip(Topic::ALL) {
-            let data = descriptors(topic.schema());
-            let schema = writer.add_schema(topic.schema(), ENCODING, &data).map_err(io_error)?;
-            *channel = writer
-                .add_channel(schema, topic.name(), ENCODING, &BTreeMap::new())
-                .map_err(io_error)?;
+            let (schema, data) = (topic.schema(), descriptors(topic.schema()));
+            *channel = add_channel(&mut writer, topic.name(), schema, &data)?;
         }
+        text_file::sync_folder_of(path);
         let mut writer = Self {
             path: path.to_owned(),
             writer,
             file,
-            written,
             complete_bytes: 0,
             channels,
             frames: BTreeMap::new(),
             messages: 0,
-            buffer: Vec::new(),
         };
         writer.flush()?;
         Ok(writer)
@@ -130,9 +103,9 @@ impl FileWriter {
         &self.path
     }
 
-    /// How much of it is written.
+    /// Bytes written so far.
     pub fn bytes(&self) -> u64 {
-        self.written.load(Ordering::Relaxed)
+        self.file.metadata().map_or(self.complete_bytes, |file| file.len())
     }
 
     pub fn messages(&self) -> u64 {
@@ -145,78 +118,65 @@ impl FileWriter {
         stamp: MessageStamp,
         message: &impl Message,
     ) -> io::Result<()> {
-        self.buffer.clear();
-        message.encode(&mut self.buffer).map_err(io::Error::other)?;
-        let channel = self.channels[topic as usize];
-        self.put(channel, stamp)
+        self.write_encoded(topic, stamp, &message.encode_to_vec())
     }
 
-    /// Adds a message as it went over the wire.
     pub fn write_encoded(
         &mut self,
         topic: Topic,
         stamp: MessageStamp,
         bytes: &[u8],
     ) -> io::Result<()> {
-        self.buffer.clear();
-        self.buffer.extend_from_slice(bytes);
-        self.put(self.channels[topic as usize], stamp)
+        self.put(self.channels[topic as usize], stamp, bytes)
     }
 
-    /// Adds a camera's picture; the stamp's number is the frame's.
+    /// Writes an encoded [`CompressedImage`](super::schema::CompressedImage); the stamp has the frame's number.
     pub fn write_frame(
         &mut self,
         camera: &str,
         stamp: MessageStamp,
-        image: &CompressedImage,
+        image: &[u8],
     ) -> io::Result<()> {
         let channel = match self.frames.get(camera) {
             Some(channel) => *channel,
             None => {
-                let data = image_descriptors();
-                let schema =
-                    self.writer.add_schema(IMAGE_SCHEMA, ENCODING, &data).map_err(io_error)?;
                 let topic = format!("{FRAME_TOPIC_PREFIX}{camera}");
-                let channel = self
-                    .writer
-                    .add_channel(schema, &topic, ENCODING, &BTreeMap::new())
-                    .map_err(io_error)?;
+                let data = image_descriptors();
+                let channel = add_channel(&mut self.writer, &topic, IMAGE_SCHEMA, &data)?;
                 self.frames.insert(camera.to_owned(), channel);
                 channel
             }
         };
-        self.buffer.clear();
-        image.encode(&mut self.buffer).map_err(io::Error::other)?;
-        self.put(channel, stamp)
+        self.put(channel, stamp, image)
     }
 
-    fn put(&mut self, channel_id: u16, stamp: MessageStamp) -> io::Result<()> {
+    fn put(&mut self, channel_id: u16, stamp: MessageStamp, data: &[u8]) -> io::Result<()> {
         let ns = |time: Timestamp| u64::try_from(time.as_ns()).unwrap_or(0);
         let header = MessageHeader {
             channel_id,
-            // The format has 32 bits for it.
+            // The format has 32 bits.
             sequence: stamp.sequence as u32,
             log_time: ns(stamp.log_time),
             publish_time: ns(stamp.publish_time),
         };
-        self.writer.write_to_known_channel(&header, &self.buffer).map_err(io_error)?;
+        self.writer.write_to_known_channel(&header, data).map_err(io_error)?;
         self.messages += 1;
         Ok(())
     }
 
-    /// Closes the chunk and hands it to the system: what was written until now survives the process.
+    /// Closes the chunk and writes it, so that all messages so far survive a crash of the process.
     pub fn flush(&mut self) -> io::Result<()> {
         self.writer.flush().map_err(io_error)?;
         self.complete_bytes = self.bytes();
         Ok(())
     }
 
-    /// Waits until the disk has it: what was flushed until now survives a power failure.
+    /// Waits for the disk, so that everything flushed so far survives a power failure.
     pub fn sync(&self) -> io::Result<()> {
         self.file.sync_data()
     }
 
-    /// Writes index and end.
+    /// Writes the index and the end; returns the length.
     pub fn finish(mut self) -> io::Result<u64> {
         self.flush()?;
         self.writer.finish().map_err(io_error)?;
@@ -224,16 +184,21 @@ impl FileWriter {
         Ok(self.bytes())
     }
 
-    /// Leaves it as it was after the last complete chunk, and says how long that is.
+    /// Truncates the file to its last complete chunk; returns the length.
     pub fn truncate_to_complete(self) -> u64 {
-        let Self { writer, file, complete_bytes: whole, .. } = self;
-        // It tries to write its end, which has no room either.
+        let Self { writer, file, complete_bytes, .. } = self;
+        // Dropping the writer makes it try to write the end of the file.
         drop(writer);
-        if let Err(error) = file.set_len(whole) {
-            tracing::warn!(%error, "the file of a failed recording could not be cut back");
+        if let Err(error) = file.set_len(complete_bytes) {
+            tracing::warn!(%error, "could not truncate the file of a failed recording");
         }
-        whole
+        complete_bytes
     }
+}
+
+fn add_channel(writer: &mut Writer, topic: &str, schema: &str, data: &[u8]) -> io::Result<u16> {
+    let schema = writer.add_schema(schema, ENCODING, data).map_err(io_error)?;
+    writer.add_channel(schema, topic, ENCODING, &BTreeMap::new()).map_err(io_error)
 }
 
 fn io_error(error: mcap::McapError) -> io::Error {

@@ -1,95 +1,96 @@
-//! The folder of recordings: names, the budget, and what room there is.
+//! The folder of recordings: names, disk budget and free space.
 //!
-//! A file is `NAME-20261122T221055Z-001.mcap`: begin of the recording, UTC, and its number within it, so that the order
-//! of names is that of time. Only files with such names are ever deleted.
+//! A file is named `NAME-20261122T221055Z-001.mcap`: start of the recording in UTC, and the file's number within it.
+//!
+//! The disk budget covers files with such names that this installation has written and that are not pinned. An operator
+//! pins a file by making it read-only (`chmod a-w`). Other files are neither counted nor deleted.
 
 use std::{
-    fs, io,
+    collections::BTreeMap,
+    fs::{self, File},
+    io::{self, Read},
     path::{Path, PathBuf},
+    time::{Duration, SystemTime},
 };
 
+use mcap::{
+    MAGIC,
+    records::{Record, op},
+};
 use roundel_core::time::Timestamp;
 
-/// A name may be so long: with what is put behind it, file systems take it.
+use super::{chunk, schema::METADATA};
+
+/// Leaves space for the suffix within the limits of file systems.
 pub const MAX_NAME_LEN: usize = 100;
 const FILE_EXTENSION: &str = ".mcap";
-const SECONDS_A_DAY: i64 = 86_400;
+/// The metadata are within these first bytes of a file.
+const HEAD_BYTES: u64 = 64 * 1024;
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecordingFile {
     /// Without its folder.
     pub name: String,
     pub bytes: u64,
-    /// Begin of the recording.
+    /// Start of the recording.
     pub started: Timestamp,
-    /// Its number within the recording, from 1.
+    /// Number within the recording, from 1.
     pub number: u32,
+    /// Last change.
+    pub modified: SystemTime,
+    /// Read-only: the disk budget neither counts nor deletes it.
+    pub is_pinned: bool,
 }
 
-/// The file of a recording that began then.
 pub fn file_name(name: &str, started: Timestamp, number: u32) -> String {
-    format!("{name}-{}-{number:03}{FILE_EXTENSION}", utc(started))
+    format!("{}{number:03}{FILE_EXTENSION}", file_prefix(name, started))
 }
 
-/// A text as the begin of a file's name: what does not belong there becomes `-`.
+/// Start of the names of all files of a recording.
+pub fn file_prefix(name: &str, started: Timestamp) -> String {
+    let seconds = started.as_ns().div_euclid(1_000_000_000);
+    let time = prost_types::Timestamp { seconds, nanos: 0 }.to_string().replace(['-', ':'], "");
+    format!("{name}-{time}-")
+}
+
+/// Replaces characters that are not allowed in names by `-`.
 pub fn sanitize_name(name: &str) -> String {
-    let sanitize_name = |character: char| if is_allowed_char(character) { character } else { '-' };
-    let name: String = name.chars().take(MAX_NAME_LEN).map(sanitize_name).collect();
+    let sanitize = |character: char| if is_allowed_char(character) { character } else { '-' };
+    let name: String = name.chars().take(MAX_NAME_LEN).map(sanitize).collect();
     let name = name.trim_matches(['-', '.']);
     if name.is_empty() { "recording".to_owned() } else { name.to_owned() }
 }
 
-/// Whether a character may stand in a name.
 pub fn is_allowed_char(character: char) -> bool {
     character.is_ascii_alphanumeric() || matches!(character, '-' | '_' | '.')
 }
 
-/// `20261122T221055Z`.
-fn utc(time: Timestamp) -> String {
-    let seconds = time.as_ns().div_euclid(1_000_000_000);
-    let (day, second) = (seconds.div_euclid(SECONDS_A_DAY), seconds.rem_euclid(SECONDS_A_DAY));
-    let (year, month, day) = date(day);
-    let (hour, minute, second) = (second / 3600, second / 60 % 60, second % 60);
-    format!("{year:04}{month:02}{day:02}T{hour:02}{minute:02}{second:02}Z")
-}
-
-/// Year, month and day of a day since 1970 (H. Hinnant, *chrono-compatible low-level date algorithms*).
-fn date(day: i64) -> (i64, i64, i64) {
-    let shifted = day + 719_468;
-    let (era, of_era) = (shifted.div_euclid(146_097), shifted.rem_euclid(146_097));
-    let year = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
-    let of_year = of_era - (365 * year + year / 4 - year / 100);
-    let month = (5 * of_year + 2) / 153;
-    let day = of_year - (153 * month + 2) / 5 + 1;
-    let month = if month < 10 { month + 3 } else { month - 9 };
-    (year + era * 400 + i64::from(month <= 2), month, day)
-}
-
-/// The day since 1970 of a date.
-fn day_of(year: i64, month: i64, day: i64) -> i64 {
-    let year = year - i64::from(month <= 2);
-    let (era, of_era) = (year.div_euclid(400), year.rem_euclid(400));
-    let of_year = (153 * (if month > 2 { month - 3 } else { month + 9 }) + 2) / 5 + day - 1;
-    era * 146_097 + of_era * 365 + of_era / 4 - of_era / 100 + of_year - 719_468
-}
-
-/// Begin and number, if it is a recording's name.
+/// Start and number of a recording's file; `None` for any other name.
 fn parse_name(name: &str) -> Option<(Timestamp, u32)> {
     let (rest, number) = name.strip_suffix(FILE_EXTENSION)?.rsplit_once('-')?;
     let (_, time) = rest.rsplit_once('-')?;
-    let time = time.strip_suffix('Z').filter(|time| time.len() == 15 && time.is_ascii())?;
-    let (day, clock) = time.split_once('T').filter(|(day, _)| day.len() == 8)?;
-    let part = |text: &str, from: usize, to: usize| text.get(from..to)?.parse::<i64>().ok();
-    let day = day_of(part(day, 0, 4)?, part(day, 4, 6)?, part(day, 6, 8)?);
-    let second = part(clock, 0, 2)? * 3600 + part(clock, 2, 4)? * 60 + part(clock, 4, 6)?;
-    let ns = (day * SECONDS_A_DAY + second).checked_mul(1_000_000_000)?;
+    let (date, clock) = time.strip_suffix('Z')?.split_once('T')?;
+    let is_digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
+    if date.len() != 8 || clock.len() != 6 || !is_digits(date) || !is_digits(clock) {
+        return None;
+    }
+    let part = |text: &str, from: usize| text[from..from + 2].parse::<u8>().ok();
+    let time = prost_types::Timestamp::date_time(
+        date[..4].parse().ok()?,
+        part(date, 4)?,
+        part(date, 6)?,
+        part(clock, 0)?,
+        part(clock, 2)?,
+        part(clock, 4)?,
+    );
+    let ns = time.ok()?.seconds.checked_mul(1_000_000_000)?;
     Some((Timestamp::from_ns(ns), number.parse().ok()?))
 }
 
-/// The recordings' files, the oldest first.
+/// Files of recordings, the oldest first.
 pub fn list(folder: &Path) -> io::Result<Vec<RecordingFile>> {
     let entries = match fs::read_dir(folder) {
-        // It is made with the first recording.
+        // The first recording creates the folder.
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         entries => entries?,
     };
@@ -97,45 +98,119 @@ pub fn list(folder: &Path) -> io::Result<Vec<RecordingFile>> {
         let name = entry.file_name().into_string().ok()?;
         let (started, number) = parse_name(&name)?;
         let data = entry.metadata().ok().filter(fs::Metadata::is_file)?;
-        Some(RecordingFile { name, bytes: data.len(), started, number })
+        let modified = data.modified().unwrap_or_else(|_| SystemTime::now());
+        let (bytes, is_pinned) = (data.len(), data.permissions().readonly());
+        Some(RecordingFile { name, bytes, started, number, modified, is_pinned })
     };
     let mut files: Vec<RecordingFile> = entries.flatten().filter_map(listed).collect();
     files.sort_by(|a, b| (a.started, a.number, &a.name).cmp(&(b.started, b.number, &b.name)));
     Ok(files)
 }
 
-/// Deletes the oldest files until all together take no more than `budget_bytes`; never `open`. Gives the deleted.
-pub fn enforce_budget(
-    folder: &Path,
-    budget_bytes: u64,
-    open: Option<&Path>,
-) -> io::Result<Vec<PathBuf>> {
-    let files = list(folder)?;
-    let mut total: u64 = files.iter().map(|file| file.bytes).sum();
-    let mut deleted = Vec::new();
-    for file in files {
-        if total <= budget_bytes {
-            break;
-        }
-        let path = folder.join(&file.name);
-        if open == Some(path.as_path()) {
-            continue;
-        }
-        fs::remove_file(&path)?;
-        total -= file.bytes;
-        deleted.push(path);
-    }
-    Ok(deleted)
+/// Limits of the files of one recording.
+pub struct Budget<'a> {
+    pub bytes: u64,
+    /// Start of the names of its files, which may be deleted at any age.
+    pub prefix: &'a str,
+    /// Files of other recordings that are younger are kept.
+    pub keep: Duration,
+    /// The file that is being written.
+    pub open: &'a Path,
 }
 
-/// Bytes that the disk of a folder has left for programs without privileges.
+/// The files that a disk budget covers.
+pub struct BudgetedFiles {
+    folder: PathBuf,
+    installation: String,
+    /// Whether files of these names are covered: this installation has written them, and they can be deleted.
+    known: BTreeMap<String, bool>,
+}
+
+impl BudgetedFiles {
+    pub fn new(folder: &Path, installation: &str) -> Self {
+        let (folder, installation) = (folder.to_owned(), installation.to_owned());
+        Self { folder, installation, known: BTreeMap::new() }
+    }
+
+    /// The oldest first.
+    pub fn list(&mut self) -> io::Result<Vec<RecordingFile>> {
+        let mut files = list(&self.folder)?;
+        files.retain(|file| !file.is_pinned);
+        self.known.retain(|name, _| files.iter().any(|file| file.name == *name));
+        let Self { folder, installation, known } = self;
+        files.retain(|file| {
+            *known.entry(file.name.clone()).or_insert_with(|| {
+                let writer = written_by(&folder.join(&file.name));
+                writer.is_ok_and(|writer| writer.as_ref() == Some(installation))
+            })
+        });
+        Ok(files)
+    }
+
+    /// Bytes of the files that no recording of a client may replace.
+    pub fn kept_bytes(&mut self, keep: Duration) -> io::Result<u64> {
+        Ok(self.list()?.iter().filter(|file| is_younger(file, keep)).map(|file| file.bytes).sum())
+    }
+
+    /// Deletes the oldest files that may be deleted until the rest fits; returns them.
+    pub fn enforce(&mut self, budget: &Budget<'_>) -> io::Result<Vec<PathBuf>> {
+        let files = self.list()?;
+        let mut total: u64 = files.iter().map(|file| file.bytes).sum();
+        let mut deleted = Vec::new();
+        for file in files {
+            if total <= budget.bytes {
+                break;
+            }
+            let path = self.folder.join(&file.name);
+            let is_kept = !file.name.starts_with(budget.prefix) && is_younger(&file, budget.keep);
+            if is_kept || budget.open == path {
+                continue;
+            }
+            match fs::remove_file(&path) {
+                Ok(()) => deleted.push(path),
+                Err(error) => {
+                    tracing::warn!(file = %path.display(), %error, "cannot delete an old recording");
+                    self.known.insert(file.name, false);
+                }
+            }
+            total -= file.bytes;
+        }
+        Ok(deleted)
+    }
+}
+
+fn is_younger(file: &RecordingFile, keep: Duration) -> bool {
+    // A time in the future, as after a step of the clock, is young.
+    keep > Duration::ZERO && file.modified.elapsed().map_or(true, |age| age < keep)
+}
+
+/// Name of the installation that has written a recording; `None` for other files.
+fn written_by(path: &Path) -> io::Result<Option<String>> {
+    let mut head = Vec::new();
+    File::open(path)?.take(HEAD_BYTES).read_to_end(&mut head)?;
+    let mut rest = head.strip_prefix(MAGIC).unwrap_or_default();
+    while let Ok((opcode, body, after)) = chunk::split_record(rest) {
+        rest = after;
+        if opcode != op::METADATA {
+            continue;
+        }
+        if let Ok(Some(Record::Metadata(record))) = chunk::parse(opcode, body)
+            && record.name == METADATA
+        {
+            return Ok(record.metadata.get("installation").cloned());
+        }
+    }
+    Ok(None)
+}
+
+/// Free bytes of a folder's disk for unprivileged programs.
 #[cfg(all(target_os = "linux", target_pointer_width = "64"))]
 pub fn free_bytes(folder: &Path) -> io::Result<u64> {
     let disk = rustix::fs::statvfs(folder)?;
     Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
 }
 
-/// Elsewhere nobody says; what is too much fails when it is written.
+/// Unknown on other systems: writing fails when the disk is full.
 #[cfg(not(all(target_os = "linux", target_pointer_width = "64")))]
 pub fn free_bytes(_: &Path) -> io::Result<u64> {
     Ok(u64::MAX)
@@ -144,6 +219,7 @@ pub fn free_bytes(_: &Path) -> io::Result<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::archive::record::file_writer::FileWriter;
 
     /// 2026-11-22 22:10:55 UTC.
     const THEN: i64 = 1_795_385_455;
@@ -153,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn names_tell_when_and_sort_by_it() {
+    fn names_contain_start_and_number() {
         let name = file_name("lab", at(THEN), 7);
         assert_eq!(name, "lab-20261122T221055Z-007.mcap");
         assert_eq!(parse_name(&name), Some((at(THEN), 7)));
@@ -172,26 +248,65 @@ mod tests {
         assert_eq!(sanitize_name("  "), "recording");
     }
 
-    #[test]
-    fn the_oldest_make_room_and_nothing_but_recordings() {
+    const HOUR: Duration = Duration::from_secs(3600);
+
+    /// A folder with recordings of two installations, and their size.
+    fn recordings() -> (tempfile::TempDir, u64) {
         let folder = tempfile::tempdir().unwrap();
-        let put = |name: &str, length: usize| {
-            fs::write(folder.path().join(name), vec![0; length]).unwrap();
+        fs::write(folder.path().join("mine.mcap"), vec![0; 1000]).unwrap();
+        fs::write(folder.path().join(file_name("x", at(THEN - 9), 1)), vec![0; 1000]).unwrap();
+        let put = |name: &str, seconds, number, installation: &str| {
+            let path = folder.path().join(file_name(name, at(seconds), number));
+            let about = BTreeMap::from([("installation".to_owned(), installation.to_owned())]);
+            FileWriter::create(&path, &about).unwrap().finish().unwrap()
         };
-        put("mine.mcap", 1000);
-        put(&file_name("b", at(THEN), 1), 100);
-        put(&file_name("a", at(THEN + 1), 1), 100);
-        put(&file_name("a", at(THEN + 1), 2), 100);
-        let newest = folder.path().join(file_name("a", at(THEN + 1), 2));
+        put("b", THEN - 5, 1, "elsewhere");
+        let bytes = put("b", THEN, 1, "lab");
+        put("a", THEN + 1, 1, "lab");
+        put("a", THEN + 1, 2, "lab");
+        (folder, bytes)
+    }
+
+    fn enforce(folder: &Path, bytes: u64, keep: Duration) -> Vec<String> {
+        let newest = folder.join(file_name("a", at(THEN + 1), 2));
+        let prefix = file_prefix("a", at(THEN + 1));
+        let budget = Budget { bytes, prefix: &prefix, keep, open: &newest };
+        let deleted = BudgetedFiles::new(folder, "lab").enforce(&budget).unwrap();
+        let name = |path: PathBuf| path.file_name().unwrap().to_str().unwrap().to_owned();
+        deleted.into_iter().map(name).collect()
+    }
+
+    #[test]
+    fn only_the_oldest_recordings_of_this_installation_are_deleted() {
+        let (folder, bytes) = recordings();
+        assert_eq!(enforce(folder.path(), 3 * bytes, Duration::ZERO), Vec::<String>::new());
+        let oldest = file_name("b", at(THEN), 1);
+        assert_eq!(enforce(folder.path(), 3 * bytes - 1, Duration::ZERO), [oldest]);
+        assert_eq!(enforce(folder.path(), 0, Duration::ZERO).len(), 1);
+        let left = list(folder.path()).unwrap();
         assert_eq!(
-            enforce_budget(folder.path(), 300, Some(&newest)).unwrap(),
-            Vec::<PathBuf>::new()
+            left.len(),
+            3,
+            "a foreign file, another installation's and the open one: {left:?}"
         );
-        let deleted = enforce_budget(folder.path(), 299, Some(&newest)).unwrap();
-        assert_eq!(deleted, [folder.path().join(file_name("b", at(THEN), 1))]);
-        assert_eq!(enforce_budget(folder.path(), 0, Some(&newest)).unwrap().len(), 1);
-        assert!(newest.exists() && folder.path().join("mine.mcap").exists());
+        assert!(folder.path().join("mine.mcap").exists());
         assert!(free_bytes(folder.path()).unwrap() > 0);
         assert_eq!(list(&folder.path().join("none")).unwrap(), []);
+    }
+
+    #[test]
+    fn pinned_and_recent_recordings_are_spared() {
+        let (folder, bytes) = recordings();
+        let mut files = BudgetedFiles::new(folder.path(), "lab");
+        assert_eq!(files.kept_bytes(HOUR).unwrap(), 3 * bytes);
+        assert_eq!(files.kept_bytes(Duration::ZERO).unwrap(), 0);
+        let own = file_name("a", at(THEN + 1), 1);
+        assert_eq!(enforce(folder.path(), 0, HOUR), [own], "only of this recording");
+        let pinned = folder.path().join(file_name("b", at(THEN), 1));
+        let mut permissions = fs::metadata(&pinned).unwrap().permissions();
+        permissions.set_readonly(true);
+        fs::set_permissions(&pinned, permissions).unwrap();
+        assert_eq!(enforce(folder.path(), 0, Duration::ZERO), Vec::<String>::new());
+        assert!(pinned.exists());
     }
 }

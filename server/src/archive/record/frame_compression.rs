@@ -1,4 +1,4 @@
-//! Frames become image files: JPEG, small and for people, or PNG, with every grey value as it was searched.
+//! Compresses frames to image files: JPEG, which is small, or PNG, which is lossless.
 
 use std::sync::mpsc::{Receiver, SyncSender};
 
@@ -11,17 +11,16 @@ use crate::model::{
 
 const QUALITY: u8 = 90;
 
-/// Compresses what comes until nothing comes any more.
+/// Compresses frames until the recording ends.
 pub(super) fn run(
     frames: &Receiver<RawFrame>,
-    back: &SyncSender<RecordedItem>,
+    compressed: &SyncSender<RecordedItem>,
     format: FrameFormat,
 ) {
-    while let Ok(frame) = frames.recv() {
-        match compressed(frame, format) {
-            Ok(picture) => {
-                if back.send(RecordedItem::CompressedFrame(picture)).is_err() {
-                    // The recording has ended.
+    for frame in frames {
+        match compress(frame, format) {
+            Ok(frame) => {
+                if compressed.send(RecordedItem::CompressedFrame(frame)).is_err() {
                     return;
                 }
             }
@@ -32,28 +31,25 @@ pub(super) fn run(
     }
 }
 
-fn compressed(frame: RawFrame, format: FrameFormat) -> Result<CompressedFrame, String> {
+fn compress(frame: RawFrame, format: FrameFormat) -> anyhow::Result<CompressedFrame> {
     let RawFrame { camera, number, capture_time, received_time, size, pixels } = frame;
     let mut data = Vec::with_capacity(pixels.len() / 4);
-    let word = match format {
+    let format = match format {
         FrameFormat::Jpeg => {
-            let side = |side: usize| u16::try_from(side).map_err(|error| error.to_string());
-            Encoder::new(&mut data, QUALITY)
-                .encode(&pixels, side(size.0)?, side(size.1)?, ColorType::Luma)
-                .map_err(|error| error.to_string())?;
+            let (width, height) = (size.0.try_into()?, size.1.try_into()?);
+            Encoder::new(&mut data, QUALITY).encode(&pixels, width, height, ColorType::Luma)?;
             "jpeg"
         }
         FrameFormat::Png => {
-            let side = |side: usize| u32::try_from(side).map_err(|error| error.to_string());
-            let mut encoder = png::Encoder::new(&mut data, side(size.0)?, side(size.1)?);
+            let mut encoder = png::Encoder::new(&mut data, size.0.try_into()?, size.1.try_into()?);
             encoder.set_color(png::ColorType::Grayscale);
             encoder.set_depth(png::BitDepth::Eight);
             encoder.set_compression(png::Compression::Fastest);
-            let mut writer = encoder.write_header().map_err(|error| error.to_string())?;
-            writer.write_image_data(&pixels).map_err(|error| error.to_string())?;
-            writer.finish().map_err(|error| error.to_string())?;
+            let mut writer = encoder.write_header()?;
+            writer.write_image_data(&pixels)?;
+            writer.finish()?;
             "png"
         }
     };
-    Ok(CompressedFrame { camera, number, capture_time, received_time, format: word, data })
+    Ok(CompressedFrame { camera, number, capture_time, received_time, format, data })
 }

@@ -1,20 +1,17 @@
-//! What was taken from the tap, as messages of a file.
+//! Recorded items as messages of a file.
 
 use std::io;
 
+use prost::Message as _;
 use roundel_core::time::Timestamp;
 
 use super::{
     file_writer::{FileWriter, MessageStamp},
     schema::{CompressedImage, Topic},
 };
-use crate::model::{
-    convert,
-    hub::Installation,
-    tap::{CompressedFrame, RecordedItem},
-};
+use crate::model::{convert, hub::Installation, tap::RecordedItem};
 
-/// Adds what was recorded to a file; `now` is when, where it does not say that itself.
+/// Writes an item; `now` is the log time of items without one.
 pub fn write_item(
     file: &mut FileWriter,
     installation: &Installation,
@@ -41,44 +38,36 @@ pub fn write_item(
             file.write(Topic::Observations, stamp, &message)
         }
         RecordedItem::Event(event) => {
-            let stamp =
-                MessageStamp { log_time: now, publish_time: event.time, sequence: event.sequence };
-            file.write(Topic::Events, stamp, &convert::event(event))
+            let publish_time = Timestamp::from_ns(event.time_ns);
+            let stamp = MessageStamp { log_time: now, publish_time, sequence: event.sequence };
+            file.write(Topic::Events, stamp, &**event)
         }
-        RecordedItem::CameraUpdate(told) => {
-            let message = convert::fused_camera(installation, told);
+        RecordedItem::CameraUpdate(update) => {
+            let message = convert::fused_camera(installation, update);
             file.write(Topic::Calibration, MessageStamp::at(now, 0), &message)
         }
-        RecordedItem::Settings(written) => {
-            let message = convert::fused_configuration(installation, written);
+        RecordedItem::Settings(applied) => {
+            let message = convert::fused_configuration(installation, applied);
             file.write(Topic::Configuration, MessageStamp::at(now, 0), &message)
         }
-        RecordedItem::CompressedFrame(picture) => {
-            write_compressed_frame(file, installation, picture)
+        RecordedItem::CompressedFrame(frame) => {
+            let ns = frame.capture_time.as_ns();
+            let camera = installation.camera_name(frame.camera);
+            let image = CompressedImage {
+                timestamp: Some(prost_types::Timestamp {
+                    seconds: ns.div_euclid(1_000_000_000),
+                    nanos: ns.rem_euclid(1_000_000_000) as i32,
+                }),
+                data: frame.data.clone(),
+                format: frame.format.to_owned(),
+                frame_id: camera.to_owned(),
+            };
+            let stamp = MessageStamp {
+                log_time: frame.received_time,
+                publish_time: frame.capture_time,
+                sequence: frame.number,
+            };
+            file.write_frame(camera, stamp, &image.encode_to_vec())
         }
     }
-}
-
-fn write_compressed_frame(
-    file: &mut FileWriter,
-    installation: &Installation,
-    picture: &CompressedFrame,
-) -> io::Result<()> {
-    let ns = picture.capture_time.as_ns();
-    let image = CompressedImage {
-        timestamp: Some(prost_types::Timestamp {
-            seconds: ns.div_euclid(1_000_000_000),
-            nanos: ns.rem_euclid(1_000_000_000) as i32,
-        }),
-        data: picture.data.clone(),
-        format: picture.format.to_owned(),
-        frame_id: installation.camera_name(picture.camera).to_owned(),
-    };
-    let stamp = MessageStamp {
-        log_time: picture.received_time,
-        publish_time: picture.capture_time,
-        sequence: picture.number,
-    };
-    let camera = image.frame_id.clone();
-    file.write_frame(&camera, stamp, &image)
 }

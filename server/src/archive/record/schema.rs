@@ -1,5 +1,5 @@
-//! The topics of a recording and their schemas, as MCAP's readers want them: of each message the descriptors of its
-//! file and of all files that it imports.
+//! Topics of a recording and their schemas. An MCAP schema of a message holds the descriptors of its file and of all files
+//! that it imports.
 
 use std::collections::BTreeSet;
 
@@ -9,31 +9,31 @@ use prost_types::{
     field_descriptor_proto::{Label, Type},
 };
 
-/// How schemas and messages are encoded.
+/// Encoding of schemas and messages.
 pub const ENCODING: &str = "protobuf";
-/// Name of the record that marks a file as one of ours.
+/// Name of the metadata record that identifies Roundel's recordings.
 pub const METADATA: &str = "roundel";
-/// What of it is read today. A file of a higher number is not.
+/// Highest version that this program reads.
 pub const FORMAT_VERSION: u32 = 1;
-/// Begin of the topics of frames; the camera's name follows.
+/// Prefix of the topics of frames; the camera's name follows.
 pub const FRAME_TOPIC_PREFIX: &str = "/frames/";
-/// The schema of a frame, by which viewers know pictures.
+/// Schema of a frame, known to viewers of MCAP files.
 pub const IMAGE_SCHEMA: &str = "foxglove.CompressedImage";
 
-/// What a recording tells, apart from frames.
+/// A topic other than frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Topic {
     Snapshots,
     Observations,
     Events,
-    /// What fusion was told of cameras.
+    /// Camera updates applied by fusion.
     Calibration,
     Configuration,
     Health,
 }
 
 impl Topic {
-    /// All of them, in the order of their channels.
+    /// In the order of their channels.
     pub const ALL: [Self; 6] = [
         Self::Snapshots,
         Self::Observations,
@@ -43,33 +43,30 @@ impl Topic {
         Self::Health,
     ];
 
-    pub fn name(self) -> &'static str {
+    fn name_and_schema(self) -> (&'static str, &'static str) {
         match self {
-            Self::Snapshots => "/snapshots",
-            Self::Observations => "/observations",
-            Self::Events => "/events",
-            Self::Calibration => "/calibration",
-            Self::Configuration => "/configuration",
-            Self::Health => "/health",
+            Self::Snapshots => ("/snapshots", "roundel.v1.Snapshot"),
+            Self::Observations => ("/observations", "roundel.v1.FrameObservations"),
+            Self::Events => ("/events", "roundel.v1.Event"),
+            Self::Calibration => ("/calibration", "roundel.v1.FusedCamera"),
+            Self::Configuration => ("/configuration", "roundel.v1.RecordedConfiguration"),
+            Self::Health => ("/health", "roundel.v1.ListCamerasResponse"),
         }
+    }
+
+    pub fn name(self) -> &'static str {
+        self.name_and_schema().0
     }
 
     pub fn schema(self) -> &'static str {
-        match self {
-            Self::Snapshots => "roundel.v1.Snapshot",
-            Self::Observations => "roundel.v1.FrameObservations",
-            Self::Events => "roundel.v1.Event",
-            Self::Calibration => "roundel.v1.FusedCamera",
-            Self::Configuration => "roundel.v1.RecordedConfiguration",
-            Self::Health => "roundel.v1.ListCamerasResponse",
-        }
+        self.name_and_schema().1
     }
 }
 
-/// A picture, as viewers of MCAP files know it.
+/// The message of [`IMAGE_SCHEMA`].
 #[derive(Clone, PartialEq, Message)]
 pub struct CompressedImage {
-    /// When it was captured.
+    /// Capture time.
     #[prost(message, optional, tag = "1")]
     pub timestamp: Option<prost_types::Timestamp>,
     #[prost(bytes = "vec", tag = "2")]
@@ -81,7 +78,7 @@ pub struct CompressedImage {
     pub frame_id: String,
 }
 
-/// The descriptors of one of our messages, by its full name.
+/// Descriptors of a message of `roundel.v1`, by its full name.
 pub fn descriptors(schema: &str) -> Vec<u8> {
     let all = FileDescriptorSet::decode(roundel_proto::DESCRIPTORS).unwrap_or_default();
     let name = schema.rsplit('.').next().unwrap_or(schema);
@@ -94,13 +91,13 @@ pub fn descriptors(schema: &str) -> Vec<u8> {
             wanted.extend(file.flat_map(|file| &file.dependency).map(String::as_str));
         }
     }
-    // Imports stay before those who import them.
+    // Imported files stay ahead of the files that import them.
     let files = all.file.iter().filter(|file| needed.contains(file.name())).cloned();
     let plain = |file| FileDescriptorProto { source_code_info: None, service: Vec::new(), ..file };
     FileDescriptorSet { file: files.map(plain).collect() }.encode_to_vec()
 }
 
-/// The descriptors of [`CompressedImage`].
+/// Descriptors of [`CompressedImage`].
 pub fn image_descriptors() -> Vec<u8> {
     let field = |name: &str, number, r#type: Type, of: Option<&str>| FieldDescriptorProto {
         name: Some(name.into()),
@@ -143,7 +140,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_schema_brings_what_it_imports_and_nothing_else() {
+    fn each_schema_has_its_imports_and_nothing_else() {
         for topic in Topic::ALL {
             let set = FileDescriptorSet::decode(descriptors(topic.schema()).as_slice()).unwrap();
             let names: Vec<&str> = set.file.iter().map(|file| file.name()).collect();

@@ -1,9 +1,8 @@
-//! The recording's thread: from the tap into files.
+//! The recording thread: writes items of the tap into files.
 
 use std::{
     collections::BTreeMap,
     fs, io,
-    path::PathBuf,
     sync::{
         Arc,
         mpsc::{Receiver, RecvTimeoutError},
@@ -16,7 +15,7 @@ use roundel_core::{id::CameraId, time::Timestamp};
 use roundel_proto::v1;
 
 use super::{
-    RecordError, RecorderShared, RecordingOptions, RecordingState,
+    RecordError, RecorderShared, RecordingOptions,
     file_writer::{FileWriter, MessageStamp},
     folder, frame_compression,
     item::write_item,
@@ -24,40 +23,42 @@ use super::{
     schema::Topic,
 };
 use crate::model::{
-    command::CameraUpdate,
+    command::{CameraChange, CameraUpdate},
     convert,
     hub::EventKind,
     tap::{LatestCameraUpdate, RecordedItem},
 };
 
-/// A chunk is closed and handed to the system so often: what a killed process loses is younger.
+/// A killed process loses at most the messages of this time.
 const FLUSH_INTERVAL: Duration = Duration::from_millis(500);
-/// Health, the disk, the budget, and what makes a file long enough.
 const MAINTENANCE_INTERVAL: Duration = Duration::from_secs(1);
-/// Losses are told again after so long.
 const LOSS_REPORT_INTERVAL: Duration = Duration::from_secs(60);
 
-/// A recording that is being made.
 pub(super) struct RecordingTask {
     shared: Arc<RecorderShared>,
     items: Receiver<RecordedItem>,
-    pictures: Option<JoinHandle<()>>,
+    compressor: JoinHandle<()>,
     name: String,
     started: Timestamp,
     length: Option<Duration>,
-    file: Option<FileWriter>,
-    file_begun: Instant,
+    file: FileWriter,
+    file_started: Instant,
+    /// Age up to which files of other recordings are not deleted.
+    keep: Duration,
+    budgeted: folder::BudgetedFiles,
+    /// Sums over completed files.
     bytes: u64,
     messages: u64,
     files: u32,
     deleted: u32,
     configuration: Option<String>,
     camera_updates: BTreeMap<CameraId, LatestCameraUpdate>,
+    /// When losses were last reported, and their number.
     reported_losses: Option<(Instant, u64)>,
 }
 
 impl RecordingTask {
-    /// Makes the first file, so that what is wrong is known at once, and opens the tap.
+    /// Creates the first file, so that errors are returned at once, and opens the tap.
     pub(super) fn start(
         shared: Arc<RecorderShared>,
         options: &RecordingOptions,
@@ -67,126 +68,115 @@ impl RecordingTask {
         let failed = |source| RecordError::Folder { folder: folder.clone(), source };
         fs::create_dir_all(&folder).map_err(failed)?;
         let free_bytes = folder::free_bytes(&folder).map_err(failed)?;
-        if free_bytes < config.min_free_bytes {
-            let min_free_bytes = config.min_free_bytes;
+        let min_free_bytes = config.min_free_bytes;
+        if free_bytes < min_free_bytes {
             return Err(RecordError::Full { folder, free_bytes, min_free_bytes });
         }
         let installation = shared.hub.installation();
+        let keep = if options.by_client { config.keep } else { Duration::ZERO };
+        let mut budgeted = folder::BudgetedFiles::new(&folder, &installation.name);
+        let kept_bytes = budgeted.kept_bytes(keep).map_err(failed)?;
+        // This recording needs the file that is written and the one before it.
+        if kept_bytes > 0 && kept_bytes + 2 * config.rotate_bytes > config.budget_bytes {
+            let budget_bytes = config.budget_bytes;
+            return Err(RecordError::Budget { keep, kept_bytes, budget_bytes });
+        }
         let name = if options.name.is_empty() { &installation.name } else { &options.name };
+        let (name, started) = (folder::sanitize_name(name), shared.clock.now());
+        let file = create_file(&shared, &name, started, 1).map_err(failed)?;
         let frames_every = options.frames_every.unwrap_or(config.frames_every);
         let receiver = shared.hub.tap().open(frames_every);
         let format = config.frames_format;
         let builder = std::thread::Builder::new().name("recorded frames".to_owned());
-        let pictures = builder
+        let compressor = builder
             .spawn(move || frame_compression::run(&receiver.frames, &receiver.compressed, format))
-            .map_err(RecordError::Thread);
-        let (name, started) = (folder::sanitize_name(name), shared.clock.now());
+            .inspect_err(|_| shared.hub.tap().close())
+            .map_err(RecordError::Thread)?;
         let mut task = Self {
             items: receiver.items,
-            pictures: None,
+            compressor,
             name,
             started,
             length: options.length,
-            file: None,
-            file_begun: Instant::now(),
+            file,
+            file_started: Instant::now(),
+            keep,
+            budgeted,
             bytes: 0,
             messages: 0,
-            files: 0,
+            files: 1,
             deleted: 0,
             configuration: None,
             camera_updates: BTreeMap::new(),
             reported_losses: None,
             shared: shared.clone(),
         };
-        receiver.camera_updates.into_iter().for_each(|told| task.apply_camera_update(&told));
-        let begun = pictures.and_then(|pictures| {
-            task.pictures = Some(pictures);
-            task.open_file().map_err(failed)
-        });
-        if let Err(error) = begun {
-            shared.hub.tap().close();
-            return Err(error);
+        for update in &receiver.camera_updates {
+            task.apply_camera_update(update);
         }
-        *shared.status() = super::RecordingStatus {
-            state: RecordingState::Recording,
-            folder,
-            started,
+        if let Err(error) = task.write_state() {
+            shared.hub.tap().close();
+            return Err(failed(error));
+        }
+        *shared.status() = v1::Recording {
+            state: v1::RecordingState::Recording.into(),
+            folder: folder.display().to_string(),
+            started_time_ns: started.as_ns(),
             budget_bytes: config.budget_bytes,
             frames_every,
             disk_free_bytes: free_bytes,
-            ..super::RecordingStatus::default()
+            ..v1::Recording::default()
         };
         task.report();
-        let message = format!("What happens is recorded into {}.", task.path().display());
+        let message = format!("Recording into {}.", task.file.path().display());
         task.publish_event(EventKind::RecordingBegun, message);
         Ok(task)
     }
 
     /// Writes until the tap is closed.
     pub(super) fn run(mut self) {
-        let ended = self.write_all();
-        self.shared.hub.tap().close();
-        let ended = ended.and_then(|()| match self.file.take() {
-            Some(file) => {
-                let messages = file.messages();
-                let bytes = file.finish()?;
-                (self.bytes, self.messages) = (self.bytes + bytes, self.messages + messages);
-                Ok(())
-            }
-            None => Ok(()),
-        });
-        let ended = ended.map_err(|error| match error.kind() {
-            io::ErrorKind::StorageFull => format!(
-                "{error} ({}): make room, or record elsewhere (`folder` in [recording])",
-                self.shared.config.folder.display()
-            ),
-            _ => format!("{error} ({})", self.shared.config.folder.display()),
-        });
-        if let Some(file) = self.file.take() {
-            self.messages += file.messages();
-            self.bytes += file.truncate_to_complete();
-        }
-        // Whoever compresses waits for room in this queue.
-        drop(self.items);
-        if let Some(pictures) = self.pictures.take() {
-            let _ = pictures.join();
-        }
-        let shared = self.shared;
-        let dropped = shared.hub.tap().dropped();
-        let folder = shared.config.folder.clone();
-        let (kind, message) = match &ended {
-            Ok(()) => {
-                let files = if self.files == 1 { "a file" } else { "files" };
-                let message = format!(
-                    "A recording was ended: {files} of {} in {}.",
-                    megabytes(self.bytes),
-                    folder.display()
-                );
-                (EventKind::RecordingEnded, message)
-            }
+        let written = self.write_all();
+        let tap = self.shared.hub.tap();
+        tap.close();
+        let folder = self.shared.config.folder.clone();
+        self.messages += self.file.messages();
+        let written = match written {
+            Ok(()) => self.file.finish().map(|bytes| self.bytes += bytes),
             Err(error) => {
-                let message = format!(
-                    "The recording ended by itself: {error}. What was recorded until then can be read; nothing else \
-                     is affected."
-                );
-                tracing::error!("{message}");
-                (EventKind::RecordingFailed, message)
+                self.bytes += self.file.truncate_to_complete();
+                Err(error)
             }
         };
-        let status_is_fine = ended.is_ok();
-        let mut status = shared.status();
-        status.state = if ended.is_ok() { RecordingState::Stopped } else { RecordingState::Failed };
-        status.error = ended.err().unwrap_or_default();
+        // Ends the compressor if it waits for space in this queue.
+        drop(self.items);
+        let _ = self.compressor.join();
+        let error = written.err().map(|error| match error.kind() {
+            io::ErrorKind::StorageFull => format!(
+                "{error} ({}): free some space, or change `folder` in [recording]",
+                folder.display()
+            ),
+            _ => format!("{error} ({})", folder.display()),
+        });
+        let mut status = self.shared.status();
         (status.bytes, status.messages) = (self.bytes, self.messages);
         (status.files, status.deleted) = (self.files, self.deleted);
-        status.seconds = shared.clock.now().seconds_since(self.started);
-        status.dropped = dropped;
+        status.seconds = self.shared.clock.now().seconds_since(self.started);
+        status.dropped = tap.dropped();
         status.disk_free_bytes = folder::free_bytes(&folder).unwrap_or(0);
-        drop(status);
-        if status_is_fine {
-            tracing::info!("{message}");
+        if let Some(error) = error {
+            drop(status);
+            return self.shared.fail(&error);
         }
-        shared.hub.publish_event(shared.clock.now(), kind, message);
+        (status.state, status.error) = (v1::RecordingState::Stopped.into(), String::new());
+        drop(status);
+        let files = match self.files {
+            1 => "1 file".to_owned(),
+            files => format!("{files} files"),
+        };
+        let size = megabytes(self.bytes);
+        let message = format!("Recording stopped: {size} in {files} in {}.", folder.display());
+        tracing::info!("{message}");
+        self.shared.hub.publish_event(self.shared.clock.now(), EventKind::RecordingEnded, message);
     }
 
     fn write_all(&mut self) -> io::Result<()> {
@@ -204,7 +194,7 @@ impl RecordingTask {
                 next_maintenance = now + MAINTENANCE_INTERVAL;
             }
             if self.length.is_some_and(|length| now - begun >= length) {
-                // What was taken until now is still written.
+                // Items already taken are still written.
                 self.shared.hub.tap().close();
             }
             match self.items.recv_timeout(next_flush.saturating_duration_since(now)) {
@@ -217,59 +207,60 @@ impl RecordingTask {
 
     fn write(&mut self, item: &RecordedItem) -> io::Result<()> {
         match item {
-            RecordedItem::CameraUpdate(told) => self.apply_camera_update(told),
-            RecordedItem::Settings(written) => self.configuration = Some(written.text.clone()),
+            RecordedItem::CameraUpdate(update) => self.apply_camera_update(update),
+            RecordedItem::Settings(applied) => self.configuration = Some(applied.text.clone()),
             _ => {}
         }
-        let (hub, now) = (&self.shared.hub, self.shared.clock.now());
-        self.file.iter_mut().try_for_each(|file| write_item(file, &hub.installation(), item, now))
+        let installation = self.shared.hub.installation();
+        write_item(&mut self.file, &installation, item, self.shared.clock.now())
     }
 
-    fn apply_camera_update(&mut self, told: &CameraUpdate) {
-        self.camera_updates.entry(told.camera).or_default().apply(&told.change);
-        if matches!(told.change, crate::model::command::CameraChange::Removed) {
-            self.camera_updates.remove(&told.camera);
+    fn apply_camera_update(&mut self, update: &CameraUpdate) {
+        if let CameraChange::Removed = update.change {
+            self.camera_updates.remove(&update.camera);
+        } else {
+            self.camera_updates.entry(update.camera).or_default().apply(&update.change);
         }
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        if let Some(file) = &mut self.file {
-            file.flush()?;
-        }
+        self.file.flush()?;
         self.report();
         Ok(())
     }
 
-    /// What is looked after once a second.
+    /// Records the health of the cameras, and enforces the limits of file size and disk space.
     fn maintain(&mut self) -> io::Result<()> {
         self.write_health()?;
         self.write_configuration()?;
         self.flush()?;
-        if let Some(file) = &self.file {
-            file.sync()?;
-        }
-        let config = self.shared.config.clone();
+        self.file.sync()?;
+        let config = &self.shared.config;
         let free_bytes = folder::free_bytes(&config.folder)?;
         self.shared.status().disk_free_bytes = free_bytes;
         if free_bytes < config.min_free_bytes {
-            return Err(io::Error::new(
-                io::ErrorKind::StorageFull,
-                format!(
-                    "the disk of {} has {} left, and {} are to be kept (`min_free_mb` in [recording])",
-                    config.folder.display(),
-                    megabytes(free_bytes),
-                    megabytes(config.min_free_bytes)
-                ),
-            ));
+            let message = format!(
+                "the disk of {} has {} left, less than the minimum of {} (`min_free_mb` in [recording])",
+                config.folder.display(),
+                megabytes(free_bytes),
+                megabytes(config.min_free_bytes)
+            );
+            return Err(io::Error::new(io::ErrorKind::StorageFull, message));
         }
-        let is_long = self.file.as_ref().is_some_and(|file| file.bytes() >= config.rotate_bytes);
-        if is_long || self.file_begun.elapsed() >= config.rotate_after {
+        let is_large = self.file.bytes() >= config.rotate_bytes;
+        if is_large || self.file_started.elapsed() >= config.rotate_after {
             self.rotate()?;
         }
-        let open = self.path();
-        let deleted = folder::enforce_budget(&config.folder, config.budget_bytes, Some(&open))?;
+        let config = &self.shared.config;
+        let budget = folder::Budget {
+            bytes: config.budget_bytes,
+            prefix: &folder::file_prefix(&self.name, self.started),
+            keep: self.keep,
+            open: self.file.path(),
+        };
+        let deleted = self.budgeted.enforce(&budget)?;
         for path in &deleted {
-            tracing::info!(file = %path.display(), "an old recording made room for a new one");
+            tracing::info!(file = %path.display(), "deleted an old recording (`budget_gb`)");
         }
         self.deleted += deleted.len() as u32;
         self.report_losses();
@@ -277,32 +268,22 @@ impl RecordingTask {
     }
 
     fn rotate(&mut self) -> io::Result<()> {
-        if let Some(file) = self.file.take() {
-            self.messages += file.messages();
-            self.bytes += file.finish()?;
-        }
-        self.open_file()
+        let next = create_file(&self.shared, &self.name, self.started, self.files + 1)?;
+        let full = std::mem::replace(&mut self.file, next);
+        self.files += 1;
+        (self.file_started, self.configuration) = (Instant::now(), None);
+        self.messages += full.messages();
+        self.bytes += full.finish()?;
+        self.write_state()
     }
 
-    fn open_file(&mut self) -> io::Result<()> {
-        self.files += 1;
-        let name = folder::file_name(&self.name, self.started, self.files);
-        let installation = self.shared.hub.installation();
-        let about = BTreeMap::from([
-            ("installation".to_owned(), installation.name.clone()),
-            ("source_id".to_owned(), installation.source_id.clone()),
-            ("number".to_owned(), self.files.to_string()),
-        ]);
-        let path = self.shared.config.folder.join(name);
-        let file = FileWriter::create(&path, &about)?;
-        self.file_begun = Instant::now();
-        self.configuration = None;
-        let now = self.shared.clock.now();
-        let file = self.file.insert(file);
-        for told in self.camera_updates.iter().flat_map(|(camera, memory)| memory.updates(*camera))
-        {
-            let message = convert::fused_camera(&installation, &told);
-            file.write(Topic::Calibration, MessageStamp::at(now, 0), &message)?;
+    /// Writes the current state at the start of a file, so that each file can be replayed alone.
+    fn write_state(&mut self) -> io::Result<()> {
+        let (installation, now) = (self.shared.hub.installation(), self.shared.clock.now());
+        let updates = self.camera_updates.iter();
+        for update in updates.flat_map(|(camera, latest)| latest.updates(*camera)) {
+            let message = convert::fused_camera(&installation, &update);
+            self.file.write(Topic::Calibration, MessageStamp::at(now, 0), &message)?;
         }
         self.write_configuration()?;
         self.write_health()
@@ -313,12 +294,11 @@ impl RecordingTask {
         let (installation, states) = (hub.installation(), hub.cameras());
         let each = states.iter().filter(|(id, _)| installation.cameras.contains_key(id));
         let cameras = each.map(|(id, state)| convert::camera(&installation, *id, state)).collect();
-        let message = v1::ListCamerasResponse { cameras };
         let stamp = MessageStamp::at(self.shared.clock.now(), 0);
-        self.file.iter_mut().try_for_each(|file| file.write(Topic::Health, stamp, &message))
+        self.file.write(Topic::Health, stamp, &v1::ListCamerasResponse { cameras })
     }
 
-    /// If it is another one than before.
+    /// Writes the configuration if it has changed.
     fn write_configuration(&mut self) -> io::Result<()> {
         let text = (self.shared.text)();
         if Some(&text) == self.configuration.as_ref() {
@@ -328,33 +308,28 @@ impl RecordingTask {
         let message = convert::recorded_configuration(&installation, &text);
         self.configuration = Some(text);
         let stamp = MessageStamp::at(self.shared.clock.now(), 0);
-        self.file.iter_mut().try_for_each(|file| file.write(Topic::Configuration, stamp, &message))
-    }
-
-    fn path(&self) -> PathBuf {
-        self.file.as_ref().map(|file| file.path().to_owned()).unwrap_or_default()
+        self.file.write(Topic::Configuration, stamp, &message)
     }
 
     fn report(&self) {
         let mut status = self.shared.status();
-        let (bytes, messages) =
-            self.file.as_ref().map_or((0, 0), |file| (file.bytes(), file.messages()));
-        (status.bytes, status.messages) = (self.bytes + bytes, self.messages + messages);
+        status.bytes = self.bytes + self.file.bytes();
+        status.messages = self.messages + self.file.messages();
         (status.files, status.deleted) = (self.files, self.deleted);
-        let path = self.path();
-        status.file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let name = self.file.path().file_name().unwrap_or_default();
+        status.file = name.to_string_lossy().into_owned();
     }
 
     fn report_losses(&mut self) {
         let dropped = self.shared.hub.tap().dropped();
-        let (reported_at, reported) = self.reported_losses.unwrap_or((self.file_begun, 0));
+        let (reported_at, reported) = self.reported_losses.unwrap_or((self.file_started, 0));
         let is_due =
             self.reported_losses.is_none() || reported_at.elapsed() >= LOSS_REPORT_INTERVAL;
         if dropped > reported && is_due {
             self.reported_losses = Some((Instant::now(), dropped));
             let message = format!(
-                "{} messages are missing in the recording: the disk of {} or this machine is too slow for it. Record \
-                 fewer frames, or elsewhere.",
+                "{} messages are missing in the recording: the disk of {} or this computer is too slow. Record fewer \
+                 frames, or change `folder` in [recording].",
                 dropped - reported,
                 self.shared.config.folder.display()
             );
@@ -366,4 +341,20 @@ impl RecordingTask {
         tracing::info!("{message}");
         self.shared.hub.publish_event(self.shared.clock.now(), kind, message);
     }
+}
+
+fn create_file(
+    shared: &RecorderShared,
+    name: &str,
+    started: Timestamp,
+    number: u32,
+) -> io::Result<FileWriter> {
+    let installation = shared.hub.installation();
+    let about = BTreeMap::from([
+        ("installation".to_owned(), installation.name.clone()),
+        ("source_id".to_owned(), installation.source_id.clone()),
+        ("number".to_owned(), number.to_string()),
+    ]);
+    let path = shared.config.folder.join(folder::file_name(name, started, number));
+    FileWriter::create(&path, &about)
 }

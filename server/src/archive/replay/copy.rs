@@ -1,19 +1,17 @@
-//! A recording fused anew into another one, as fast as it goes: the same bits each time.
+//! Fuses a recording again into another file, at full speed. The result is reproducible bit by bit.
 
 use std::{collections::BTreeMap, io, path::Path, time::Duration};
-
-use prost::Message;
 
 use super::{ReplayError, session::ReplaySession};
 use crate::archive::record::{
     file_reader::{Channel, RecordedMessage},
     file_writer::{FileWriter, MessageStamp},
     item::write_item,
-    schema::{CompressedImage, Topic},
+    schema::Topic,
 };
 use crate::model::tap::{RecordedItem, TapReceiver};
 
-/// A chunk is closed after so many recorded seconds, as in recordings that are made live.
+/// Recorded time per chunk, as in live recordings.
 const FLUSH_INTERVAL: Duration = Duration::from_millis(500);
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -21,12 +19,12 @@ pub struct CopySummary {
     pub messages: u64,
     pub snapshots: u64,
     pub bytes: u64,
-    /// Messages that said what cannot be, and were left out.
+    /// Messages skipped as invalid.
     pub invalid_messages: u64,
     pub seconds: f64,
 }
 
-/// Plays a recording into a file that is not there yet; `advance` hears of each second that is done.
+/// Plays a recording into a new file. Calls `advance` with the recorded seconds done.
 pub fn copy(
     mut session: ReplaySession,
     to: &Path,
@@ -43,7 +41,7 @@ pub fn copy(
     let TapReceiver { items, frames: _frames, compressed: _compressed, camera_updates: _ } =
         session.hub.tap().open(0);
     session.engine.restart(&session.updates, begin)?;
-    // Nothing is fused: it becomes a whole file of what can be read.
+    // Without fusion, the result is a complete file of every readable message.
     let wants_all = !session.engine.fuses();
     let (mut copied, mut flushed, mut newest) = (CopySummary::default(), begin, begin);
     while let Some(raw) = session.reader.take()? {
@@ -56,9 +54,9 @@ pub fn copy(
         let installation = session.hub.installation();
         for item in items.try_iter() {
             let item = match item {
-                // It is copied as it is.
+                // Copied unchanged.
                 RecordedItem::Settings(_) => continue,
-                // When it is taken now is nothing that repeats.
+                // The current time is not reproducible.
                 RecordedItem::Detections(observations, _) => {
                     RecordedItem::Detections(observations, newest)
                 }
@@ -87,14 +85,12 @@ fn copy_unchanged(file: &mut FileWriter, raw: &RecordedMessage, wants_all: bool)
     let sequence = u64::from(raw.sequence);
     let stamp = MessageStamp { log_time: raw.log_time, publish_time: raw.publish_time, sequence };
     match &raw.channel {
-        Channel::Topic(topic) => {
-            let is_copied = wants_all || matches!(topic, Topic::Health | Topic::Configuration);
-            if is_copied { file.write_encoded(*topic, stamp, &raw.data) } else { Ok(()) }
+        Channel::Topic(topic)
+            if wants_all || matches!(topic, Topic::Health | Topic::Configuration) =>
+        {
+            file.write_encoded(*topic, stamp, &raw.data)
         }
-        Channel::Frame(camera) if wants_all => match CompressedImage::decode(raw.data.as_slice()) {
-            Ok(image) => file.write_frame(camera, stamp, &image),
-            Err(_) => Ok(()),
-        },
-        Channel::Frame(_) | Channel::Foreign(_) => Ok(()),
+        Channel::Frame(camera) if wants_all => file.write_frame(camera, stamp, &raw.data),
+        _ => Ok(()),
     }
 }

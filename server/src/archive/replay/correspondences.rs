@@ -1,8 +1,7 @@
-//! Where a recording's other cameras had the coded roundels that one camera saw.
+//! Matches one camera's sightings of coded roundels to the trajectories that the other cameras saw.
 //!
-//! Observations are fused anew, but for those of the camera in question, which is not to judge itself. Each instant is
-//! asked for [`LAG_S`] after it has passed: by then all that was seen until then has come, so that nothing is
-//! predicted.
+//! Fuses the observations again, except those of the camera in question, so that it has no influence on its own reference.
+//! Each time is sampled [`LAG_S`] later: by then every observation of it has arrived, so nothing is predicted.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -14,7 +13,7 @@ use prost::Message;
 use roundel_core::{
     calib::lens::moving::{Glimpse, Way, Waypoint},
     id::KindId,
-    marker::Code,
+    marker::{Code, Kind},
     rigid::Rigid,
     time::Timestamp,
     world::{ClockPrior, LifeStage, ObjectState},
@@ -33,72 +32,65 @@ use crate::{
         replay::from_recording,
     },
     model::{
-        config::{Config, ObjectRoundels},
+        config::ObjectRoundels,
         suggestion::{list, nearest},
     },
 };
 
-/// An instant is asked for so long after it, seconds, or after half of the time for which fusion waits.
+/// Delay of sampling, seconds; at most half of fusion's late window.
 const LAG_S: f64 = 0.1;
-/// Instants are so far apart, seconds.
+/// Interval of samples, seconds.
 const STEP_S: f64 = 1.0 / 50.0;
-/// After a gap of this length nothing is asked of the time in it, seconds.
+/// Longer gaps are not sampled, seconds.
 const MAX_GAP_S: f64 = 1.0;
-/// A roundel whose place is known no better than this is not known, metres.
+/// Roundels with a larger standard deviation of position are skipped, metres.
 const MAX_DEVIATION_M: f64 = 0.05;
-/// Stamps that differ from the time of arrival by more than this are of another epoch, seconds.
+/// Time stamps that differ more from their arrival have another epoch, seconds.
 const EPOCH_DIFFERENCE_S: f64 = 1.0;
 
-/// What the others had, and what the camera saw.
+/// One camera's sightings, and the trajectories from the others.
 #[derive(Clone, Debug)]
 pub struct Correspondences {
     /// Columns and rows of the camera's picture.
     pub size: (usize, usize),
-    /// Of each coded roundel that both saw.
+    /// Trajectories of the coded roundels that both saw.
     pub ways: Vec<Way>,
     /// The camera's sightings of these.
     pub glimpses: Vec<Glimpse>,
-    /// What is known of the camera's clock.
     pub clock: ClockPrior,
-    /// Frames of the camera, and coded roundels that were read in them.
+    /// Number of the camera's frames.
     pub frames: u64,
-    /// Of these, sightings of codes that no other camera saw.
+    /// Number of sightings without a trajectory.
     pub unmatched: usize,
-    /// What of the recording could not be read, in sentences.
+    /// Unreadable parts of the recording.
     pub damage: Vec<String>,
 }
 
-/// Why there is nothing to judge a camera by.
 #[derive(Debug, Error)]
 pub enum CorrespondenceError {
-    /// The recording cannot be fused anew.
     #[error(transparent)]
     Replay(#[from] ReplayError),
-    /// It has no such camera.
     #[error("{}: expected one of the recorded cameras {cameras}, found \"{camera}\"{hint}", .path.display())]
     NoCamera {
         path: PathBuf,
         camera: String,
         cameras: String,
-        /// What may have been meant.
+        /// Suggests a similar name.
         hint: String,
     },
-    /// It does not stand.
     #[error(
-        "{}: camera \"{camera}\" rides on an object; only the lens of a camera that stands is found this way: calibrate \
-         this one with the printed board", .path.display()
+        "{}: camera \"{camera}\" is mounted on an object; this method requires a fixed camera: calibrate it with the \
+         printed board", .path.display()
     )]
-    Rides { path: PathBuf, camera: String },
-    /// Nobody saw anything, or not the camera.
+    Mounted { path: PathBuf, camera: String },
     #[error(
-        "{}: camera \"{camera}\" saw no coded roundel in {frames} frames of {others} frames of all cameras: record while robots \
-         with coded roundels ([[roundel]] with `code`) drive before it", .path.display()
+        "{}: camera \"{camera}\" saw no coded roundel ({frames} of the {others} recorded frames are its own): record while \
+         robots with coded roundels ([[roundel]] with `code`) drive in its view", .path.display()
     )]
     SawNothing { path: PathBuf, camera: String, frames: u64, others: u64 },
-    /// No other camera saw what it saw.
     #[error(
-        "{}: camera \"{camera}\" saw coded roundels {sightings} times, and no other camera saw one of them at the same time: \
-         cameras must overlap, and the others must be placed (`roundel calibrate arena`)", .path.display()
+        "{}: camera \"{camera}\" saw coded roundels {sightings} times, but no other camera saw one of them at the same time: \
+         its view must overlap with other cameras, whose poses must be known (`roundel calibrate arena`)", .path.display()
     )]
     Alone { path: PathBuf, camera: String, sightings: usize },
 }
@@ -110,12 +102,13 @@ struct CorrespondenceBuilder {
     waypoints: BTreeMap<CodedRoundel, Vec<Waypoint>>,
     sightings: Vec<(CodedRoundel, Glimpse)>,
     frames: u64,
-    of_all: u64,
-    /// Least time from stamp to arrival.
+    /// Frames of all cameras.
+    all_frames: u64,
+    /// Minimum delay from time stamp to arrival.
     lateness_s: Option<f64>,
 }
 
-/// Plays a recording without a camera; `advance` hears of each second that is done.
+/// Plays a recording without one camera. Calls `advance` with the recorded seconds done.
 pub fn correspondences(
     file: &Path,
     camera: &str,
@@ -125,55 +118,45 @@ pub fn correspondences(
         ReplayOptions { file: file.to_owned(), from: ReplayFrom::Observations, config: None };
     let mut session = ReplaySession::open(&options)?;
     let config = session.engine.config().cloned();
-    let lens = config.as_ref().and_then(|config| {
-        let found = config.cameras.iter().find(|it| it.name == camera)?;
-        Some((found.calibration.width(), found.calibration.height()))
-    });
-    let (Some(config), Some(size)) = (config.as_ref(), lens) else {
-        return Err(no_camera(file, camera, config.as_ref()));
-    };
+    let (cameras, kinds) =
+        config.as_ref().map_or((&[][..], &[][..]), |it| (&it.cameras[..], &it.kinds[..]));
     let (path, name) = (file.to_owned(), camera.to_owned());
+    let Some(found) = cameras.iter().find(|it| it.name == camera) else {
+        let names: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
+        let hint = nearest(camera, names.iter().copied())
+            .map_or_else(String::new, |near| format!("; did you mean \"{near}\"?"));
+        return Err(CorrespondenceError::NoCamera {
+            path,
+            camera: name,
+            cameras: list(names),
+            hint,
+        });
+    };
+    let size = (found.calibration.width(), found.calibration.height());
+    let is_its =
+        |update: &FusionUpdate| matches!(update, FusionUpdate::Camera(it) if it.camera == camera);
     let mut clock = ClockPrior::EXACT;
-    for (_, told) in &session.updates {
-        let FusionUpdate::Camera(told) = told else { continue };
-        if told.camera != camera {
-            continue;
+    for (_, update) in session.updates.extract_if(.., |(_, update)| is_its(update)) {
+        let FusionUpdate::Camera(update) = update else { continue };
+        if update.place() == v1::FusedPlace::Rides {
+            return Err(CorrespondenceError::Mounted { path, camera: name });
         }
-        if told.place() == v1::FusedPlace::Rides {
-            return Err(CorrespondenceError::Rides { path, camera: name });
-        }
-        if told.clock() == v1::FusedClock::Estimated {
-            clock = ClockPrior { offset_s: told.clock_offset_s, skew: told.clock_skew };
+        if update.clock() == v1::FusedClock::Estimated {
+            clock = ClockPrior { offset_s: update.clock_offset_s, skew: update.clock_skew };
         }
     }
-    session
-        .updates
-        .retain(|(_, told)| !matches!(told, FusionUpdate::Camera(told) if told.camera == camera));
-    let gathered = play(&mut session, camera, &mut advance)?;
-    let CorrespondenceBuilder { frames, of_all: others, .. } = gathered;
-    let sightings = gathered.sightings.len();
+    let builder = play(&mut session, camera, &mut advance)?;
+    let (frames, others) = (builder.frames, builder.all_frames);
+    let sightings = builder.sightings.len();
     if sightings == 0 {
         return Err(CorrespondenceError::SawNothing { path, camera: name, frames, others });
     }
-    let mut found = gathered.build(size, clock, config);
+    let mut found = builder.build(size, clock, kinds);
     found.damage = session.reader.file().damage().sentences.clone();
     if found.glimpses.is_empty() {
         return Err(CorrespondenceError::Alone { path, camera: name, sightings });
     }
     Ok(found)
-}
-
-fn no_camera(file: &Path, camera: &str, config: Option<&Config>) -> CorrespondenceError {
-    let names = config.into_iter().flat_map(|config| &config.cameras);
-    let names: Vec<&str> = names.map(|camera| camera.name.as_str()).collect();
-    let hint = nearest(camera, names.iter().copied())
-        .map_or_else(String::new, |near| format!("; did you mean \"{near}\"?"));
-    CorrespondenceError::NoCamera {
-        path: file.to_owned(),
-        camera: camera.to_owned(),
-        cameras: list(names),
-        hint,
-    }
 }
 
 fn play(
@@ -184,51 +167,51 @@ fn play(
     let (begin, _) = session.reader.span();
     session.engine.restart(&session.updates, begin)?;
     let lag_s = LAG_S.min(0.5e-3 * session.late_window_ms);
-    let (mut gathered, mut asked, mut newest) = (CorrespondenceBuilder::default(), begin, begin);
+    let (mut builder, mut sampled, mut newest) = (CorrespondenceBuilder::default(), begin, begin);
     while let Some(raw) = session.reader.take()? {
         newest = newest.max(raw.log_time);
         let past = newest.plus_seconds(-lag_s);
-        if past.seconds_since(asked) > MAX_GAP_S {
-            asked = past.plus_seconds(-STEP_S);
+        if past.seconds_since(sampled) > MAX_GAP_S {
+            sampled = past.plus_seconds(-STEP_S);
         }
-        while past.seconds_since(asked) >= STEP_S {
-            asked = asked.plus_seconds(STEP_S);
-            session.engine.publish_at(asked, newest);
-            gathered.add_waypoints(session, asked.seconds_since(begin));
+        while past.seconds_since(sampled) >= STEP_S {
+            sampled = sampled.plus_seconds(STEP_S);
+            session.engine.publish_at(sampled, newest);
+            builder.add_waypoints(session, sampled.seconds_since(begin));
             advance(newest.seconds_since(begin));
         }
         match &raw.channel {
             Channel::Topic(Topic::Observations) => {
-                gathered.of_all += 1;
+                builder.all_frames += 1;
                 let Ok(message) = v1::FrameObservations::decode(raw.data.as_slice()) else {
                     continue;
                 };
                 if message.camera == camera {
-                    gathered.add_sightings(session, message, begin);
+                    builder.add_sightings(session, message, begin);
                 } else {
                     session.engine.process(&raw, &mut session.reader);
                 }
             }
             Channel::Topic(Topic::Calibration) => {
-                let told = v1::FusedCamera::decode(raw.data.as_slice());
-                if told.is_ok_and(|told| told.camera != camera) {
+                let update = v1::FusedCamera::decode(raw.data.as_slice());
+                if update.is_ok_and(|update| update.camera != camera) {
                     session.engine.process(&raw, &mut session.reader);
                 }
             }
             Channel::Topic(Topic::Configuration) => {
                 session.engine.process(&raw, &mut session.reader)
             }
-            // Asked for when it suits, or said by fusion anew.
+            // Fusion makes its own snapshots and events.
             Channel::Topic(Topic::Snapshots | Topic::Events | Topic::Health)
             | Channel::Frame(_)
             | Channel::Foreign(_) => {}
         }
     }
-    Ok(gathered)
+    Ok(builder)
 }
 
 impl CorrespondenceBuilder {
-    /// Of the newest snapshot.
+    /// Adds the roundels of the newest snapshot.
     fn add_waypoints(&mut self, session: &ReplaySession, time_s: f64) {
         let fused = session.hub.snapshots().borrow().clone();
         let mut now: BTreeMap<CodedRoundel, Vec<Waypoint>> = BTreeMap::new();
@@ -244,7 +227,7 @@ impl CorrespondenceBuilder {
             }
         }
         for (name, mut found) in now {
-            // What is in two places is in none.
+            // A roundel at two positions is ambiguous.
             if let (Some(waypoint), []) = (found.pop(), found.as_slice()) {
                 self.waypoints.entry(name).or_default().push(waypoint);
             }
@@ -275,8 +258,8 @@ impl CorrespondenceBuilder {
         }
     }
 
-    /// Ways by number, their times about the middle of the recording.
-    fn build(self, size: (usize, usize), clock: ClockPrior, config: &Config) -> Correspondences {
+    /// Numbers the trajectories, with times relative to the middle of the recording.
+    fn build(self, size: (usize, usize), clock: ClockPrior, kinds: &[Kind]) -> Correspondences {
         let Self { mut waypoints, sightings, frames, lateness_s, .. } = self;
         let epoch_s = lateness_s.filter(|it| it.abs() > EPOCH_DIFFERENCE_S).unwrap_or(0.0);
         let stamps = sightings.iter().map(|(_, glimpse)| glimpse.stamp_s + epoch_s);
@@ -289,7 +272,7 @@ impl CorrespondenceBuilder {
             waypoints.keys().enumerate().map(|(number, name)| (*name, number)).collect();
         let ways = waypoints.into_iter().map(|((kind, _), mut waypoints)| {
             waypoints.iter_mut().for_each(|it| it.time_s -= middle_s);
-            let kind = config.kinds.get(usize::from(kind.0));
+            let kind = kinds.get(usize::from(kind.0));
             Way::new(kind.map_or(0.0, |kind| kind.outer_diameter_m) / 2.0, waypoints)
         });
         let ways: Vec<Way> = ways.collect();
@@ -298,7 +281,7 @@ impl CorrespondenceBuilder {
             let stamp_s = glimpse.stamp_s + epoch_s - middle_s;
             Some(Glimpse { way: *numbers.get(&name)?, stamp_s, ..glimpse })
         });
-        // An estimate of the clock moves them by less than it may be off.
+        // The clock estimate moves sightings by less than its prior deviation.
         let slack_s = clock.offset_s.max(STEP_S);
         let is_matched = |glimpse: &Glimpse| {
             let way = &ways[glimpse.way];
@@ -310,8 +293,9 @@ impl CorrespondenceBuilder {
     }
 }
 
-/// The coded roundels of an object, where they are on it.
+/// The coded roundels of an object, with their poses on it.
 fn roundels(session: &ReplaySession, state: &ObjectState) -> Vec<(CodedRoundel, Rigid)> {
+    let mut object_from_roundel = Rigid::identity();
     for (object, body) in session.engine.objects() {
         match &object.carries {
             ObjectRoundels::Body(it) if body.is_some() && body == state.body => {
@@ -320,21 +304,17 @@ fn roundels(session: &ReplaySession, state: &ObjectState) -> Vec<(CodedRoundel, 
                 });
                 return coded.collect();
             }
-            ObjectRoundels::Kind { kind, offset_m, .. }
-                if state.body.is_none() && state.kind == Some(*kind) =>
-            {
-                let name = state.kind.zip(state.code);
-                let place = Rigid::translation(-offset_m.x, -offset_m.y, -offset_m.z);
-                return name.map(|name| (name, place)).into_iter().collect();
+            ObjectRoundels::Kind { kind, offset_m, .. } if state.kind == Some(*kind) => {
+                object_from_roundel = Rigid::translation(-offset_m.x, -offset_m.y, -offset_m.z);
             }
             _ => {}
         }
     }
     let alone = state.kind.zip(state.code).filter(|_| state.body.is_none());
-    alone.map(|name| (name, Rigid::identity())).into_iter().collect()
+    alone.map(|name| (name, object_from_roundel)).into_iter().collect()
 }
 
-/// One of an object's roundels: with its arm r from the tracked point, δc = δp - [r]× δθ.
+/// A roundel of an object; its errors are δc = δp - [r]× δθ with the arm r from the tracked point.
 fn waypoint(state: &ObjectState, object_from_roundel: &Rigid, time_s: f64) -> Waypoint {
     let arm_m = state.orientation * object_from_roundel.translation.vector;
     let mut carry = Matrix3x6::zeros();

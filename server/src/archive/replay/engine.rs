@@ -1,8 +1,8 @@
-//! Has happen what a recording says: as it was, fused anew, or searched and fused anew.
+//! Feeds recorded messages to the hub: as recorded, fused again, or detected and fused again.
 //!
-//! Fused anew, everything that fusion was given (observations, what it was told of cameras, the instants of snapshots)
-//! comes in the recorded order with the recorded times, to the same code that fuses live. So the same file gives the
-//! same bits, and with the same settings those that were given live, but for what fusion knew before the recording.
+//! When fusing again, the engine passes every input of fusion (observations, camera updates, times of snapshots) in the
+//! recorded order and with the recorded times to the code that fuses live. The result is therefore reproducible bit by bit.
+//! With the recorded settings it equals the live result, except for the influence of observations before the recording.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -30,7 +30,7 @@ use crate::{
         replay::from_recording,
     },
     capture::{
-        image_file,
+        image_file::{self, GreyImage},
         worker::{
             WorkerOutput,
             pipeline::{FrameHeader, Pipeline},
@@ -39,7 +39,7 @@ use crate::{
     fusion::{
         FusionTask,
         camera_manager::{self, bodies::BodyTable},
-        setup::fusion_machine,
+        setup::{fusion_machine, fusion_params},
     },
     model::{
         clock::Clock,
@@ -50,25 +50,19 @@ use crate::{
     },
 };
 
-/// Frames of a camera whose observations are remembered until their picture comes.
+/// Observations of a camera that are cached until their picture arrives.
 const OBSERVATION_CACHE_LEN: usize = 64;
 
-/// What is needed for everything but snapshots as they are.
+/// Settings for fusing again.
 pub struct EngineSettings {
-    /// As it begins.
+    /// At the start of the recording.
     pub config: Config,
     pub lenses: Lenses,
-    /// Whether it is the recorded one, and changes as that did.
+    /// Whether the configuration is the recorded one and changes as recorded.
     pub is_recorded: bool,
 }
 
-/// Objects as fusion knows them at a moment.
-struct FusedObjects {
-    objects: Vec<ObjectConfig>,
-    bodies: BodyTable,
-}
-
-/// What of a recorded snapshot counts where all is fused anew; its objects are not even read.
+/// The only field of a recorded snapshot that is needed when fusing again.
 #[derive(Clone, PartialEq, Message)]
 struct PoseTime {
     /// As in `roundel.v1.Snapshot`.
@@ -83,20 +77,22 @@ pub struct Engine {
     settings: Option<EngineSettings>,
     ids: BTreeMap<String, CameraId>,
     task: Option<FusionTask>,
-    objects: FusedObjects,
+    /// Current objects, as fusion has them.
+    objects: Vec<ObjectConfig>,
+    bodies: BodyTable,
     pipelines: BTreeMap<CameraId, Pipeline>,
     recent: BTreeMap<CameraId, VecDeque<Arc<FrameObservations>>>,
-    /// Messages that say what cannot be.
     invalid_messages: u64,
 }
 
 impl Engine {
-    /// An empty one. `ids` are the numbers that the recording gives cameras.
+    /// `ids` are the cameras' ids in the recording.
     pub fn new(
         hub: Arc<Hub>,
         clock: Clock,
         from: ReplayFrom,
-        (settings, ids): (Option<EngineSettings>, BTreeMap<String, CameraId>),
+        settings: Option<EngineSettings>,
+        ids: BTreeMap<String, CameraId>,
     ) -> Self {
         Self {
             hub,
@@ -105,41 +101,42 @@ impl Engine {
             settings,
             ids,
             task: None,
-            objects: FusedObjects { objects: Vec::new(), bodies: BodyTable::default() },
+            objects: Vec::new(),
+            bodies: BodyTable::default(),
             pipelines: BTreeMap::new(),
             recent: BTreeMap::new(),
             invalid_messages: 0,
         }
     }
 
+    /// Whether it fuses again.
     pub fn fuses(&self) -> bool {
         self.task.is_some()
     }
 
-    /// As it begins; `None` where snapshots are played.
+    /// The configuration at the start; `None` when snapshots are played.
     pub(super) fn config(&self) -> Option<&Config> {
         self.settings.as_ref().map(|settings| &settings.config)
     }
 
-    /// Has fusion, if anything is fused, publish where everything was then.
+    /// Makes fusion publish a snapshot of this time.
     pub(super) fn publish_at(&mut self, pose_time: Timestamp, now: Timestamp) {
         if let Some(task) = &mut self.task {
             task.publish(pose_time, Some(now));
         }
     }
 
-    /// The objects of now, and the number of each as a body.
+    /// The current objects with their body ids.
     pub(super) fn objects(&self) -> impl Iterator<Item = (&ObjectConfig, Option<BodyId>)> {
-        let FusedObjects { objects, bodies } = &self.objects;
-        objects.iter().zip(bodies.numbers.iter().copied())
+        self.objects.iter().zip(self.bodies.numbers.iter().copied())
     }
 
-    /// Messages so far that said what cannot be, and were left out.
+    /// Number of messages skipped as invalid.
     pub fn invalid_messages(&self) -> u64 {
         self.invalid_messages
     }
 
-    /// Begins anew at an instant, until which fusion was told all this.
+    /// Restarts at the time `until`, after applying the updates that fusion received before it.
     pub fn restart(
         &mut self,
         updates: &[(Timestamp, FusionUpdate)],
@@ -152,16 +149,15 @@ impl Engine {
             return Ok(());
         }
         let Some(EngineSettings { config, .. }) = &self.settings else { return Ok(()) };
-        // Nobody sends anything: it is called.
-        let (_, nothing) = sync_channel(0);
+        // The engine calls the task directly.
+        let (_, unused) = sync_channel(0);
         let machine = fusion_machine(config)?;
-        let task = FusionTask::new(machine, self.hub.clone(), self.clock, nothing);
-        self.task = Some(task);
-        let objects = config.objects.clone();
-        self.objects = FusedObjects { bodies: BodyTable::of(&objects), objects };
+        self.task = Some(FusionTask::new(machine, self.hub.clone(), self.clock, unused));
+        self.objects.clone_from(&config.objects);
+        self.bodies = BodyTable::of(&self.objects);
         self.name_objects();
-        for (_, told) in updates.iter().take_while(|(time, _)| *time < until) {
-            match told {
+        for (_, update) in updates.iter().take_while(|(time, _)| *time < until) {
+            match update {
                 FusionUpdate::Camera(message) => self.update_camera(message),
                 FusionUpdate::Settings(message) => {
                     self.invalid_messages += u64::from(self.apply_configuration(message).is_none())
@@ -172,7 +168,7 @@ impl Engine {
     }
 
     pub fn process(&mut self, raw: &RecordedMessage, reader: &mut Reader) {
-        let is_sound = match &raw.channel {
+        let done = match &raw.channel {
             Channel::Topic(Topic::Snapshots) => self.process_snapshot(raw),
             Channel::Topic(Topic::Observations) => self.process_observations(raw, reader),
             Channel::Topic(Topic::Events) => self.process_event(raw),
@@ -185,7 +181,7 @@ impl Engine {
             Channel::Foreign(_) => Some(()),
             Channel::Frame(camera) => self.process_frame(camera, raw),
         };
-        self.invalid_messages += u64::from(is_sound.is_none());
+        self.invalid_messages += u64::from(done.is_none());
     }
 
     fn id(&mut self, name: &str) -> CameraId {
@@ -202,19 +198,19 @@ impl Engine {
             self.ids.insert(message.camera.clone(), CameraId(message.number));
         }
         let mut message = message.clone();
-        // Live, numbers may have been given otherwise: by changes of before the recording.
-        let names = &self.objects.bodies.names;
+        // Changes before the recording may have led to other body ids.
+        let names = &self.bodies.names;
         if let Some(body) = names.iter().position(|name| *name == message.carrier)
             && message.carrier_body > 0
         {
             message.carrier_body = body as u32 + 1;
         }
-        if let (Some(task), Some(told)) = (&mut self.task, convert::read_fused_camera(&message)) {
-            task.apply_camera_update(told);
+        if let (Some(task), Some(update)) = (&mut self.task, convert::read_fused_camera(&message)) {
+            task.apply_camera_update(update);
         }
     }
 
-    /// Goes by another configuration from now on, where fusion did.
+    /// Applies a configuration that fusion applied when it was recorded.
     fn apply_configuration(&mut self, message: &v1::RecordedConfiguration) -> Option<()> {
         let (Some(task), Some(settings)) = (&mut self.task, &self.settings) else {
             return Some(());
@@ -225,20 +221,19 @@ impl Engine {
         let config = Config::parse_recorded(&message.text, &settings.lenses).ok()?;
         let renamed = (!message.renamed_to.is_empty())
             .then_some((message.renamed_from.as_str(), message.renamed_to.as_str()));
-        let FusedObjects { objects, bodies } = &mut self.objects;
-        let order = bodies.update((objects, &config.objects), renamed, &config.motions);
+        let update = self.bodies.update((&self.objects, &config.objects), renamed, &config.motions);
         let owned = |(before, after): (&str, &str)| (before.to_owned(), after.to_owned());
-        let limits = Some(camera_manager::fusion_limits(&config));
-        *objects = config.objects;
-        let written = AppliedConfig { text: message.text.clone(), renamed: renamed.map(owned) };
-        task.apply_settings(FusionSettings { limits, objects: order, config: written });
+        let params = Some(fusion_params(&config));
+        self.objects = config.objects;
+        let applied = AppliedConfig { text: message.text.clone(), renamed: renamed.map(owned) };
+        task.apply_settings(FusionSettings { params, objects: update, config: applied });
         self.name_objects();
         Some(())
     }
 
     fn name_objects(&self) {
-        let FusedObjects { objects, bodies } = &self.objects;
-        self.hub.set_object_names(camera_manager::kind_names(objects), bodies.names.clone());
+        let kind_names = camera_manager::kind_names(&self.objects);
+        self.hub.set_object_names(kind_names, self.bodies.names.clone());
     }
 
     fn process_snapshot(&mut self, raw: &RecordedMessage) -> Option<()> {
@@ -262,7 +257,7 @@ impl Engine {
         let id = self.id(&name);
         let recorded = from_recording::read_observations(&self.hub, id, message).ok()?;
         let observations = if self.from == ReplayFrom::Frames {
-            // What was not kept is not seen.
+            // Without a recorded frame there are no observations.
             let Some(frame) = reader.frame(&name, number as u32) else { return Some(()) };
             Arc::new(self.search(&name, &recorded, &frame)?)
         } else {
@@ -271,10 +266,10 @@ impl Engine {
         if let Some(task) = &mut self.task {
             task.observe(&WorkerOutput { observations: observations.clone(), placement: None });
         }
-        let seen = self.recent.entry(id).or_default();
-        seen.push_back(observations.clone());
-        if seen.len() > OBSERVATION_CACHE_LEN {
-            seen.pop_front();
+        let recent = self.recent.entry(id).or_default();
+        recent.push_back(observations.clone());
+        if recent.len() > OBSERVATION_CACHE_LEN {
+            recent.pop_front();
         }
         self.hub.update_camera(id, |state| {
             (state.frames, state.detections) = (number, observations.detections.len());
@@ -283,7 +278,7 @@ impl Engine {
         Some(())
     }
 
-    /// Searches a frame as it was searched live, with the settings of now.
+    /// Searches a frame as a worker does, with the current settings.
     fn search(
         &mut self,
         name: &str,
@@ -300,7 +295,7 @@ impl Engine {
             self.pipelines.insert(id, Pipeline::new(parts).ok()?);
         }
         let pipeline = self.pipelines.get_mut(&id)?;
-        let by = FrameHeader {
+        let header = FrameHeader {
             camera: id,
             calibration_version: recorded.calibration_version,
             frame: recorded.frame,
@@ -308,25 +303,23 @@ impl Engine {
             received_time: recorded.received_time,
         };
         let view = image.frame().ok()?;
-        let observations = pipeline.process(&view, &by);
+        let observations = pipeline.process(&view, &header);
         pipeline.seek(&view);
         if self.hub.take_picture_request(id) {
-            let observations = Arc::new(observations.clone());
-            self.hub.publish_picture(id, picture(image, observations));
+            self.publish_picture(id, image, Arc::new(observations.clone()));
         }
         Some(observations)
     }
 
-    /// Shown when somebody asks for it.
+    /// Publishes the frame if a client has requested a picture.
     fn process_frame(&mut self, camera: &str, raw: &RecordedMessage) -> Option<()> {
         let id = self.id(camera);
         if !self.hub.take_picture_request(id) {
             return Some(());
         }
         let image = decoded(raw)?;
-        let seen = self.recent.get(&id).and_then(|seen| {
-            seen.iter().find(|observations| observations.frame as u32 == raw.sequence)
-        });
+        let mut recent = self.recent.get(&id).into_iter().flatten();
+        let observations = recent.find(|recent| recent.frame as u32 == raw.sequence).cloned();
         let none = || {
             Arc::new(world::FrameObservations {
                 camera: id,
@@ -337,27 +330,31 @@ impl Engine {
                 detections: Vec::new(),
             })
         };
-        let observations = seen.cloned().unwrap_or_else(none);
-        self.hub.publish_picture(id, picture(image, observations));
+        self.publish_picture(id, image, observations.unwrap_or_else(none));
         Some(())
+    }
+
+    fn publish_picture(&self, id: CameraId, image: GreyImage, of: Arc<FrameObservations>) {
+        let picture = Picture::new((image.width, image.height), image.pixels, of);
+        self.hub.publish_picture(id, picture);
     }
 
     fn process_event(&mut self, raw: &RecordedMessage) -> Option<()> {
         let message = read::<v1::Event>(raw)?;
-        // Of a kind that this version does not know.
-        let Some(kind) = from_recording::read_event_kind(&self.hub, &message) else {
-            return Some(());
+        let is_published = match message.kind() {
+            // A kind that this version does not know.
+            EventKind::Unspecified => false,
+            // Fusion publishes these itself.
+            EventKind::ObjectAppeared
+            | EventKind::ObjectPredicted
+            | EventKind::ObjectRecovered
+            | EventKind::ObjectLost
+            | EventKind::CameraClockSet
+            | EventKind::HeightContradicted => self.task.is_none(),
+            _ => true,
         };
-        // Fusion says its own.
-        let is_fusions = matches!(
-            kind,
-            EventKind::ObjectStageChanged(..)
-                | EventKind::CameraClockSet(_)
-                | EventKind::HeightContradicted
-        );
-        if self.task.is_none() || !is_fusions {
-            let time = Timestamp::from_ns(message.time_ns);
-            self.hub.publish_event(time, kind, message.message);
+        if is_published {
+            self.hub.publish(message);
         }
         Some(())
     }
@@ -386,11 +383,7 @@ fn read<M: Message + Default>(raw: &RecordedMessage) -> Option<M> {
     M::decode(raw.data.as_slice()).ok()
 }
 
-fn picture(image: image_file::GreyImage, observations: Arc<FrameObservations>) -> Picture {
-    Picture::new((image.width, image.height), image.pixels, observations)
-}
-
-fn decoded(raw: &RecordedMessage) -> Option<image_file::GreyImage> {
+fn decoded(raw: &RecordedMessage) -> Option<GreyImage> {
     let image = read::<CompressedImage>(raw)?;
     image_file::decode(&image.data, "recorded frame".as_ref()).ok()
 }

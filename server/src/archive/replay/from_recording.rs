@@ -1,4 +1,4 @@
-//! What a recording says becomes core's types again, as far as it says it.
+//! Converts recorded messages to the types of core and the hub, as far as they have the data.
 
 use nalgebra::{Matrix6, Quaternion, UnitQuaternion, Vector3};
 use roundel_core::{
@@ -7,19 +7,18 @@ use roundel_core::{
     marker::Code,
     rigid::from_upper_triangle,
     time::Timestamp,
-    world::{self, CameraPlacement, LifeStage, ProcessNoise, Unplaced},
+    world::{self, CameraPlacement, LifeStage, ProcessNoise},
 };
 use roundel_proto::v1;
 
 use crate::capture::push_messages::{self as push, WireFieldError};
 use crate::model::convert::{read_covariance, read_pose};
 use crate::model::hub::{
-    CameraInfo, CameraPoseState, CameraState, CameraStatus, ConfigChange, EventKind, Hub,
-    MountInfo, PoseStatus,
+    CameraInfo, CameraPoseState, CameraState, CameraStatus, Hub, MountInfo, PoseStatus,
 };
 
-/// A recorded snapshot. What it does not say, covariances between place and speed and what an object may do next, is
-/// taken as 0; names that the hub does not know yet become known to it.
+/// Reads a snapshot. Covariances between position and velocity and the process noise are not recorded and become 0. The
+/// hub learns unknown object names.
 pub fn read_snapshot(hub: &Hub, message: &v1::Snapshot) -> world::Snapshot {
     let pose_time = Timestamp::from_ns(message.pose_time_ns);
     let capture_time = Timestamp::from_ns(message.capture_time_ns);
@@ -81,7 +80,7 @@ fn stage(stage: v1::LifeStage) -> LifeStage {
     }
 }
 
-/// Recorded observations, bit for bit, of a camera of that id.
+/// Reads observations of a camera, bit for bit.
 pub fn read_observations(
     hub: &Hub,
     camera: CameraId,
@@ -92,9 +91,9 @@ pub fn read_observations(
     Ok(world::FrameObservations { camera, frame, ..read })
 }
 
-/// The lens of a recorded camera.
+/// Reads a camera's lens.
 pub fn read_lens(camera: &v1::Camera) -> Option<Camera> {
-    // Of one without frames the size is not known: what its principal point is the middle of will do.
+    // The size of a camera without frames is unknown. It is inferred from the principal point.
     let size = |said: u32, middle_px: f64| {
         if said > 0 { said } else { (2.0 * middle_px + 1.0).round().clamp(1.0, 1e5) as u32 }
     };
@@ -107,7 +106,6 @@ pub fn read_lens(camera: &v1::Camera) -> Option<Camera> {
     })
 }
 
-/// What is fixed of a recorded camera.
 pub fn read_camera_info(camera: &v1::Camera) -> CameraInfo {
     let mount = camera.mount.as_ref().and_then(read_pose);
     CameraInfo {
@@ -123,7 +121,6 @@ pub fn read_camera_info(camera: &v1::Camera) -> CameraInfo {
     }
 }
 
-/// How a recorded camera was doing.
 pub fn read_camera_state(state: &mut CameraState, camera: &v1::Camera) {
     state.status = match camera.status() {
         v1::CameraStatus::Unspecified | v1::CameraStatus::Starting => CameraStatus::Starting,
@@ -149,15 +146,8 @@ pub fn read_camera_state(state: &mut CameraState, camera: &v1::Camera) {
 
 fn place(camera: &v1::Camera) -> CameraPoseState {
     let status = match camera.pose_status() {
-        v1::PoseStatus::Configured => PoseStatus::Configured,
-        v1::PoseStatus::Found => PoseStatus::Found,
-        v1::PoseStatus::Riding => PoseStatus::Riding,
-        v1::PoseStatus::Calibrated => PoseStatus::Calibrated,
-        v1::PoseStatus::Quarantined => PoseStatus::Quarantined,
-        v1::PoseStatus::Unspecified | v1::PoseStatus::Searching => PoseStatus::Searching,
-        v1::PoseStatus::CarrierUnseen => PoseStatus::Without(Unplaced::CarrierUnseen),
-        v1::PoseStatus::CarrierWithoutYaw => PoseStatus::Without(Unplaced::CarrierWithoutYaw),
-        v1::PoseStatus::CarrierUncertain => PoseStatus::Without(Unplaced::CarrierUncertain),
+        v1::PoseStatus::Unspecified => PoseStatus::Searching,
+        known => known,
     };
     let covariance = read_covariance(&camera.pose_covariance);
     let placement = camera.pose.as_ref().and_then(read_pose);
@@ -168,52 +158,4 @@ fn place(camera: &v1::Camera) -> CameraPoseState {
         time: (camera.pose_time_ns != 0).then(|| Timestamp::from_ns(camera.pose_time_ns)),
         reason: camera.pose_reason.clone(),
     }
-}
-
-/// What a recorded event is about; `None` for one of a kind that this version does not know.
-pub fn read_event_kind(hub: &Hub, event: &v1::Event) -> Option<EventKind> {
-    use v1::EventKind as Kind;
-    let object = |kind| Some(EventKind::ObjectStageChanged(ObjectId(event.object_id), kind));
-    let camera = || hub.installation().camera_id(&event.camera);
-    let status = |status| camera().map(|id| EventKind::CameraStatusChanged(id, status));
-    match event.kind() {
-        Kind::Unspecified => None,
-        Kind::ObjectAppeared => object(world::EventKind::Appeared),
-        Kind::ObjectPredicted => object(world::EventKind::Predicted),
-        Kind::ObjectRecovered => object(world::EventKind::Recovered),
-        Kind::ObjectLost => object(world::EventKind::Lost),
-        Kind::CameraRunning => status(CameraStatus::Running),
-        Kind::CameraFailed => status(CameraStatus::Failed),
-        Kind::CameraFinished => status(CameraStatus::Finished),
-        Kind::CameraClockSet => camera().map(EventKind::CameraClockSet),
-        Kind::CameraPlaced => camera().map(EventKind::CameraPlaced),
-        Kind::CameraUnplaced => camera().map(EventKind::CameraUnplaced),
-        Kind::HeightContradicted => Some(EventKind::HeightContradicted),
-        Kind::CalibrationBegun => Some(EventKind::CalibrationBegun),
-        Kind::CalibrationDone => Some(EventKind::CalibrationDone),
-        Kind::CalibrationFailed => Some(EventKind::CalibrationFailed),
-        Kind::CalibrationApplied => Some(EventKind::CalibrationApplied),
-        Kind::CameraBumped => camera().map(EventKind::CameraBumped),
-        Kind::CameraReturned => camera().map(EventKind::CameraReturned),
-        Kind::CameraDrifted => camera().map(EventKind::CameraDrifted),
-        Kind::CamerasContradict => Some(EventKind::CamerasContradict),
-        Kind::CamerasAgree => Some(EventKind::CamerasAgree),
-        Kind::CamerasMisplaced => Some(EventKind::CamerasMisplaced),
-        Kind::CameraRateOff => camera().map(EventKind::CameraRateOff),
-        Kind::CameraRateAgrees => camera().map(EventKind::CameraRateAgrees),
-        Kind::CameraAdded => camera().map(EventKind::CameraAdded),
-        Kind::CameraChanged => camera().map(EventKind::CameraChanged),
-        Kind::CameraRemoved => camera().map(EventKind::CameraRemoved),
-        Kind::ObjectAdded => Some(object_configured(ConfigChange::Added, event)),
-        Kind::ObjectChanged => Some(object_configured(ConfigChange::Changed, event)),
-        Kind::ObjectRemoved => Some(object_configured(ConfigChange::Removed, event)),
-        Kind::RecordingBegun => Some(EventKind::RecordingBegun),
-        Kind::RecordingEnded => Some(EventKind::RecordingEnded),
-        Kind::RecordingFailed => Some(EventKind::RecordingFailed),
-        Kind::RecordingLossy => Some(EventKind::RecordingLossy),
-    }
-}
-
-fn object_configured(change: ConfigChange, event: &v1::Event) -> EventKind {
-    EventKind::ObjectConfigured(change, (event.object_id > 0).then_some(ObjectId(event.object_id)))
 }

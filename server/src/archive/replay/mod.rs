@@ -1,11 +1,12 @@
 //! Replay: serves a recording through the hub and APIs as if it were live, or fuses it again into another file.
 //!
-//! | module | what it does |
+//! | module | purpose |
 //! | --- | --- |
 //! | [`reader`] | messages of the file in order, from any time |
 //! | [`engine`] | feeds messages to the hub: as recorded, fused again, or detected and fused again |
-//! | `player` | thread that paces messages: pause, speed, seek |
-//! | [`session`] | a recording that is ready to be played |
+//! | [`player`] | thread that paces messages: pause, speed, seek |
+//! | [`session`] | an opened recording with its reader, engine, hub and clock |
+//! | [`from_recording`] | recorded messages as core's and the hub's types |
 //! | [`copy`] | fuses at full speed into a file |
 //! | [`correspondences`] | fuses without one camera, and matches its detections to the others' tracks |
 //!
@@ -26,44 +27,40 @@ use std::{
 };
 
 use roundel_core::time::Timestamp;
+use roundel_proto::v1;
 use thiserror::Error;
 
 use crate::fusion::setup::ObjectError;
 use crate::{archive::record::file_reader::ReadError, model::config::Problem};
 
-/// How many recorded seconds may pass in one.
+/// Minimum and maximum speed: recorded seconds per second.
 pub const SPEEDS: [f64; 2] = [0.01, 100.0];
 
-/// What is taken from a recording.
+/// The recorded messages that a replay starts from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ReplayFrom {
-    /// Snapshots and events, as they are.
+    /// Plays snapshots and events as recorded.
     #[default]
     Snapshots,
-    /// Observations, to be fused anew.
+    /// Fuses observations again.
     Observations,
-    /// Frames, to be searched and fused anew.
+    /// Searches frames and fuses their observations again.
     Frames,
 }
 
-/// Why a recording is not played.
 #[derive(Debug, Error)]
 pub enum ReplayError {
-    /// It cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
     #[error("cannot read {}: {source}", .path.display())]
     Io { path: PathBuf, source: std::io::Error },
-    /// It has no message of the kind that is asked for.
-    #[error("{}: has no {what}; {remedy}", .path.display())]
+    #[error("{}: the recording has no {what}; {remedy}", .path.display())]
     Lacks { path: PathBuf, what: &'static str, remedy: &'static str },
-    /// Its configuration is not one.
     #[error(
-        "{}: the configuration {origin} cannot be used: {}; give another one with --config FILE",
+        "{}: the configuration {origin} cannot be used: {}; use another one with --config FILE",
         .path.display(), sentences(.problems)
     )]
     Config { path: PathBuf, origin: String, problems: Vec<Problem> },
-    /// What is configured cannot be.
     #[error(transparent)]
     Object(#[from] ObjectError),
 }
@@ -72,37 +69,24 @@ fn sentences(problems: &[Problem]) -> String {
     problems.iter().map(|problem| problem.message.as_str()).collect::<Vec<_>>().join("; ")
 }
 
-/// What is to be done, and how far it is.
+/// Settings and position of a replay.
 #[derive(Clone, Debug, Default)]
 pub struct ReplayStatus {
     pub file: PathBuf,
     pub from: ReplayFrom,
     pub paused: bool,
-    /// Recorded seconds in one.
+    /// Recorded seconds per second.
     pub speed: f64,
-    /// It begins again after the end.
+    /// Whether it restarts after the end.
     pub looping: bool,
     /// Log times of the first and the last message.
     pub span: (Timestamp, Timestamp),
-    /// The recorded instant that is being played.
+    /// Recorded time of the newest message played.
     pub position: Timestamp,
-    /// It waits at the end.
+    /// Whether it waits at the end.
     pub ended: bool,
-    /// What cannot be read.
+    /// Unreadable parts of the file.
     pub damage: Vec<String>,
-}
-
-/// What is to become of a replay; `None`: as before.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Control {
-    /// Whether nothing is to go on.
-    pub paused: Option<bool>,
-    /// Recorded seconds in one, within [`SPEEDS`].
-    pub speed: Option<f64>,
-    /// Where to go on, seconds from the begin.
-    pub position_s: Option<f64>,
-    /// Whether it begins again after the end.
-    pub looping: Option<bool>,
 }
 
 #[derive(Default)]
@@ -112,14 +96,13 @@ struct State {
     stopped: bool,
 }
 
-/// A handle on a recording that is being played; clones are the same.
+/// Handle of a replay. Clones control the same replay.
 #[derive(Clone, Default)]
 pub struct Replay {
     shared: Arc<(Mutex<State>, Condvar)>,
 }
 
 impl Replay {
-    /// Of a recording that has not begun.
     pub fn new(status: ReplayStatus) -> Self {
         let state = State { status, ..State::default() };
         Self { shared: Arc::new((Mutex::new(state), Condvar::new())) }
@@ -129,15 +112,15 @@ impl Replay {
         self.lock().status.clone()
     }
 
-    /// Has it obey, at once.
-    pub fn control(&self, control: &Control) {
+    /// Applies checked changes: a speed within [`SPEEDS`], a position within the recording.
+    pub fn control(&self, control: &v1::ControlReplayRequest) {
         let mut state = self.lock();
         let status = &mut state.status;
-        control.paused.into_iter().for_each(|paused| status.paused = paused);
-        control.speed.into_iter().for_each(|speed| status.speed = speed);
-        control.looping.into_iter().for_each(|looping| status.looping = looping);
+        status.paused = control.paused.unwrap_or(status.paused);
+        status.speed = control.speed.unwrap_or(status.speed);
+        status.looping = control.looping.unwrap_or(status.looping);
         let (begin, end) = status.span;
-        // Playing on from the end is beginning again.
+        // Resuming at the end restarts.
         let again = (status.ended && control.paused == Some(false)).then_some(0.0);
         if let Some(position_s) = control.position_s.or(again) {
             let position = begin.plus_seconds(position_s.max(0.0)).min(end);
@@ -148,7 +131,7 @@ impl Replay {
         self.shared.1.notify_all();
     }
 
-    /// Ends it for good.
+    /// Ends the player.
     pub fn stop(&self) {
         self.lock().stopped = true;
         self.shared.1.notify_all();

@@ -1,4 +1,4 @@
-//! The thread that plays: each message when it is due, and obedience in between.
+//! The thread that plays a recording: processes each message when it is due, and reacts to controls in between.
 
 use std::{
     sync::PoisonError,
@@ -7,51 +7,39 @@ use std::{
 
 use roundel_core::time::Timestamp;
 
-use super::{
-    Replay, ReplayError,
-    engine::Engine,
-    reader::{FusionUpdate, Reader},
-};
+use super::{Replay, ReplayError, State, session::ReplaySession};
 use crate::archive::record::{
     file_reader::{Channel, RecordedMessage},
     schema::Topic,
 };
 
-/// What is to be done before a message happens.
-enum PlayerStep {
+enum Step {
     Play,
     Seek(Timestamp),
-    /// End.
-    StopSignal,
+    Stop,
 }
 
 pub struct Player {
-    pub reader: Reader,
-    pub engine: Engine,
-    pub updates: Vec<(Timestamp, FusionUpdate)>,
-    pub replay: Replay,
-    /// When what was due.
+    session: ReplaySession,
+    replay: Replay,
+    /// An instant, and the recorded time that was due then.
     base: (Instant, Timestamp),
     speed: f64,
-    /// The first snapshot of a new place is shown even while nothing goes on.
+    /// Set by a seek: the next snapshot is played even during a pause.
     needs_first_snapshot: bool,
 }
 
 impl Player {
-    pub fn new(
-        (reader, engine): (Reader, Engine),
-        updates: Vec<(Timestamp, FusionUpdate)>,
-        replay: Replay,
-    ) -> Self {
-        let (begin, _) = reader.span();
+    pub fn new(session: ReplaySession, replay: Replay) -> Self {
+        let (begin, _) = session.reader.span();
         let base = (Instant::now(), begin);
-        Self { reader, engine, updates, replay, base, speed: 1.0, needs_first_snapshot: true }
+        Self { session, replay, base, speed: 1.0, needs_first_snapshot: true }
     }
 
-    /// Plays until it is told to end.
+    /// Plays until the replay is stopped.
     pub fn run(mut self) {
         if let Err(error) = self.play() {
-            tracing::error!("the replay ends: {error}");
+            tracing::error!("the replay failed: {error}");
             let mut state = self.replay.lock();
             state.status.ended = true;
             state.status.damage.push(error.to_string());
@@ -62,58 +50,52 @@ impl Player {
         let begin = self.replay.status().position;
         self.seek(begin)?;
         loop {
-            let Some(message) = self.reader.take()? else {
-                match self.wait_at_the_end() {
-                    PlayerStep::Seek(time) => self.seek(time)?,
-                    PlayerStep::Play | PlayerStep::StopSignal => return Ok(()),
-                }
-                continue;
+            let message = self.session.reader.take()?;
+            let step = match &message {
+                Some(message) => self.wait_for(message.log_time),
+                None => self.wait_at_the_end(),
             };
-            match self.wait_for(message.log_time) {
-                PlayerStep::StopSignal => return Ok(()),
-                PlayerStep::Seek(time) => self.seek(time)?,
-                PlayerStep::Play => self.play_message(&message),
+            match (step, message) {
+                (Step::Seek(time), _) => self.seek(time)?,
+                (Step::Play, Some(message)) => self.play_message(&message),
+                (Step::Stop, _) | (Step::Play, None) => return Ok(()),
             }
         }
     }
 
     fn play_message(&mut self, message: &RecordedMessage) {
-        self.engine.process(message, &mut self.reader);
+        self.session.engine.process(message, &mut self.session.reader);
         if message.channel == Channel::Topic(Topic::Snapshots) {
             self.needs_first_snapshot = false;
         }
         let mut state = self.replay.lock();
-        let position = state.status.position.max(message.log_time);
-        state.status.position = position;
+        state.status.position = message.log_time.max(state.status.position);
     }
 
     fn seek(&mut self, time: Timestamp) -> Result<(), ReplayError> {
-        self.reader.seek(time);
-        self.engine.restart(&self.updates, time)?;
+        self.session.reader.seek(time);
+        self.session.engine.restart(&self.session.updates, time)?;
         self.needs_first_snapshot = true;
         self.base = (Instant::now(), time);
-        let damage = self.reader.file().damage().sentences.clone();
+        let damage = self.session.reader.file().damage().sentences.clone();
         let mut state = self.replay.lock();
         (state.status.damage, state.status.ended) = (damage, false);
         Ok(())
     }
 
-    /// Waits until what was recorded then is due.
-    fn wait_for(&mut self, time: Timestamp) -> PlayerStep {
-        let (mutex, changed) = &*self.replay.shared;
-        let mut state = mutex.lock().unwrap_or_else(PoisonError::into_inner);
+    /// Waits until a recorded time is due.
+    fn wait_for(&mut self, time: Timestamp) -> Step {
+        let mut state = self.replay.lock();
+        let changed = &self.replay.shared.1;
         let mut was_paused = false;
         loop {
-            if state.stopped {
-                return PlayerStep::StopSignal;
-            }
-            if let Some(time) = state.seek.take() {
-                return PlayerStep::Seek(time);
+            if let Some(step) = state.take_step() {
+                return step;
             }
             let now = Instant::now();
             if self.needs_first_snapshot {
                 self.base = (now, time);
-                return PlayerStep::Play;
+                return Step::Play;
             }
             if state.status.paused {
                 was_paused = true;
@@ -128,31 +110,35 @@ impl Player {
             let wait_s = time.seconds_since(from) / self.speed;
             let due = since + Duration::from_secs_f64(wait_s.max(0.0));
             if due <= now {
-                return PlayerStep::Play;
+                return Step::Play;
             }
             let waited = changed.wait_timeout(state, due - now);
             state = waited.unwrap_or_else(PoisonError::into_inner).0;
         }
     }
 
-    fn wait_at_the_end(&mut self) -> PlayerStep {
-        let (mutex, changed) = &*self.replay.shared;
-        let mut state = mutex.lock().unwrap_or_else(PoisonError::into_inner);
+    fn wait_at_the_end(&mut self) -> Step {
+        let mut state = self.replay.lock();
+        let changed = &self.replay.shared.1;
         let (begin, end) = state.status.span;
         (state.status.ended, state.status.position) = (true, end);
-        state.status.damage = self.reader.file().damage().sentences.clone();
+        state.status.damage = self.session.reader.file().damage().sentences.clone();
         loop {
-            if state.stopped {
-                return PlayerStep::StopSignal;
-            }
-            if let Some(time) = state.seek.take() {
-                return PlayerStep::Seek(time);
+            if let Some(step) = state.take_step() {
+                return step;
             }
             if state.status.looping && !state.status.paused {
                 state.status.position = begin;
-                return PlayerStep::Seek(begin);
+                return Step::Seek(begin);
             }
             state = changed.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
+    }
+}
+
+impl State {
+    /// A stop or a seek requested since the last call.
+    fn take_step(&mut self) -> Option<Step> {
+        if self.stopped { Some(Step::Stop) } else { self.seek.take().map(Step::Seek) }
     }
 }

@@ -1,7 +1,7 @@
-//! What a recording says, in its order, from any place.
+//! Reads a recording's messages in order, from any time.
 //!
-//! A frame stands in the file after what was seen in it, since compressing takes a while. Who searches frames anew
-//! needs them before: they are read ahead, and given by camera and number.
+//! In the file, a frame follows its observations, since compression takes a while. A replay from frames needs them
+//! earlier: they are read ahead and returned by camera and number.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -20,27 +20,25 @@ use crate::archive::record::{
     schema::Topic,
 };
 
-/// Compressing a frame takes no longer than this.
+/// Longest delay of a frame by compression.
 const READ_AHEAD_S: f64 = 1.0;
 
-/// A recording that is being read.
 pub struct Reader {
     file: FileReader,
     reads_ahead: bool,
     ready: VecDeque<RecordedMessage>,
     frames: BTreeMap<(Arc<str>, u32), RecordedMessage>,
     read_until: Option<Timestamp>,
-    /// Messages of before are not given.
+    /// Earlier messages are skipped.
     from: Timestamp,
 }
 
 impl Reader {
-    /// Opens a recording at its begin.
     pub fn open(path: &Path, reads_ahead: bool) -> Result<Self, ReplayError> {
         let file = FileReader::open(path)?;
-        let from = file.span().map(|(begin, _)| begin).unwrap_or_default();
-        let (ready, frames, read_until) = (VecDeque::new(), BTreeMap::new(), None);
-        Ok(Self { file, reads_ahead, ready, frames, read_until, from })
+        let (from, _) = file.span().unwrap_or_default();
+        let (ready, frames) = (VecDeque::new(), BTreeMap::new());
+        Ok(Self { file, reads_ahead, ready, frames, read_until: None, from })
     }
 
     pub fn file(&self) -> &FileReader {
@@ -52,12 +50,12 @@ impl Reader {
         self.file.span().unwrap_or_default()
     }
 
-    /// All messages of a topic that can be read, with their log times.
+    /// All readable messages of a topic, with their log times.
     pub fn all<M: Message + Default>(
         &mut self,
         topic: Topic,
     ) -> Result<Vec<(Timestamp, M)>, ReplayError> {
-        let raws = self.file.collect(topic).map_err(|source| self.failed(source))?;
+        let raws = self.collect(topic)?;
         let read = |message: RecordedMessage| {
             Some((message.log_time, M::decode(message.data.as_slice()).ok()?))
         };
@@ -66,11 +64,14 @@ impl Reader {
 
     /// The first message of a topic.
     pub fn first(&mut self, topic: Topic) -> Result<Option<RecordedMessage>, ReplayError> {
-        let raws = self.file.collect(topic).map_err(|source| self.failed(source))?;
-        Ok(raws.into_iter().next())
+        Ok(self.collect(topic)?.into_iter().next())
     }
 
-    /// Goes on with what was recorded then.
+    fn collect(&mut self, topic: Topic) -> Result<Vec<RecordedMessage>, ReplayError> {
+        self.file.collect(topic).map_err(|source| self.failed(source))
+    }
+
+    /// Continues with the messages from this time on.
     pub fn seek(&mut self, time: Timestamp) {
         self.file.seek(self.file.chunk_at(time));
         (self.from, self.read_until) = (time, None);
@@ -81,12 +82,11 @@ impl Reader {
     /// The next message; `None` at the end.
     pub fn take(&mut self) -> Result<Option<RecordedMessage>, ReplayError> {
         loop {
-            let is_near = |until: Timestamp, message: &RecordedMessage| {
-                until.seconds_since(message.log_time) < READ_AHEAD_S
-            };
             let wants_more = match (self.ready.front(), self.read_until) {
-                (None, _) | (_, None) => true,
-                (Some(message), Some(until)) => self.reads_ahead && is_near(until, message),
+                (Some(message), Some(until)) => {
+                    self.reads_ahead && until.seconds_since(message.log_time) < READ_AHEAD_S
+                }
+                _ => true,
             };
             if !wants_more || !self.read().map_err(|source| self.failed(source))? {
                 break;
@@ -100,7 +100,7 @@ impl Reader {
         Ok(next)
     }
 
-    /// A frame that was read ahead.
+    /// Takes a frame that was read ahead.
     pub fn frame(&mut self, camera: &str, number: u32) -> Option<RecordedMessage> {
         self.frames.remove(&(Arc::from(camera), number))
     }
@@ -127,19 +127,20 @@ impl Reader {
     }
 }
 
+/// A recorded change of fusion.
 #[derive(Clone, Debug)]
 pub enum FusionUpdate {
     Camera(v1::FusedCamera),
-    /// Of objects and what they may do.
     Settings(v1::RecordedConfiguration),
 }
 
-/// What a recording says of itself at its begin, and of cameras and objects later on.
+/// Messages of a recording that a replay needs in advance.
 pub struct RecordingHeader {
+    /// The first configuration.
     pub configuration: v1::RecordedConfiguration,
-    /// Everything that fusion was told, in its order.
+    /// Every change of fusion, in order.
     pub updates: Vec<(Timestamp, FusionUpdate)>,
-    /// The cameras, each as it was last.
+    /// The last state of each camera, by name.
     pub cameras: BTreeMap<String, v1::Camera>,
 }
 

@@ -1,4 +1,4 @@
-//! A recording that is ready to be played.
+//! An opened recording with its reader, engine, hub and clock.
 
 use std::{
     collections::BTreeMap,
@@ -19,21 +19,20 @@ use crate::{
     archive::{record::schema::Topic, replay::from_recording},
     model::{
         clock::Clock,
-        config::{Config, Lenses},
+        config::{Config, Lenses, MAX_BYTES},
         hub::{Hub, Installation},
+        regular_file,
     },
 };
 
-/// What is to be played.
 #[derive(Clone, Debug, Default)]
 pub struct ReplayOptions {
     pub file: PathBuf,
     pub from: ReplayFrom,
-    /// In place of the recorded configuration.
+    /// Replaces the recorded configuration.
     pub config: Option<PathBuf>,
 }
 
-/// A recording that is ready to happen.
 pub struct ReplaySession {
     pub reader: Reader,
     pub engine: Engine,
@@ -44,7 +43,6 @@ pub struct ReplaySession {
 }
 
 impl ReplaySession {
-    /// Opens a recording, and sets everything up for it.
     pub fn open(options: &ReplayOptions) -> Result<Self, ReplayError> {
         let mut reader = Reader::open(&options.file, options.from == ReplayFrom::Frames)?;
         let RecordingHeader { configuration, updates, cameras } =
@@ -53,12 +51,12 @@ impl ReplaySession {
             |what, remedy| Err(ReplayError::Lacks { path: options.file.clone(), what, remedy });
         if options.from != ReplayFrom::Snapshots && updates.is_empty() {
             return lacks(
-                "word of what fusion was told of cameras, as what is streamed by `roundel record --output`",
-                "play its snapshots, or record on the server",
+                "camera updates of fusion, as in all recordings of `roundel record --output`",
+                "replay its snapshots, or record on the server",
             );
         }
         if options.from == ReplayFrom::Frames && !reader.file().has_frames() {
-            return lacks("frames", "record with --frames-every 1 to search them anew");
+            return lacks("frames", "record with --frames-every 1 to search them again");
         }
         let lens = |(name, camera): (&String, &v1::Camera)| {
             from_recording::read_lens(camera).map(|lens| (name.clone(), lens))
@@ -70,50 +68,47 @@ impl ReplaySession {
                 Some(read_config(options, &configuration, &lenses)?)
             }
         };
-        let number = |(_, told): &(Timestamp, FusionUpdate)| match told {
-            FusionUpdate::Camera(told) => Some((told.camera.clone(), CameraId(told.number))),
-            FusionUpdate::Settings(_) => None,
+        let id = |(_, update): &(Timestamp, FusionUpdate)| match update {
+            FusionUpdate::Camera(it) if !it.camera.is_empty() => {
+                Some((it.camera.clone(), CameraId(it.number)))
+            }
+            _ => None,
         };
-        let ids: BTreeMap<String, CameraId> =
-            updates.iter().filter_map(number).filter(|(name, _)| !name.is_empty()).collect();
+        let ids: BTreeMap<String, CameraId> = updates.iter().filter_map(id).collect();
         let (begin, _) = reader.span();
         let clock = Clock::anchored(Instant::now(), begin);
         let hub = Arc::new(Hub::new(installation(&configuration, config.as_ref(), begin)));
-        let from = options.from;
         let late_window_ms = config.as_ref().map_or(0.0, |it| it.fusion.late_window_s * 1e3);
-        // Who wants other settings than the recorded ones does not want these changed either.
+        // Recorded changes apply only to the recorded configuration.
         let is_recorded = options.config.is_none();
         let settings = config.map(|config| EngineSettings { config, lenses, is_recorded });
-        let mut engine = Engine::new(hub.clone(), clock, from, (settings, ids));
-        // Cameras are there before anything happens.
+        let mut engine = Engine::new(hub.clone(), clock, options.from, settings, ids);
+        // Cameras are shown from the start.
         if let Some(raw) = reader.first(Topic::Health)? {
             engine.process(&raw, &mut reader);
         }
         Ok(Self { reader, engine, updates, hub, clock, late_window_ms })
     }
-
-    /// The newest of everything.
-    pub fn hub(&self) -> &Arc<Hub> {
-        &self.hub
-    }
 }
 
-/// The configuration that a recording was made with, or the one that is wanted instead.
+/// The configuration of the options, or the recorded one.
 fn read_config(
     options: &ReplayOptions,
     recorded: &v1::RecordedConfiguration,
     lenses: &Lenses,
 ) -> Result<Config, ReplayError> {
-    let path = options.file.clone();
     let (text, origin) = match &options.config {
         Some(config) => {
             let failed = |source| ReplayError::Io { path: config.clone(), source };
-            (std::fs::read_to_string(config).map_err(failed)?, config.display().to_string())
+            (
+                regular_file::read_text(config, MAX_BYTES).map_err(failed)?,
+                config.display().to_string(),
+            )
         }
-        None => (recorded.text.clone(), format!("that Roundel {} recorded", recorded.version)),
+        None => (recorded.text.clone(), format!("recorded by Roundel {}", recorded.version)),
     };
     Config::parse_recorded(&text, lenses).map_err(|problems| ReplayError::Config {
-        path,
+        path: options.file.clone(),
         origin,
         problems,
     })
@@ -124,32 +119,27 @@ fn installation(
     config: Option<&Config>,
     started: Timestamp,
 ) -> Installation {
+    // When fusing again, the names of kinds and bodies are those of the configuration.
+    let fused =
+        config.map(|config| crate::fusion::camera_manager::setup::installation(config, started));
+    let (kinds, object_names, body_names) = match fused {
+        Some(it) => (it.kinds, it.object_names, it.body_names),
+        None => (recorded.roundels.clone(), BTreeMap::new(), Vec::new()),
+    };
     let rate_hz = recorded.snapshot_rate_hz;
-    let source_id = format!("replay-of-{}", recorded.source_id);
-    let plain = Installation {
+    Installation {
         name: recorded.name.clone(),
-        source_id: source_id.clone(),
+        source_id: format!("replay-of-{}", recorded.source_id),
         started,
         snapshot_rate_hz: if rate_hz > 0.0 { rate_hz } else { 60.0 },
         cameras: BTreeMap::new(),
-        kinds: recorded.roundels.clone(),
-        object_names: BTreeMap::new(),
-        body_names: Vec::new(),
-    };
-    match config {
-        // Names by kinds and bodies are those of the machine that fuses.
-        Some(config) => Installation {
-            cameras: BTreeMap::new(),
-            source_id,
-            name: plain.name,
-            snapshot_rate_hz: plain.snapshot_rate_hz,
-            ..crate::fusion::setup::installation(config, started)
-        },
-        None => plain,
+        kinds,
+        object_names,
+        body_names,
     }
 }
 
-/// How a replay of this file begins.
+/// State of a replay at its start.
 pub fn initial_status(session: &ReplaySession, file: &Path, from: ReplayFrom) -> ReplayStatus {
     let span = session.reader.span();
     ReplayStatus {

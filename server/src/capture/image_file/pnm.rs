@@ -1,54 +1,44 @@
-//! PGM and PPM (netpbm's P2, P3, P5, P6), of which cameras' tools write many dialects: comments
-//! anywhere in the header, any maximum up to 65535.
+//! PGM and PPM (netpbm's P2, P3, P5, P6) with comments anywhere in the header and any maximum up to 65535.
 
-use super::{DecodeError, GreyImage, check_size, grey, scale_to_u8};
+use super::{DecodeError, GreyImage, SizeCheck, grey, scale_to_u8};
 
-/// Decodes a file whose first two bytes are known to be `P2`, `P3`, `P5` or `P6`.
-pub(super) fn decode(bytes: &[u8]) -> Result<GreyImage, DecodeError> {
-    let plain = matches!(bytes[1], b'2' | b'3');
+/// Decodes a file that begins with `P2`, `P3`, `P5` or `P6`.
+pub(super) fn decode(bytes: &[u8], check: SizeCheck) -> Result<GreyImage, DecodeError> {
+    let is_plain = matches!(bytes[1], b'2' | b'3');
     let channels = if matches!(bytes[1], b'3' | b'6') { 3 } else { 1 };
     let mut rest = &bytes[2..];
     let width = number(&mut rest, "width")?;
     let height = number(&mut rest, "height")?;
     let most = number(&mut rest, "largest value")?;
-    check_size(width, height)?;
+    check.check(width, height)?;
     let most = u16::try_from(most)
         .ok()
         .filter(|most| *most > 0)
-        .ok_or_else(|| broken(format!("expected a largest value of 1 to 65535, found {most}")))?;
+        .ok_or_else(|| format!("expected a largest value of 1 to 65535, found {most}"))?;
     let count = width * height * channels;
-    let samples = if plain {
-        plain_samples(&mut rest, count, most)?
+    let samples = if is_plain {
+        // The vector grows with the samples in the file, not with the size that the header claims.
+        let sample = |_| {
+            let sample = number(&mut rest, "sample")?;
+            Ok(scale_to_u8(u16::try_from(sample).unwrap_or(u16::MAX), most))
+        };
+        (0..count).map(sample).collect::<Result<_, DecodeError>>()?
     } else {
-        // Exactly one byte of white space parts the header from the samples.
+        // Exactly one byte of white space separates the header from the samples.
         raw_samples(rest.get(1..).unwrap_or_default(), count, most)?
     };
     Ok(GreyImage { width, height, pixels: grey(samples, channels) })
 }
 
-fn broken(reason: String) -> DecodeError {
-    DecodeError::Broken(reason)
-}
-
-fn plain_samples(rest: &mut &[u8], count: usize, most: u16) -> Result<Vec<u8>, DecodeError> {
-    // Memory grows with what is there, not with what the header promises.
-    let mut samples = Vec::with_capacity(count.min(rest.len()));
-    for _ in 0..count {
-        let sample = number(rest, "sample")?;
-        samples.push(scale_to_u8(u16::try_from(sample).unwrap_or(u16::MAX), most));
-    }
-    Ok(samples)
-}
-
 fn raw_samples(data: &[u8], count: usize, most: u16) -> Result<Vec<u8>, DecodeError> {
-    let width = if most > 255 { 2 } else { 1 };
-    let data = data.get(..count * width).ok_or_else(|| {
-        broken(format!("expected {} bytes of samples, found {}", count * width, data.len()))
-    })?;
-    Ok(match (width, most) {
-        (1, 255) => data.to_vec(),
-        (1, _) => data.iter().map(|&sample| scale_to_u8(u16::from(sample), most)).collect(),
-        _ => data
+    let (expected, found) = (if most > 255 { 2 * count } else { count }, data.len());
+    let data = data
+        .get(..expected)
+        .ok_or_else(|| format!("expected {expected} bytes of samples, found {found}"))?;
+    Ok(match most {
+        255 => data.to_vec(),
+        0..255 => data.iter().map(|&sample| scale_to_u8(u16::from(sample), most)).collect(),
+        256.. => data
             .chunks_exact(2)
             .map(|pair| scale_to_u8(u16::from_be_bytes([pair[0], pair[1]]), most))
             .collect(),
@@ -73,7 +63,7 @@ fn number(rest: &mut &[u8], what: &str) -> Result<usize, DecodeError> {
     std::str::from_utf8(number)
         .ok()
         .and_then(|number| number.parse().ok())
-        .ok_or_else(|| broken(format!("expected a number as {what}")))
+        .ok_or_else(|| format!("expected a number as {what}").into())
 }
 
 #[cfg(test)]
@@ -81,9 +71,11 @@ mod tests {
     use super::*;
 
     fn pixels(bytes: &[u8]) -> Result<Vec<u8>, String> {
-        match decode(bytes) {
+        let check = SizeCheck { expected: None, max_pixels: super::super::MAX_PIXELS };
+        match decode(bytes, check) {
             Ok(image) => Ok(image.pixels),
             Err(DecodeError::Broken(reason) | DecodeError::TooLarge(reason)) => Err(reason),
+            Err(DecodeError::Size(found)) => panic!("{found:?}"),
         }
     }
 
@@ -97,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
+    fn errors_say_what_was_expected() {
         for (bytes, expected) in [
             (&b"P5 2"[..], "expected a number as height"),
             (b"P5 0 3 255\n", "its size is 0 x 3"),

@@ -8,20 +8,17 @@ use std::{
 use roundel_core::time::Timestamp;
 
 use super::{
-    FrameInfo, FrameSource, LentFrame, Playback, SourceError, bad_frame,
+    FrameInfo, FrameSource, LentFrame, Playback, SourceError, SourceParts, bad_frame,
+    image_list::{ListError, list_files},
     playback::{mean_interval_ns, read_times},
     wrong_size,
 };
-use crate::model::address::ImagesAddress;
 use crate::{
-    capture::image_file::{self, GreyImage},
-    model::{clock::Clock, stop::StopSignal},
+    capture::image_file::{self, GreyImage, ImageError},
+    model::{address::ImagesAddress, source_rules::SourceRules, stop::StopSignal},
 };
 
-/// Endings of the files that are played of a folder.
-const ENDINGS: [&str; 5] = ["png", "jpg", "jpeg", "pgm", "bmp"];
-
-/// Which file is due when.
+/// The files and their due times.
 #[derive(Debug)]
 pub(super) struct Schedule {
     files: Vec<PathBuf>,
@@ -36,13 +33,27 @@ enum Timing {
 }
 
 impl Schedule {
-    /// Lists the files and their times; `start` is when the first one is due where a rate is given.
+    /// Lists the files and their times; `start` is when the first one is due if a rate is given. With rules, files
+    /// outside of their folders are left out.
     pub(super) fn read(
         address: &ImagesAddress,
+        rules: Option<&SourceRules>,
         playback: &Playback,
         start: Timestamp,
+        stop: &StopSignal,
     ) -> Result<Self, SourceError> {
-        let files = list_files(&address.pattern).map_err(SourceError::Failed)?;
+        let failed = SourceError::Failed;
+        let listed = list_files(&address.pattern, stop);
+        let mut files = listed.map_err(|error| match error {
+            ListError::Stopped => SourceError::Stopped,
+            other => failed(other.to_string()),
+        })?;
+        if let Some(rules) = rules {
+            rules.retain_inside(&mut files);
+            if files.is_empty() {
+                return Err(failed(ListError::Empty(address.pattern.clone()).to_string()));
+            }
+        }
         let timing = match &address.times {
             None => Timing::Rate { start, fps: address.rate_hz() },
             Some(path) => {
@@ -60,9 +71,7 @@ impl Schedule {
                 let shift_ns = playback.origin.ns_since(playback.zero.unwrap_or(times[0]));
                 let own_round_ns =
                     times[times.len() - 1].ns_since(times[0]) + mean_interval_ns(&times);
-                for time in &mut times {
-                    *time = time.plus_ns(shift_ns);
-                }
+                times.iter_mut().for_each(|time| *time = time.plus_ns(shift_ns));
                 Timing::Times { times, cycle_ns: playback.cycle_ns.max(own_round_ns) }
             }
         };
@@ -91,7 +100,7 @@ impl Schedule {
     /// The newest frame from `next` on that is due at `now`, or `next` itself if none is.
     fn newest_due(&self, next: u64, now: Timestamp) -> u64 {
         let is_due = |frame: u64| self.due(frame).is_some_and(|due| due <= now);
-        // Doubling steps, then halving: a source that comes back after an hour finds its place.
+        // Doubling steps, then halving: fast even if the source was closed for an hour.
         let (mut newest, mut step) = (next, 1);
         while is_due(newest + step) {
             newest += step;
@@ -109,81 +118,41 @@ impl Schedule {
 
 pub(super) struct ImageSource {
     schedule: Schedule,
-    size: (usize, usize),
-    clock: Clock,
-    stop: StopSignal,
+    parts: SourceParts,
     image: GreyImage,
-    next: u64,
-    /// The first frame after opening is never late.
-    first: bool,
+    /// `None` before the first frame, which skips no others.
+    next: Option<u64>,
 }
 
 impl ImageSource {
-    pub(super) fn new(
-        schedule: Schedule,
-        size: (usize, usize),
-        clock: Clock,
-        stop: StopSignal,
-    ) -> Self {
-        let image = GreyImage::default();
-        Self { schedule, size, clock, stop, image, next: 0, first: true }
+    pub(super) fn new(schedule: Schedule, parts: SourceParts) -> Self {
+        Self { schedule, parts, image: GreyImage::default(), next: None }
     }
 }
 
 impl FrameSource for ImageSource {
     fn next_frame(&mut self) -> Result<LentFrame<'_>, SourceError> {
-        let frame = self.schedule.newest_due(self.next, self.clock.now());
+        let frame = self.schedule.newest_due(self.next.unwrap_or(0), self.parts.clock.now());
         let due = self.schedule.due(frame).ok_or(SourceError::Finished)?;
-        let skipped = if self.first { 0 } else { frame - self.next };
+        let skipped = self.next.map_or(0, |next| frame - next);
         // Decoded before it is due, so that decoding costs no latency.
         let path = self.schedule.file(frame);
         let begun = Instant::now();
-        self.image =
-            image_file::load(path).map_err(|error| SourceError::Failed(error.to_string()))?;
+        self.image = match image_file::load_sized(path, Some(self.parts.size)) {
+            Ok(image) => image,
+            Err(ImageError::Size { path, found }) => {
+                return Err(wrong_size(&path.display().to_string(), self.parts.size, found));
+            }
+            Err(error) => return Err(SourceError::Failed(error.to_string())),
+        };
         let decoding = begun.elapsed();
-        let found = (self.image.width, self.image.height);
-        if found != self.size {
-            return Err(wrong_size(&path.display().to_string(), self.size, found));
-        }
-        if self.stop.wait(self.clock.until(due)) {
+        if self.parts.stop.wait(self.parts.clock.until(due)) {
             return Err(SourceError::Stopped);
         }
-        (self.next, self.first) = (frame + 1, false);
+        self.next = Some(frame + 1);
         let info = FrameInfo { skipped, decoding, ..FrameInfo::at(due) };
         Ok(LentFrame { frame: self.image.frame().map_err(bad_frame)?, info })
     }
-}
-
-/// The image files of a folder, or those that a pattern matches, in the natural order of their names.
-pub(super) fn list_files(pattern: &str) -> Result<Vec<PathBuf>, String> {
-    let folder = Path::new(pattern);
-    let is_folder = folder.is_dir();
-    let mut files: Vec<PathBuf> = if is_folder {
-        let entries = folder
-            .read_dir()
-            .map_err(|error| format!("cannot list the folder {pattern}: {error}"))?;
-        entries.flatten().map(|entry| entry.path()).filter(|path| has_image_ending(path)).collect()
-    } else {
-        glob::glob(pattern)
-            .map_err(|error| format!("pattern {pattern}: {error}"))?
-            .flatten()
-            .filter(|path| path.is_file())
-            .collect()
-    };
-    if files.is_empty() {
-        return Err(if is_folder {
-            format!("folder {pattern} has no PNG, JPEG, PGM or BMP files: put frames there")
-        } else {
-            format!("no file matches {pattern}: check the path, or put frames there")
-        });
-    }
-    alphanumeric_sort::sort_path_slice(&mut files);
-    Ok(files)
-}
-
-fn has_image_ending(path: &Path) -> bool {
-    let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
-    ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known)) && path.is_file()
 }
 
 #[cfg(test)]
@@ -200,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn late_callers_get_the_newest_frame_that_is_due() {
+    fn the_newest_frame_that_is_due_is_next() {
         let rate = schedule(Timing::Rate { start: ns(1000), fps: 1e8 }, 100, false);
         assert_eq!(rate.newest_due(0, ns(0)), 0);
         assert_eq!(rate.newest_due(0, ns(1009)), 0);
@@ -221,22 +190,5 @@ mod tests {
         assert_eq!(due, [10, 20, 35, 50, 60, 75, 90]);
         assert_eq!(rounds.file(4), Path::new("1.png"));
         assert_eq!(rounds.newest_due(0, ns(40_000_020)), 3_000_001);
-    }
-
-    #[test]
-    fn files_come_in_natural_order_and_others_are_left_out() {
-        let folder = tempfile::tempdir().unwrap();
-        for name in ["10.PNG", "9.png", "notes.txt", "1.bmp", "09.png"] {
-            std::fs::write(folder.path().join(name), "").unwrap();
-        }
-        let names = |files: Vec<PathBuf>| -> Vec<String> {
-            files.iter().map(|f| f.file_name().unwrap().to_string_lossy().into_owned()).collect()
-        };
-        let path = folder.path().to_str().unwrap();
-        assert_eq!(names(list_files(path).unwrap()), ["1.bmp", "9.png", "09.png", "10.PNG"]);
-        assert_eq!(names(list_files(&format!("{path}/*.png")).unwrap()), ["9.png", "09.png"]);
-        assert!(list_files(&format!("{path}/x*")).unwrap_err().contains("no file matches"));
-        let missing = list_files(&format!("{path}/sub")).unwrap_err();
-        assert!(missing.contains("no file matches"), "{missing}");
     }
 }

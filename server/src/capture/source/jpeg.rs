@@ -1,25 +1,19 @@
 //! JPEG → 8-bit grey. Only the luma is decoded; of the chroma only the Huffman codes are read.
-//!
-//! Decoding is strict: a truncated picture is an error, not one with a grey end.
 
-use std::io::Cursor;
-
-use roundel_core::frame::{Frame, MAX_SIDE_PX};
-use zune_core::{colorspace::ColorSpace, options::DecoderOptions};
-use zune_jpeg::JpegDecoder;
+use roundel_core::frame::Frame;
 
 use super::{SourceError, bad_frame, wrong_size};
+use crate::capture::image_file::jpeg_decoder;
 
 /// A source that gives this many broken pictures in a row fails.
 const MAX_BROKEN: u64 = 50;
 
-/// Why a picture cannot be used.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum JpegError {
-    /// The next one may be whole.
+    /// Damaged; later pictures may be intact.
     Broken(String),
-    /// It has another size (columns, rows), as the next one will have.
-    Size(usize, usize),
+    /// Has this size (columns, rows) instead of the expected one; later pictures will have it too.
+    Size((usize, usize)),
 }
 
 /// A decoder that reuses its buffer.
@@ -36,8 +30,8 @@ impl LumaDecoder {
         Self { size, pixels: Vec::new(), broken_in_a_row: 0 }
     }
 
-    /// Whether a picture is whole. A picture of another size is an error, and so are [`MAX_BROKEN`] broken ones in a
-    /// row; `what` names the picture or its source.
+    /// Whether a picture is intact. A picture of another size is an error, and so are more than [`MAX_BROKEN`] broken ones in
+    /// a row; `what` names the picture or its source.
     pub(super) fn accept(
         &mut self,
         picture: Result<(), JpegError>,
@@ -45,9 +39,7 @@ impl LumaDecoder {
     ) -> Result<bool, SourceError> {
         match picture {
             Ok(()) => self.broken_in_a_row = 0,
-            Err(JpegError::Size(width, height)) => {
-                return Err(wrong_size(&what(), self.size, (width, height)));
-            }
+            Err(JpegError::Size(found)) => return Err(wrong_size(&what(), self.size, found)),
             Err(JpegError::Broken(reason)) => {
                 self.broken_in_a_row += 1;
                 if self.broken_in_a_row > MAX_BROKEN {
@@ -64,24 +56,37 @@ impl LumaDecoder {
     /// Decodes a picture and replaces the one before.
     pub(super) fn decode(&mut self, bytes: &[u8]) -> Result<(), JpegError> {
         let broken = |error: &dyn std::fmt::Display| JpegError::Broken(error.to_string());
-        let options = DecoderOptions::default()
-            .set_max_width(MAX_SIDE_PX)
-            .set_max_height(MAX_SIDE_PX)
-            .set_strict_mode(true)
-            .jpeg_set_out_colorspace(ColorSpace::Luma);
-        let mut decoder = JpegDecoder::new_with_options(Cursor::new(bytes), options);
+        let mut decoder = jpeg_decoder(bytes);
         decoder.decode_headers().map_err(|error| broken(&error))?;
         let info = decoder.info().ok_or_else(|| broken(&"no image header"))?;
-        let found = (usize::from(info.width), usize::from(info.height));
+        let found @ (width, height) = (usize::from(info.width), usize::from(info.height));
         if found != self.size {
-            return Err(JpegError::Size(found.0, found.1));
+            return Err(JpegError::Size(found));
         }
-        let length = found.0 * found.1;
-        if decoder.output_buffer_size() != Some(length) {
+        if decoder.output_buffer_size() != Some(width * height) {
             return Err(broken(&"its colours are not YCbCr or grey"));
         }
-        self.pixels.resize(length, 0);
+        self.pixels.resize(width * height, 0);
         decoder.decode_into(&mut self.pixels).map_err(|error| broken(&error))
+    }
+
+    /// Replaces the picture by one of `size` that is grey already.
+    pub(super) fn replace(
+        &mut self,
+        pixels: Vec<u8>,
+        size @ (width, height): (usize, usize),
+    ) -> Result<(), JpegError> {
+        if size != self.size {
+            return Err(JpegError::Size(size));
+        }
+        let (expected, found) = (width * height, pixels.len());
+        if found != expected {
+            return Err(JpegError::Broken(format!(
+                "expected {expected} pixels for {width} x {height}, found {found}"
+            )));
+        }
+        self.pixels = pixels;
+        Ok(())
     }
 
     /// The pixels of the last picture, row by row.
@@ -134,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_cut_or_damaged_is_broken_and_another_size_is_told() {
+    fn truncated_pictures_are_broken_and_another_size_is_reported() {
         let (jpeg, _) = picture((64, 48), SamplingFactor::F_2_2);
         let mut decoder = LumaDecoder::new((64, 48));
         assert_eq!(decoder.decode(&jpeg), Ok(()));
@@ -142,7 +147,7 @@ mod tests {
             let found = decoder.decode(&jpeg[..cut]);
             assert!(matches!(found, Err(JpegError::Broken(_))), "{cut}: {found:?}");
         }
-        assert_eq!(LumaDecoder::new((64, 47)).decode(&jpeg), Err(JpegError::Size(64, 48)));
+        assert_eq!(LumaDecoder::new((64, 47)).decode(&jpeg), Err(JpegError::Size((64, 48))));
         assert!(LumaDecoder::new((64, 48)).frame().is_err());
     }
 }

@@ -5,6 +5,7 @@
 //! the worker's supervisor opens the source again.
 
 use std::{
+    panic::{AssertUnwindSafe, catch_unwind},
     sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
     thread::{self, JoinHandle},
     time::{Duration, Instant},
@@ -30,54 +31,38 @@ struct MailboxState<T> {
     end: Option<SourceError>,
 }
 
-struct Shared<T> {
+/// The receiving thread's side.
+pub(super) struct MailboxSender<T> {
     state: Mutex<MailboxState<T>>,
     changed: Condvar,
     cancelled: CancellationToken,
 }
 
-impl<T> Shared<T> {
+impl<T> MailboxSender<T> {
     fn lock(&self) -> MutexGuard<'_, MailboxState<T>> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
-}
 
-/// The receiving thread's side.
-pub(super) struct MailboxSender<T>(Arc<Shared<T>>);
-
-impl<T> Clone for MailboxSender<T> {
-    fn clone(&self) -> Self {
-        Self(self.0.clone())
-    }
-}
-
-impl<T> MailboxSender<T> {
     pub(super) fn send(&self, item: T) {
-        let mut state = self.0.lock();
+        let mut state = self.lock();
         let replaced = state.newest.replace(item);
         state.replaced += u64::from(replaced.is_some());
         drop(state);
-        self.0.changed.notify_one();
+        self.changed.notify_one();
     }
 
     pub(super) fn count_broken(&self, count: u64) {
-        self.0.lock().broken += count;
+        self.lock().broken += count;
     }
 
     /// Sets the explanation for a later stall.
     pub(super) fn hint(&self, hint: &'static str) {
-        self.0.lock().hint = hint;
-    }
-
-    /// Ends the feed with a reason; only the first one counts.
-    pub(super) fn end(&self, error: SourceError) {
-        self.0.lock().end.get_or_insert(error);
-        self.0.changed.notify_one();
+        self.lock().hint = hint;
     }
 
     /// Resolves when the consumer is dropped.
     pub(super) async fn cancelled(&self) {
-        self.0.cancelled.cancelled().await;
+        self.cancelled.cancelled().await;
     }
 }
 
@@ -90,7 +75,7 @@ pub(super) struct Received<T> {
 }
 
 pub(super) struct Mailbox<T> {
-    shared: Arc<Shared<T>>,
+    shared: Arc<MailboxSender<T>>,
     thread: Option<JoinHandle<()>>,
     stop: StopSignal,
 }
@@ -102,23 +87,20 @@ impl<T: Send + 'static> Mailbox<T> {
         stop: StopSignal,
         receive: impl FnOnce(&MailboxSender<T>) -> SourceError + Send + 'static,
     ) -> Result<Self, SourceError> {
-        let shared = Arc::new(Shared {
-            state: Mutex::new(MailboxState {
-                newest: None,
-                replaced: 0,
-                broken: 0,
-                hint: "",
-                end: None,
-            }),
+        let (newest, end) = (None, None);
+        let shared = Arc::new(MailboxSender {
+            state: Mutex::new(MailboxState { newest, replaced: 0, broken: 0, hint: "", end }),
             changed: Condvar::new(),
             cancelled: CancellationToken::new(),
         });
-        let sink = MailboxSender(shared.clone());
+        let sender = shared.clone();
         let run = move || {
-            // The drop of the guard reports a panic.
-            let guard = CloseOnDrop(sink);
-            let why = receive(&guard.0);
-            guard.0.end(why);
+            let end = catch_unwind(AssertUnwindSafe(|| receive(&sender))).unwrap_or_else(|_| {
+                let message = "internal error, please report it: the receiving thread ended";
+                SourceError::Failed(message.to_owned())
+            });
+            sender.lock().end = Some(end);
+            sender.changed.notify_one();
         };
         let thread = thread::Builder::new().name(name.to_owned()).spawn(run).map_err(|error| {
             SourceError::Failed(format!("cannot start the thread `{name}`: {error}"))
@@ -155,7 +137,8 @@ impl<T: Send + 'static> Mailbox<T> {
     }
 }
 
-fn stalled(patience: Duration, hint: &str, broken: u64) -> String {
+/// Message of a stall.
+pub(super) fn stalled(patience: Duration, hint: &str, broken: u64) -> String {
     let mut message = format!("stalled: no picture for {:.1} s", patience.as_secs_f64());
     if broken > 0 {
         message.push_str(&format!(", {broken} broken"));
@@ -175,22 +158,11 @@ impl<T> Drop for Mailbox<T> {
             thread::sleep(Duration::from_millis(1));
         }
         if thread.is_finished() {
-            // A panic was already reported as the end of the feed.
             let _ = thread.join();
         } else {
             let name = thread.thread().name().unwrap_or_default();
             tracing::warn!(thread = name, "does not end and is detached");
         }
-    }
-}
-
-/// Ends the feed when the thread ends, also by a panic.
-struct CloseOnDrop<T>(MailboxSender<T>);
-
-impl<T> Drop for CloseOnDrop<T> {
-    fn drop(&mut self) {
-        let message = "internal error, please report it: the receiving thread ended";
-        self.0.end(SourceError::Failed(message.to_owned()));
     }
 }
 
@@ -213,8 +185,14 @@ mod tests {
         }
     }
 
+    fn wait_for_drop(sink: &MailboxSender<u32>) {
+        while !sink.cancelled.is_cancelled() {
+            thread::sleep(Duration::from_millis(1));
+        }
+    }
+
     #[test]
-    fn the_newest_wins_and_what_it_replaced_is_counted() {
+    fn the_newest_item_wins_and_replaced_ones_are_counted() {
         let (go, gone) = channel::<()>();
         let (done, finished) = channel();
         let mailbox = Mailbox::start("feed", StopSignal::default(), move |sink| {
@@ -235,14 +213,12 @@ mod tests {
     }
 
     #[test]
-    fn a_stall_says_what_came_instead_and_ends_the_thread() {
+    fn a_stall_is_explained_and_the_thread_ends_with_the_mailbox() {
         let (done, finished) = channel();
         let mailbox = Mailbox::<u32>::start("feed", StopSignal::default(), move |sink| {
             sink.hint("what arrives is text");
             sink.count_broken(7);
-            while !sink.0.cancelled.is_cancelled() {
-                thread::sleep(Duration::from_millis(1));
-            }
+            wait_for_drop(sink);
             done.send(()).unwrap();
             SourceError::Finished
         })
@@ -257,14 +233,12 @@ mod tests {
     }
 
     #[test]
-    fn a_panic_and_the_servers_end_are_told() {
+    fn a_panic_and_the_stop_signal_are_reported() {
         let stop = StopSignal::default();
         let mailbox = Mailbox::<u32>::start("feed", stop.clone(), |_| panic!("the socket bit me"));
         assert!(failed(next(&mailbox.unwrap())).contains("internal error"));
         let mailbox = Mailbox::<u32>::start("feed", stop.clone(), |sink| {
-            while !sink.0.cancelled.is_cancelled() {
-                thread::sleep(Duration::from_millis(1));
-            }
+            wait_for_drop(sink);
             SourceError::Finished
         });
         stop.stop();

@@ -1,20 +1,16 @@
 //! Where frames come from: [`FrameSource`], opened from a [`SourceAddress`].
 //!
-//! | module | source |
+//! | module | source, or purpose of a module that sources share |
 //! | --- | --- |
-//! | `images` | `images:` – files played in real time |
-//! | `sim` | `sim:` – a simulated camera, rendered while it is watched; its robots can be driven ([`fleet`]) |
-//! | `playback` | when each of their frames is due |
+//! | `images` | `images:` – image files, played in real time |
+//! | `image_list` | the files of a folder or pattern |
+//! | `sim` | `sim:` – a simulated camera; clients can drive its robots ([`fleet`]) |
 //! | `http` | `http://…` – MJPEG of network cameras, or their snapshots |
 //! | [`v4l2`] | `v4l2:` – cameras of this machine; on Linux |
 //! | [`push`] | `push:` – frames and detections of a remote program |
-//! | `gst` | `rtsp://…`, `file:`, `gst:` – what GStreamer plays; with the Cargo feature `gst` |
-//!
-//! Shared modules:
-//!
-//! | module | purpose |
-//! | --- | --- |
-//! | `timing` | clocks of capture times, and the mapping of a camera's counter to the server's clock |
+//! | `gst` | `rtsp://…`, `file:`, `gst:` – GStreamer; with the Cargo feature `gst` |
+//! | `playback` | time line of files and simulation |
+//! | `timing` | mapping of a camera's counter to the server's clock |
 //! | [`pixels`] | pixel formats of cameras → 8-bit grey |
 //! | `jpeg` | JPEG → luma |
 //! | `mailbox` | a receiving thread with a mailbox for the newest frame; a stall is an error |
@@ -26,6 +22,7 @@
 #[cfg(feature = "gst")]
 mod gst;
 mod http;
+pub mod image_list;
 mod images;
 mod jpeg;
 mod mailbox;
@@ -45,19 +42,20 @@ use thiserror::Error;
 pub use playback::{Playback, TimesError};
 pub use sim::{SIM_LATENCY_S, fleet};
 
-use crate::model::{address::SourceAddress, capture_clock::CaptureClock};
-use crate::model::{clock::Clock, stop::StopSignal};
+use crate::model::{
+    address::SourceAddress, capture_clock::CaptureClock, clock::Clock, redact::redact,
+    source_rules::SourceRules, stop::StopSignal,
+};
 
 /// Capture time and counts of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameInfo {
     /// Middle of the exposure at the middle row, on the server's clock.
     pub capture_time: Timestamp,
-    /// Clock of the capture time, and its accuracy.
     pub clock: CaptureClock,
-    /// Frames skipped since the one before, because they came too fast.
+    /// Frames skipped since the previous one because they came too fast.
     pub skipped: u64,
-    /// Frames dropped since the one before, because they arrived broken.
+    /// Frames dropped since the previous one because they arrived broken.
     pub broken: u64,
     pub decoding: Duration,
 }
@@ -73,7 +71,6 @@ impl FrameInfo {
 /// A frame, valid until the source returns the next one.
 #[derive(Clone, Copy, Debug)]
 pub struct LentFrame<'a> {
-    /// The pixels.
     pub frame: Frame<'a>,
     pub info: FrameInfo,
 }
@@ -85,78 +82,71 @@ pub enum SourceError {
     Stopped,
     #[error("no more frames")]
     Finished,
-    /// Pictures of another size than the camera file's.
     #[error(
         "{what}: expected an image of {} x {} pixels as the camera file says, found {} x {}",
         .expected.0, .expected.1, .found.0, .found.1
     )]
-    Size {
-        what: String,
-        /// Columns and rows, as the camera file says.
-        expected: (usize, usize),
-        found: (usize, usize),
-    },
-    /// What failed and what to do.
-    #[error("{0}")]
+    Size { what: String, expected: (usize, usize), found: (usize, usize) },
+    /// What failed and what to do. May quote an address, so it is shown without secrets.
+    #[error("{}", redact(.0))]
     Failed(String),
 }
 
-/// What was seen in a frame that was searched elsewhere.
+/// Detections of a frame that was searched elsewhere.
 #[derive(Clone, Debug)]
 pub struct RemoteDetections {
-    /// What was seen; the worker gives it its camera and number.
+    /// The worker replaces the camera and the frame number.
     pub observations: FrameObservations,
-    /// Where its times come from, and how far off they may be.
     pub clock: CaptureClock,
-    /// Frames that never came since the one before.
+    /// Frames missing since the previous one.
     pub skipped: u64,
-    /// How the camera does there, if that is known.
     pub figures: Option<push::RemoteStats>,
 }
 
 #[derive(Debug)]
 pub enum SourceOutput<'a> {
-    /// A frame, to be searched.
+    /// A frame to search.
     Frame(LentFrame<'a>),
     Detections(Box<RemoteDetections>),
 }
 
 /// A stream of 8-bit grey frames.
 pub trait FrameSource: Send {
-    /// Waits for the next frame and lends it, of the size of the camera's calibration. A stop signal
-    /// ends the wait at once.
+    /// Waits for the next frame and lends it. The frame has the size of the camera's calibration. A stop signal ends
+    /// the wait at once.
     fn next_frame(&mut self) -> Result<LentFrame<'_>, SourceError>;
 
-    /// The same of a source that may have searched its frames already.
+    /// Like [`Self::next_frame`], for sources that also yield detections.
     fn next(&mut self) -> Result<SourceOutput<'_>, SourceError> {
         self.next_frame().map(SourceOutput::Frame)
     }
 
-    /// Frames a second that the camera says it gives, as far as is known once a frame has come; `None`: it does not
-    /// say.
+    /// Frame rate that the camera announces; known after the first frame at the latest.
     fn promised_hz(&self) -> Option<f64> {
         None
     }
 }
 
-/// What every camera source is opened with.
-#[derive(Clone, Copy, Debug)]
+/// What every source is opened with.
+#[derive(Clone, Debug)]
 struct SourceParts {
-    /// Columns and rows of the camera's calibration.
+    /// Columns and rows of the camera's calibration; images of another size are an error.
     size: (usize, usize),
     clock: Clock,
+    stop: StopSignal,
 }
 
-/// What a worker opens its source with, and opens it again after a failure.
+/// Opens a worker's source, and opens it again after a failure.
 pub trait OpenSource: Send {
     fn open(&mut self) -> Result<Box<dyn FrameSource>, SourceError>;
 
-    /// Waits before it is opened again: so long, unless the source knows better. Whether the server goes down.
+    /// Waits before the source is opened again; returns whether the stop signal came. A source may end the wait
+    /// earlier or later.
     fn pause(&mut self, pause: Duration, stop: &StopSignal) -> bool {
         stop.wait(pause)
     }
 
-    /// Whether there is nothing to be opened: somebody comes, or does not.
+    /// Whether a remote program feeds the source, so that opening it only waits for the program.
     fn is_pushed(&self) -> bool {
         false
     }
@@ -170,17 +160,14 @@ pub trait OpenSource: Send {
 /// Opens the source of a [`SourceAddress`].
 pub struct SourceOpener {
     address: SourceAddress,
-    /// Size in the camera's calibration; images of another size are an error.
-    size: (usize, usize),
-    clock: Clock,
+    parts: SourceParts,
     playback: Playback,
-    stop: StopSignal,
     /// When the first frame was or will be due; kept from one opening to the next.
     began: Option<Timestamp>,
-    /// Where a remote program's frames arrive.
     push_endpoint: Arc<push::PushEndpoint>,
-    /// The simulated worlds of this server.
     fleets: Arc<fleet::Fleets>,
+    /// `None`: the source is one of the configuration file.
+    rules: Option<Arc<SourceRules>>,
 }
 
 impl SourceOpener {
@@ -192,63 +179,60 @@ impl SourceOpener {
         playback: Playback,
         stop: StopSignal,
     ) -> Self {
+        let parts = SourceParts { size, clock, stop };
         let (push_endpoint, fleets) = Default::default();
-        Self { address, size, clock, playback, stop, began: None, push_endpoint, fleets }
+        Self { address, parts, playback, began: None, push_endpoint, fleets, rules: None }
     }
 
-    /// The same, with the endpoint at which a `push:` source's frames arrive.
+    /// Sets the endpoint at which a `push:` source's frames arrive.
     pub fn with_push_endpoint(self, push_endpoint: Arc<push::PushEndpoint>) -> Self {
         Self { push_endpoint, ..self }
     }
 
-    /// The same, with the worlds that `sim:` sources share.
+    /// Sets the rules that bind the source; `None` for one of the configuration file.
+    pub fn with_rules(self, rules: Option<Arc<SourceRules>>) -> Self {
+        Self { rules, ..self }
+    }
+
+    /// Sets the worlds that `sim:` sources share.
     pub fn with_fleets(self, fleets: Arc<fleet::Fleets>) -> Self {
         Self { fleets, ..self }
     }
 }
 
 impl OpenSource for SourceOpener {
-    /// A source that is opened again goes on where it would be by now.
+    /// A source that is opened again continues where it would be by now.
     fn open(&mut self) -> Result<Box<dyn FrameSource>, SourceError> {
-        let parts = SourceParts { size: self.size, clock: self.clock };
+        let (parts, origin) = (self.parts.clone(), self.playback.origin);
         match &self.address {
             SourceAddress::Images(address) => {
-                let start = self.began.unwrap_or(self.playback.origin.max(self.clock.now()));
-                let schedule = images::Schedule::read(address, &self.playback, start)?;
+                let start = self.began.unwrap_or(origin.max(parts.clock.now()));
+                let rules = self.rules.as_deref();
+                let schedule =
+                    images::Schedule::read(address, rules, &self.playback, start, &parts.stop)?;
                 self.began = Some(start);
-                Ok(Box::new(images::ImageSource::new(
-                    schedule,
-                    self.size,
-                    self.clock,
-                    self.stop.clone(),
-                )))
+                Ok(Box::new(images::ImageSource::new(schedule, parts)))
             }
-            SourceAddress::Sim(address) => Ok(Box::new(sim::SimSource::open(
-                address,
-                (&self.fleets, self.playback.origin),
-                self.clock,
-                self.stop.clone(),
-            )?)),
+            SourceAddress::Sim(address) => {
+                Ok(Box::new(sim::SimSource::open(address, &self.fleets, origin, parts)?))
+            }
             SourceAddress::Http(address) => {
-                Ok(Box::new(http::HttpSource::open(address, parts, self.stop.clone())?))
+                Ok(Box::new(http::HttpSource::open(address, self.rules.clone(), parts)?))
             }
             SourceAddress::Push(address) => {
-                let parts = push::PushSourceParams { size: self.size, patience: address.stall };
-                Ok(Box::new(push::PushSource::open(
-                    self.push_endpoint.clone(),
-                    parts,
-                    self.stop.clone(),
-                )?))
+                let endpoint = self.push_endpoint.clone();
+                Ok(Box::new(push::PushSource::open(endpoint, address.stall, parts)?))
             }
             #[cfg(all(target_os = "linux", target_pointer_width = "64"))]
-            SourceAddress::Device(address) => v4l2::open(address, parts, self.stop.clone()),
+            SourceAddress::Device(address) => v4l2::open(address, parts),
             #[cfg(not(all(target_os = "linux", target_pointer_width = "64")))]
             SourceAddress::Device(address) => Err(SourceError::Failed(format!(
                 "{address}: `v4l2:` is for Linux on 64-bit machines; use `gst:` with this system's camera source"
             ))),
             #[cfg(feature = "gst")]
             SourceAddress::Media(address) => {
-                Ok(Box::new(gst::GstSource::open(address, parts, self.stop.clone())?))
+                let rules = self.rules.as_deref();
+                Ok(Box::new(gst::GstSource::open(address, rules, parts)?))
             }
             #[cfg(not(feature = "gst"))]
             SourceAddress::Media(address) => Err(SourceError::Failed(format!(
@@ -261,10 +245,7 @@ impl OpenSource for SourceOpener {
     }
 
     fn pause(&mut self, pause: Duration, stop: &StopSignal) -> bool {
-        match &self.address {
-            SourceAddress::Push(_) => self.push_endpoint.pause(pause, stop),
-            _ => stop.wait(pause),
-        }
+        if self.is_pushed() { self.push_endpoint.pause(pause, stop) } else { stop.wait(pause) }
     }
 
     fn is_pushed(&self) -> bool {
@@ -276,17 +257,12 @@ impl OpenSource for SourceOpener {
     }
 }
 
-/// The image files of a folder or pattern, or the one file, in natural order; the error says what is missing.
-pub fn image_files(pattern: &str) -> Result<Vec<std::path::PathBuf>, String> {
-    images::list_files(pattern)
-}
-
 /// The error of a frame of another size than the camera file's.
 fn wrong_size(what: &str, expected: (usize, usize), found: (usize, usize)) -> SourceError {
     SourceError::Size { what: what.to_owned(), expected, found }
 }
 
-/// The error of bytes that a source promised to be a picture, which is a bug of it.
+/// The error of bytes that contradict the format their source announced, which is a bug.
 fn bad_frame(error: impl std::fmt::Display) -> SourceError {
     SourceError::Failed(format!("internal error, please report it: {error}"))
 }

@@ -1,29 +1,29 @@
-//! What cameras send → 8-bit grey: luma, mosaics, deep and packed samples.
+//! Pixel formats of cameras → 8-bit grey.
 //!
-//! | format | grey | what it costs |
+//! | format | grey | cost |
 //! | --- | --- | --- |
 //! | 8-bit grey; YUV with the luma in a plane of its own (NV12, I420 …) | in place, by its stride | nothing |
 //! | packed YUV (YUYV, UYVY …) | every second byte | a pass |
-//! | 10 to 16 bits, in words or packed | the upper eight bits, to the nearest level | a pass |
-//! | Bayer mosaic | (1 2 1)ᵀ(1 2 1) / 16 round each pixel | a pass; of deep ones two |
+//! | 10 to 16 bits, in words or packed | the upper eight bits, rounded | a pass |
+//! | Bayer mosaic | (1 2 1)ᵀ(1 2 1) / 16 around each pixel | a pass, or two if its samples are deep |
 //!
-//! The kernel for mosaics weighs red, green and blue 1 : 2 : 1 at every pixel, whatever the mosaic's order and
-//! wherever the pixel lies in it: no pattern stays, nothing moves, and the blur is one of σ² = ½ px² that fits to
-//! the grey levels find like any other. At the border the picture is mirrored, which keeps the mosaic.
+//! The kernel for mosaics weights red, green and blue 1 : 2 : 1 at every pixel, whatever the order of the mosaic and
+//! the position in it: it leaves no pattern and shifts nothing, and blurs with σ² = ½ px². At the border the picture is
+//! mirrored, which continues the mosaic.
 //!
-//! A detector that walked packed YUV in steps of two would save its pass and lose its wide loads everywhere.
-//! Of 1280x720 pixels, on one core of a busy virtual machine (`cargo bench -p roundel-server --bench pixels`): YUYV
-//! 0.5 ms, ten bits in words 0.4, packed by MIPI 3.5, twelve bits packed 6.3, a mosaic 0.2, of twelve bits 0.7.
+//! A detector that read packed YUV with a step of two would save the pass and lose its wide loads everywhere.
+//! Cost of 1280x720 pixels on one core of a virtual machine (`cargo bench -p roundel-server --bench pixels`): YUYV
+//! 0.5 ms, 10 bits in words 0.4, packed by MIPI 3.5, 12 bits packed 6.3, a mosaic 0.2, of 12 bits 0.7.
 
 use roundel_core::frame::{Frame, FrameError};
 use thiserror::Error;
 
-/// How samples are laid out.
+/// Layout of samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SampleFormat {
-    /// A byte each.
+    /// One byte each.
     Eight,
-    /// Two bytes each, the lower one first, of which so many bits count: 10 to 16.
+    /// Little-endian words with this many significant bits, 10 to 16.
     Words(u8),
     /// Four in five bytes: the upper eight bits of each, then the lower two of all, the first lowest (MIPI RAW10).
     Mipi10,
@@ -36,23 +36,19 @@ pub enum SampleFormat {
     Gige12,
 }
 
-/// What the bytes of a picture mean.
+/// Meaning of a picture's bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PixelFormat {
     /// Grey, or the luma plane that YUV begins with.
     Grey(SampleFormat),
-    /// Luma in every second byte, from the first or the second one on.
-    Packed {
-        /// Whether chroma comes first.
-        chroma_first: bool,
-    },
-    /// A Bayer mosaic of whatever order.
+    /// Luma in every second byte.
+    Packed { chroma_first: bool },
+    /// A Bayer mosaic of any order.
     Bayer(SampleFormat),
 }
 
 #[derive(Clone, Copy, Debug)]
 pub struct RawImage<'a> {
-    /// What the bytes mean.
     pub format: PixelFormat,
     pub bytes: &'a [u8],
     /// Columns, pixels.
@@ -63,18 +59,14 @@ pub struct RawImage<'a> {
     pub stride: usize,
 }
 
-/// Why bytes are no picture.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum PixelError {
     #[error(transparent)]
     Frame(#[from] FrameError),
-    /// A mosaic without neighbours.
     #[error("expected a mosaic of at least 2 x 2 pixels, found {width} x {height}")]
     Mosaic { width: usize, height: usize },
-    /// Rows overlap.
     #[error("expected rows of at least {expected} bytes, found {found}")]
     Stride { expected: usize, found: usize },
-    /// Too few bytes.
     #[error("expected at least {expected} bytes for {width} x {height} pixels, found {found}")]
     Length { expected: usize, found: usize, width: usize, height: usize },
 }
@@ -96,7 +88,7 @@ impl SampleFormat {
 impl PixelFormat {
     pub const GREY8: Self = Self::Grey(SampleFormat::Eight);
 
-    /// The format of a four-character code, as Video4Linux has them; `None`: it is compressed, or not known.
+    /// The format of a four-character code of Video4Linux; `None` if it is compressed or unknown.
     pub fn from_fourcc(code: [u8; 4]) -> Option<Self> {
         let bayer = |samples| Some(Self::Bayer(samples));
         match &code {
@@ -131,49 +123,44 @@ impl PixelFormat {
     }
 }
 
-/// Makes grey of pictures; its buffers are used again.
+/// Converts pictures to grey and reuses its buffers.
 #[derive(Clone, Debug, Default)]
 pub struct GreyConverter {
     grey: Vec<u8>,
-    /// A mosaic's samples, brought to eight bits.
+    /// A mosaic's samples, reduced to eight bits.
     mosaic: Vec<u8>,
     sums: Vec<u16>,
 }
 
 impl GreyConverter {
-    /// The grey picture: a view of its own bytes where they are grey already, else of the converter's.
+    /// The grey picture: a view of its own bytes if they are grey already, else of the converter's.
     pub fn grey<'a>(&'a mut self, raw: &RawImage<'a>) -> Result<Frame<'a>, PixelError> {
         let RawImage { format, bytes, width, height, stride } = *raw;
         check(raw)?;
-        let samples = match format {
+        match format {
             PixelFormat::Grey(SampleFormat::Eight) => {
                 return Ok(Frame::new(bytes, width, height, stride)?);
             }
+            PixelFormat::Grey(samples) => {
+                convert_rows(raw, &mut self.grey, |from, to| row_to_8_bits(samples, from, to));
+            }
             PixelFormat::Packed { chroma_first } => {
-                self.grey.resize(width * height, 0);
-                for (from, to) in rows(raw).zip(self.grey.chunks_exact_mut(width)) {
-                    extract_luma(from, chroma_first, to);
-                }
-                return Ok(Frame::new(&self.grey, width, height, width)?);
+                let at = usize::from(chroma_first);
+                convert_rows(raw, &mut self.grey, |from, to| {
+                    for (pair, grey) in from.chunks_exact(2).zip(to) {
+                        *grey = pair[at];
+                    }
+                });
             }
-            PixelFormat::Grey(samples) | PixelFormat::Bayer(samples) => samples,
-        };
-        let narrowed = match format {
-            PixelFormat::Bayer(_) => &mut self.mosaic,
-            _ => &mut self.grey,
-        };
-        if samples != SampleFormat::Eight {
-            narrowed.resize(width * height, 0);
-            for (from, to) in rows(raw).zip(narrowed.chunks_exact_mut(width)) {
-                row_to_8_bits(samples, from, to);
+            PixelFormat::Bayer(SampleFormat::Eight) => {
+                let mosaic = Frame::new(bytes, width, height, stride)?;
+                demosaic(&mosaic, &mut self.sums, &mut self.grey);
             }
-        }
-        if matches!(format, PixelFormat::Bayer(_)) {
-            let mosaic = match samples {
-                SampleFormat::Eight => Frame::new(bytes, width, height, stride)?,
-                _ => Frame::new(&self.mosaic, width, height, width)?,
-            };
-            demosaic(&mosaic, &mut self.sums, &mut self.grey);
+            PixelFormat::Bayer(samples) => {
+                convert_rows(raw, &mut self.mosaic, |from, to| row_to_8_bits(samples, from, to));
+                let mosaic = Frame::new(&self.mosaic, width, height, width)?;
+                demosaic(&mosaic, &mut self.sums, &mut self.grey);
+            }
         }
         Ok(Frame::new(&self.grey, width, height, width)?)
     }
@@ -181,7 +168,7 @@ impl GreyConverter {
 
 fn check(raw: &RawImage<'_>) -> Result<(), PixelError> {
     let RawImage { format, bytes, width, height, stride } = *raw;
-    // A picture of no bytes is checked for its sides alone.
+    // Without bytes, only the size is checked.
     if let Err(error @ FrameError::Size { .. }) = Frame::new(&[], width, height, width) {
         return Err(error.into());
     }
@@ -199,20 +186,16 @@ fn check(raw: &RawImage<'_>) -> Result<(), PixelError> {
     Ok(())
 }
 
-/// The rows' bytes, without what lies between them.
-fn rows<'a>(raw: &RawImage<'a>) -> impl Iterator<Item = &'a [u8]> {
+/// Converts each row, without the bytes between rows.
+fn convert_rows(raw: &RawImage<'_>, to: &mut Vec<u8>, convert: impl Fn(&[u8], &mut [u8])) {
     let row_bytes = raw.format.row_bytes(raw.width);
-    raw.bytes.chunks(raw.stride).take(raw.height).map(move |row| &row[..row_bytes])
-}
-
-fn extract_luma(from: &[u8], chroma_first: bool, to: &mut [u8]) {
-    let at = usize::from(chroma_first);
-    for (pair, grey) in from.chunks_exact(2).zip(to) {
-        *grey = pair[at];
+    to.resize(raw.width * raw.height, 0);
+    for (from, to) in raw.bytes.chunks(raw.stride).zip(to.chunks_exact_mut(raw.width)) {
+        convert(&from[..row_bytes], to);
     }
 }
 
-/// The upper eight of so many bits, to the nearest level.
+/// The upper eight of `bits` bits, rounded.
 fn to_upper_8_bits(sample: u16, bits: u8) -> u8 {
     let shift = u32::from(bits.clamp(9, 16)) - 8;
     let rounded = (u32::from(sample) + (1 << (shift - 1))) >> shift;
@@ -227,48 +210,39 @@ fn row_to_8_bits(samples: SampleFormat, from: &[u8], to: &mut [u8]) {
                 *grey = to_upper_8_bits(u16::from_le_bytes([pair[0], pair[1]]), bits);
             }
         }
-        SampleFormat::Mipi10 => groups::<5, 4>(from, to, |b| {
-            [0, 1, 2, 3]
-                .map(|i| to_upper_8_bits(u16::from(b[i]) << 2 | u16::from(b[4] >> (2 * i) & 3), 10))
+        SampleFormat::Mipi10 => groups::<5, 4>(from, to, 10, |b| {
+            [0, 1, 2, 3].map(|i| u16::from(b[i]) << 2 | u16::from(b[4] >> (2 * i) & 3))
         }),
-        SampleFormat::Bits10 => groups::<5, 4>(from, to, |b| {
-            let word = |i: usize| u16::from_le_bytes([b[i], b[i + 1]]);
-            [0, 1, 2, 3].map(|i| to_upper_8_bits(word(i) >> (2 * i) & 0x3FF, 10))
+        SampleFormat::Bits10 => groups::<5, 4>(from, to, 10, |b| {
+            [0, 1, 2, 3].map(|i| u16::from_le_bytes([b[i], b[i + 1]]) >> (2 * i) & 0x3FF)
         }),
-        SampleFormat::Mipi12 => groups::<3, 2>(from, to, |b| {
+        SampleFormat::Mipi12 => groups::<3, 2>(from, to, 12, |b| {
             let [first, second, low] = b.map(u16::from);
-            [
-                to_upper_8_bits(first << 4 | low & 15, 12),
-                to_upper_8_bits(second << 4 | low >> 4, 12),
-            ]
+            [first << 4 | low & 15, second << 4 | low >> 4]
         }),
-        SampleFormat::Bits12 => groups::<3, 2>(from, to, |b| {
+        SampleFormat::Bits12 => groups::<3, 2>(from, to, 12, |b| {
             let [low, middle, high] = b.map(u16::from);
-            [
-                to_upper_8_bits(low | (middle & 15) << 8, 12),
-                to_upper_8_bits(middle >> 4 | high << 4, 12),
-            ]
+            [low | (middle & 15) << 8, middle >> 4 | high << 4]
         }),
-        SampleFormat::Gige12 => groups::<3, 2>(from, to, |b| {
+        SampleFormat::Gige12 => groups::<3, 2>(from, to, 12, |b| {
             let [first, low, second] = b.map(u16::from);
-            [
-                to_upper_8_bits(first << 4 | low & 15, 12),
-                to_upper_8_bits(second << 4 | low >> 4, 12),
-            ]
+            [first << 4 | low & 15, second << 4 | low >> 4]
         }),
     }
 }
 
-/// Walks groups of `BYTES` that hold `PIXELS`; the last one may be cut.
+/// Unpacks groups of `BYTES` that hold `PIXELS` samples; the last one may be incomplete.
 fn groups<const BYTES: usize, const PIXELS: usize>(
     from: &[u8],
     to: &mut [u8],
-    unpack: impl Fn([u8; BYTES]) -> [u8; PIXELS],
+    bits: u8,
+    unpack: impl Fn([u8; BYTES]) -> [u16; PIXELS],
 ) {
     for (group, greys) in from.chunks(BYTES).zip(to.chunks_mut(PIXELS)) {
         let mut whole = [0; BYTES];
         whole[..group.len()].copy_from_slice(group);
-        greys.copy_from_slice(&unpack(whole)[..greys.len()]);
+        let samples = unpack(whole).map(|sample| to_upper_8_bits(sample, bits));
+        greys.copy_from_slice(&samples[..greys.len()]);
     }
 }
 

@@ -1,26 +1,23 @@
 //! When recorded and simulated frames are due: one time line for all cameras of an installation.
 //!
-//! Playback begins at one instant of the server's clock, the *origin*, shortly after the start so
-//! that every camera is ready. `images:` with `fps=` shows its first file there; of all `times=`
-//! files together the earliest time falls there, and the others keep their distance to it, so that
-//! cameras stay as they were to one another. With `clock=file` the server's clock itself is set so
-//! that this earliest time *is* the origin: capture times are then those of the files, verbatim, and
-//! snapshots are on the same time, which is what comparing with a recorded truth needs.
+//! Playback begins at one instant of the server's clock, the *origin*, shortly after the start so that every camera is
+//! ready. `images:` with `fps=` shows its first file there. The earliest time of all `times=` files falls there, and
+//! the others keep their distance to it, so that cameras stay synchronized. With `clock=file` the server's clock is
+//! set so that the earliest time *is* the origin: capture times and snapshots then have the times of the files, for
+//! comparison with a recorded ground truth.
 
-use std::{
-    fs, io,
-    path::{Path, PathBuf},
-    time::Instant,
-};
+use std::{path::Path, time::Instant};
 
 use roundel_core::time::Timestamp;
 use thiserror::Error;
 
-use crate::model::address::SourceAddress;
-use crate::model::clock::Clock;
+use crate::model::{address::SourceAddress, clock::Clock, regular_file};
 
 /// From the server's start to the origin.
 const START_DELAY_NS: i64 = 500_000_000;
+/// A longer file has no capture times.
+const MAX_TIMES_BYTES: u64 = 64 << 20;
+const EXAMPLE_NS: i64 = 1_700_000_000_123_456_789;
 
 /// The time line of recorded and simulated frames.
 #[derive(Clone, Copy, Debug)]
@@ -35,54 +32,31 @@ pub struct Playback {
 
 /// Why a file of capture times cannot be used.
 #[derive(Debug, Error)]
-pub enum TimesError {
-    /// It cannot be read.
-    #[error("cannot read the capture times {}: {source}", .path.display())]
-    Read { path: PathBuf, source: io::Error },
-    /// A line is no time.
-    #[error("{}:{line}: expected nanoseconds since the Unix epoch, found {found:?}", .path.display())]
-    Line {
-        path: PathBuf,
-        /// From 1.
-        line: usize,
-        found: String,
-    },
-    /// Times go backwards or stand still.
-    #[error("{}:{line}: expected a time after that of the line before, found {found}", .path.display())]
-    Order {
-        path: PathBuf,
-        /// From 1.
-        line: usize,
-        found: i64,
-    },
-    /// There is none.
-    #[error("{}: expected capture times, one a line, found none", .path.display())]
-    Empty { path: PathBuf },
-}
+#[error("{0}")]
+pub struct TimesError(String);
 
 impl Playback {
-    /// The server's clock and the time line of these sources. Times that cannot be read are left to
-    /// the camera that needs them, which fails and tries again, except where the clock depends on
-    /// them.
+    /// The server's clock and the time line of these sources. A file that cannot be read is an error only if the clock
+    /// depends on it; otherwise its camera fails and retries.
     pub fn begin<'a>(
         addresses: impl Iterator<Item = &'a SourceAddress> + Clone,
     ) -> Result<(Clock, Self), TimesError> {
         let file_clock = addresses.clone().any(SourceAddress::follows_file_clock);
-        let (mut zero, mut end): (Option<Timestamp>, Option<Timestamp>) = (None, None);
+        let mut rounds = Vec::new();
         for address in addresses {
             let SourceAddress::Images(images) = address else { continue };
             let Some(path) = &images.times else { continue };
             match read_times(path) {
                 Ok(times) => {
-                    let (first, last) = (times[0], times[times.len() - 1]);
-                    zero = Some(zero.map_or(first, |zero| zero.min(first)));
-                    let round_end = last.plus_ns(mean_interval_ns(&times));
-                    end = Some(end.map_or(round_end, |end| end.max(round_end)));
+                    let end = times[times.len() - 1].plus_ns(mean_interval_ns(&times));
+                    rounds.push((times[0], end));
                 }
                 Err(error) if images.file_clock => return Err(error),
                 Err(_) => {}
             }
         }
+        let zero = rounds.iter().map(|(begin, _)| *begin).min();
+        let end = rounds.iter().map(|(_, end)| *end).max();
         let clock = match zero.filter(|_| file_clock) {
             Some(zero) => Clock::anchored(Instant::now(), zero.plus_ns(-START_DELAY_NS)),
             None => Clock::anchored_now(),
@@ -100,36 +74,40 @@ pub(super) fn mean_interval_ns(times: &[Timestamp]) -> i64 {
     }
 }
 
-/// Reads a file of increasing times, at least one; empty lines and `#` comments are skipped.
+/// Reads a file of increasing times, at least one; empty lines and `#` comments are skipped. Errors do not quote the
+/// file, since clients can name it.
 pub(super) fn read_times(path: &Path) -> Result<Vec<Timestamp>, TimesError> {
-    let at = || path.to_owned();
-    let text =
-        fs::read_to_string(path).map_err(|source| TimesError::Read { path: at(), source })?;
+    let name = path.display();
+    let text = regular_file::read_text(path, MAX_TIMES_BYTES)
+        .map_err(|error| TimesError(format!("cannot read the capture times {name}: {error}")))?;
     let mut times: Vec<Timestamp> = Vec::new();
-    for (index, line) in text.lines().enumerate() {
-        let content = line.split('#').next().unwrap_or_default().trim();
+    for (line, text) in (1..).zip(text.lines()) {
+        let content = text.split('#').next().unwrap_or_default().trim();
         if content.is_empty() {
             continue;
         }
-        let line = index + 1;
-        let ns: i64 = content.parse().map_err(|_| TimesError::Line {
-            path: at(),
-            line,
-            found: content.chars().take(40).collect(),
+        let ns: i64 = content.parse().map_err(|_| {
+            TimesError(format!(
+                "{name}:{line}: expected a whole number of nanoseconds since the Unix epoch, such as {EXAMPLE_NS}"
+            ))
         })?;
         if times.last().is_some_and(|last| last.as_ns() >= ns) {
-            return Err(TimesError::Order { path: at(), line, found: ns });
+            return Err(TimesError(format!(
+                "{name}:{line}: expected a time after that of the line before"
+            )));
         }
         times.push(Timestamp::from_ns(ns));
     }
     if times.is_empty() {
-        return Err(TimesError::Empty { path: at() });
+        return Err(TimesError(format!("{name}: expected capture times, one a line, found none")));
     }
     Ok(times)
 }
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     fn address(folder: &Path, options: &str) -> SourceAddress {
@@ -171,14 +149,15 @@ mod tests {
         for (text, expected) in [
             (
                 "1\n2\nthree\n",
-                "times.txt:3: expected nanoseconds since the Unix epoch, found \"three\"",
+                "times.txt:3: expected a whole number of nanoseconds since the Unix epoch",
             ),
-            ("5\n\n5\n", "times.txt:3: expected a time after that of the line before, found 5"),
+            ("5\n\n5\n", "times.txt:3: expected a time after that of the line before"),
             ("# none\n", "times.txt: expected capture times, one a line, found none"),
         ] {
             fs::write(&path, text).unwrap();
             let error = read_times(&path).unwrap_err().to_string();
             assert!(error.contains(expected), "{error}");
+            assert!(!error.contains("three"), "{error}");
         }
     }
 }

@@ -51,26 +51,18 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
-    /// Errors of the times of frames 40 ms apart whose camera counts from 7 s on, 50 ppm too fast; the way takes
-    /// 20 ms and, but for every eighth, up to 30 more.
-    fn errors_ms(frames: i64) -> Vec<f64> {
-        let mut timeline = CameraTimeline::default();
-        (0..frames)
-            .map(|frame| {
-                let truth = Timestamp::from_ns(1_700_000_000_000_000_000 + frame * 40 * MS);
-                let stamp_ns = 7_000 * MS + frame * 40 * MS + frame * 40 * MS / 20_000;
-                let jitter_ns = if frame % 8 == 0 { 0 } else { (frame * 7919) % 30 * MS };
-                let arrival = truth.plus_ns(20 * MS + jitter_ns);
-                timeline.capture_time(stamp_ns, arrival).seconds_since(truth) * 1e3
-            })
-            .collect()
-    }
-
+    /// Frames 40 ms apart, of a counter that begins at 7 s and is 50 ppm too fast. The delay is 20 ms, and up to 30 ms
+    /// more except for every eighth frame.
     #[test]
-    fn jitter_goes_and_the_shortest_way_stays() {
-        let errors = errors_ms(1000);
-        for (frame, error) in errors.iter().enumerate() {
-            assert!((error - 20.0).abs() < 0.6, "frame {frame}: {error} ms");
+    fn jitter_is_removed_and_the_least_delay_remains() {
+        let mut timeline = CameraTimeline::default();
+        for frame in 0..1000 {
+            let truth = Timestamp::from_ns(1_700_000_000_000_000_000 + frame * 40 * MS);
+            let stamp_ns = 7_000 * MS + frame * 40 * MS + frame * 40 * MS / 20_000;
+            let jitter_ns = if frame % 8 == 0 { 0 } else { (frame * 7919) % 30 * MS };
+            let arrival = truth.plus_ns(20 * MS + jitter_ns);
+            let error_ms = timeline.capture_time(stamp_ns, arrival).seconds_since(truth) * 1e3;
+            assert!((error_ms - 20.0).abs() < 0.6, "frame {frame}: {error_ms} ms");
         }
     }
 
@@ -86,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stamp_without_sense_does_no_harm() {
+    fn extreme_stamps_are_clamped_to_the_arrival() {
         let mut timeline = CameraTimeline::default();
         let now = Timestamp::from_ns(1_700_000_000_000_000_000);
         for stamp_ns in [i64::MAX, i64::MIN, 0, -1] {

@@ -1,4 +1,4 @@
-//! What a running camera is told anew: its lens and its pose, both at once, between two frames.
+//! New lens and pose of a running camera, applied between two frames.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -6,27 +6,24 @@ use roundel_core::camera::Camera;
 
 use super::PoseSource;
 
-/// What a camera is from its next frame on.
 #[derive(Clone, Debug)]
 pub struct CalibrationUpdate {
     pub lens: Camera,
     pub pose: PoseSource,
-    /// Of the calibration that says so.
+    /// Version of the calibration that it belongs to.
     pub version: u64,
 }
 
-/// Where a worker looks before each frame; clones are the same. Of two that come between two frames, the
-/// later one counts.
+/// Slot for the newest calibration update of a worker; clones share it.
 #[derive(Clone, Debug, Default)]
 pub struct CalibrationMailbox(Arc<Mutex<Option<CalibrationUpdate>>>);
 
 impl CalibrationMailbox {
-    /// Leaves it for the worker's next frame.
+    /// Replaces an update that the worker has not taken yet.
     pub fn put(&self, calibration_update: CalibrationUpdate) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(calibration_update);
     }
 
-    /// What has come, once.
     pub(super) fn take(&self) -> Option<CalibrationUpdate> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).take()
     }

@@ -1,34 +1,29 @@
 //! One camera's worker: newest frame → detections → observations, on a thread of its own.
 //!
-//! | module | what it does |
+//! | module | purpose |
 //! | --- | --- |
-//! | `supervisor` | runs the worker again after a failure, with backoff |
-//! | `thread_pool` | threads that fit a part of a frame's rings |
+//! | `supervisor` | restarts the worker after a failure, with backoff |
+//! | `thread_pool` | threads that share the precise fits of one frame |
 //! | [`pipeline`] | pixels → detections with poses and times |
-//! | `remote` | what was seen elsewhere, and only passes through |
-//! | `pose_source`, `pose_search` | where the camera stands, and what finds that where it is unknown |
-//! | [`calibration_update`] | a new lens and pose, taken over between two frames |
-//! | `rate_monitor` | whether the camera gives as many frames as was promised |
+//! | `pose_source`, `pose_search` | the camera's pose, and the search for an unknown one |
+//! | [`calibration_update`] | a new lens and pose, applied between two frames |
+//! | `rate_monitor` | compares the frame rate with the promised one |
 //! | [`statistics`] | rates and medians over the newest frames |
 //!
-//! Nothing here waits for anybody but the source: the hub's publishing never blocks, and what
-//! fusion has no room for is dropped and counted.
+//! A worker waits only for its source: publishing to the hub never blocks, and observations that do not fit into the
+//! fusion queue are dropped and counted.
 
 pub mod calibration_update;
 pub mod pipeline;
 mod pose_search;
 mod pose_source;
 mod rate_monitor;
-mod remote;
 pub mod statistics;
 mod supervisor;
 mod thread_pool;
 
 use std::{
-    sync::{
-        Arc,
-        mpsc::{SyncSender, TrySendError},
-    },
+    sync::{Arc, mpsc::SyncSender},
     time::Instant,
 };
 
@@ -42,7 +37,9 @@ pub use pose_source::PoseSource;
 pub use supervisor::run;
 
 use crate::{
-    capture::source::{LentFrame, OpenSource, SourceError, SourceOutput},
+    capture::source::{
+        LentFrame, OpenSource, RemoteDetections, SourceError, SourceOutput, push::RemoteStats,
+    },
     model::{
         clock::Clock,
         hub::{
@@ -59,122 +56,111 @@ use statistics::{RateMeter, RunningMedian};
 
 #[derive(Clone, Debug)]
 pub struct WorkerOutput {
-    /// What was seen in one frame.
     pub observations: Arc<FrameObservations>,
-    /// The camera's pose from this frame on, where it is new.
+    /// The camera's pose from this frame on, if it is new.
     pub placement: Option<CameraPlacement>,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
 pub struct WorkerCounts {
-    /// Frames processed, which their numbers go on from.
+    /// Frames processed; also the number of the newest frame.
     pub frames: u64,
-    /// Frames that gave way to newer ones.
+    /// Frames skipped for newer ones.
     pub dropped: u64,
     pub broken: u64,
-    /// What became of rings and candidates.
     pub detection: DetectionCounts,
 }
 
-/// What a worker is made of.
+impl WorkerCounts {
+    /// Remote programs choose their numbers.
+    fn add_dropped(&mut self, count: u64) {
+        self.dropped = self.dropped.saturating_add(count);
+    }
+}
+
 pub struct WorkerParts {
     pub id: CameraId,
     pub name: String,
     pub opener: Box<dyn OpenSource>,
     pub pipeline: Pipeline,
     pub pose: PoseSource,
-    /// Of the calibration that `pose_source` and the pipeline's lens are of; 0: of the configuration.
+    /// Version of the calibration that `pose` and the pipeline's lens belong to; 0: the configuration.
     pub calibration_version: u64,
-    /// Where news of both arrive.
     pub mailbox: CalibrationMailbox,
     pub hub: Arc<Hub>,
-    /// To fusion; when it is full, the observations are dropped and counted.
+    /// Queue to fusion.
     pub fusion: SyncSender<WorkerOutput>,
     pub clock: Clock,
-    /// Frames a second that the camera is to give, as a person has said; `None`: as its driver says.
+    /// Configured frame rate; `None`: the one that the source announces.
     pub promised_hz: Option<f64>,
-    /// What the camera's worker before this one has counted.
+    /// Counts of the camera's previous worker.
     pub before: WorkerCounts,
 }
 
 pub struct Worker {
     parts: WorkerParts,
     pose_search: Option<PoseSearch>,
-    /// Found and not yet taken by fusion.
+    /// A pose that fusion has not taken yet.
     placement: Option<CameraPlacement>,
-    frames: u64,
-    dropped: u64,
-    rate: RateMeter,
+    /// Without those of the detection, which the pipeline has.
+    counts: WorkerCounts,
+    statistics: FrameStatistics,
     rate_monitor: RateMonitor,
+    /// Arrival of the first frame since the source was opened.
+    running_since: Option<Instant>,
+    has_run: bool,
+}
+
+#[derive(Default)]
+struct FrameStatistics {
+    rate: RateMeter,
     detect_ms: RunningMedian,
     find_ms: RunningMedian,
     locate_ms: RunningMedian,
     blur_px: RunningMedian,
     noise: RunningMedian,
     decode_ms: RunningMedian,
-    broken: u64,
-    /// Since when frames arrive.
-    running_since: Option<Instant>,
-    has_run: bool,
-}
-
-/// Why a worker stopped taking frames.
-#[derive(Clone, Debug, PartialEq, Eq)]
-enum RunOutcome {
-    Stopped,
-    Finished,
-    Failed(String),
 }
 
 impl Worker {
-    /// A worker that has not begun.
     pub fn new(parts: WorkerParts) -> Self {
         let pose_search = parts.pose.start_search();
-        let (pose, camera) = (parts.pose.initial_state(), parts.pipeline.camera().clone());
         parts.hub.update_camera(parts.id, |state| {
-            pose.into_iter().for_each(|pose| state.pose = pose);
-            state.camera = Some(camera);
+            if let Some(pose) = parts.pose.initial_state() {
+                state.pose = pose;
+            }
+            state.camera = Some(parts.pipeline.camera().clone());
             state.calibration_version = parts.calibration_version;
-            // Of one before it that is nobody's news any more.
+            // Clears the state of the previous worker.
             state.status = CameraStatus::Starting;
             state.error.clear();
             state.rate_reason.clear();
             (state.rate_hz, state.promised_hz, state.detections) = (0.0, 0.0, 0);
         });
-        let WorkerCounts { frames, dropped, broken, .. } = parts.before;
         Self {
-            parts,
             pose_search,
             placement: None,
-            frames,
-            dropped,
-            rate: RateMeter::default(),
+            counts: parts.before,
+            statistics: FrameStatistics::default(),
             rate_monitor: RateMonitor::default(),
-            detect_ms: RunningMedian::default(),
-            find_ms: RunningMedian::default(),
-            locate_ms: RunningMedian::default(),
-            blur_px: RunningMedian::default(),
-            noise: RunningMedian::default(),
-            decode_ms: RunningMedian::default(),
-            broken,
             running_since: None,
             has_run: false,
+            parts,
         }
     }
 
     fn counts(&self) -> WorkerCounts {
-        let Self { frames, dropped, broken, .. } = *self;
-        WorkerCounts { frames, dropped, broken, detection: *self.parts.pipeline.counts() }
+        WorkerCounts { detection: *self.parts.pipeline.counts(), ..self.counts }
     }
 
-    /// Opens the source and works until it ends.
-    fn run_once(&mut self) -> RunOutcome {
+    /// Opens the source and processes its frames until it ends; returns the reason.
+    fn run_once(&mut self) -> SourceError {
         self.running_since = None;
-        self.rate = RateMeter::default();
+        self.statistics.rate = RateMeter::default();
         self.parts.pipeline.reset();
         let mut source = match self.parts.opener.open() {
             Ok(source) => source,
-            Err(error) => return outcome_of(error),
+            Err(error) => return error,
         };
         self.rate_monitor.restart(None);
         let mut is_first = true;
@@ -182,74 +168,123 @@ impl Worker {
             match source.next() {
                 Ok(SourceOutput::Frame(lent)) => self.process_frame(&lent),
                 Ok(SourceOutput::Detections(remote)) => self.process_remote(*remote),
-                Err(error) => return outcome_of(error),
+                Err(error) => return error,
             }
             if std::mem::take(&mut is_first) {
-                self.set_promised_rate(source.promised_hz());
+                // The configured rate takes precedence over the source's.
+                let promised_hz = self.parts.promised_hz.or(source.promised_hz());
+                self.rate_monitor.restart(promised_hz);
+                self.parts.hub.update_camera(self.parts.id, |state| {
+                    state.promised_hz = promised_hz.unwrap_or(0.0);
+                });
             }
         }
     }
 
-    /// Who set the camera up knows best.
-    fn set_promised_rate(&mut self, of_source_hz: Option<f64>) {
-        let promised_hz = self.parts.promised_hz.or(of_source_hz);
-        self.rate_monitor.restart(promised_hz);
-        self.parts.hub.update_camera(self.parts.id, |state| {
-            state.promised_hz = promised_hz.unwrap_or(0.0);
-        });
-    }
-
-    /// Counts what no frame has told of, since no frame may come any more.
+    /// Counts skipped frames that no later frame has reported.
     fn count_skipped(&mut self) {
         let skipped = self.parts.opener.take_skipped();
         if skipped > 0 {
-            self.dropped += skipped;
-            self.parts.hub.update_camera(self.parts.id, |state| state.dropped += skipped);
+            self.counts.add_dropped(skipped);
+            self.parts.hub.update_camera(self.parts.id, |state| {
+                state.dropped = state.dropped.saturating_add(skipped);
+            });
         }
     }
 
     fn process_frame(&mut self, lent: &LentFrame<'_>) {
         let info = &lent.info;
         let received = self.parts.clock.now();
-        if let Some(calibration_update) = self.parts.mailbox.take() {
-            self.apply_calibration(calibration_update);
-        }
-        self.frames += 1;
-        self.dropped += info.skipped;
-        self.broken += info.broken;
-        self.decode_ms.add(info.decoding.as_secs_f64() * 1e3);
+        self.take_calibration();
+        self.counts.frames += 1;
+        self.counts.add_dropped(info.skipped);
+        self.counts.broken += info.broken;
         let begun = Instant::now();
-        let by = FrameHeader {
+        let header = FrameHeader {
             camera: self.parts.id,
             calibration_version: self.parts.calibration_version,
-            frame: self.frames,
+            frame: self.counts.frames,
             capture_time: info.capture_time,
             received_time: received,
         };
-        let observations = Arc::new(self.parts.pipeline.process(&lent.frame, &by));
-        if self.running_since.is_none() {
-            self.running_since = Some(begun);
-            self.report_running((lent.frame.width(), lent.frame.height()), received);
-        }
-        self.search_pose(&observations, received);
-        self.send_to_fusion(observations.clone());
-        // Nobody waits for what follows.
+        let observations = self.parts.pipeline.process(&lent.frame, &header);
+        let size = (lent.frame.width(), lent.frame.height());
+        let observations = self.deliver(observations, size, received);
+        // After the delivery, so that it adds no latency.
         self.parts.pipeline.seek(&lent.frame);
-        self.detect_ms.add(begun.elapsed().as_secs_f64() * 1e3);
         let times = self.parts.pipeline.times();
-        self.find_ms.add(times.find_ms);
-        self.locate_ms.add(times.locate_ms);
+        let statistics = &mut self.statistics;
+        statistics.detect_ms.add(begun.elapsed().as_secs_f64() * 1e3);
+        statistics.find_ms.add(times.find_ms);
+        statistics.locate_ms.add(times.locate_ms);
+        statistics.decode_ms.add(info.decoding.as_secs_f64() * 1e3);
         if let Some(quality) = self.parts.pipeline.image_quality() {
-            self.blur_px.add(quality.blur_px);
-            self.noise.add(quality.noise);
+            statistics.blur_px.add(quality.blur_px);
+            statistics.noise.add(quality.noise);
         }
-        self.rate.add(received);
-        self.check_rate(received, 1 + info.skipped + info.broken);
+        statistics.rate.add(received);
+        let arrived = info.skipped.saturating_add(info.broken).saturating_add(1);
+        self.check_rate(received, arrived);
         self.publish(lent, observations);
     }
 
-    /// From this frame on. Fusion hears of the pose with what is seen in it.
-    fn apply_calibration(&mut self, CalibrationUpdate { lens, pose, version }: CalibrationUpdate) {
+    /// Numbers and forwards detections that were made elsewhere.
+    fn process_remote(&mut self, remote: RemoteDetections) {
+        let RemoteDetections { mut observations, clock, skipped, figures } = remote;
+        self.take_calibration();
+        let now = self.parts.clock.now();
+        self.counts.frames += 1;
+        self.counts.add_dropped(skipped);
+        observations.camera = self.parts.id;
+        observations.frame = self.counts.frames;
+        self.statistics.rate.add(now);
+        self.check_rate(now, 1);
+        let figures = figures.unwrap_or_else(|| {
+            let camera = self.parts.pipeline.camera();
+            RemoteStats { width: camera.width(), height: camera.height(), ..RemoteStats::default() }
+        });
+        let observations = self.deliver(observations, (figures.width, figures.height), now);
+        self.parts.hub.update_camera(self.parts.id, |state| {
+            state.frames = self.counts.frames;
+            // Frames lost at the sender, and on the way.
+            state.dropped = self.counts.dropped.saturating_add(figures.dropped);
+            state.broken = self.counts.broken.saturating_add(figures.broken);
+            state.capture_clock = Some(clock);
+            state.rate_hz = self.statistics.rate.hz();
+            state.detections = observations.detections.len();
+            (state.detect_ms, state.decode_ms) = (figures.detect_ms, figures.decode_ms);
+            (state.blur_px, state.noise) = (figures.blur_px, figures.noise);
+        });
+        self.parts.hub.publish_observations(observations);
+    }
+
+    /// Uses one frame's detections for the pose search, and sends them to fusion.
+    fn deliver(
+        &mut self,
+        observations: FrameObservations,
+        size: (usize, usize),
+        now: Timestamp,
+    ) -> Arc<FrameObservations> {
+        if self.running_since.is_none() {
+            self.running_since = Some(Instant::now());
+            self.report_running(size, now);
+        }
+        self.search_pose(&observations, now);
+        let observations = Arc::new(observations);
+        let output = WorkerOutput { observations: observations.clone(), placement: self.placement };
+        match self.parts.fusion.try_send(output) {
+            Ok(()) => self.placement = None,
+            // A disconnected queue means shutdown, which the source's next wait notices.
+            Err(_) => self.counts.add_dropped(1),
+        }
+        observations
+    }
+
+    /// Applies a calibration update that is waiting. Fusion gets a new pose with this frame's observations.
+    fn take_calibration(&mut self) {
+        let Some(CalibrationUpdate { lens, pose, version }) = self.parts.mailbox.take() else {
+            return;
+        };
         match &pose {
             PoseSource::Unchanged => {}
             PoseSource::Fixed(_, placement) => {
@@ -262,7 +297,9 @@ impl Worker {
         self.parts.calibration_version = version;
         self.parts.pipeline.set_camera(&lens);
         self.parts.hub.update_camera(self.parts.id, |state| {
-            pose.initial_state().into_iter().for_each(|pose| state.pose = pose);
+            if let Some(pose) = pose.initial_state() {
+                state.pose = pose;
+            }
             state.camera = Some(lens);
             state.calibration_version = version;
         });
@@ -271,7 +308,7 @@ impl Worker {
     fn report_running(&mut self, (width, height): (usize, usize), now: Timestamp) {
         let (id, name) = (self.parts.id, &self.parts.name);
         tracing::info!(camera = name, width, height, "frames arrive");
-        // Nobody opens one that is fed: what counts is that it has come back.
+        // The supervisor counts the restarts of all other sources.
         let came_back = self.has_run && self.parts.opener.is_pushed();
         self.has_run = true;
         self.parts.hub.update_camera(id, |state| {
@@ -280,29 +317,29 @@ impl Worker {
             (state.width, state.height) = (width, height);
             state.restarts += u64::from(came_back);
         });
-        let kind = EventKind::CameraStatusChanged(id, CameraStatus::Running);
-        self.parts.hub.publish_event(now, kind, format!("Camera {name} is running."));
+        let message = format!("Camera {name} is running.");
+        self.parts.hub.publish_camera_event(now, EventKind::CameraRunning, id, message);
     }
 
-    /// So many frames have come; tells where that is another number than was promised.
+    /// Counts frames, and reports a rate that begins or ceases to deviate from the promised one.
     fn check_rate(&mut self, now: Timestamp, frames: u64) {
-        let Some(told) = self.rate_monitor.add(now, frames) else { return };
+        let Some(event) = self.rate_monitor.add(now, frames) else { return };
         let (id, name) = (self.parts.id, &self.parts.name);
-        let (kind, reason, message) = match told {
+        let (kind, reason, message) = match event {
             RateEvent::Off { found_hz, promised_hz } => {
                 let reason = rate_monitor::rate_message(found_hz, promised_hz);
                 let message = format!("Camera {name} {reason}.");
                 tracing::warn!("{message}");
-                (EventKind::CameraRateOff(id), reason, message)
+                (EventKind::CameraRateOff, reason, message)
             }
             RateEvent::Restored => {
-                let message = format!("Camera {name} gives as many frames as was promised again.");
+                let message = format!("Camera {name} delivers the promised frame rate again.");
                 tracing::info!("{message}");
-                (EventKind::CameraRateAgrees(id), String::new(), message)
+                (EventKind::CameraRateAgrees, String::new(), message)
             }
         };
         self.parts.hub.update_camera(id, |state| state.rate_reason = reason);
-        self.parts.hub.publish_event(now, kind, message);
+        self.parts.hub.publish_camera_event(now, kind, id, message);
     }
 
     fn search_pose(&mut self, observations: &FrameObservations, now: Timestamp) {
@@ -320,70 +357,47 @@ impl Worker {
                 hub.update_camera(id, |state| state.pose = pose);
                 let millimetres = rms_m * 1e3;
                 let message = format!(
-                    "Camera {name} found its place from {references} references, which fit to \
-                     {millimetres:.1} mm."
+                    "Camera {name} found its pose from {references} references, which fit to {millimetres:.1} mm."
                 );
                 tracing::info!(camera = name, "{message}");
-                hub.publish_event(now, EventKind::CameraPlaced(id), message);
+                hub.publish_camera_event(now, EventKind::CameraPlaced, id, message);
             }
         }
     }
 
-    fn send_to_fusion(&mut self, observations: Arc<FrameObservations>) {
-        let output = WorkerOutput { observations, placement: self.placement };
-        match self.parts.fusion.try_send(output) {
-            Ok(()) => self.placement = None,
-            // Fusion gone means shutdown, which the source's next wait notices.
-            Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => self.dropped += 1,
-        }
-    }
-
-    fn publish(&mut self, lent: &LentFrame<'_>, observations: Arc<FrameObservations>) {
+    fn publish(&self, lent: &LentFrame<'_>, observations: Arc<FrameObservations>) {
         let (id, hub) = (self.parts.id, &self.parts.hub);
-        let (width, height) = (lent.frame.width(), lent.frame.height());
-        let copied = || (0..height).flat_map(|v| lent.frame.row(v)).copied().collect();
+        let size = (lent.frame.width(), lent.frame.height());
+        let pixels = || (0..size.1).flat_map(|v| lent.frame.row(v)).copied().collect();
         if hub.tap().wants_frame(observations.frame) {
-            let FrameObservations { frame: number, capture_time, received_time, .. } =
-                *observations;
-            let (pixels, size) = (copied(), (width, height));
-            let camera = id;
             hub.tap().offer_frame(RawFrame {
-                camera,
-                number,
-                capture_time,
-                received_time,
+                camera: id,
+                number: observations.frame,
+                capture_time: observations.capture_time,
+                received_time: observations.received_time,
                 size,
-                pixels,
+                pixels: pixels(),
             });
         }
         if hub.take_picture_request(id) {
-            let pixels = copied();
-            let picture = Picture::new((width, height), pixels, observations.clone());
-            hub.publish_picture(id, picture);
+            hub.publish_picture(id, Picture::new(size, pixels(), observations.clone()));
         }
+        let (counts, statistics) = (self.counts(), &self.statistics);
         hub.update_camera(id, |state| {
-            state.frames = self.frames;
-            state.dropped = self.dropped;
-            state.broken = self.broken;
+            state.frames = counts.frames;
+            state.dropped = counts.dropped;
+            state.broken = counts.broken;
+            state.counts = counts.detection;
             state.capture_clock = Some(lent.info.clock);
-            state.decode_ms = self.decode_ms.value();
-            state.rate_hz = self.rate.hz();
+            state.rate_hz = statistics.rate.hz();
             state.detections = observations.detections.len();
-            state.detect_ms = self.detect_ms.value();
-            state.find_ms = self.find_ms.value();
-            state.locate_ms = self.locate_ms.value();
-            (state.blur_px, state.noise) = (self.blur_px.value(), self.noise.value());
-            state.counts = *self.parts.pipeline.counts();
+            state.decode_ms = statistics.decode_ms.value();
+            state.detect_ms = statistics.detect_ms.value();
+            state.find_ms = statistics.find_ms.value();
+            state.locate_ms = statistics.locate_ms.value();
+            state.blur_px = statistics.blur_px.value();
+            state.noise = statistics.noise.value();
         });
         hub.publish_observations(observations);
-    }
-}
-
-fn outcome_of(error: SourceError) -> RunOutcome {
-    match error {
-        SourceError::Stopped => RunOutcome::Stopped,
-        SourceError::Finished => RunOutcome::Finished,
-        SourceError::Failed(message) => RunOutcome::Failed(message),
-        error @ SourceError::Size { .. } => RunOutcome::Failed(error.to_string()),
     }
 }

@@ -1,4 +1,4 @@
-//! Pixels → detections with poses and times: what a worker does with each frame.
+//! Pixels → detections with poses and times.
 
 use std::time::{Duration, Instant};
 
@@ -14,83 +14,68 @@ use roundel_core::{
 
 use crate::model::hub::DetectionCounts;
 
-/// What a pipeline is made of.
 #[derive(Clone, Debug)]
 pub struct PipelineParts {
     pub kinds: Vec<Kind>,
-    /// How they are looked for; with the mode, how they are located too.
     pub params: Params,
-    /// Where they are not looked for.
     pub mask: Mask,
     pub camera: Camera,
     /// Time between the exposures of two image rows.
     pub line_time_s: f64,
-    /// What became of rings and candidates before.
+    /// Counts so far.
     pub counts: DetectionCounts,
 }
 
-/// Of what camera a frame is, and which of its frames.
+/// Camera, number, times and calibration version of one frame.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameHeader {
     pub camera: CameraId,
     pub calibration_version: u64,
-    /// Counts the camera's frames.
     pub frame: u64,
-    /// When its middle row was exposed.
+    /// Middle of the exposure of the middle row.
     pub capture_time: Timestamp,
     pub received_time: Timestamp,
 }
 
-/// How long a frame took.
+/// Processing times of one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StageTimes {
     pub find_ms: f64,
     pub locate_ms: f64,
 }
 
-/// Follows the roundels of one camera and locates them.
+/// Tracks the roundels of one camera and locates them.
 pub struct Pipeline {
     tracker: Tracker,
     locator: Locator,
-    /// What became of the newest frame's rings.
+    /// Buffer for the results of one frame.
     located: Vec<Result<Located, PoseError>>,
     line_time_s: f64,
     counts: DetectionCounts,
     times: StageTimes,
-    /// Of the rings of the newest frame that were fitted.
+    /// Quality at each ring of the newest frame that was fitted.
     qualities: Vec<ImageQuality>,
 }
 
 impl Pipeline {
-    /// A pipeline that has not seen a frame.
     pub fn new(parts: PipelineParts) -> Result<Self, DetectorError> {
         let PipelineParts { kinds, params, mask, camera, line_time_s, counts } = parts;
         let locator = Locator::new(camera, kinds.clone(), params.mode).with_line_time(line_time_s);
         let tracker = Tracker::new(Detector::new(kinds, params)?.with_mask(mask));
-        let times = StageTimes::default();
-        Ok(Self {
-            tracker,
-            locator,
-            located: Vec::new(),
-            line_time_s,
-            counts,
-            times,
-            qualities: Vec::new(),
-        })
+        let (located, qualities, times) = Default::default();
+        Ok(Self { tracker, locator, located, line_time_s, counts, times, qualities })
     }
 
-    /// What became of all rings and candidates so far.
     pub fn counts(&self) -> &DetectionCounts {
         &self.counts
     }
 
-    /// How long the newest frame took.
+    /// Times of the newest frame.
     pub fn times(&self) -> StageTimes {
         self.times
     }
 
-    /// How sharp and how clean the newest frame is: medians over its rings that were fitted, each for
-    /// itself; `None` without any, as in fast mode.
+    /// Blur and noise of the newest frame: medians over the rings that were fitted; `None` without any, as in fast mode.
     pub fn image_quality(&self) -> Option<ImageQuality> {
         let median = |number: fn(&ImageQuality) -> f64| {
             let mut numbers: Vec<f64> = self.qualities.iter().map(number).collect();
@@ -104,7 +89,7 @@ impl Pipeline {
         self.locator.camera()
     }
 
-    /// Another model from the next frame on; what is followed goes on being followed.
+    /// Uses another camera model from the next frame on; all tracks continue.
     pub fn set_camera(&mut self, camera: &Camera) {
         if camera.intrinsics() != self.locator.camera().intrinsics() {
             self.locator.set_camera(camera.clone());
@@ -117,9 +102,8 @@ impl Pipeline {
         self.locator.reset();
     }
 
-    /// What is seen in one frame, each detection with the capture time of its own row. A ring whose
-    /// pose cannot be computed is a detection without a pose. [`Pipeline::seek`] is to have the same frame once this
-    /// has been handed on.
+    /// Detections of one frame, each with the capture time of its own row. A ring whose pose cannot be computed is a
+    /// detection without a pose. [`Pipeline::seek`] must get the same frame after the detections have been passed on.
     pub fn process(&mut self, view: &Frame<'_>, by: &FrameHeader) -> FrameObservations {
         let begun = Instant::now();
         let rings = self.tracker.follow(view);
@@ -157,7 +141,7 @@ impl Pipeline {
         }
     }
 
-    /// Searches a part of the frame for roundels that are not followed yet; they are in the next frame's observations.
+    /// Searches a part of the frame for roundels that are not tracked yet; the next frame's observations include them.
     pub fn seek(&mut self, view: &Frame<'_>) {
         let begun = Instant::now();
         self.tracker.seek(view);
@@ -174,7 +158,7 @@ impl Pipeline {
 }
 
 #[cfg(test)]
-mod tests {
+pub(in crate::capture) mod tests {
     use roundel_core::{
         camera::{Intrinsics, Lens, PixelPoint},
         marker::Reject,
@@ -182,11 +166,11 @@ mod tests {
 
     use super::*;
 
-    const WIDTH: usize = 320;
-    const HEIGHT: usize = 240;
+    pub(in crate::capture) const WIDTH: usize = 320;
+    pub(in crate::capture) const HEIGHT: usize = 240;
 
-    /// White, with a black ring of 20 px round a white disc of 8 px at each place.
-    fn frame(places: &[(f64, f64)]) -> Vec<u8> {
+    /// White, with a black ring of 20 px radius around a white disc of 8 px at each place.
+    pub(in crate::capture) fn frame(places: &[(f64, f64)]) -> Vec<u8> {
         let level = |u: f64, v: f64| {
             let ink = places.iter().map(|place| {
                 let radius = (u - place.0).hypot(v - place.1);
@@ -198,7 +182,7 @@ mod tests {
         pixels.map(|(u, v)| level(u as f64, v as f64)).collect()
     }
 
-    fn camera(focal_px: f64) -> Camera {
+    pub(in crate::capture) fn camera(focal_px: f64) -> Camera {
         let camera = Camera::new(Intrinsics {
             width: WIDTH,
             height: HEIGHT,
@@ -211,7 +195,7 @@ mod tests {
         camera.unwrap()
     }
 
-    fn parts(mode: Mode) -> PipelineParts {
+    pub(in crate::capture) fn parts(mode: Mode) -> PipelineParts {
         PipelineParts {
             kinds: vec![Kind::plain("robot", 0.16, 0.064)],
             params: Params { mode, ..Params::default() },
@@ -227,15 +211,8 @@ mod tests {
             .unwrap()
     }
 
-    fn detections_of(pipeline: &mut Pipeline, pixels: &[u8]) -> Vec<Detection> {
-        detections_at(pipeline, pixels, Timestamp::default())
-    }
-
-    fn detections_at(
-        pipeline: &mut Pipeline,
-        pixels: &[u8],
-        capture_time: Timestamp,
-    ) -> Vec<Detection> {
+    fn detections_of(pipeline: &mut Pipeline, pixels: &[u8], time_s: f64) -> Vec<Detection> {
+        let capture_time = Timestamp::default().plus_seconds(time_s);
         let by = FrameHeader {
             camera: CameraId(0),
             calibration_version: 0,
@@ -250,33 +227,32 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_seen_where_the_mask_lies() {
+    fn nothing_is_detected_behind_the_mask() {
         let pixels = frame(&[(80.0, 120.0), (240.0, 120.0)]);
         let left = [(0.0, 0.0), (160.0, 0.0), (160.0, 240.0), (0.0, 240.0)];
         let left = left.map(|(u, v)| PixelPoint { u, v }).to_vec();
-        assert_eq!(detections_of(&mut pipeline(Mode::Fast, &[]), &pixels).len(), 2);
+        assert_eq!(detections_of(&mut pipeline(Mode::Fast, &[]), &pixels, 0.0).len(), 2);
         let mut masked = pipeline(Mode::Fast, &[left]);
-        let found = detections_of(&mut masked, &pixels);
+        let found = detections_of(&mut masked, &pixels, 0.0);
         assert_eq!(found.len(), 1);
         assert!((found[0].ring.outer.center.u - 240.0).abs() < 0.5, "{found:?}");
-        // Nor where one moves behind it.
-        assert_eq!(detections_of(&mut masked, &frame(&[(80.0, 120.0)])).len(), 0);
+        // A tracked roundel that moves behind the mask disappears.
+        assert_eq!(detections_of(&mut masked, &frame(&[(80.0, 120.0)]), 0.1).len(), 0);
         assert!(masked.counts().rejects[Reject::Masked as usize] > 0);
     }
 
-    /// It is as if it had been there from the beginning, the rows' times included.
+    /// The result, including the times of rows, is that of a pipeline that was created with the new model.
     #[test]
-    fn another_model_of_a_rolling_camera_keeps_its_shutter() {
+    fn a_new_camera_model_keeps_the_rolling_shutter() {
         let rolling = |focal_px: f64, line_time_s: f64| {
             let parts = parts(Mode::Precise);
             Pipeline::new(PipelineParts { camera: camera(focal_px), line_time_s, ..parts }).unwrap()
         };
         let run = |mut pipeline: Pipeline| {
             let mut last = Vec::new();
-            for frame_number in 0..8 {
-                let time = Timestamp::default().plus_seconds(f64::from(frame_number) / 30.0);
-                let pixels = frame(&[(80.0 + 12.0 * f64::from(frame_number), 60.0)]);
-                last = detections_at(&mut pipeline, &pixels, time);
+            for number in (0..8).map(f64::from) {
+                let pixels = frame(&[(80.0 + 12.0 * number, 60.0)]);
+                last = detections_of(&mut pipeline, &pixels, number / 30.0);
             }
             last
         };
@@ -289,12 +265,12 @@ mod tests {
     }
 
     #[test]
-    fn what_became_of_rings_is_counted() {
+    fn rings_are_counted() {
         let pixels = frame(&[(80.0, 120.0), (240.0, 120.0)]);
         for mode in [Mode::Fast, Mode::Precise] {
             let mut pipeline = pipeline(mode, &[]);
             for _ in 0..3 {
-                let found = detections_of(&mut pipeline, &pixels);
+                let found = detections_of(&mut pipeline, &pixels, 0.0);
                 let pose = found[0].pose.as_ref().unwrap();
                 // 300 px focal length, 160 mm over 40 px.
                 assert!((pose.position_m.z - 300.0 * 0.16 / 40.0).abs() < 0.02, "{pose:?}");

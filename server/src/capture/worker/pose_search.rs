@@ -1,10 +1,10 @@
-//! Finds the place of a camera whose pose is unknown, from the reference roundels that it sees.
+//! Estimates an unknown camera pose from the reference roundels that the camera sees.
 //!
-//! What its tracker holds throughout a window of frames is averaged, so that noise is less and what
-//! flickers is left out; `core::world::reference` then says which are the references and where the
-//! camera is. Robots in view do no harm: they are not arranged like the references.
+//! Positions of roundels that are tracked throughout a window of frames are averaged, which reduces noise and excludes
+//! flickering detections; `core::world::reference` then identifies the references and computes the pose. Robots in view
+//! do not matter: they are not arranged like the references.
 
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 
 use nalgebra::{Matrix3, Vector3};
 use roundel_core::{
@@ -15,83 +15,57 @@ use roundel_core::{
     },
 };
 
-/// Frames that one attempt looks at.
+/// Frames of one attempt.
 const WINDOW_FRAMES: usize = 15;
-/// A place whose references fit worse than this is not believed.
+/// A pose whose references fit worse than this is rejected.
 const MAX_RMS_M: f64 = 0.05;
 
 #[derive(Debug, PartialEq)]
 pub(super) enum SearchProgress {
     /// The window is not full yet.
     Waiting,
-    /// An attempt failed, and why; the next one has begun.
+    /// An attempt failed; the next one has begun.
     Failed(String),
     Found {
         placement: Box<CameraPlacement>,
         references: usize,
-        /// How well they fit, metres.
         rms_m: f64,
     },
 }
 
-#[derive(Clone, Copy, Debug, Default)]
-struct TrackMean {
-    count: usize,
-    position_m: Vector3<f64>,
-    covariance: Matrix3<f64>,
-}
-
-/// The search for one camera's place.
 #[derive(Debug)]
 pub(super) struct PoseSearch {
     references: Vec<Reference>,
     kinds: Vec<KindId>,
     frames: usize,
-    sums: HashMap<TrackNumber, TrackMean>,
+    /// In the order of the tracks, so that the same frames give the same pose.
+    sightings: BTreeMap<TrackNumber, Vec<Sighting>>,
 }
 
 impl PoseSearch {
     pub(super) fn new(references: Vec<Reference>, kinds: Vec<KindId>) -> Self {
-        Self { references, kinds, frames: 0, sums: HashMap::new() }
+        Self { references, kinds, frames: 0, sightings: BTreeMap::new() }
     }
 
-    /// Takes in one frame; every so many frames it makes an attempt.
+    /// Adds one frame; makes an attempt when the window is full.
     pub(super) fn observe(&mut self, frame: &FrameObservations) -> SearchProgress {
         for detection in &frame.detections {
             let is_reference = detection.ring.kind.is_some_and(|kind| self.kinds.contains(&kind));
-            let Some(pose) = detection.pose.as_ref().filter(|_| is_reference) else { continue };
-            let sighting = Sighting::from(pose);
-            let sum = self.sums.entry(detection.track).or_default();
-            sum.count += 1;
-            sum.position_m += sighting.position_m;
-            sum.covariance += sighting.covariance;
+            if let Some(pose) = detection.pose.as_ref().filter(|_| is_reference) {
+                self.sightings.entry(detection.track).or_default().push(Sighting::from(pose));
+            }
         }
         self.frames += 1;
         if self.frames < WINDOW_FRAMES {
             return SearchProgress::Waiting;
         }
-        let progress = self.attempt();
         self.frames = 0;
-        self.sums.clear();
-        progress
-    }
-
-    fn attempt(&self) -> SearchProgress {
-        // In the order of the tracks, so that the same frames give the same place.
-        let mut steady: Vec<(&TrackNumber, &TrackMean)> =
-            self.sums.iter().filter(|(_, sum)| sum.count == WINDOW_FRAMES).collect();
-        steady.sort_by_key(|(track, _)| **track);
-        // Much of the error is the same from frame to frame: the covariance stays that of one.
-        let seen: Vec<Sighting> = steady
-            .iter()
-            .map(|(_, sum)| Sighting {
-                position_m: sum.position_m / sum.count as f64,
-                covariance: sum.covariance / sum.count as f64,
-            })
-            .collect();
-        match place_camera(&self.references, &seen) {
+        let sightings = std::mem::take(&mut self.sightings).into_values();
+        let steady: Vec<Sighting> =
+            sightings.filter(|it| it.len() == WINDOW_FRAMES).map(|it| mean(&it)).collect();
+        match place_camera(&self.references, &steady) {
             Ok((placement, _)) if placement.rms_m > MAX_RMS_M => SearchProgress::Failed(format!(
-                "the references are {:.0} mm off their places; measure them again",
+                "the references are {:.0} mm away from their configured positions; measure them again",
                 placement.rms_m * 1e3
             )),
             Ok((placement, found)) => SearchProgress::Found {
@@ -104,6 +78,15 @@ impl PoseSearch {
             },
             Err(error) => SearchProgress::Failed(error.to_string()),
         }
+    }
+}
+
+fn mean(sightings: &[Sighting]) -> Sighting {
+    let count = sightings.len() as f64;
+    Sighting {
+        position_m: sightings.iter().map(|it| it.position_m).sum::<Vector3<f64>>() / count,
+        // Errors of successive frames are correlated, so the covariance stays that of one frame.
+        covariance: sightings.iter().map(|it| it.covariance).sum::<Matrix3<f64>>() / count,
     }
 }
 
@@ -124,7 +107,6 @@ mod tests {
 
     const REFERENCE: KindId = KindId(1);
 
-    /// A roundel of a kind at a place of the world, as the camera sees it.
     fn detection(camera: &Rigid, track: u64, kind: KindId, world_m: Vector3<f64>) -> Detection {
         let rim = Ellipse {
             center: PixelPoint { u: 320.0, v: 240.0 },
@@ -173,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn the_place_is_found_among_robots_and_flickering() {
+    fn the_pose_is_found_among_robots_and_flickering_detections() {
         let turn = UnitQuaternion::from_euler_angles(std::f64::consts::PI - 0.2, 0.1, 0.7);
         let camera = Rigid::from_parts(Vector3::new(0.5, -0.5, 4.0).into(), turn);
         let mut pose_search = pose_search();
@@ -184,7 +166,7 @@ mod tests {
                 .zip(places())
                 .map(|(track, place)| detection(&camera, track, REFERENCE, place))
                 .collect();
-            // A robot, and a reference's double that is there only now and then.
+            // A robot, and a flickering detection of the references' kind.
             let robot = Vector3::new(0.1 * number as f64, 1.0, 0.3);
             seen.push(detection(&camera, 3, KindId(0), robot));
             if number % 2 == 0 {

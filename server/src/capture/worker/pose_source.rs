@@ -1,4 +1,4 @@
-//! Where a worker's camera stands, as far as the worker knows.
+//! Where a worker gets its camera's pose from.
 
 use roundel_core::{
     id::KindId,
@@ -8,38 +8,34 @@ use roundel_core::{
 use super::pose_search::PoseSearch;
 use crate::model::hub::{CameraPoseState, PoseStatus};
 
-/// Where a worker's camera stands.
 #[derive(Clone, Debug)]
 pub enum PoseSource {
-    /// Known from the start, and how.
     Fixed(PoseStatus, Box<CameraPlacement>),
-    /// To be found from roundels of these kinds at these places.
-    Unknown { references: Vec<Reference>, kinds: Vec<KindId> },
-    /// On an object: fusion says where.
+    /// To be found from roundels of these kinds at these positions.
+    Unknown {
+        references: Vec<Reference>,
+        kinds: Vec<KindId>,
+    },
+    /// Mounted on an object: fusion determines the pose.
     Mounted,
-    /// Where it did before: nothing is said of it anew.
+    /// Keeps the current pose.
     Unchanged,
 }
 
 impl PoseSource {
-    /// What the hub shows of it before a frame has come; `None`: what it shows already, or what fusion says.
+    /// The pose state to show before the first frame; `None` if the hub has it, or gets it from fusion.
     pub fn initial_state(&self) -> Option<CameraPoseState> {
         match self {
             Self::Fixed(status, placement) => Some(CameraPoseState::fixed(*status, **placement)),
             Self::Unknown { .. } => Some(CameraPoseState::searching(
-                "it looks for the reference roundels, of which it must see three",
+                "searching for the reference roundels, of which it must see three",
             )),
             Self::Mounted | Self::Unchanged => None,
         }
     }
 
-    /// What finds it, where it is to be found.
     pub(super) fn start_search(&self) -> Option<PoseSearch> {
-        match self {
-            Self::Unknown { references, kinds } => {
-                Some(PoseSearch::new(references.clone(), kinds.clone()))
-            }
-            Self::Fixed(..) | Self::Mounted | Self::Unchanged => None,
-        }
+        let Self::Unknown { references, kinds } = self else { return None };
+        Some(PoseSearch::new(references.clone(), kinds.clone()))
     }
 }

@@ -4,31 +4,29 @@ use std::collections::VecDeque;
 
 use roundel_core::time::Timestamp;
 
-/// Values that a median is taken of.
+/// Number of values of a median.
 const MEDIAN_OVER: usize = 61;
-/// Time that a rate is taken over.
+/// Window of a rate.
 const RATE_OVER_S: f64 = 3.0;
-/// Times remembered at most, whatever the rate.
+/// Limit of stored times.
 const MAX_TIMES: usize = 4096;
 
-/// RunningMedian of the newest values.
+/// Median of the newest values.
 #[derive(Clone, Debug, Default)]
-pub struct RunningMedian {
-    newest: VecDeque<f64>,
-}
+pub struct RunningMedian(VecDeque<f64>);
 
 impl RunningMedian {
-    /// Adds a value; the oldest gives way.
+    /// Adds a value, and drops the oldest one if there are too many.
     pub fn add(&mut self, value: f64) {
-        if self.newest.len() == MEDIAN_OVER {
-            self.newest.pop_front();
+        if self.0.len() == MEDIAN_OVER {
+            self.0.pop_front();
         }
-        self.newest.push_back(value);
+        self.0.push_back(value);
     }
 
     /// The median; 0 before the first value.
     pub fn value(&self) -> f64 {
-        let mut sorted: Vec<f64> = self.newest.iter().copied().collect();
+        let mut sorted: Vec<f64> = self.0.iter().copied().collect();
         if sorted.is_empty() {
             return 0.0;
         }
@@ -39,26 +37,24 @@ impl RunningMedian {
 
 /// Mean rate of the last seconds.
 #[derive(Clone, Debug, Default)]
-pub struct RateMeter {
-    newest: VecDeque<Timestamp>,
-}
+pub struct RateMeter(VecDeque<Timestamp>);
 
 impl RateMeter {
-    /// Counts one at `time`, not before the one before.
+    /// Counts an event; times must not decrease.
     pub fn add(&mut self, time: Timestamp) {
-        self.newest.push_back(time);
-        while self.newest.len() > MAX_TIMES
-            || self.newest.front().is_some_and(|old| time.seconds_since(*old) > RATE_OVER_S)
+        self.0.push_back(time);
+        while self.0.len() > MAX_TIMES
+            || self.0.front().is_some_and(|old| time.seconds_since(*old) > RATE_OVER_S)
         {
-            self.newest.pop_front();
+            self.0.pop_front();
         }
     }
 
-    /// Intervals a second; 0 before there is one.
+    /// Intervals a second; 0 with fewer than two events.
     pub fn hz(&self) -> f64 {
-        match (self.newest.front(), self.newest.back()) {
+        match (self.0.front(), self.0.back()) {
             (Some(first), Some(last)) if last > first => {
-                (self.newest.len() - 1) as f64 / last.seconds_since(*first)
+                (self.0.len() - 1) as f64 / last.seconds_since(*first)
             }
             _ => 0.0,
         }
@@ -70,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_median_forgets_and_ignores_outliers() {
+    fn the_median_ignores_outliers_and_old_values() {
         let mut median = RunningMedian::default();
         assert_eq!(median.value(), 0.0);
         for value in [1e9, 3.0, 1.0, 2.0, -1e9] {

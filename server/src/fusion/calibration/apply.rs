@@ -1,22 +1,19 @@
-//! Has cameras stand where they were found to, now and at the next start.
+//! Applies calibrated poses and lenses to cameras, and stores them for the next start.
 
 use roundel_core::{camera::Camera, id::CameraId, world::CameraPlacement};
 
-use super::{
-    CalibrationReport, Shared,
-    file::{CalibrationFile, StoredCamera},
-    lock,
-};
+use super::{CalibrationReport, Shared, file::StoredCamera, lock};
 use crate::{
     capture::worker::{PoseSource, calibration_update::CalibrationUpdate},
     model::hub::{EventKind, PoseStatus},
 };
 
-/// One camera's pose with its lens.
-type FoundPose = (CameraId, CameraPlacement, Camera);
-
 impl Shared {
     pub(super) fn apply(&self, report: &CalibrationReport) {
+        let installation = self.hub.installation();
+        let name = |id: CameraId| installation.camera_name(id);
+        let names: Vec<&str> =
+            report.cameras.iter().map(|camera| name(camera.result.camera)).collect();
         let found = report
             .cameras
             .iter()
@@ -26,28 +23,27 @@ impl Shared {
             status.applied_version = version;
             status.error = kept.clone().err().unwrap_or_default();
         });
-        let name = |id: CameraId| self.hub.installation().camera_name(id).to_owned();
-        let names: Vec<String> =
-            report.cameras.iter().map(|camera| name(camera.result.camera)).collect();
         let (Ok(where_kept) | Err(where_kept)) = kept;
         let cameras = names.join(", ");
-        let message = format!("Calibration {version} is in use by {cameras}; {where_kept}.");
+        let message = format!("Calibration {version} was applied to {cameras}; {where_kept}.");
         self.report_event(EventKind::CalibrationApplied, message);
     }
 
-    /// One camera's pose, with the lens that it has.
+    /// Applies a pose to one camera, which keeps its lens.
     pub(super) fn apply_pose(&self, camera: CameraId, placement: CameraPlacement) {
         let Some(lens) = self.hub.camera(camera).and_then(|state| state.camera) else {
             return;
         };
-        let (_, kept) = self.apply_poses(std::iter::once((camera, placement, lens)));
-        if let Err(why) = kept {
-            tracing::error!("{why}");
+        if let (_, Err(error)) = self.apply_poses([(camera, placement, lens)]) {
+            tracing::error!("{error}");
         }
     }
 
-    /// The version that this is, and where it is kept or why it could not be.
-    fn apply_poses(&self, found: impl Iterator<Item = FoundPose>) -> (u64, Result<String, String>) {
+    /// Returns the new version, and where it is saved or why it is not.
+    fn apply_poses(
+        &self,
+        found: impl IntoIterator<Item = (CameraId, CameraPlacement, Camera)>,
+    ) -> (u64, Result<String, String>) {
         let mut file = lock(&self.file);
         file.version += 1;
         file.made_unix_s = self.clock.now().as_ns().div_euclid(1_000_000_000);
@@ -56,19 +52,22 @@ impl Shared {
         for (id, placement, lens) in found {
             let Some(camera) = cameras.get(&id) else { continue };
             let Some(configured) = camera.configured.clone() else { continue };
-            let stored = StoredCamera::new(camera.name.clone(), &placement, &lens, configured);
-            file.set(stored);
+            file.set(StoredCamera::new(camera.name.clone(), &placement, &lens, configured));
             let pose = PoseSource::Fixed(PoseStatus::Calibrated, Box::new(placement));
             camera.mailbox.put(CalibrationUpdate { lens, pose, version });
         }
-        (version, self.save(&file))
+        drop((file, cameras));
+        (version, self.save())
     }
 
-    pub(super) fn save(&self, file: &CalibrationFile) -> Result<String, String> {
+    /// Writes the newest version. Returns where it is saved.
+    pub(super) fn save(&self) -> Result<String, String> {
         let Some(path) = &self.path else {
-            return Ok("it is kept until this server ends".to_owned());
+            return Ok("not saved".to_owned());
         };
-        let kept = format!("it is kept in {}", path.display());
-        file.save(path).map(|()| kept).map_err(|error| error.to_string())
+        let _saving = lock(&self.saving);
+        let file = lock(&self.file).clone();
+        file.save(path).map_err(|error| error.to_string())?;
+        Ok(format!("saved in {}", path.display()))
     }
 }

@@ -1,30 +1,23 @@
-//! Cameras that come, change and go while nothing is being calibrated.
+//! Adds, changes, renames and removes cameras of the calibrator.
 
-use std::sync::Arc;
+use std::sync::{Arc, atomic::Ordering};
 
 use roundel_core::id::CameraId;
 
-use super::{Calibrator, CalibratorCamera, Shared, lock};
+use super::{Calibrator, CalibratorCamera, Shared, file::CalibrationFile, lock};
 
 impl Calibrator {
-    /// Whether a calibration is recorded or solved now.
-    pub fn is_running(&self) -> bool {
-        lock(&self.running).as_ref().is_some_and(|(_, thread)| !thread.is_finished())
-    }
-
-    /// A camera is there, or is another than it was: what was found of it before does not hold. Where its worker looks
-    /// stays the same.
+    /// Adds or replaces a camera and discards its results. The mailbox of its worker stays.
     pub fn set(&self, id: CameraId, camera: CalibratorCamera) {
         let mut cameras = lock(&self.shared.cameras);
-        let mailbox = cameras.get(&id).map(|before| before.mailbox.clone());
-        let mailbox = mailbox.unwrap_or_else(|| camera.mailbox.clone());
-        let name = camera.name.clone();
-        let before = cameras.insert(id, CalibratorCamera { mailbox, ..camera });
+        let known = cameras.entry(id).or_insert_with(|| camera.clone());
+        let before = std::mem::replace(&mut known.name, camera.name);
+        known.configured = camera.configured;
         drop(cameras);
-        self.shared.discard_results(id, before.map_or(name, |before| before.name).as_str());
+        self.shared.discard_results(id, &before);
     }
 
-    /// A camera has another name; what was found of it holds.
+    /// Renames a camera, which keeps its results.
     pub fn rename(&self, id: CameraId, name: &str) {
         let mut cameras = lock(&self.shared.cameras);
         let Some(camera) = cameras.get_mut(&id) else { return };
@@ -36,17 +29,26 @@ impl Calibrator {
         });
     }
 
-    /// A camera is there no more.
     pub fn remove(&self, id: CameraId) {
         let camera = lock(&self.shared.cameras).remove(&id);
         if let Some(camera) = camera {
             self.shared.discard_results(id, &camera.name);
         }
     }
+
+    /// Saves the changes since the last call; callers of the other functions may hold locks that must not wait for a
+    /// disk.
+    pub fn save_changes(&self) {
+        if self.shared.is_unsaved.swap(false, Ordering::Relaxed)
+            && let Err(error) = self.shared.save()
+        {
+            tracing::error!("{error}");
+        }
+    }
 }
 
 impl Shared {
-    /// What was found of a camera is used no more: not what is in use, nor what could still be taken over.
+    /// Discards the results of a camera: those in use, and those that could still be applied.
     fn discard_results(&self, id: CameraId, name: &str) {
         self.change_file(|file| {
             let count = file.cameras.len();
@@ -63,13 +65,10 @@ impl Shared {
         });
     }
 
-    /// Changes what is kept; writes it if `change` says that it did.
-    fn change_file(&self, change: impl FnOnce(&mut super::file::CalibrationFile) -> bool) {
-        let mut file = lock(&self.file);
-        if change(&mut file)
-            && let Err(why) = self.save(&file)
-        {
-            tracing::error!("{why}");
+    /// `change` returns whether the file must be saved.
+    fn change_file(&self, change: impl FnOnce(&mut CalibrationFile) -> bool) {
+        if change(&mut lock(&self.file)) {
+            self.is_unsaved.store(true, Ordering::Relaxed);
         }
     }
 }

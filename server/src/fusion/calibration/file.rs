@@ -1,70 +1,59 @@
-//! The calibration file: where cameras stand and what their lenses are, as the server found out.
+//! The calibration file: poses and lenses found by calibration, for the next start.
 //!
-//! TOML that the server writes and people may read. Beside each camera's result stands what the
-//! configuration said of it then: once the configuration says otherwise (somebody moved the camera and
-//! measured anew, or calibrated the lens), the configuration is right and the old result is left out with a
-//! warning. A new version replaces the file in one step; the one before is kept beside it.
+//! TOML that the server writes and people may read. Each result is stored with the configuration it belongs to. If the
+//! configuration of a camera has changed since, it takes precedence, and the result is dropped with a warning. The
+//! previous version is kept beside the file.
 
 mod stored;
 
 use std::{
     ffi::OsString,
-    fs,
-    io::{self, Write as _},
+    io,
     path::{Path, PathBuf},
 };
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::model::config::Config;
+use crate::model::{config::Config, regular_file, text_file};
 pub use stored::{StoredCamera, StoredConfig};
 
-/// A calibration file longer than this is certainly another file.
+/// A longer file is not a calibration file.
 const MAX_BYTES: u64 = 4 << 20;
-const HEADER: &str = "# Where cameras stand, as `roundel calibrate arena` and the running server found out.\n\
-                      # Written by the server; delete it to go back to the configuration's poses.\n\n";
+const HEADER: &str = "# Poses and lenses of the cameras from `roundel calibrate arena` and the running server.\n\
+                      # Written by the server; delete it to use the configuration's poses.\n\n";
 
-/// Why a calibration file cannot be used.
 #[derive(Debug, Error)]
 pub enum CalibrationFileError {
-    /// It cannot be read.
-    #[error("cannot read calibration file {}: {source}; mend that, or delete the file to go back to the configuration's poses", .path.display())]
+    #[error("cannot read calibration file {}: {source}; correct that, or delete the file to use the configuration's poses", .path.display())]
     Read { path: PathBuf, source: io::Error },
-    /// It cannot be written.
-    #[error("cannot write calibration file {}: {source}; the server goes on with the new poses and forgets them when it ends", .path.display())]
+    #[error("cannot write calibration file {}: {source}; the new poses last until the server ends", .path.display())]
     Write { path: PathBuf, source: io::Error },
-    #[error("{}: {message}; the server writes this file: undo what was changed in it, or delete it to go back to the configuration's poses", .path.display())]
-    Content {
-        path: PathBuf,
-        /// What was expected and what was found, where.
-        message: String,
-    },
+    #[error("{}: {message}; the server writes this file: undo the change, or delete it to use the configuration's poses", .path.display())]
+    Content { path: PathBuf, message: String },
 }
 
-/// All cameras' results of one version.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CalibrationFile {
-    /// Grows by one with each change.
+    /// Increases by one with each calibration.
     pub version: u64,
-    /// When, Unix time, seconds.
+    /// Unix time.
     pub made_unix_s: i64,
     #[serde(default, rename = "camera")]
     pub cameras: Vec<StoredCamera>,
 }
 
 impl CalibrationFile {
-    /// Reads a file; `None` if there is none yet.
+    /// Returns `None` if the file does not exist.
     pub fn load(path: &Path) -> Result<Option<Self>, CalibrationFileError> {
-        let text = match read(path) {
+        let path_buf = || path.to_owned();
+        let text = match regular_file::read_text(path, MAX_BYTES) {
             Ok(text) => text,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-            Err(source) => {
-                return Err(CalibrationFileError::Read { path: path.to_owned(), source });
-            }
+            Err(source) => return Err(CalibrationFileError::Read { path: path_buf(), source }),
         };
-        let wrong = |message| CalibrationFileError::Content { path: path.to_owned(), message };
+        let wrong = |message| CalibrationFileError::Content { path: path_buf(), message };
         let file: Self =
             toml::from_str(&text).map_err(|error| wrong(error.to_string().trim().to_owned()))?;
         for camera in &file.cameras {
@@ -73,26 +62,19 @@ impl CalibrationFile {
         Ok(Some(file))
     }
 
-    /// Writes it in place of what is there, which is kept under the name of its version.
+    /// Replaces the file; the version before is kept beside it.
     pub fn save(&self, path: &Path) -> Result<(), CalibrationFileError> {
-        self.write(path)
-            .map_err(|source| CalibrationFileError::Write { path: path.to_owned(), source })
+        let write = || {
+            let text = toml::to_string(self).map_err(io::Error::other)?;
+            if path.exists() {
+                text_file::replace(&previous(path), &regular_file::read_text(path, MAX_BYTES)?)?;
+            }
+            text_file::replace(path, &format!("{HEADER}{text}"))
+        };
+        write().map_err(|source| CalibrationFileError::Write { path: path.to_owned(), source })
     }
 
-    fn write(&self, path: &Path) -> io::Result<()> {
-        let text = toml::to_string(self).map_err(io::Error::other)?;
-        let fresh = beside(path, "new");
-        let mut file = fs::File::create(&fresh)?;
-        file.write_all(HEADER.as_bytes())?;
-        file.write_all(text.as_bytes())?;
-        file.sync_all()?;
-        if path.exists() {
-            fs::copy(path, beside(path, "previous"))?;
-        }
-        fs::rename(&fresh, path)
-    }
-
-    /// A camera's newest result.
+    /// Adds or replaces the result of a camera.
     pub fn set(&mut self, camera: StoredCamera) {
         match self.cameras.iter_mut().find(|it| it.name == camera.name) {
             Some(before) => *before = camera,
@@ -100,41 +82,27 @@ impl CalibrationFile {
         }
     }
 
-    /// Has the configuration's cameras stand where they were found to stand. What was found under another
-    /// configuration is dropped; a sentence says so for each.
+    /// Sets the calibrated poses and lenses in the configuration. Results of another configuration are dropped, with a
+    /// message for each.
     pub fn merge_into(&mut self, config: &mut Config) -> Vec<String> {
         let mut dropped = Vec::new();
-        self.cameras.retain(|stored| match stored.merge_into(config) {
-            Ok(()) => true,
-            Err(why) => {
-                dropped.push(why);
-                false
-            }
-        });
+        self.cameras
+            .retain(|stored| stored.merge_into(config).map_err(|why| dropped.push(why)).is_ok());
         dropped
     }
 }
 
-fn read(path: &Path) -> io::Result<String> {
-    let size = fs::metadata(path)?.len();
-    if size > MAX_BYTES {
-        let message = format!("expected at most {MAX_BYTES} bytes, found {size}");
-        return Err(io::Error::new(io::ErrorKind::FileTooLarge, message));
-    }
-    fs::read_to_string(path)
-}
-
 /// `lab.calibration.toml` → `lab.calibration.previous.toml`.
-fn beside(path: &Path, word: &str) -> PathBuf {
+fn previous(path: &Path) -> PathBuf {
     let mut name = path.file_stem().map_or_else(OsString::new, OsString::from);
-    name.push(".");
-    name.push(word);
-    name.push(".toml");
+    name.push(".previous.toml");
     path.with_file_name(name)
 }
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use nalgebra::{UnitQuaternion, Vector3};
     use roundel_core::{
         camera::{Camera, Intrinsics},
@@ -178,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_kept_comes_back_at_the_next_start() {
+    fn a_saved_calibration_is_loaded_and_merged() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("lab.calibration.toml");
         assert_eq!(CalibrationFile::load(&path).unwrap(), None);
@@ -201,13 +169,12 @@ mod tests {
         assert_eq!(found.covariance, placement(1.25).covariance);
         let focal_px = |config: &Config| config.cameras[1].calibration.intrinsics().fx_px;
         assert!((focal_px(&config) - focal_px(&before) - 0.5).abs() < 1e-12);
-        // The version before is kept.
-        let previous = beside(&path, "previous");
-        assert_eq!(CalibrationFile::load(&previous).unwrap().unwrap().version, 1);
+        let previous = CalibrationFile::load(&previous(&path)).unwrap().unwrap();
+        assert_eq!(previous.version, 1);
     }
 
     #[test]
-    fn what_the_configuration_says_anew_counts() {
+    fn a_changed_configuration_takes_precedence() {
         let before = config();
         let file = CalibrationFile {
             version: 1,
@@ -217,26 +184,32 @@ mod tests {
         let mut moved = before.clone();
         moved.cameras[0].pose = PoseConfig::Known(placement(3.0).world_from_camera);
         let mut changed = file.clone();
-        let told = changed.merge_into(&mut moved);
-        assert_eq!(told.len(), 1);
-        assert!(told[0].contains("camera north") && told[0].contains("another pose"), "{told:?}");
+        let dropped = changed.merge_into(&mut moved);
+        assert_eq!(dropped.len(), 1);
+        assert!(
+            dropped[0].contains("camera north") && dropped[0].contains("another pose"),
+            "{dropped:?}"
+        );
         assert_eq!(moved.cameras[0].pose, PoseConfig::Known(placement(3.0).world_from_camera));
-        assert_eq!(changed.cameras.len(), 1, "what is dropped is not kept any longer");
+        assert_eq!(changed.cameras.len(), 1);
 
         let mut renamed = before.clone();
         renamed.cameras[1].name = "east".into();
-        let told = file.clone().merge_into(&mut renamed);
-        assert!(told[0].contains("camera south") && told[0].contains("no camera"), "{told:?}");
+        let dropped = file.clone().merge_into(&mut renamed);
+        assert!(
+            dropped[0].contains("camera south") && dropped[0].contains("no camera"),
+            "{dropped:?}"
+        );
 
         let mut lens = before.clone();
         let it = lens.cameras[1].calibration.intrinsics().clone();
         lens.cameras[1].calibration = Camera::new(Intrinsics { cx_px: 600.0, ..it }).unwrap();
-        let told = file.clone().merge_into(&mut lens);
-        assert!(told[0].contains("another lens"), "{told:?}");
+        let dropped = file.clone().merge_into(&mut lens);
+        assert!(dropped[0].contains("another lens"), "{dropped:?}");
     }
 
     #[test]
-    fn a_damaged_file_says_where() {
+    fn errors_of_a_damaged_file_name_the_place() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("lab.calibration.toml");
         let file = CalibrationFile {

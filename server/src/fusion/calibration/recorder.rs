@@ -1,4 +1,4 @@
-//! Records what cameras see for a calibration, and says meanwhile what is missing.
+//! Records observations for a calibration, and reports coverage meanwhile.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,51 +11,48 @@ use roundel_core::{
     world::FrameObservations,
 };
 
-/// Of one roundel in one camera so many detections a second are kept: more say little that is new.
+/// Recorded rate of detections of one roundel in one camera: more add little information.
 const MAX_DETECTIONS_HZ: f64 = 20.0;
-/// Two cameras that see one roundel within this time of each other see it together, seconds.
+/// Two sightings of a roundel within this time count as simultaneous, seconds.
 const MAX_TIME_DIFFERENCE_S: f64 = 0.1;
 
-/// What has been recorded of one camera.
+/// Recorded so far of one camera.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RecordedCamera {
     pub frames: u64,
     pub codes: usize,
-    /// Share of the image's fields in which roundels were seen.
+    /// Share of the image's cells in which roundels were seen.
     pub coverage: f64,
-    /// Sightings of codes that another camera saw at the same time, by that camera.
+    /// Sightings shared with each other camera.
     pub together: BTreeMap<CameraId, u64>,
 }
 
-/// Takes in frames of all cameras.
 pub(super) struct DetectionRecorder {
     recording: Recording,
     cameras: BTreeMap<CameraId, CameraSamples>,
-    /// When and by whom each code was seen last.
+    /// Time of the newest sighting of each code by each camera.
     newest: BTreeMap<(KindId, Code), BTreeMap<CameraId, Timestamp>>,
 }
 
 struct CameraSamples {
     lens: Camera,
-    frames: u64,
+    summary: RecordedCamera,
     codes: BTreeSet<(KindId, Code)>,
     coverage: Coverage,
-    together: BTreeMap<CameraId, u64>,
 }
 
 impl DetectionRecorder {
-    /// For these cameras; frames of others are left out.
-    pub(super) fn new(cameras: impl Iterator<Item = (CameraId, Camera)>) -> Self {
-        let samples = |lens| CameraSamples {
-            lens,
-            frames: 0,
+    /// Frames of other cameras are ignored.
+    pub(super) fn new(cameras: &BTreeMap<CameraId, Camera>) -> Self {
+        let samples = |lens: &Camera| CameraSamples {
+            lens: lens.clone(),
+            summary: RecordedCamera::default(),
             codes: BTreeSet::new(),
             coverage: Coverage::default(),
-            together: BTreeMap::new(),
         };
         Self {
             recording: Recording::new(MAX_DETECTIONS_HZ),
-            cameras: cameras.map(|(id, lens)| (id, samples(lens))).collect(),
+            cameras: cameras.iter().map(|(id, lens)| (*id, samples(lens))).collect(),
             newest: BTreeMap::new(),
         }
     }
@@ -63,7 +60,8 @@ impl DetectionRecorder {
     pub(super) fn add(&mut self, frame: &FrameObservations) {
         let Some(samples) = self.cameras.get_mut(&frame.camera) else { return };
         self.recording.add(frame);
-        samples.frames += 1;
+        let summary = &mut samples.summary;
+        summary.frames += 1;
         let now = frame.received_time;
         for detection in frame.detections.iter().filter(|detection| detection.pose.is_some()) {
             samples.coverage.add(&samples.lens, detection.ring.outer.center);
@@ -73,29 +71,20 @@ impl DetectionRecorder {
             let seen = self.newest.entry(name).or_default();
             for (other, time) in seen.iter().filter(|(other, _)| **other != frame.camera) {
                 if now.seconds_since(*time).abs() < MAX_TIME_DIFFERENCE_S {
-                    *samples.together.entry(*other).or_default() += 1;
+                    *summary.together.entry(*other).or_default() += 1;
                 }
             }
             seen.insert(frame.camera, now);
         }
+        summary.codes = samples.codes.len();
+        summary.coverage = samples.coverage.share();
     }
 
     pub(super) fn cameras(&self) -> BTreeMap<CameraId, RecordedCamera> {
-        self.cameras.iter().map(|(id, samples)| (*id, samples.summary())).collect()
+        self.cameras.iter().map(|(id, samples)| (*id, samples.summary.clone())).collect()
     }
 
     pub(super) fn into_recording(self) -> Recording {
         self.recording
-    }
-}
-
-impl CameraSamples {
-    fn summary(&self) -> RecordedCamera {
-        RecordedCamera {
-            frames: self.frames,
-            codes: self.codes.len(),
-            coverage: self.coverage.share(),
-            together: self.together.clone(),
-        }
     }
 }

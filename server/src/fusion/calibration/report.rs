@@ -1,4 +1,4 @@
-//! What a calibration found, in the installation's own names.
+//! Result of a calibration, with the installation's names.
 
 use std::collections::BTreeMap;
 
@@ -12,32 +12,31 @@ use roundel_core::{
 
 use crate::model::hub::{CameraState, Installation};
 
-/// A trusted clock that is off by more than this and by more than so many deviations is told, seconds.
+/// Offset of a trusted clock that is reported, seconds, and in standard deviations.
 const CLOCK_OFF_S: f64 = 1e-3;
 const CLOCK_DEVIATIONS: f64 = 5.0;
 
 #[derive(Clone, Debug)]
 pub struct CalibrationReport {
-    /// In the order of the configuration, without those that nothing ties to the references.
+    /// In the order of the configuration, without cameras that nothing connects to the references.
     pub cameras: Vec<CameraReport>,
-    /// What a person should know, the gravest first.
+    /// Grave ones first.
     pub findings: Vec<Finding>,
     pub sightings: usize,
-    /// Robots' roundels that two cameras saw or more.
+    /// Roundels on robots that at least two cameras saw.
     pub roundels: usize,
-    /// Of the recording, seconds.
+    /// Length of the recording, seconds.
     pub length_s: f64,
     pub steps: usize,
-    /// How long that took, seconds.
+    /// Time that the solver took, seconds.
     pub solve_s: f64,
 }
 
 #[derive(Clone, Debug)]
 pub struct CameraReport {
-    /// Where it stands, how well that is known, and what says so.
     pub result: CalibratedCamera,
     pub lens: Camera,
-    /// How far from where it stood before, metres and radians; `None` if that was not known.
+    /// Distance and angle to the pose before, metres and radians; `None` if that was unknown.
     pub moved: Option<[f64; 2]>,
 }
 
@@ -51,18 +50,18 @@ impl CameraReport {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Finding {
     pub text: String,
-    /// The result should not be used before somebody has looked at it.
+    /// The result must be checked before it is applied.
     pub is_grave: bool,
 }
 
 impl CalibrationReport {
-    /// Whether cameras may take it over unasked.
+    /// Whether it may be applied without confirmation.
     pub fn is_sound(&self) -> bool {
         !self.findings.iter().any(|finding| finding.is_grave)
     }
 }
 
-/// Things by their configured names; references by their place in the configuration, from 1.
+/// Configured names; references are numbered in the order of the configuration, from 1.
 pub struct InstallationNames<'a>(pub &'a Installation);
 
 impl Names for InstallationNames<'_> {
@@ -79,7 +78,7 @@ impl Names for InstallationNames<'_> {
     }
 }
 
-/// What came out, beside what was known before (`states`, by [`CameraId`]).
+/// `states`: the cameras before the calibration.
 pub(super) fn report(
     found: ArenaCalibration,
     installation: &Installation,
@@ -88,16 +87,16 @@ pub(super) fn report(
 ) -> CalibrationReport {
     let names = InstallationNames(installation);
     let state = |id: CameraId| states.get(&id);
-    let told = found
+    let solved = found
         .findings
         .iter()
-        .map(|finding| Finding { text: finding.told(&names), is_grave: finding.is_grave() });
+        .map(|finding| Finding { text: finding.message(&names), is_grave: finding.is_grave() });
     let clocks = found.cameras.iter().filter_map(|camera| {
         let is_trusted = state(camera.camera)?.clock.is_none_or(|clock| clock.deviation_s == 0.0);
         let text = clock_warning(camera, &names).filter(|_| is_trusted)?;
         Some(Finding { text, is_grave: false })
     });
-    let mut findings: Vec<Finding> = told.chain(clocks).collect();
+    let mut findings: Vec<Finding> = solved.chain(clocks).collect();
     findings.sort_by_key(|finding| !finding.is_grave);
     let cameras = found.cameras.iter().filter_map(|result| {
         let state = state(result.camera)?;
@@ -130,8 +129,8 @@ fn clock_warning(camera: &CalibratedCamera, names: &InstallationNames<'_>) -> Op
     let is_off = offset_s.abs() > CLOCK_OFF_S && offset_s.abs() > CLOCK_DEVIATIONS * deviation_s;
     is_off.then(|| {
         format!(
-            "the stamps of {} are {:.1} ms off those of the camera that sees the references, and the \
-             configuration takes them as right: set its `clock_uncertainty_ms` to {:.0}",
+            "the time stamps of {} differ by {:.1} ms from those of the camera that sees the references, and the \
+             configuration trusts them: set its `clock_uncertainty_ms` to {:.0}",
             names.camera(camera.camera),
             offset_s.abs() * 1e3,
             (offset_s.abs() * 2e3).ceil()

@@ -1,4 +1,4 @@
-//! Recording → solving → taking over, on a thread of its own.
+//! The calibration thread: records, solves, and applies the result.
 
 use std::{
     collections::BTreeMap,
@@ -20,37 +20,43 @@ use super::{
 };
 use crate::model::{hub::EventKind, stop::StopSignal};
 
-/// Between two looks for new frames; the hub keeps those of a quarter of a second.
+/// The hub holds the frames of a quarter of a second.
 const POLL_INTERVAL: Duration = Duration::from_millis(5);
-/// Between two reports of progress.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(200);
 
-/// Cameras that stand, with the lenses that they use.
+/// Lenses of the fixed cameras.
 type Lenses = BTreeMap<CameraId, Camera>;
 
-/// Answers requests until the signal comes.
 pub(super) fn run(shared: &Shared, request: CalibrationRequest, stop: &StopSignal) {
     let lenses = shared.lenses();
-    let recording = record(shared, &request, &lenses, stop);
+    let recording = record(shared, request.seconds, &lenses, stop);
     let outcome = recording
         .ok_or_else(|| "cancelled".to_owned())
         .and_then(|recording| solve(shared, &request, &recording, &lenses, stop));
     match outcome {
-        Ok(report) => shared.done(&request, report),
-        Err(why) => shared.failed(why),
+        Ok(report) => shared.done(request.apply, report),
+        Err(why) => {
+            let message = format!("The calibration of the arena failed: {why}.");
+            shared.status.send_modify(|status| {
+                status.stage = CalibrationStage::Failed;
+                status.error = why;
+            });
+            shared.report_event(EventKind::CalibrationFailed, message);
+        }
     }
 }
 
-/// `None`: it was cancelled.
-fn record(
-    shared: &Shared,
-    request: &CalibrationRequest,
-    lenses: &Lenses,
-    stop: &StopSignal,
-) -> Option<Recording> {
+/// Returns `None` if it was cancelled.
+fn record(shared: &Shared, seconds: f64, lenses: &Lenses, stop: &StopSignal) -> Option<Recording> {
     let mut frames = shared.hub.observations();
-    let mut recorder = DetectionRecorder::new(lenses.iter().map(|(id, lens)| (*id, lens.clone())));
-    let length = Duration::from_secs_f64(request.seconds);
+    let mut recorder = DetectionRecorder::new(lenses);
+    let report = |recorder: &DetectionRecorder, so_far: Duration| {
+        shared.status.send_modify(|status| {
+            status.recorded_s = so_far.as_secs_f64();
+            status.cameras = recorder.cameras();
+        });
+    };
+    let length = Duration::from_secs_f64(seconds);
     let begun = Instant::now();
     let mut reported = begun;
     loop {
@@ -59,7 +65,7 @@ fn record(
                 recorder.add(&frame);
                 continue;
             }
-            // Those that are missed are missing in the recording, which does it no harm.
+            // Missed frames do the recording no harm.
             Err(TryRecvError::Lagged(_)) => continue,
             Err(TryRecvError::Empty | TryRecvError::Closed) => {}
         }
@@ -71,10 +77,10 @@ fn record(
         }
         if reported.elapsed() >= PROGRESS_INTERVAL {
             reported = Instant::now();
-            shared.recorded(begun.elapsed().min(length), &recorder);
+            report(&recorder, begun.elapsed().min(length));
         }
     }
-    shared.recorded(length, &recorder);
+    report(&recorder, length);
     Some(recorder.into_recording())
 }
 
@@ -93,10 +99,10 @@ fn solve(
         lens_deviation,
     };
     let cameras: Vec<ArenaCamera> = lenses.iter().map(camera).collect();
-    // The other half of the cores is for those who are being served.
+    // The other half of the cores serves the cameras.
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let pool = rayon::ThreadPoolBuilder::new().num_threads((cores / 2).max(1)).build();
-    let pool = pool.map_err(|error| format!("the solver gets no threads: {error}"))?;
+    let pool = pool.map_err(|error| format!("cannot start the threads of the solver: {error}"))?;
     let begun = Instant::now();
     let found = pool.install(|| {
         calibrate(recording, &cameras, &shared.landmarks, &ArenaParams::default(), |progress| {
@@ -111,64 +117,41 @@ fn solve(
             Ok(report(found, &installation, &states, begun.elapsed().as_secs_f64()))
         }
         Err(ArenaError::Cancelled) => Err("cancelled".to_owned()),
-        Err(error) => Err(error.told(&InstallationNames(&installation))),
+        Err(error) => Err(error.message(&InstallationNames(&installation))),
     }
 }
 
 impl Shared {
-    /// Those that stand and whose lens is known.
     fn lenses(&self) -> Lenses {
         let states = self.hub.cameras();
         let cameras = lock(&self.cameras);
-        let standing = cameras.iter().filter(|(_, camera)| camera.configured.is_some());
-        standing.filter_map(|(id, _)| Some((*id, states.get(id)?.camera.clone()?))).collect()
+        let fixed = cameras.iter().filter(|(_, camera)| camera.configured.is_some());
+        fixed.filter_map(|(id, _)| Some((*id, states.get(id)?.camera.clone()?))).collect()
     }
 
-    pub(super) fn begin(&self, request: &CalibrationRequest) {
-        let (stage, seconds) = (CalibrationStage::Recording, request.seconds);
-        self.status.send_replace(CalibrationStatus {
-            stage,
-            seconds,
-            ..CalibrationStatus::default()
-        });
+    pub(super) fn begin(&self, seconds: f64) {
+        let stage = CalibrationStage::Recording;
+        self.status.send_replace(CalibrationStatus { stage, seconds, ..Default::default() });
         let message =
-            format!("The arena's calibration records for {seconds:.0} s: let robots drive.");
+            format!("The calibration of the arena records for {seconds:.0} s: let robots drive.");
         self.report_event(EventKind::CalibrationBegun, message);
     }
 
-    fn recorded(&self, so_far: Duration, recorder: &DetectionRecorder) {
-        self.status.send_modify(|status| {
-            status.recorded_s = so_far.as_secs_f64();
-            status.cameras = recorder.cameras();
-        });
-    }
-
-    fn failed(&self, why: String) {
-        let message = format!("The arena's calibration gave no result: {why}.");
-        self.status.send_modify(|status| {
-            status.stage = CalibrationStage::Failed;
-            status.error = why;
-        });
-        self.report_event(EventKind::CalibrationFailed, message);
-    }
-
-    fn done(&self, request: &CalibrationRequest, report: CalibrationReport) {
+    fn done(&self, policy: ApplyPolicy, report: CalibrationReport) {
         let report = Arc::new(report);
-        let is_wanted = match request.apply {
+        let is_applied = match policy {
             ApplyPolicy::Always => true,
             ApplyPolicy::IfSound => report.is_sound(),
             ApplyPolicy::Never => false,
         };
-        let count = report.cameras.len();
-        let message = match is_wanted {
-            true => format!("The arena's calibration placed {count} cameras."),
-            false => format!(
-                "The arena's calibration placed {count} cameras; look at its report before they take it over."
-            ),
-        };
+        let mut message =
+            format!("The calibration of the arena localized {} cameras", report.cameras.len());
+        if !is_applied {
+            message.push_str("; check its report before applying it");
+        }
         self.status.send_modify(|status| status.report = Some(report.clone()));
-        self.report_event(EventKind::CalibrationDone, message);
-        if is_wanted {
+        self.report_event(EventKind::CalibrationDone, message + ".");
+        if is_applied {
             self.apply(&report);
         }
         self.status.send_modify(|status| status.stage = CalibrationStage::Done);

@@ -8,30 +8,29 @@ use super::{
 use crate::{
     capture::worker::{
         PoseSource, Worker, WorkerCounts, WorkerParts, calibration_update::CalibrationUpdate,
-        pipeline::Pipeline,
     },
     model::{
         address::SourceAddress,
-        command::{CameraModel, FusionCommand},
+        command::{CameraChange, CameraModel, CameraPose, CameraUpdate, ClockModel, FusionCommand},
         config::{CameraConfig, Config, Effect},
-        hub::PoseStatus,
+        hub::{EventKind, PoseStatus},
         stop::StopSignal,
     },
 };
 
-/// What a worker begins with.
 pub(super) struct WorkerStart<'a> {
     pub(super) id: CameraId,
     pub(super) index: usize,
     pub(super) camera: &'a CameraConfig,
-    pub(super) pipeline: Pipeline,
     pub(super) pose: PoseSource,
+    /// Version of the calibration in use.
     pub(super) version: u64,
+    /// Counts of the worker before.
     pub(super) before: WorkerCounts,
 }
 
 impl CameraManager {
-    /// Tells fusion of a camera, and opens its port.
+    /// Adds a camera to fusion and opens its port.
     pub(super) fn register(
         &self,
         state: &State,
@@ -39,19 +38,21 @@ impl CameraManager {
         camera: &CameraConfig,
         config: &Config,
     ) {
-        let pose = Some(setup::camera_pose(camera, config, &state.bodies.numbers));
-        state.send_model(id, CameraModel { pose, clock: Some(setup::clock_model(camera)) });
+        let pose = setup::camera_pose(camera, config, &state.bodies.numbers);
+        state.set_model(id, Some(pose), Some(setup::clock_model(camera)));
         if matches!(camera.address, SourceAddress::Push(_)) {
-            self.ports.open(id);
+            self.ports.open(id, config.limits.max_roundels_per_camera);
         }
     }
 
     pub(super) fn start_worker(
         &self,
         state: &mut State,
-        begin: WorkerStart<'_>,
+        config: &Config,
+        start: WorkerStart<'_>,
     ) -> Result<(), CameraManagerError> {
-        let WorkerStart { id, index, camera, pipeline, pose, version, before } = begin;
+        let WorkerStart { id, index, camera, pose, version, before } = start;
+        let pipeline = setup::pipeline(camera, config, before.detection)?;
         let stop = StopSignal::default();
         let opener = (state.sources)(SourceContext {
             index,
@@ -80,31 +81,55 @@ impl CameraManager {
         })
     }
 
-    /// Does what follows from a change that is written.
+    /// Starts a camera that was added to the configuration.
+    pub(super) fn start_camera(
+        &self,
+        state: &mut State,
+        id: CameraId,
+        index: usize,
+    ) -> Result<(), CameraManagerError> {
+        let config = state.config.clone();
+        let camera = &config.cameras[index];
+        self.hub.set_camera(id, setup::camera_info(camera, &config));
+        self.calibrator.set(id, setup::calibrator_camera(camera));
+        self.register(state, id, camera, &config);
+        let (pose, before) = (setup::pose_source(camera, &config), WorkerCounts::default());
+        let start = WorkerStart { id, index, camera, pose, version: 0, before };
+        self.start_worker(state, &config, start)?;
+        let message = format!("Camera {} was added; {}.", camera.name, config.file.kept());
+        self.report(EventKind::CameraAdded, id, message);
+        Ok(())
+    }
+
+    /// Applies and reports a change that is in the configuration already; `name` is the camera's name before.
     pub(super) fn apply_diff(
         &self,
         state: &mut State,
         (id, index): (CameraId, usize),
         diff: &CameraDiff,
+        name: &str,
     ) -> Result<(), CameraManagerError> {
+        if diff.is_empty() {
+            return Ok(());
+        }
         let config = state.config.clone();
         let camera = &config.cameras[index];
-        // Nothing of the old source comes after fusion has heard of the new one.
+        // Stops first, so that no frame of the old source reaches the new model.
         let before = diff.requires_restart().then(|| state.workers.stop(id).unwrap_or_default());
         self.hub.set_camera(id, setup::camera_info(camera, &config));
-        if diff.invalidates_calibration() {
+        let is_invalidated = diff.invalidates_calibration();
+        if is_invalidated {
             self.calibrator.set(id, setup::calibrator_camera(camera));
         } else if diff.has(Effect::Rename) {
             self.calibrator.rename(id, &camera.name);
         }
-        let pose = diff
-            .invalidates_calibration()
-            .then(|| setup::camera_pose(camera, &config, &state.bodies.numbers));
+        let pose =
+            is_invalidated.then(|| setup::camera_pose(camera, &config, &state.bodies.numbers));
         let clock = diff.resets_clock().then(|| setup::clock_model(camera));
-        state.send_model(id, CameraModel { pose, clock });
+        state.set_model(id, pose, clock);
         let is_pushed = matches!(camera.address, SourceAddress::Push(_));
         if is_pushed {
-            self.ports.open(id);
+            self.ports.open(id, config.limits.max_roundels_per_camera);
         } else {
             self.ports.close(id);
         }
@@ -116,57 +141,66 @@ impl CameraManager {
             if diff.has(Effect::Source) {
                 shown.capture_clock = None;
             }
-            if diff.invalidates_calibration() {
+            if is_invalidated {
                 shown.health = None;
-                pose.initial_state().into_iter().for_each(|pose| shown.pose = pose);
+                if let Some(pose) = pose.initial_state() {
+                    shown.pose = pose;
+                }
                 shown.camera = Some(camera.calibration.clone());
                 shown.calibration_version = 0;
             }
         });
         if let Some(before) = before {
-            return self.restart_worker(state, (id, index), &config, (diff, before));
-        }
-        if diff.invalidates_calibration() {
+            // The new worker continues the counts; calibrated pose and lens stay if they are still valid.
+            let shown = self.hub.camera(id).unwrap_or_default();
+            let is_kept = !is_invalidated && shown.pose.status != PoseStatus::Searching;
+            let pose = if is_kept { PoseSource::Unchanged } else { pose };
+            let mut camera = camera.clone();
+            if let Some(lens) = shown.camera.filter(|_| !is_invalidated) {
+                camera.calibration = lens;
+            }
+            let (version, camera) = (shown.calibration_version, &camera);
+            let start = WorkerStart { id, index, camera, pose, version, before };
+            self.start_worker(state, &config, start)?;
+        } else if is_invalidated {
             let lens = camera.calibration.clone();
             self.calibrator.mailbox(id).put(CalibrationUpdate { lens, pose, version: 0 });
         }
+        let (words, kept) = (diff.describe(), config.file.kept());
+        let message = format!("Camera {name} was changed ({words}); {kept}.");
+        self.report(EventKind::CameraChanged, id, message);
         Ok(())
     }
 
-    /// A worker in the pose of the one before: it goes on to count, and a pose and a lens that were found out and
-    /// still hold are kept.
-    fn restart_worker(
-        &self,
-        state: &mut State,
-        (id, index): (CameraId, usize),
-        config: &Config,
-        (diff, before): (&CameraDiff, WorkerCounts),
-    ) -> Result<(), CameraManagerError> {
-        let mut camera = config.cameras[index].clone();
-        let shown = self.hub.camera(id).unwrap_or_default();
-        let is_kept = !diff.invalidates_calibration() && shown.pose.status != PoseStatus::Searching;
-        let pose =
-            if is_kept { PoseSource::Unchanged } else { setup::pose_source(&camera, config) };
-        let lens = shown.camera.filter(|_| !diff.invalidates_calibration());
-        camera.calibration = lens.unwrap_or(camera.calibration);
-        let pipeline = Pipeline::new(setup::pipeline_parts(&camera, config, before.detection)?)?;
-        let (version, camera) = (shown.calibration_version, &camera);
-        self.start_worker(state, WorkerStart { id, index, camera, pipeline, pose, version, before })
+    /// Removes a camera that is not in the file any more.
+    pub(super) fn remove_camera(&self, state: &mut State, index: usize) {
+        let (id, camera) = (state.ids.remove(index), state.config.cameras.remove(index));
+        state.workers.stop(id);
+        let message = format!("Camera {} was removed; {}.", camera.name, state.config.file.kept());
+        self.report(EventKind::CameraRemoved, id, message);
+        self.unregister(state, id);
     }
 
-    /// Nothing knows of a camera any more.
     pub(super) fn unregister(&self, state: &State, id: CameraId) {
         self.ports.close(id);
-        // Fusion is gone only when the server goes down.
-        let _ = state.commands.send(FusionCommand::RemoveCamera(id));
+        state.update_camera(id, CameraChange::Removed);
         self.calibrator.remove(id);
         self.hub.remove_camera(id);
     }
 }
 
 impl State {
-    fn send_model(&self, id: CameraId, known: CameraModel) {
-        // Fusion is gone only when the server goes down.
-        let _ = self.commands.send(FusionCommand::SetCamera(id, Box::new(known)));
+    pub(super) fn set_model(
+        &self,
+        id: CameraId,
+        pose: Option<CameraPose>,
+        clock: Option<ClockModel>,
+    ) {
+        self.update_camera(id, CameraChange::Set(Box::new(CameraModel { pose, clock })));
+    }
+
+    fn update_camera(&self, camera: CameraId, change: CameraChange) {
+        // Fails only during shutdown.
+        let _ = self.commands.send(FusionCommand::UpdateCamera(CameraUpdate { camera, change }));
     }
 }

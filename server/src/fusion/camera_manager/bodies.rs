@@ -1,4 +1,4 @@
-//! Which body each configured object is, and what fusion has to hear of when objects change.
+//! Numbers of the configured objects' bodies, and the diff of two versions of the objects for fusion.
 
 use std::collections::BTreeMap;
 
@@ -13,51 +13,63 @@ use crate::model::{
     config::{ObjectConfig, ObjectRoundels},
 };
 
-/// The numbers that bodies were given, none of them twice.
+/// Body numbers, which are never reused.
 #[derive(Clone, Debug, Default)]
 pub struct BodyTable {
-    /// Of each object of the configuration; `None`: it is known by a whole kind.
+    /// Body of each configured object; `None` if it is identified by its kind.
     pub numbers: Vec<Option<BodyId>>,
-    /// Names of all bodies that there ever were, by number; empty of one that was removed.
+    /// Names of all bodies by number; empty if removed.
     pub names: Vec<String>,
 }
 
 impl BodyTable {
-    /// As a fusion machine numbers them that begins with these objects.
+    /// Numbers of the bodies in a new fusion machine.
     pub fn of(objects: &[ObjectConfig]) -> Self {
         let mut bodies = Self::default();
         bodies.number(&BTreeMap::new(), objects);
         bodies
     }
 
-    /// Takes over other objects than `before`, of which one may have another name (`renamed`, from and to): what is
-    /// another for fusion.
+    /// Numbers the objects of a new version, of which one may be renamed (old and new name), and returns the difference.
     pub fn update(
         &mut self,
         (before, after): (&[ObjectConfig], &[ObjectConfig]),
         renamed: Option<(&str, &str)>,
         motions: &[MotionClass],
     ) -> ObjectUpdate {
-        let now = |name: &str| match renamed {
-            Some((before, after)) if before == name => after.to_owned(),
-            _ => name.to_owned(),
-        };
         let numbers = std::mem::take(&mut self.numbers);
-        let named = before.iter().map(|object| now(&object.name)).zip(numbers.iter().copied());
-        let known = named.filter_map(|(name, number)| Some((name, number?))).collect();
-        self.number(&known, after);
-        diff((before, &numbers), (after, &self.numbers), motions)
+        let known = before.iter().zip(&numbers).filter_map(|(object, number)| {
+            let name = renamed.filter(|(from, _)| *from == object.name);
+            Some((name.map_or(object.name.as_str(), |(_, to)| to), (*number)?))
+        });
+        self.number(&known.collect(), after);
+
+        let (old, new) = (bodies(before, &numbers), bodies(after, &self.numbers));
+        let removed = old.keys().filter(|id| !new.contains_key(id));
+        let empty = Body { motion: MotionClass::default(), mounts: Vec::new() };
+        let removed = removed.map(|id| (*id, empty.clone()));
+        let changed = new.iter().filter(|(id, body)| old.get(id) != Some(body));
+        let changed = changed.map(|(id, body)| (*id, (*body).clone()));
+        let old_kinds = kinds(before, motions);
+        let new_kinds = kinds(after, motions).into_iter();
+        ObjectUpdate {
+            bodies: removed.chain(changed).collect(),
+            kinds: new_kinds
+                .filter(|(kind, motion)| old_kinds.get(kind) != Some(motion))
+                .map(|(kind, (offset_m, motion))| (kind, offset_m, motion))
+                .collect(),
+        }
     }
 
-    /// Gives each body the number that is known of its name, or a new one.
-    fn number(&mut self, known: &BTreeMap<String, BodyId>, objects: &[ObjectConfig]) {
+    /// Gives each body its known number, or a new one.
+    fn number(&mut self, known: &BTreeMap<&str, BodyId>, objects: &[ObjectConfig]) {
         self.names.iter_mut().for_each(String::clear);
         for object in objects {
             let ObjectRoundels::Body(_) = object.carries else {
                 self.numbers.push(None);
                 continue;
             };
-            let body = known.get(&object.name).copied().unwrap_or_else(|| {
+            let body = known.get(object.name.as_str()).copied().unwrap_or_else(|| {
                 self.names.push(String::new());
                 BodyId(self.names.len() as u32 - 1)
             });
@@ -67,7 +79,7 @@ impl BodyTable {
     }
 }
 
-/// Names of the objects that are known by a whole kind.
+/// Names of the objects that are identified by their kind.
 pub fn kind_names(objects: &[ObjectConfig]) -> BTreeMap<KindId, String> {
     let of = |object: &ObjectConfig| match object.carries {
         ObjectRoundels::Kind { kind, .. } => Some((kind, object.name.clone())),
@@ -76,44 +88,29 @@ pub fn kind_names(objects: &[ObjectConfig]) -> BTreeMap<KindId, String> {
     objects.iter().filter_map(of).collect()
 }
 
-/// Point that is followed, and motion, of those that are known by a whole kind; of the others there, none.
+/// Followed point and motion of each kind.
 fn kinds(
     objects: &[ObjectConfig],
     motions: &[MotionClass],
 ) -> BTreeMap<KindId, (Vector3<f64>, MotionClass)> {
-    let of_kind = |kind: KindId| motions.get(usize::from(kind.0)).copied().unwrap_or_default();
-    let of = |object: &ObjectConfig| match object.carries {
-        ObjectRoundels::Kind { kind, offset_m, motion } => {
-            Some((kind, (offset_m, motion.unwrap_or_else(|| of_kind(kind)))))
+    let mut kinds: BTreeMap<_, _> =
+        (0..).map(KindId).zip(motions.iter().map(|motion| (Vector3::zeros(), *motion))).collect();
+    for object in objects {
+        if let ObjectRoundels::Kind { kind, offset_m, motion } = object.carries {
+            let of_kind = motions.get(usize::from(kind.0)).copied().unwrap_or_default();
+            kinds.insert(kind, (offset_m, motion.unwrap_or(of_kind)));
         }
-        ObjectRoundels::Body(_) => None,
-    };
-    let mut kinds: BTreeMap<_, _> = (0..motions.len() as u16)
-        .map(|index| (KindId(index), (Vector3::zeros(), of_kind(KindId(index)))))
-        .collect();
-    kinds.extend(objects.iter().filter_map(of));
+    }
     kinds
 }
 
-fn diff(
-    (before, numbers): (&[ObjectConfig], &[Option<BodyId>]),
-    (after, bodies): (&[ObjectConfig], &[Option<BodyId>]),
-    motions: &[MotionClass],
-) -> ObjectUpdate {
-    let gather = |objects: &[ObjectConfig], numbers: &[Option<BodyId>]| -> BTreeMap<BodyId, Body> {
-        let of = |(object, number): (&ObjectConfig, &Option<BodyId>)| match &object.carries {
-            ObjectRoundels::Body(body) => number.map(|number| (number, body.clone())),
-            ObjectRoundels::Kind { .. } => None,
-        };
-        objects.iter().zip(numbers).filter_map(of).collect()
+fn bodies<'a>(
+    objects: &'a [ObjectConfig],
+    numbers: &[Option<BodyId>],
+) -> BTreeMap<BodyId, &'a Body> {
+    let of = |(object, number): (&'a ObjectConfig, &Option<BodyId>)| match &object.carries {
+        ObjectRoundels::Body(body) => Some(((*number)?, body)),
+        ObjectRoundels::Kind { .. } => None,
     };
-    let (old, new) = (gather(before, numbers), gather(after, bodies));
-    let gone = old.keys().filter(|id| !new.contains_key(id));
-    let gone = gone.map(|id| (*id, Body { motion: MotionClass::default(), mounts: Vec::new() }));
-    let fresh = new.iter().filter(|(id, body)| old.get(id) != Some(body));
-    let bodies = gone.chain(fresh.map(|(id, body)| (*id, body.clone()))).collect();
-    let was = kinds(before, motions);
-    let is = kinds(after, motions).into_iter().filter(|(kind, is)| was.get(kind) != Some(is));
-    let kinds = is.map(|(kind, (offset_m, motion))| (kind, offset_m, motion)).collect();
-    ObjectUpdate { bodies, kinds }
+    objects.iter().zip(numbers).filter_map(of).collect()
 }

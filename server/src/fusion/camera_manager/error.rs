@@ -1,4 +1,4 @@
-//! Why a camera or an object is not added, changed or removed, and which of its keys is to blame.
+//! Errors of changes, and the key that causes them.
 
 use std::{io, path::PathBuf};
 
@@ -10,73 +10,65 @@ use crate::model::config::{
     edit::{self, Message},
 };
 
-/// Why a camera or an object is not added, changed or removed; everything is as it was then.
+/// The configuration and the cameras stay unchanged.
 #[derive(Debug, Error)]
 pub enum CameraManagerError {
-    /// With it the configuration would be wrong.
+    /// The changed configuration would be invalid.
     #[error("{message}")]
     Invalid {
-        /// Which key of the camera or object, if it is one's fault; else which of both it is.
+        /// The key of the camera or object that causes it, or `camera` or `object`.
         key: &'static str,
-        /// What was expected, what was found, and what to do.
         message: String,
     },
-    /// It is no configuration.
+    /// Not a valid configuration.
     #[error("{}", message_of(.0))]
     Problems(Vec<Problem>),
-    /// It is one for another start.
     #[error(
-        "what differs in {} takes a start of the server: write it into the configuration's file, and start the server \
-         anew; nothing was changed", .0.join(", ")
+        "the differences in {} need a restart: write them into the configuration's file, and restart the server; nothing \
+         was changed", .0.join(", ")
     )]
     NeedsRestart(Vec<String>),
-    /// It was made from one that is in force no more.
+    /// The text was edited from an older version.
     #[error("the configuration was changed since that version was read: read it again")]
     Stale,
-    /// There is no such camera, or there is no more.
     #[error("there is no camera \"{0}\"")]
     NoCamera(String),
-    /// There is no such object, or there is no more.
     #[error("the configuration has no object \"{0}\"")]
     NoObject(String),
     #[error("no object {0} was seen within the last minute")]
     NotSeen(u64),
-    /// It is not known by which code.
-    #[error("the code of object {0} was not read yet: it has to be seen larger, or less tilted")]
+    #[error("the code of object {0} has not been read yet: it must appear larger, or less tilted")]
     CodeNotRead(u64),
     #[error(
-        "object {object} carries a plain roundel \"{kind}\" as others do, and nothing tells it from them: give it a \
-         roundel with a code, or one of a kind of its own"
+        "object {object} carries a plain roundel \"{kind}\" like others, and nothing tells it from them: give it a roundel \
+         with a code, or with a kind of its own"
     )]
     Ambiguous { object: u64, kind: String },
     #[error("it is the only camera, and an installation has at least one: add another one first")]
     LastCamera,
-    /// What a calibration records has to hold until its end.
     #[error(
-        "a calibration of the arena is running, which cameras have to stand still for: wait for it, or cancel it"
+        "a calibration of the arena is running, during which cameras cannot be changed: wait for it, or cancel it"
     )]
     Calibrating,
+    #[error(
+        "another change of the configuration has been running for seconds, perhaps because a disk does not answer: try again"
+    )]
+    Busy,
     #[error("the server is shutting down")]
     ShuttingDown,
-    /// The configuration cannot be written.
     #[error(transparent)]
     File(#[from] ConfigFileError),
-    /// There is no place beside it.
     #[error(
-        "this server was started without a configuration file, so there is no place beside it for a lens file: download \
-         the file, and name it as the camera's `calibration`"
+        "this server was started without a configuration file, beside which lens files are stored: download the file, and \
+         name it as the camera's `calibration`"
     )]
     NoFolder,
-    /// A lens file cannot be written.
     #[error("cannot write the lens file {}: {source}; make its folder writable for the server, or download the file", .path.display())]
     Lens { path: PathBuf, source: io::Error },
-    /// The system gives no thread.
     #[error("cannot start the thread `{name}`: {source}")]
     Thread { name: String, source: io::Error },
-    /// The kinds of roundel cannot be searched for.
     #[error("kinds of roundel: {0}")]
     Detector(#[from] DetectorError),
-    /// The mask is none.
     #[error(transparent)]
     Mask(#[from] MaskError),
 }
@@ -93,8 +85,7 @@ impl From<edit::EditError> for CameraManagerError {
     }
 }
 
-/// What is wrong with a configuration since the camera or object at `index` is as it is: the first key that is to blame,
-/// and everything that is to be said.
+/// Attributes the problems of an edited text to a key of the camera or object at `index`, if possible.
 pub(super) fn invalid<M: Message>(
     text: &str,
     index: usize,
@@ -104,7 +95,7 @@ pub(super) fn invalid<M: Message>(
         let at = problem.place.as_ref()?.offset(text);
         match edit::key_at::<M>(text, at) {
             Some((place, key)) if place == index => Some(key),
-            // Of two with one name the second is to blame there, which another one may be.
+            // If two have the same name, the second is reported, which may be another one.
             Some((_, "name")) => Some("name"),
             _ => edit::key_named::<M>(&problem.message),
         }
@@ -113,7 +104,6 @@ pub(super) fn invalid<M: Message>(
     CameraManagerError::Invalid { key, message: sentences(problems, |_| String::new()) }
 }
 
-/// All that is wrong with a whole text.
 fn message_of(problems: &[Problem]) -> String {
     let place = |problem: &Problem| {
         let place = problem.place.as_ref();

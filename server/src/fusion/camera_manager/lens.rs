@@ -1,24 +1,24 @@
-//! Lens files that are found while the server runs: written beside the configuration, and taken into use.
+//! Writes lens files beside the configuration and applies them.
 
 use std::{
-    fs::{self, OpenOptions},
-    io::{self, Write as _},
+    fs, io,
     path::{Path, PathBuf},
 };
 
 use roundel_proto::v1::CameraSetup;
 
 use super::{CameraManager, CameraManagerError};
+use crate::model::text_file;
 
-/// Lens files of one name beside a configuration, at most.
-const MOST_FILES: usize = 1000;
+/// Maximum number of lens files with the same stem.
+const MAX_FILES: usize = 1000;
 
 impl CameraManager {
-    /// Writes a lens file beside the configuration, under a name that no file has yet. Says which.
+    /// Writes a lens file with a new name beside the configuration, and returns that name.
     pub fn save_lens(&self, name: &str, text: &str) -> Result<String, CameraManagerError> {
         let folder = {
-            let state = self.lock_editable()?;
-            let path = state.config.file.path().ok_or(CameraManagerError::NoFolder)?;
+            let config = self.editable_config()?;
+            let path = config.file.path().ok_or(CameraManagerError::NoFolder)?;
             path.parent().unwrap_or(Path::new("")).to_owned()
         };
         let stem: String = name
@@ -26,9 +26,9 @@ impl CameraManager {
             .map(|it| if it.is_alphanumeric() || it == '-' || it == '_' { it } else { '-' })
             .take(100)
             .collect();
-        for number in 1..=MOST_FILES {
+        for number in 1..=MAX_FILES {
             let file = format!("{stem}.lens-{number}.yaml");
-            match write_new(&folder.join(&file), text) {
+            match text_file::create(&folder.join(&file), text) {
                 Ok(()) => return Ok(file),
                 Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
                 Err(source) => {
@@ -36,11 +36,11 @@ impl CameraManager {
                 }
             }
         }
-        let path: PathBuf = folder.join(format!("{stem}.lens-{MOST_FILES}.yaml"));
+        let path: PathBuf = folder.join(format!("{stem}.lens-{MAX_FILES}.yaml"));
         Err(CameraManagerError::Lens { path, source: io::ErrorKind::AlreadyExists.into() })
     }
 
-    /// The same, and has the camera use it from its next frame on. Says the file, and where the configuration is kept.
+    /// Writes a lens file and applies it. Returns its name, and where the configuration is stored.
     pub fn use_lens(
         &self,
         camera: &str,
@@ -51,20 +51,11 @@ impl CameraManager {
         match self.change(camera, &target, &["calibration"]) {
             Ok((_, kept)) => Ok((file, kept)),
             Err(error) => {
-                // A file that nobody uses is of no use; that it could not be removed changes nothing about the error.
-                if let Some(folder) = self.lock().config.file.path().and_then(Path::parent) {
+                if let Some(folder) = self.config().file.path().and_then(Path::parent) {
                     let _ = fs::remove_file(folder.join(file));
                 }
                 Err(error)
             }
         }
     }
-}
-
-fn write_new(path: &Path, text: &str) -> io::Result<()> {
-    let mut file = OpenOptions::new().write(true).create_new(true).open(path)?;
-    let written = file.write_all(text.as_bytes()).and_then(|()| file.sync_all());
-    written.inspect_err(|_| {
-        let _ = fs::remove_file(path);
-    })
 }

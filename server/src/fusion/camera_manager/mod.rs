@@ -1,23 +1,26 @@
-//! The cameras and objects of a server that runs: which there are, and that they can be added, changed and removed
-//! meanwhile.
+//! Adds, changes and removes cameras and objects while the server runs, and writes the configuration back.
 //!
-//! | module | what it does |
+//! | module | content |
 //! | --- | --- |
-//! | `workers` | the workers' threads |
-//! | `diff` | diff between two versions of a camera, and the actions it requires |
-//! | `configuration` | all of them, and what else can change, in one go |
-//! | `effect` | what follows from a change that is written |
-//! | `object` | the same of objects |
-//! | [`bodies`] | which body each object is, and what fusion hears of when they change |
-//! | [`setup`] | what the parts of a server are told of a camera |
-//! | `error` | why something is not done |
+//! | `worker_threads` | the workers' threads |
+//! | `camera_diff` | diff between two versions of a camera, and the actions it requires |
+//! | `configuration` | checks and applies a whole configuration |
+//! | `apply` | applies changes of cameras to workers, hub, fusion and calibrator |
+//! | `object` | adds, changes, removes and names objects |
+//! | `lens` | writes lens files and applies them |
+//! | [`bodies`] | numbers of the objects' bodies, and their diff for fusion |
+//! | [`setup`] | inputs of hub, fusion, worker and calibrator from a camera's configuration |
+//! | `error` | errors, with the key that causes them |
 //!
-//! The configuration's text is what counts: a change is made in it, comments and all, and the whole is read and checked
-//! as at a start. Only then it is written, and only what is written is done. Of the cameras that nobody changed nobody
-//! takes notice: each has its own thread, id and port. Ids are never given twice.
+//! The text of the configuration is authoritative. A change edits the text, which keeps its comments; then the whole
+//! text is parsed and checked as at a start, written to the file, and applied. Cameras that did not change are not
+//! affected: each has its own thread, id and port, and ids are never reused.
 //!
-//! One change at a time; whoever asks waits for the one before. Each takes as long as its worker's source needs to let
-//! go, which is milliseconds.
+//! Changes are applied one after the other. Each takes as long as the worker's source needs to stop: milliseconds.
+//!
+//! Files are read, written and compared only under the lock of changes, on a copy of the configuration. The lock of the
+//! state is held for work in memory, so that recording, reading the configuration and shutting down never wait for a
+//! disk.
 
 mod apply;
 pub mod bodies;
@@ -29,7 +32,10 @@ mod object;
 pub mod setup;
 mod worker_threads;
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
+use std::{
+    sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError, mpsc},
+    time::{Duration, Instant},
+};
 
 use roundel_core::id::CameraId;
 use roundel_proto::v1::CameraSetup;
@@ -44,32 +50,37 @@ use crate::{
             OpenSource, Playback,
             push::{PushEndpoint, PushEndpoints},
         },
-        worker::{WorkerCounts, WorkerOutput, pipeline::Pipeline},
+        worker::{WorkerCounts, WorkerOutput},
     },
     fusion::calibration::Calibrator,
     model::{
+        address::SourceAddress,
         clock::Clock,
         command::FusionCommand,
-        config::{CameraConfig, Config, PoseConfig, edit},
+        config::{CameraConfig, Config, ConfigFile, PoseConfig, edit},
         hub::{EventKind, Hub},
+        source_rules::{SourceRuleError, SourceRules},
         stop::StopSignal,
     },
 };
 pub use bodies::kind_names;
-pub use configuration::{ActiveConfig, ApplyPlan, fusion_limits};
+pub use configuration::{ActiveConfig, ApplyPlan};
 pub use error::CameraManagerError;
 
-/// What a source has to fit into.
+/// A change that lasts longer than this makes the next one fail.
+const CHANGE_TIMEOUT: Duration = Duration::from_secs(5);
+const POLL_INTERVAL: Duration = Duration::from_millis(2);
+
+/// Everything a source is created from.
 pub struct SourceContext<'a> {
-    /// The camera's place in the configuration.
+    /// Position of the camera in the configuration.
     pub index: usize,
     pub camera: &'a CameraConfig,
     pub clock: Clock,
-    /// The time line of recorded and simulated frames.
     pub playback: Playback,
     /// Ends every wait of the source.
     pub stop: StopSignal,
-    /// Where the frames of one with a `push:` source arrive.
+    /// Queue of a `push:` source.
     pub port: Option<Arc<PushEndpoint>>,
 }
 
@@ -77,32 +88,33 @@ pub type SourceFactory = Box<dyn FnMut(SourceContext<'_>) -> Box<dyn OpenSource>
 
 pub struct CameraManagerParts {
     pub config: Config,
-    /// The newest of everything.
     pub hub: Arc<Hub>,
     pub clock: Clock,
-    /// The time line of recorded and simulated frames.
     pub playback: Playback,
     pub calibrator: Arc<Calibrator>,
     pub ports: Arc<PushEndpoints>,
-    /// Where workers send what they see.
+    /// Output of the workers.
     pub to_fusion: mpsc::SyncSender<WorkerOutput>,
     pub commands: mpsc::Sender<FusionCommand>,
     pub sources: SourceFactory,
 }
 
-/// The cameras of a server that runs.
 pub struct CameraManager {
     hub: Arc<Hub>,
     clock: Clock,
     playback: Playback,
     calibrator: Arc<Calibrator>,
     ports: Arc<PushEndpoints>,
+    /// Held during a change of the configuration.
+    changing: Mutex<()>,
     state: Mutex<State>,
+    /// Ends waits for workers that do not stop.
+    shutting_down: StopSignal,
 }
 
 struct State {
     config: Config,
-    /// Of each of its cameras.
+    /// Id of each configured camera.
     ids: Vec<CameraId>,
     next_id: u32,
     bodies: BodyTable,
@@ -114,132 +126,151 @@ struct State {
 }
 
 impl CameraManager {
-    /// Starts every camera, of which the calibrator, fusion's task and the hub know already, in the order of the
-    /// configuration; where a calibration has found them, `calibrated` says so.
+    /// Starts the workers of all cameras, which calibrator, fusion and hub know already. `calibrated` is the
+    /// configuration with the poses and lenses of the calibration file.
     pub fn start(
         parts: CameraManagerParts,
         calibrated: &Config,
     ) -> Result<Self, CameraManagerError> {
         let CameraManagerParts { config, hub, clock, playback, calibrator, ports, .. } = parts;
         let CameraManagerParts { to_fusion, commands, sources, .. } = parts;
+        let shutting_down = StopSignal::default();
         let ids: Vec<CameraId> = (0..).map(CameraId).take(config.cameras.len()).collect();
         let state = State {
             next_id: ids.len() as u32,
             bodies: BodyTable::of(&config.objects),
             config,
             ids: ids.clone(),
-            workers: WorkerThreads::default(),
+            workers: WorkerThreads::new(shutting_down.clone()),
             to_fusion,
             commands,
             sources,
             is_shut_down: false,
         };
-        let state = Mutex::new(state);
-        let camera_manager = Self { hub, clock, playback, calibrator, ports, state };
+        let (changing, state) = (Mutex::default(), Mutex::new(state));
+        let camera_manager =
+            Self { hub, clock, playback, calibrator, ports, changing, state, shutting_down };
         for (index, (id, camera)) in ids.into_iter().zip(&calibrated.cameras).enumerate() {
-            let mut state = camera_manager.lock();
-            let pipeline =
-                Pipeline::new(setup::pipeline_parts(camera, calibrated, Default::default())?)?;
-            camera_manager.register(&state, id, camera, calibrated);
+            let state = &mut *camera_manager.lock();
+            camera_manager.register(state, id, camera, calibrated);
             let is_calibrated = matches!(camera.pose, PoseConfig::Calibrated(_));
             let version = if is_calibrated { camera_manager.calibrator.version() } else { 0 };
             let (pose, before) = (setup::pose_source(camera, calibrated), WorkerCounts::default());
-            let start = WorkerStart { id, index, camera, pipeline, pose, version, before };
-            camera_manager.start_worker(&mut state, start)?;
+            let start = WorkerStart { id, index, camera, pose, version, before };
+            camera_manager.start_worker(state, calibrated, start)?;
         }
         Ok(camera_manager)
     }
 
-    /// A camera as configured, without user and password.
+    /// The camera's configuration without secrets.
     pub fn camera_setup(&self, name: &str) -> Result<CameraSetup, CameraManagerError> {
-        Ok(edit::read(&edit::without_credentials(self.lock().config.file.text())?, name)?)
+        Ok(edit::read(&edit::redacted(self.config().file.text())?, name)?)
     }
 
-    /// The configuration's text as it is now, without users and passwords of sources.
-    pub fn redacted_text(&self) -> String {
-        redacted_text(&self.lock().config)
+    /// The current text without secrets, and its version. `None` if that is `known`, or while a change is being made:
+    /// does not wait.
+    pub fn redacted_text_since(&self, known: &str) -> Option<(String, String)> {
+        let config = self.state.try_lock().ok()?.config.clone();
+        let version = config.file.version();
+        (version != known).then(|| (redacted_text(&config), version))
     }
 
-    /// Adds a camera behind the last one. Says where that is kept.
+    /// Checks a source of a request. Returns the rules that bind it; `None` for a source of the configuration file.
+    pub fn admit_source(
+        &self,
+        address: &SourceAddress,
+    ) -> Result<Option<Arc<SourceRules>>, SourceRuleError> {
+        self.config().admit_source(address)
+    }
+
+    /// Adds a camera after the last one. Returns where the configuration is stored.
     pub fn add(&self, camera: &CameraSetup) -> Result<String, CameraManagerError> {
-        let mut state = self.lock_editable()?;
-        let text = edit::add(state.config.file.text(), camera)?;
-        let index = state.ids.len();
-        let mut config = state.reparse(&text, index)?;
-        config.cameras.splice(..index, state.config.cameras.iter().cloned());
-        // That it can be searched for is known before anything is done.
-        Pipeline::new(setup::pipeline_parts(&config.cameras[index], &config, Default::default())?)?;
-        config.file.replace(text)?;
-        let id = CameraId(state.next_id);
-        state.next_id += 1;
-        let before = std::mem::replace(&mut state.config, config);
-        state.ids.push(id);
-        if let Err(error) = self.start_camera(&mut state, (id, index)) {
-            self.unregister(&state, id);
-            state.ids.pop();
-            // What is written is what runs.
-            let mut file = state.config.file.clone();
-            file.replace(before.file.text().to_owned())?;
-            state.config = Config { file, ..before };
-            return Err(error);
-        }
-        Ok(state.config.file.kept())
+        self.change_with(|| {
+            let before = self.editable_config()?;
+            let text = edit::add(before.file.text(), camera)?;
+            let index = before.cameras.len();
+            let camera = parse_cameras(&before, &text, index)?.swap_remove(index);
+            setup::pipeline(&camera, &before, Default::default())?;
+            let file = replaced(&before.file, text)?;
+            let kept = file.kept();
+            let started = self.start_added(camera, file);
+            if started.is_err() {
+                let file = replaced(&self.config().file, before.file.text().to_owned())?;
+                self.lock().config.file = file;
+            }
+            started.map(|()| kept)
+        })
     }
 
-    /// Gives these keys of a camera other values; its other keys are not looked at. Files that it names are read anew.
-    /// Says where that is kept, and under which name the camera goes now.
+    /// Starts a camera that was added to the file, or removes it again.
+    fn start_added(
+        &self,
+        camera: CameraConfig,
+        file: ConfigFile,
+    ) -> Result<(), CameraManagerError> {
+        let state = &mut *self.lock_running()?;
+        let index = state.ids.len();
+        state.config.file = file;
+        state.config.cameras.push(camera);
+        let id = state.new_id();
+        state.ids.push(id);
+        self.start_camera(state, id, index).inspect_err(|_| {
+            self.unregister(state, id);
+            state.ids.pop();
+            state.config.cameras.pop();
+        })
+    }
+
+    /// Sets these keys of a camera and reads the files that it names again. Returns where the configuration is stored,
+    /// and the name of the camera now.
     pub fn change(
         &self,
         name: &str,
         camera: &CameraSetup,
         keys: &[&str],
     ) -> Result<(String, String), CameraManagerError> {
-        let mut state = self.lock_editable()?;
-        let (index, id) = state.find_camera(name)?;
-        let text = edit::change(state.config.file.text(), name, camera, keys)?;
-        let mut config = state.reparse(&text, index)?;
-        let after = config.cameras[index].clone();
-        config.cameras.clone_from(&state.config.cameras);
-        let before = std::mem::replace(&mut config.cameras[index], after.clone());
-        let diff = CameraDiff::of(&before, &after);
-        // That the keys can be searched for is known before anything is done.
-        Pipeline::new(setup::pipeline_parts(&after, &config, Default::default())?)?;
-        config.file.replace(text)?;
-        state.config = config;
-        let kept = state.config.file.kept();
-        if diff.is_empty() {
-            return Ok((after.name, kept));
-        }
-        self.apply_diff(&mut state, (id, index), &diff)?;
-        let message = format!("Camera {} was changed ({}); {kept}.", name, diff.describe());
-        self.report(EventKind::CameraChanged(id), message);
-        Ok((after.name, kept))
+        self.change_with(|| {
+            let before = self.editable_config()?;
+            let index = find_camera(&before, name)?;
+            let text = edit::change(before.file.text(), name, camera, keys)?;
+            let text = edit::restored(&text, before.file.text())?;
+            let camera = parse_cameras(&before, &text, index)?.swap_remove(index);
+            let diff = CameraDiff::of(&before.cameras[index], &camera);
+            setup::pipeline(&camera, &before, Default::default())?;
+            let file = replaced(&before.file, text)?;
+            let (new_name, kept) = (camera.name.clone(), file.kept());
+            let state = &mut *self.lock_running()?;
+            state.config.file = file;
+            state.config.cameras[index] = camera;
+            let id = state.ids[index];
+            self.apply_diff(state, (id, index), &diff, name)?;
+            Ok((new_name, kept))
+        })
     }
 
-    /// Removes a camera: its thread, its port, and all that is held of it. Says where that is kept.
+    /// Removes a camera. Returns where the configuration is stored.
     pub fn remove(&self, name: &str) -> Result<String, CameraManagerError> {
-        let mut state = self.lock_editable()?;
-        let (index, id) = state.find_camera(name)?;
-        if state.ids.len() == 1 {
-            return Err(CameraManagerError::LastCamera);
-        }
-        let text = edit::remove::<CameraSetup>(state.config.file.text(), name)?;
-        // Whom it carried, and who found its place by it, may need it. The others are not read anew.
-        let mut config = state.reparse(&text, usize::MAX)?;
-        config.cameras.clone_from(&state.config.cameras);
-        config.cameras.remove(index);
-        config.file.replace(text)?;
-        state.config = config;
-        state.ids.remove(index);
-        state.workers.stop(id);
-        let kept = state.config.file.kept();
-        self.report(EventKind::CameraRemoved(id), format!("Camera {name} was removed; {kept}."));
-        self.unregister(&state, id);
-        Ok(kept)
+        self.change_with(|| {
+            let before = self.editable_config()?;
+            let index = find_camera(&before, name)?;
+            if before.cameras.len() == 1 {
+                return Err(CameraManagerError::LastCamera);
+            }
+            let text = edit::remove::<CameraSetup>(before.file.text(), name)?;
+            // Checks that no other camera or object depends on it.
+            parse_cameras(&before, &text, usize::MAX)?;
+            let file = replaced(&before.file, text)?;
+            let kept = file.kept();
+            let state = &mut *self.lock_running()?;
+            state.config.file = file;
+            self.remove_camera(state, index);
+            Ok(kept)
+        })
     }
 
-    /// Ends every camera for good, and gives their threads to be waited for.
+    /// Stops all workers for good and returns their threads.
     pub fn stop_all(&self) -> Vec<std::thread::JoinHandle<WorkerCounts>> {
+        self.shutting_down.stop();
         let mut state = self.lock();
         state.is_shut_down = true;
         state.workers.stop_all()
@@ -249,41 +280,92 @@ impl CameraManager {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The state, if it may be changed now.
-    fn lock_editable(&self) -> Result<MutexGuard<'_, State>, CameraManagerError> {
+    /// The state, unless the server is shutting down.
+    fn lock_running(&self) -> Result<MutexGuard<'_, State>, CameraManagerError> {
         let state = self.lock();
-        if self.calibrator.is_running() {
-            return Err(CameraManagerError::Calibrating);
-        }
         if state.is_shut_down { Err(CameraManagerError::ShuttingDown) } else { Ok(state) }
     }
 
-    fn report(&self, kind: EventKind, message: String) {
+    /// A copy of the configuration.
+    fn config(&self) -> Config {
+        self.lock().config.clone()
+    }
+
+    /// A copy of the configuration, unless the server is shutting down.
+    fn running_config(&self) -> Result<Config, CameraManagerError> {
+        Ok(self.lock_running()?.config.clone())
+    }
+
+    /// A copy of the configuration, if cameras may be changed now.
+    fn editable_config(&self) -> Result<Config, CameraManagerError> {
+        let config = self.running_config()?;
+        if self.calibrator.is_running() { Err(CameraManagerError::Calibrating) } else { Ok(config) }
+    }
+
+    /// Runs a change of the configuration while no other one runs.
+    fn change_with<T>(
+        &self,
+        change: impl FnOnce() -> Result<T, CameraManagerError>,
+    ) -> Result<T, CameraManagerError> {
+        let deadline = Instant::now() + CHANGE_TIMEOUT;
+        let _changing = loop {
+            match self.changing.try_lock() {
+                Ok(guard) => break guard,
+                Err(TryLockError::Poisoned(poisoned)) => break poisoned.into_inner(),
+                Err(TryLockError::WouldBlock) if Instant::now() >= deadline => {
+                    return Err(CameraManagerError::Busy);
+                }
+                Err(TryLockError::WouldBlock) => {
+                    if self.shutting_down.wait(POLL_INTERVAL) {
+                        return Err(CameraManagerError::ShuttingDown);
+                    }
+                }
+            }
+        };
+        let outcome = change();
+        self.calibrator.save_changes();
+        outcome
+    }
+
+    fn report(&self, kind: EventKind, camera: CameraId, message: String) {
         tracing::info!("{message}");
-        self.hub.publish_event(self.clock.now(), kind, message);
+        self.hub.publish_camera_event(self.clock.now(), kind, camera, message);
     }
 }
 
-/// The text of a configuration without users and passwords of sources.
+/// The text of a configuration without secrets.
 pub fn redacted_text(config: &Config) -> String {
     // A text that cannot be parsed may contain passwords.
-    edit::without_credentials(config.file.text()).unwrap_or_default()
+    edit::redacted(config.file.text()).unwrap_or_default()
 }
 
 impl State {
-    /// Place and id of a camera.
-    fn find_camera(&self, name: &str) -> Result<(usize, CameraId), CameraManagerError> {
-        let place = self.config.cameras.iter().position(|camera| camera.name == name);
-        let place = place.ok_or_else(|| CameraManagerError::NoCamera(name.to_owned()))?;
-        Ok((place, self.ids[place]))
+    fn new_id(&mut self) -> CameraId {
+        self.next_id += 1;
+        CameraId(self.next_id - 1)
     }
+}
 
-    /// A changed text as a configuration, kept where the one before is; what is wrong is the fault of the camera at
-    /// `index`.
-    fn reparse(&self, text: &str, index: usize) -> Result<Config, CameraManagerError> {
-        let cameras = Config::parse(text, &self.config.folder)
-            .map_err(|problems| invalid::<CameraSetup>(text, index, &problems))?
-            .cameras;
-        Ok(Config { cameras, ..self.config.clone() })
-    }
+fn find_camera(config: &Config, name: &str) -> Result<usize, CameraManagerError> {
+    let index = config.cameras.iter().position(|camera| camera.name == name);
+    index.ok_or_else(|| CameraManagerError::NoCamera(name.to_owned()))
+}
+
+/// The cameras of an edited text; errors are attributed to the camera at `index`.
+fn parse_cameras(
+    before: &Config,
+    text: &str,
+    index: usize,
+) -> Result<Vec<CameraConfig>, CameraManagerError> {
+    let config = before
+        .parse_request(text)
+        .map_err(|problems| invalid::<CameraSetup>(text, index, &problems))?;
+    Ok(config.cameras)
+}
+
+/// Writes the new text and returns the file with it.
+fn replaced(file: &ConfigFile, text: String) -> Result<ConfigFile, CameraManagerError> {
+    let mut file = file.clone();
+    file.replace(text)?;
+    Ok(file)
 }

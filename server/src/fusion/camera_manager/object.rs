@@ -1,79 +1,87 @@
-//! Objects that are added, changed and removed: in the configuration's text, as cameras are, and in fusion, which goes on
-//! with all others.
+//! Adds, changes, removes and names objects, in the configuration and in fusion.
 
-use std::sync::MutexGuard;
-
-use roundel_core::{id::ObjectId, marker::Pattern, world::LifeStage};
+use roundel_core::{
+    id::ObjectId,
+    marker::Pattern,
+    world::{FusionParams, LifeStage},
+};
 use roundel_proto::v1::ObjectSetup;
 
 use super::{
     CameraManager, CameraManagerError, State, bodies::kind_names, error::invalid, redacted_text,
-    setup,
+    replaced, setup,
 };
 use crate::model::{
-    command::{AppliedConfig, CameraModel, FusionCommand, FusionLimits, FusionSettings},
+    command::{AppliedConfig, FusionCommand, FusionSettings},
     config::{
         Config, ObjectConfig, PoseConfig,
         edit::{self, EditError},
     },
-    hub::{ConfigChange, EventKind, ObjectRecord},
+    hub::{EventKind, ObjectRecord},
 };
 
 impl CameraManager {
     pub fn object_setup(&self, name: &str) -> Result<ObjectSetup, CameraManagerError> {
-        Ok(edit::read(self.lock().config.file.text(), name)?)
+        Ok(edit::read(self.config().file.text(), name)?)
     }
 
-    /// Adds an object behind the last one. Says where that is kept.
+    /// Adds an object after the last one. Returns where the configuration is stored.
     pub fn add_object(&self, object: &ObjectSetup) -> Result<String, CameraManagerError> {
-        let mut state = self.lock_running()?;
-        let text = edit::add(state.config.file.text(), object)?;
-        let index = state.config.objects.len();
-        let kept = self.apply_objects(&mut state, text, index, None)?;
-        let message = format!("Object \"{}\" was added; {kept}.", object.name);
-        self.report_object_change(ConfigChange::Added, &object.name, message);
-        Ok(kept)
+        self.change_with(|| {
+            let before = self.running_config()?;
+            let text = edit::add(before.file.text(), object)?;
+            let index = before.objects.len();
+            let (kept, _) = self.apply_objects(&before, text, index, None)?;
+            let message = format!("Object \"{}\" was added; {kept}.", object.name);
+            let tracked = self.hub.object_by_name(&object.name);
+            self.report_object(EventKind::ObjectAdded, tracked, message);
+            Ok(kept)
+        })
     }
 
-    /// Gives these keys of an object other values; its other keys are not looked at. Says where that is kept, and under
-    /// which name the object goes now.
+    /// Sets these keys of an object. Returns where the configuration is stored, and the name of the object now.
     pub fn change_object(
         &self,
         name: &str,
         object: &ObjectSetup,
         keys: &[&str],
     ) -> Result<(String, String), CameraManagerError> {
-        let mut state = self.lock_running()?;
-        let before: ObjectSetup = edit::read(state.config.file.text(), name)?;
-        let mut text = edit::change(state.config.file.text(), name, object, keys)?;
-        let fresh = if keys.contains(&"name") { object.name.as_str() } else { name };
-        if fresh != name {
-            text = edit::rename_carrier(&text, name, fresh)?;
-        }
-        let index = state.config.objects.iter().position(|it| it.name == name).unwrap_or_default();
-        let kept = self.apply_objects(&mut state, text, index, Some((name, fresh)))?;
-        let after: ObjectSetup = edit::read(state.config.file.text(), fresh)?;
-        let words = difference(&before, &after)?;
-        if !words.is_empty() {
-            let message = format!("Object \"{name}\" was changed ({words}); {kept}.");
-            self.report_object_change(ConfigChange::Changed, fresh, message);
-        }
-        Ok((fresh.to_owned(), kept))
+        self.change_with(|| {
+            let config = self.running_config()?;
+            let before: ObjectSetup = edit::read(config.file.text(), name)?;
+            let mut text = edit::change(config.file.text(), name, object, keys)?;
+            let fresh = if keys.contains(&"name") { object.name.as_str() } else { name };
+            if fresh != name {
+                text = edit::rename_carrier(&text, name, fresh)?;
+            }
+            let index = config.objects.iter().position(|it| it.name == name).unwrap_or_default();
+            let (kept, text) = self.apply_objects(&config, text, index, Some((name, fresh)))?;
+            let after: ObjectSetup = edit::read(&text, fresh)?;
+            let words = difference(&before, &after)?;
+            if !words.is_empty() {
+                let message = format!("Object \"{name}\" was changed ({words}); {kept}.");
+                let tracked = self.hub.object_by_name(fresh);
+                self.report_object(EventKind::ObjectChanged, tracked, message);
+            }
+            Ok((fresh.to_owned(), kept))
+        })
     }
 
-    /// Removes an object. What carries its roundels goes on as what these are. Says where that is kept.
+    /// Removes an object; its roundels are tracked without a name. Returns where the configuration is stored.
     pub fn remove_object(&self, name: &str) -> Result<String, CameraManagerError> {
-        let mut state = self.lock_running()?;
-        let text = edit::remove::<ObjectSetup>(state.config.file.text(), name)?;
-        let object = self.hub.object_by_name(name);
-        // A camera that rides on it is to blame then.
-        let kept = self.apply_objects(&mut state, text, usize::MAX, None)?;
-        let message = format!("Object \"{name}\" was removed; {kept}.");
-        self.report(EventKind::ObjectConfigured(ConfigChange::Removed, object), message);
-        Ok(kept)
+        self.change_with(|| {
+            let before = self.running_config()?;
+            let text = edit::remove::<ObjectSetup>(before.file.text(), name)?;
+            let object = self.hub.object_by_name(name);
+            // Errors are attributed to cameras that are mounted on it.
+            let (kept, _) = self.apply_objects(&before, text, usize::MAX, None)?;
+            let message = format!("Object \"{name}\" was removed; {kept}.");
+            self.report_object(EventKind::ObjectRemoved, object, message);
+            Ok(kept)
+        })
     }
 
-    /// Gives a name to what is seen. Says where that is kept.
+    /// Names a tracked object. Returns where the configuration is stored.
     pub fn name_object(&self, object: ObjectId, name: &str) -> Result<String, CameraManagerError> {
         let records = self.hub.objects();
         let record = records.iter().find(|record| record.id == object);
@@ -85,7 +93,7 @@ impl CameraManager {
             return self.change_object(before, &fresh, &["name"]).map(|(_, kept)| kept);
         }
         let kind = installation.kind_name(record.kind).to_owned();
-        let kinds = self.lock().config.kinds.clone();
+        let kinds = self.config().kinds;
         let is_coded = record.kind.is_some_and(|kind| {
             let kind = kinds.get(usize::from(kind.0));
             kind.is_some_and(|kind| matches!(kind.pattern, Pattern::Coded(_)))
@@ -93,7 +101,7 @@ impl CameraManager {
         if is_coded && record.code.is_none() {
             return Err(CameraManagerError::CodeNotRead(object.0));
         }
-        // Those that were lost within the last minute are in the list as well: this one, under another number, as a rule.
+        // The list contains recently lost objects, often the same one under another id.
         let is_other = |other: &ObjectRecord| {
             other.kind == record.kind && other.id != object && other.stage != LifeStage::Lost
         };
@@ -104,52 +112,46 @@ impl CameraManager {
         self.add_object(&ObjectSetup { roundel: kind, code, ..fresh })
     }
 
-    /// The state, if the server is not going down.
-    pub(super) fn lock_running(&self) -> Result<MutexGuard<'_, State>, CameraManagerError> {
-        let state = self.lock();
-        if state.is_shut_down { Err(CameraManagerError::ShuttingDown) } else { Ok(state) }
-    }
-
-    /// Takes over the objects of a changed text, in which one may have another name; what is wrong with it is the fault
-    /// of the object at `index`. Cameras are not read anew. Says where the text is kept.
+    /// Applies the objects of an edited text, in which one may be renamed; errors are attributed to the object at
+    /// `index`. Returns where the configuration is stored, and its text.
     fn apply_objects(
         &self,
-        state: &mut State,
+        before: &Config,
         text: String,
         index: usize,
         renamed: Option<(&str, &str)>,
-    ) -> Result<String, CameraManagerError> {
-        let objects = Config::parse(&text, &state.config.folder)
+    ) -> Result<(String, String), CameraManagerError> {
+        let objects = before
+            .parse_request(&text)
             .map_err(|problems| invalid::<ObjectSetup>(&text, index, &problems))?
             .objects;
-        state.config.file.replace(text)?;
+        let file = replaced(&before.file, text.clone())?;
+        let kept = file.kept();
+        let state = &mut *self.lock_running()?;
+        state.config.file = file;
         self.replace_objects(state, objects, renamed, None);
-        Ok(state.config.file.kept())
+        Ok((kept, text))
     }
 
-    /// Has everybody know of other objects than before, and fusion of other limits.
+    /// Replaces the objects in hub and fusion, and the parameters of fusion.
     pub(super) fn replace_objects(
         &self,
         state: &mut State,
         objects: Vec<ObjectConfig>,
         renamed: Option<(&str, &str)>,
-        limits: Option<FusionLimits>,
+        params: Option<FusionParams>,
     ) {
-        let now = |name: &str| match renamed {
-            Some((before, after)) if before == name => after.to_owned(),
-            _ => name.to_owned(),
-        };
         let before = std::mem::replace(&mut state.config.objects, objects);
         let State { config, bodies, .. } = &mut *state;
         let order = bodies.update((&before, &config.objects), renamed, &config.motions);
-        // Names come first, so that nobody hears of one that is not known yet.
+        // Names come first: snapshots must not refer to unknown bodies.
         self.hub.set_object_names(kind_names(&config.objects), bodies.names.clone());
         let owned = |(before, after): (&str, &str)| (before.to_owned(), after.to_owned());
         let text = redacted_text(config);
         let written = AppliedConfig { text, renamed: renamed.map(owned) };
-        // Fusion is gone only when the server goes down.
+        // Fails only during shutdown.
         let _ = state.commands.send(FusionCommand::SetParams(Box::new(FusionSettings {
-            limits,
+            params,
             objects: order,
             config: written,
         })));
@@ -157,49 +159,64 @@ impl CameraManager {
         for (index, id) in state.ids.iter().enumerate() {
             let PoseConfig::Mounted(ride) = &mut state.config.cameras[index].pose else { continue };
             let carrier = &before[ride.object].name;
-            ride.object = place(&now(carrier)).unwrap_or(ride.object);
-            if renamed.is_some_and(|(before, after)| before != after && before == carrier) {
+            let renamed = renamed.filter(|(before, _)| before == carrier);
+            let name = renamed.map_or(carrier.as_str(), |(_, after)| after);
+            ride.object = place(name).unwrap_or(ride.object);
+            if name != carrier {
                 let camera = &state.config.cameras[index];
                 self.hub.set_camera(*id, setup::camera_info(camera, &state.config));
                 let pose = setup::camera_pose(camera, &state.config, &state.bodies.numbers);
-                let known = CameraModel { pose: Some(pose), clock: None };
-                let _ = state.commands.send(FusionCommand::SetCamera(*id, Box::new(known)));
+                state.set_model(*id, Some(pose), None);
             }
         }
     }
 
-    /// The same, when several may have changed, each by its name; each change is told.
+    /// Replaces the objects, matched by name, and reports each change.
     pub(super) fn replace_and_report_objects(
         &self,
         state: &mut State,
         objects: Vec<ObjectConfig>,
-        limits: Option<FusionLimits>,
+        params: Option<FusionParams>,
     ) {
-        let before = state.config.objects.clone();
-        let is_in = |all: &[ObjectConfig], name: &str| all.iter().any(|it| it.name == name);
-        let gone: Vec<_> = before.iter().filter(|old| !is_in(&objects, &old.name)).collect();
-        let gone: Vec<_> =
-            gone.iter().map(|old| (&old.name, self.hub.object_by_name(&old.name))).collect();
-        self.replace_objects(state, objects, None, limits);
+        let mut changes = object_changes(&state.config.objects, &objects);
+        // Events of removed objects come first, with the ids that they had.
+        changes.sort_by_key(|(_, kind)| *kind != EventKind::ObjectRemoved);
+        let tracked = |name: &String| self.hub.object_by_name(name);
+        let before: Vec<_> = changes.iter().map(|(name, _)| tracked(name)).collect();
+        self.replace_objects(state, objects, None, params);
         let kept = state.config.file.kept();
-        for (name, object) in gone {
-            let message = format!("Object \"{name}\" was removed; {kept}.");
-            self.report(EventKind::ObjectConfigured(ConfigChange::Removed, object), message);
-        }
-        for object in &state.config.objects {
-            let (change, word) = match before.iter().find(|old| old.name == object.name) {
-                None => (ConfigChange::Added, "added"),
-                Some(old) if old != object => (ConfigChange::Changed, "changed"),
-                Some(_) => continue,
+        for ((name, kind), before) in changes.iter().zip(before) {
+            let (object, word) = match kind {
+                EventKind::ObjectRemoved => (before, "removed"),
+                EventKind::ObjectAdded => (tracked(name), "added"),
+                _ => (tracked(name), "changed"),
             };
-            let message = format!("Object \"{}\" was {word}; {kept}.", object.name);
-            self.report_object_change(change, &object.name, message);
+            self.report_object(*kind, object, format!("Object \"{name}\" was {word}; {kept}."));
         }
     }
 
-    fn report_object_change(&self, change: ConfigChange, name: &str, message: String) {
-        self.report(EventKind::ObjectConfigured(change, self.hub.object_by_name(name)), message);
+    fn report_object(&self, kind: EventKind, object: Option<ObjectId>, message: String) {
+        tracing::info!("{message}");
+        self.hub.publish_object_event(self.clock.now(), kind, object, message);
     }
+}
+
+/// Names of the objects that differ, and how: added, changed or removed.
+pub(super) fn object_changes(
+    before: &[ObjectConfig],
+    after: &[ObjectConfig],
+) -> Vec<(String, EventKind)> {
+    let find = |all: &[ObjectConfig], name: &str| all.iter().position(|it| it.name == name);
+    let changed = after.iter().filter_map(|object| match find(before, &object.name) {
+        None => Some((object.name.clone(), EventKind::ObjectAdded)),
+        Some(index) if before[index] != *object => {
+            Some((object.name.clone(), EventKind::ObjectChanged))
+        }
+        Some(_) => None,
+    });
+    let removed = before.iter().filter(|object| find(after, &object.name).is_none());
+    let removed = removed.map(|object| (object.name.clone(), EventKind::ObjectRemoved));
+    changed.chain(removed).collect()
 }
 
 /// Labels of the keys that differ, commas between.

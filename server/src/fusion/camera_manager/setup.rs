@@ -1,29 +1,48 @@
-//! From a camera's configuration to what the parts of a server are told of it: the hub, fusion, its worker.
+//! Inputs of hub, fusion, worker and calibrator from a camera's configuration.
 
 use nalgebra::Vector3;
 use roundel_core::{
     id::BodyId,
     marker::{Mask, MaskError, Params},
-    rigid::Covariance6,
+    rigid::{Covariance6, Rigid},
+    time::Timestamp,
     world::{CameraMount, CameraPlacement, Carrier, ClockPrior, reference::Reference},
 };
 
+use super::{CameraManagerError, bodies::BodyTable, kind_names};
 use crate::{
     capture::worker::{
-        PoseSource, calibration_update::CalibrationMailbox, pipeline::PipelineParts,
+        PoseSource,
+        calibration_update::CalibrationMailbox,
+        pipeline::{Pipeline, PipelineParts},
     },
     fusion::calibration::{CalibratorCamera, file::StoredConfig},
     model::{
         command::{CameraPose, ClockModel},
         config::{CameraConfig, Config, MountConfig, PoseConfig},
-        hub::{CameraInfo, DetectionCounts, MountInfo, PoseStatus},
+        hub::{CameraInfo, DetectionCounts, Installation, MountInfo, PoseStatus},
     },
 };
 
-/// How much faster or slower than the others a camera's clock may run: quartz without care.
+/// Standard deviation of a camera clock's rate: plain quartz.
 const CLOCK_SKEW: f64 = 1e-4;
 
-/// What the hub says of a camera.
+pub fn installation(config: &Config, started: Timestamp) -> Installation {
+    let unique = started.as_ns() as u64 ^ (u64::from(std::process::id()) << 32).rotate_left(16);
+    Installation {
+        name: config.name.clone(),
+        source_id: format!("{}-{unique:016x}", config.name),
+        started,
+        snapshot_rate_hz: config.server.snapshot_rate_hz,
+        cameras: Installation::number_cameras(
+            config.cameras.iter().map(|camera| camera_info(camera, config)),
+        ),
+        kinds: config.kinds.iter().map(|kind| kind.name.clone()).collect(),
+        object_names: kind_names(&config.objects),
+        body_names: BodyTable::of(&config.objects).names,
+    }
+}
+
 pub fn camera_info(camera: &CameraConfig, config: &Config) -> CameraInfo {
     CameraInfo {
         name: camera.name.clone(),
@@ -43,7 +62,7 @@ fn mount_info(ride: &MountConfig, config: &Config) -> MountInfo {
     MountInfo { carrier, object_from_camera, localizes }
 }
 
-/// What the calibrator is told of a camera, before a kept calibration is merged.
+/// `camera`: before a calibration was merged.
 pub fn calibrator_camera(camera: &CameraConfig) -> CalibratorCamera {
     let rides = matches!(camera.pose, PoseConfig::Mounted(_));
     CalibratorCamera {
@@ -53,18 +72,15 @@ pub fn calibrator_camera(camera: &CameraConfig) -> CalibratorCamera {
     }
 }
 
-/// What fusion is told of its place; `bodies` are those of the configured objects.
+/// The pose for fusion; `bodies` are those of the configured objects.
 pub(super) fn camera_pose(
     camera: &CameraConfig,
     config: &Config,
     bodies: &[Option<BodyId>],
 ) -> CameraPose {
-    let covariance = Covariance6::zeros();
     match &camera.pose {
         PoseConfig::Known(world_from_camera) => {
-            let world_from_camera = *world_from_camera;
-            let placement = CameraPlacement { world_from_camera, covariance };
-            CameraPose::Fixed { placement, is_configured: true }
+            CameraPose::Fixed { placement: exact(*world_from_camera), is_configured: true }
         }
         PoseConfig::Calibrated(placement) => {
             CameraPose::Fixed { placement: **placement, is_configured: false }
@@ -76,7 +92,7 @@ pub(super) fn camera_pose(
             let mount = body.map(|body| CameraMount {
                 carrier: Carrier::Body(body),
                 object_from_camera,
-                covariance,
+                covariance: Covariance6::zeros(),
                 localizes,
             });
             CameraPose::Mounted(mount, mount_info(ride, config))
@@ -84,7 +100,11 @@ pub(super) fn camera_pose(
     }
 }
 
-/// What fusion is told of its clock.
+fn exact(world_from_camera: Rigid) -> CameraPlacement {
+    CameraPlacement { world_from_camera, covariance: Covariance6::zeros() }
+}
+
+/// The clock for fusion.
 pub(super) fn clock_model(camera: &CameraConfig) -> ClockModel {
     let offset_s = camera.clock_uncertainty_s;
     if offset_s > 0.0 {
@@ -94,7 +114,14 @@ pub(super) fn clock_model(camera: &CameraConfig) -> ClockModel {
     }
 }
 
-/// How a camera's frames are searched.
+pub(super) fn pipeline(
+    camera: &CameraConfig,
+    config: &Config,
+    counts: DetectionCounts,
+) -> Result<Pipeline, CameraManagerError> {
+    Ok(Pipeline::new(pipeline_parts(camera, config, counts)?)?)
+}
+
 pub fn pipeline_parts(
     camera: &CameraConfig,
     config: &Config,
@@ -114,12 +141,11 @@ pub fn pipeline_parts(
     })
 }
 
-/// What a camera's worker is told of its place.
+/// The pose for the worker.
 pub(super) fn pose_source(camera: &CameraConfig, config: &Config) -> PoseSource {
     match camera.pose {
         PoseConfig::Known(world_from_camera) => {
-            let covariance = Covariance6::zeros();
-            let placement = CameraPlacement { world_from_camera, covariance };
+            let placement = exact(world_from_camera);
             PoseSource::Fixed(PoseStatus::Configured, Box::new(placement))
         }
         PoseConfig::Calibrated(ref placement) => {

@@ -1,4 +1,4 @@
-//! The workers' threads, each with a stop of its own.
+//! The workers' threads, each with its own stop signal.
 
 use std::{
     collections::BTreeMap,
@@ -14,7 +14,7 @@ use crate::{
     model::stop::StopSignal,
 };
 
-/// A worker ends within milliseconds; one whose source holds it up for longer is left behind.
+/// Workers stop within milliseconds. One that is blocked by its source for longer is abandoned.
 const STOP_TIMEOUT: Duration = Duration::from_secs(3);
 const POLL_INTERVAL: Duration = Duration::from_millis(2);
 
@@ -23,11 +23,17 @@ struct WorkerThread {
     thread: JoinHandle<WorkerCounts>,
 }
 
-#[derive(Default)]
-pub(super) struct WorkerThreads(BTreeMap<CameraId, WorkerThread>);
+pub(super) struct WorkerThreads {
+    threads: BTreeMap<CameraId, WorkerThread>,
+    /// Ends waits for workers that do not stop.
+    shutting_down: StopSignal,
+}
 
 impl WorkerThreads {
-    /// Has a camera's worker run until its stop.
+    pub(super) fn new(shutting_down: StopSignal) -> Self {
+        Self { threads: BTreeMap::new(), shutting_down }
+    }
+
     pub(super) fn spawn(
         &mut self,
         id: CameraId,
@@ -38,17 +44,17 @@ impl WorkerThreads {
         let until = stop.clone();
         let builder = thread::Builder::new().name(format!("camera {name}"));
         let thread = builder.spawn(move || worker::run(worker, &until))?;
-        self.0.insert(id, WorkerThread { stop, thread });
+        self.threads.insert(id, WorkerThread { stop, thread });
         Ok(())
     }
 
-    /// Ends a camera's worker, and says what it has counted; `None` if that is not known.
+    /// Stops a worker and returns its counts; `None` if it is blocked.
     pub(super) fn stop(&mut self, id: CameraId) -> Option<WorkerCounts> {
-        let WorkerThread { stop, thread } = self.0.remove(&id)?;
+        let WorkerThread { stop, thread } = self.threads.remove(&id)?;
         stop.stop();
         let deadline = Instant::now() + STOP_TIMEOUT;
         while !thread.is_finished() {
-            if Instant::now() >= deadline {
+            if Instant::now() >= deadline || self.shutting_down.is_stopped() {
                 let name = thread.thread().name().unwrap_or_default();
                 tracing::warn!(thread = name, "did not end within the grace time");
                 return None;
@@ -58,9 +64,9 @@ impl WorkerThreads {
         thread.join().ok()
     }
 
-    /// Ends all at once, and gives their threads to be waited for.
+    /// Stops all workers and returns their threads.
     pub(super) fn stop_all(&mut self) -> Vec<JoinHandle<WorkerCounts>> {
-        let members = std::mem::take(&mut self.0);
+        let members = std::mem::take(&mut self.threads);
         members.values().for_each(|member| member.stop.stop());
         members.into_values().map(|member| member.thread).collect()
     }

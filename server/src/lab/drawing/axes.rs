@@ -20,7 +20,7 @@ pub(crate) struct Axes {
 }
 
 impl Axes {
-    /// The pixel of a pair of values.
+    /// The pixel at a pair of values.
     pub(crate) fn point(&self, x: f64, y: f64) -> Point {
         let share =
             |value: f64, range: &Range<f64>| (value - range.start) / (range.end - range.start);
@@ -30,26 +30,18 @@ impl Axes {
         )
     }
 
-    /// Lines across the area at each mark.
+    /// Lines through the area at each mark.
     pub(crate) fn grid(&self) -> Vec<Shape> {
         let Rect { x0, y0, x1, y1 } = self.area;
         let line =
             |from: (f64, f64), to: (f64, f64)| Shape::polyline([from.into(), to.into()], 1.0, GRID);
-        let mut shapes = Vec::new();
-        shapes.extend(
-            marks(&self.x, x1 - x0)
-                .map(|x| self.point(x, self.y.start).x)
-                .map(|x| line((x, y0), (x, y1))),
-        );
-        shapes.extend(
-            marks(&self.y, y1 - y0)
-                .map(|y| self.point(self.x.start, y).y)
-                .map(|y| line((x0, y), (x1, y))),
-        );
-        shapes
+        let columns = marks(&self.x, x1 - x0).map(|x| self.point(x, self.y.start).x);
+        let rows = marks(&self.y, y1 - y0).map(|y| self.point(self.x.start, y).y);
+        let columns = columns.map(|x| line((x, y0), (x, y1)));
+        columns.chain(rows.map(|y| line((x0, y), (x1, y)))).collect()
     }
 
-    /// A frame round the area, with marks, values and the names of both axes.
+    /// A frame around the area with marks, values and the names of both axes.
     pub(crate) fn frame(&self, names: [&str; 2]) -> Vec<Shape> {
         let Rect { x0, y0, x1, y1 } = self.area;
         let text = |x: f64, y: f64, anchor, text: String| {
@@ -73,11 +65,11 @@ impl Axes {
     }
 }
 
-/// Round values in a range that covers that many pixels.
+/// Round values in a range that covers `length_px` pixels.
 fn marks(range: &Range<f64>, length_px: f64) -> impl Iterator<Item = f64> {
     let step = round_step((range.end - range.start) / length_px * MARKS_PX);
     let indices = (range.start / step).ceil() as i64..=(range.end / step + 1e-9).floor() as i64;
-    // Dividing by a whole number rounds decimals correctly.
+    // Division by a whole number rounds decimals correctly.
     indices.map(
         move |index| {
             if step < 1.0 { index as f64 / (1.0 / step).round() } else { index as f64 * step }

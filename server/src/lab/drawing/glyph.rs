@@ -9,7 +9,7 @@ const ROWS: usize = 5;
 /// Dots from one character to the next.
 const ADVANCE: usize = COLUMNS + 1;
 
-/// The width of a text whose capitals are that high, with a gap of one dot at its end.
+/// The width of a text with capitals of that height, including a gap of one dot at its end.
 pub(crate) fn width(text: &str, height: f64) -> f64 {
     (text.chars().count() * ADVANCE) as f64 * height / ROWS as f64
 }
@@ -31,8 +31,8 @@ pub(super) fn outline(text: &str, at: Point, anchor: Anchor, height: f64) -> Bez
     path
 }
 
-/// The rows of a character from the top, with the left dot in the highest of three bits; lower case looks like
-/// upper case, and unknown characters are blank.
+/// The rows of a character from the top, with the left dot in the highest of three bits. Lower case is drawn as upper
+/// case, and unknown characters are blank.
 fn rows(character: char) -> [u8; ROWS] {
     match character.to_ascii_uppercase() {
         '0' | 'O' => [0b111, 0b101, 0b101, 0b101, 0b111],
@@ -94,11 +94,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn characters_are_told_apart() {
+    fn characters_are_distinct() {
         let mut known = HashMap::new();
         for character in ('0'..='9').chain('A'..='Z').chain("# .,:;-_+=/%()".chars()) {
             if let Some(other) = known.insert(rows(character), character) {
-                assert_eq!((other, character), ('0', 'O'), "these look the same");
+                assert_eq!((other, character), ('0', 'O'), "these look alike");
             }
             assert_eq!(rows(character), rows(character.to_ascii_lowercase()));
         }

@@ -11,7 +11,7 @@ use roundel_core::{
     id::TrackNumber,
     marker::{Reject, Rejected, Ring},
 };
-use tiny_skia::PixmapMut;
+use tiny_skia::{PixmapMut, Transform};
 
 use super::{Anchor, BLACK, Color, Shape, WHITE, glyph, raster};
 use crate::model::reason;
@@ -33,7 +33,6 @@ const DOT_PX: f64 = 2.0;
 const RIM_PX: f64 = 0.05;
 const JPEG_QUALITY: u8 = 80;
 
-/// A color image to draw on.
 pub(crate) struct Overlay {
     width: usize,
     height: usize,
@@ -41,7 +40,7 @@ pub(crate) struct Overlay {
 }
 
 impl Overlay {
-    /// Starts from a grey image, row by row without gaps.
+    /// From a grey image, row by row without gaps.
     pub(crate) fn new(width: usize, height: usize, grey: &[u8]) -> Self {
         let rgba = grey.iter().flat_map(|&grey| [grey, grey, grey, 255]).collect();
         Self { width, height, rgba }
@@ -61,7 +60,7 @@ impl Overlay {
         Ok(jpeg)
     }
 
-    /// Draws a ring's rims and centre, and beside it its code and its track's number.
+    /// Draws a ring's rims and centre, and its code and track number beside it.
     pub(crate) fn draw_ring(&mut self, ring: &Ring, track: Option<TrackNumber>) {
         self.draw_rim(&ring.outer, GREEN);
         self.draw_rim(&ring.inner, CYAN);
@@ -82,13 +81,12 @@ impl Overlay {
         }
     }
 
-    /// Draws a polygon's edges.
     pub(crate) fn draw_polygon(&mut self, corners: &[PixelPoint]) {
         self.draw_line(corners.iter().map(|corner| pixel_center(*corner)), true, MAGENTA);
     }
 
-    /// Draws rejected candidates: boxes, and the reasons beside them where no other reason stands. Those that came
-    /// furthest cover the others, and get their reasons first.
+    /// Draws rejected candidates as boxes, and the reasons beside them where they do not overlap. Candidates rejected at
+    /// later stages cover the others and are labelled first.
     pub(crate) fn draw_rejected(&mut self, rejected: &[Rejected]) {
         let mut order: Vec<&Rejected> = rejected.iter().collect();
         order.sort_by_key(|rejected| rejected.reject);
@@ -113,7 +111,7 @@ impl Overlay {
 
     fn draw_rim(&mut self, rim: &Rim, color: Color) {
         let (a, b) = (rim.semi_major_px, rim.semi_minor_px);
-        // Rims that reach far beyond the picture are wrong, and would take long to draw.
+        // Rims far beyond the picture are wrong and slow to draw.
         if a.max(b) < (self.width + self.height) as f64 {
             let ellipse = Ellipse::new(pixel_center(rim.center), (a, b), rim.angle_rad);
             self.paint(&Shape::Line { path: ellipse.to_path(RIM_PX), width: 0.0, color });
@@ -136,7 +134,7 @@ impl Overlay {
         self.paint(&line);
     }
 
-    /// Writes a text below and right of a corner, on a black ground with a margin of one dot.
+    /// Draws a text below and right of a corner, on black with a margin of one dot.
     fn draw_text(&mut self, text: &str, corner: Point, color: Color) {
         self.paint(&Shape::fill(text_area(text, corner), BLACK));
         let (at, text) = (corner + (0.0, TEXT_PX), text.to_owned());
@@ -146,12 +144,12 @@ impl Overlay {
     fn paint(&mut self, shape: &Shape) {
         let size = (self.width as u32, self.height as u32);
         if let Some(mut pixmap) = PixmapMut::from_bytes(&mut self.rgba, size.0, size.1) {
-            raster::paint(&mut pixmap, shape, 1.0, false);
+            raster::paint(&mut pixmap, shape, Transform::identity(), false);
         }
     }
 }
 
-/// In a drawing, the centre of the first pixel is half a pixel from the corner.
+/// In a drawing, pixel centres are half a pixel from the pixel's corner.
 fn pixel_center(at: PixelPoint) -> Point {
     Point::new(at.u + 0.5, at.v + 0.5)
 }
@@ -167,7 +165,7 @@ fn bounds(rejected: &Rejected) -> Rect {
     Rect::new(at.u - half.0, at.v - half.1, at.u + half.0, at.v + half.1).round()
 }
 
-/// Whether it passed the first test of the search: thousands in a photograph do not.
+/// Whether the candidate passed the first test of the search; thousands in a photograph do not.
 fn was_measured(reject: Reject) -> bool {
     reject > Reject::Chord
 }
@@ -203,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn the_code_stands_above_the_tracks_number() {
+    fn the_code_is_above_the_track_number() {
         let ring = Ring { code: Some(reading(7)), ..ring(10.0, 24.0, 8.0) };
         let mut overlay = Overlay::new(64, 48, &[90; 64 * 48]);
         overlay.draw_ring(&ring, Some(TrackNumber(3)));
@@ -221,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn polygons_are_closed_and_cut_at_the_edges() {
+    fn polygons_are_closed_and_clipped() {
         let mut overlay = Overlay::new(64, 48, &[90; 64 * 48]);
         let corners = [(10.0, 10.0), (1e9, 10.0), (10.0, 40.0)].map(|(u, v)| PixelPoint { u, v });
         overlay.draw_polygon(&corners);
@@ -234,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_outside_is_left_out() {
+    fn shapes_outside_the_picture_are_skipped() {
         let mut overlay = Overlay::new(64, 48, &[90; 64 * 48]);
         for (u, v, size_px) in
             [(-5.0, 60.0, 12.0), (1e300, 0.0, 5.0), (3.0, 3.0, f64::NAN), (0.0, 0.0, 1e9)]
@@ -245,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_rejected_has_a_box_and_one_reason_a_place() {
+    fn rejected_candidates_have_boxes_and_reasons_that_do_not_overlap() {
         let rejected = |u, reject| {
             let center = PixelPoint { u, v: 30.0 };
             Rejected { center, half_box_px: (6.0, 5.0), reject }
@@ -257,7 +255,7 @@ mod tests {
         assert_eq!(color(&overlay, 26, 35), ORANGE);
         assert_eq!(color(&overlay, 56, 30), DIM);
         assert_eq!(color(&overlay, 22, 30), [90; 3]);
-        // The later reason is written from its own box on; the earlier has no room beside it.
+        // Only the later reason is drawn, beginning at its box; the earlier one would overlap.
         let columns: Vec<usize> =
             (0..64).filter(|&u| (8..23).any(|v| color(&overlay, u, v) == ORANGE)).collect();
         assert_eq!(columns.first(), Some(&17));

@@ -1,4 +1,4 @@
-//! Drawings as the pages of a PDF, with text in Helvetica, which every reader has.
+//! Drawings as the pages of a PDF, with text in Helvetica, one of the standard fonts.
 
 use kurbo::{Affine, BezPath, PathEl, Shape as _};
 use pdf_writer::{Content, Finish, Name, Pdf, Rect, Ref, Str, TextStr};
@@ -7,7 +7,7 @@ use super::{CAPITAL, Color, Drawing, Shape, TOLERANCE};
 
 /// Units of PDF, 72 per inch, in a millimetre.
 const POINTS: f64 = 72.0 / 25.4;
-/// Mean width of a letter of Helvetica over the font size.
+/// Mean width of a Helvetica letter over the font size.
 const LETTER: f64 = 0.5;
 
 /// A PDF of drawings in millimetres, printed at their size.
@@ -18,7 +18,7 @@ pub(crate) fn pdf(pages: impl ExactSizeIterator<Item = Drawing>, title: &str) ->
 
     let mut root = pdf.catalog(catalog);
     root.pages(tree);
-    // Readers fit the page to the printable area otherwise.
+    // Otherwise viewers scale the page to the printable area.
     root.viewer_preferences().pair(Name(b"PrintScaling"), Name(b"None"));
     root.finish();
     let count = pages.len() as i32;
@@ -43,7 +43,7 @@ pub(crate) fn pdf(pages: impl ExactSizeIterator<Item = Drawing>, title: &str) ->
 }
 
 fn operators(drawing: &Drawing) -> Vec<u8> {
-    // From the lower left corner, upwards.
+    // PDF coordinates begin at the lower left corner.
     let points_from_mm = Affine::scale_non_uniform(POINTS, -POINTS)
         .then_translate((0.0, drawing.size.height * POINTS).into());
     let mut content = Content::new();
@@ -85,7 +85,7 @@ fn operators(drawing: &Drawing) -> Vec<u8> {
     content.finish().into_vec()
 }
 
-/// Grey stays grey, so that printers use their black ink alone.
+/// Grey uses the grey colour space, so that printers use only black ink.
 fn set_color(content: &mut Content, color: Color) {
     let [red, green, blue] = color.map(|level| f32::from(level) / 255.0);
     if red == green && green == blue {
@@ -100,21 +100,17 @@ fn draw(content: &mut Content, path: BezPath) {
         match element {
             PathEl::MoveTo(to) => content.move_to(to.x as f32, to.y as f32),
             PathEl::LineTo(to) => content.line_to(to.x as f32, to.y as f32),
-            PathEl::CurveTo(one, other, to) => content.cubic_to(
-                one.x as f32,
-                one.y as f32,
-                other.x as f32,
-                other.y as f32,
-                to.x as f32,
-                to.y as f32,
-            ),
+            PathEl::CurveTo(p, q, to) => {
+                let [px, py, qx, qy] = [p.x, p.y, q.x, q.y].map(|it| it as f32);
+                content.cubic_to(px, py, qx, qy, to.x as f32, to.y as f32)
+            }
             PathEl::ClosePath => content.close_path(),
             PathEl::QuadTo(..) => unreachable!("paths consist of lines and cubic curves"),
         };
     }
 }
 
-/// A text in the font's encoding, with question marks for characters that it lacks.
+/// A text in the font's encoding, with question marks for missing characters.
 fn latin(text: &str) -> Vec<u8> {
     text.chars().map(|letter| u8::try_from(u32::from(letter)).unwrap_or(b'?')).collect()
 }

@@ -1,4 +1,6 @@
-//! A drawing as pixels.
+//! Paints drawings as pixels.
+
+use std::ops::Range;
 
 use kurbo::{BezPath, PathEl, Shape as _};
 use tiny_skia::{FillRule, LineCap, Mask, Paint, Path, PathBuilder, PixmapMut, Stroke, Transform};
@@ -6,20 +8,27 @@ use tiny_skia::{FillRule, LineCap, Mask, Paint, Path, PathBuilder, PixmapMut, St
 use super::{Color, Drawing, Shape, TOLERANCE, glyph};
 
 impl Drawing {
-    /// Red, green, blue and opacity of each pixel, at `scale` pixels per unit; `None` if it is empty or too large.
-    pub(crate) fn rgba(&self, scale: f64, width: usize, height: usize) -> Option<Vec<u8>> {
-        let mut data = vec![255; 4 * width * height];
-        let mut pixmap = PixmapMut::from_bytes(&mut data, width as u32, height as u32)?;
+    /// Red, green, blue and opacity of each pixel of these rows, at `scale` pixels per unit; `None` if there are none or too
+    /// many.
+    pub(crate) fn rgba(&self, scale: f64, width: usize, rows: Range<usize>) -> Option<Vec<u8>> {
+        let mut data = vec![255; 4 * width * rows.len()];
+        let mut pixmap = PixmapMut::from_bytes(&mut data, width as u32, rows.len() as u32)?;
+        let scaled = Transform::from_scale(scale as f32, scale as f32);
+        let transform = scaled.post_translate(0.0, -(rows.start as f32));
         for shape in &self.shapes {
-            paint(&mut pixmap, shape, scale, true);
+            paint(&mut pixmap, shape, transform, true);
         }
         Some(data)
     }
 }
 
-/// Paints a shape; parts that are outside or not finite are left out.
-pub(super) fn paint(pixmap: &mut PixmapMut<'_>, shape: &Shape, scale: f64, anti_alias: bool) {
-    let transform = Transform::from_scale(scale as f32, scale as f32);
+/// Paints a shape; parts that are outside or not finite are skipped.
+pub(super) fn paint(
+    pixmap: &mut PixmapMut<'_>,
+    shape: &Shape,
+    transform: Transform,
+    anti_alias: bool,
+) {
     let ink = |[red, green, blue]: Color| {
         let mut paint = Paint { anti_alias, ..Paint::default() };
         paint.set_color_rgba8(red, green, blue, 255);
@@ -46,7 +55,7 @@ pub(super) fn paint(pixmap: &mut PixmapMut<'_>, shape: &Shape, scale: f64, anti_
             }
         }
         Shape::Line { path: line, width, color } => {
-            // A hairline leaves its last pixel out without the cap.
+            // Without this cap a hairline lacks its last pixel.
             let line_cap = if *width == 0.0 { LineCap::Square } else { LineCap::Butt };
             let stroke = Stroke { width: *width as f32, line_cap, ..Stroke::default() };
             if let Some(line) = path(line) {
@@ -63,14 +72,10 @@ fn path(path: &BezPath) -> Option<Path> {
             PathEl::MoveTo(to) => builder.move_to(to.x as f32, to.y as f32),
             PathEl::LineTo(to) => builder.line_to(to.x as f32, to.y as f32),
             PathEl::QuadTo(..) => unreachable!("paths consist of lines and cubic curves"),
-            PathEl::CurveTo(one, other, to) => builder.cubic_to(
-                one.x as f32,
-                one.y as f32,
-                other.x as f32,
-                other.y as f32,
-                to.x as f32,
-                to.y as f32,
-            ),
+            PathEl::CurveTo(p, q, to) => {
+                let [px, py, qx, qy] = [p.x, p.y, q.x, q.y].map(|it| it as f32);
+                builder.cubic_to(px, py, qx, qy, to.x as f32, to.y as f32)
+            }
             PathEl::ClosePath => builder.close(),
         }
     }

@@ -1,8 +1,6 @@
 //! A drawing as SVG.
 
-use std::fmt::Write as _;
-
-use kurbo::{BezPath, PathEl, Shape as _};
+use kurbo::{BezPath, PathEl, Point, Shape as _};
 use svg::{
     Document,
     node::element::{ClipPath, Group, Path, Rectangle, Text},
@@ -11,7 +9,7 @@ use svg::{
 use super::{Anchor, CAPITAL, Color, Drawing, Shape, TOLERANCE};
 
 impl Drawing {
-    /// The SVG document; `unit` is that of its printed size, such as `mm` or `px`.
+    /// The SVG document; `unit` is the unit of the drawing, such as `mm` or `px`.
     pub(crate) fn svg(&self, unit: &str) -> String {
         let (width, height) = (self.size.width, self.size.height);
         let paper = Rectangle::new().set("width", width).set("height", height).set("fill", "white");
@@ -59,21 +57,17 @@ impl Drawing {
 }
 
 fn area(path: &BezPath) -> Path {
-    let mut data = String::new();
-    for element in path {
-        let (letter, points) = match element {
-            PathEl::MoveTo(to) => ('M', vec![to]),
-            PathEl::LineTo(to) => ('L', vec![to]),
-            PathEl::QuadTo(..) => unreachable!("paths consist of lines and cubic curves"),
-            PathEl::CurveTo(one, other, to) => ('C', vec![one, other, to]),
-            PathEl::ClosePath => ('Z', Vec::new()),
-        };
-        data.push(letter);
-        for point in points {
-            // Writing to a string does not fail.
-            let _ = write!(data, "{} {} ", rounded(point.x), rounded(point.y));
+    let point = |point: Point| format!("{} {} ", rounded(point.x), rounded(point.y));
+    let commands = path.iter().map(|element| match element {
+        PathEl::MoveTo(to) => format!("M{}", point(to)),
+        PathEl::LineTo(to) => format!("L{}", point(to)),
+        PathEl::QuadTo(..) => unreachable!("paths consist of lines and cubic curves"),
+        PathEl::CurveTo(one, other, to) => {
+            format!("C{}{}{}", point(one), point(other), point(to))
         }
-    }
+        PathEl::ClosePath => "Z".to_owned(),
+    });
+    let data: String = commands.collect();
     Path::new().set("d", data.trim_end()).set("fill-rule", "evenodd")
 }
 
@@ -81,7 +75,7 @@ fn hex([red, green, blue]: Color) -> String {
     format!("#{red:02x}{green:02x}{blue:02x}")
 }
 
-/// Millionths are enough: nanometres of a page.
+/// To millionths: nanometres on a page.
 fn rounded(length: f64) -> f64 {
     (length * 1e6).round() / 1e6
 }

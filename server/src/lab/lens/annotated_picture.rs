@@ -1,11 +1,10 @@
-//! The newest picture of a lens calibration, with the rings that were found in it.
+//! The newest picture of a lens calibration with the rings found in it; drawn only when a client asks for it.
 
 use jpeg_encoder::EncodingError;
 use roundel_core::{frame::Frame, marker::Ring};
 
 use crate::lab::drawing::Overlay;
 
-/// A picture with its rings.
 #[derive(Clone, Debug)]
 pub struct AnnotatedPicture {
     width: usize,
@@ -15,7 +14,6 @@ pub struct AnnotatedPicture {
 }
 
 impl AnnotatedPicture {
-    /// Copies a frame and its rings.
     pub(super) fn of(frame: &Frame<'_>, rings: &[Ring]) -> Self {
         let (width, height) = (frame.width(), frame.height());
         let mut pixels = Vec::with_capacity(width * height);
@@ -23,7 +21,10 @@ impl AnnotatedPicture {
         Self { width, height, pixels, rings: rings.to_vec() }
     }
 
-    /// The picture as a JPEG file.
+    pub fn pixel_count(&self) -> usize {
+        self.pixels.len()
+    }
+
     pub fn jpeg(&self) -> Result<Vec<u8>, EncodingError> {
         let mut overlay = Overlay::new(self.width, self.height, &self.pixels);
         for ring in &self.rings {

@@ -1,4 +1,4 @@
-//! Pictures in, views of the board worth keeping out, with what became of each picture.
+//! Finds the board in successive pictures and keeps the views that improve a calibration.
 
 use roundel_core::{
     calib::{
@@ -14,45 +14,32 @@ use super::chessboard::{Chessboard, ChessboardMismatch, GridCounts};
 #[cfg(feature = "chessboard")]
 use super::corners;
 
-/// Enough views, once nothing is missing.
+/// Number of views that suffices once the coverage is complete.
 pub const GOOD_VIEWS: usize = 20;
 
-/// What is held before the camera.
 #[derive(Clone, Debug, PartialEq)]
 pub enum CalibrationTarget {
     /// Roundel's own board.
     Roundels(Board),
-    /// One that another tool has printed.
+    /// A board printed by another tool.
     Chessboard(Chessboard),
 }
 
-impl CalibrationTarget {
-    fn target(&self) -> Target {
-        match self {
-            Self::Roundels(board) => board.clone().into(),
-            Self::Chessboard(board) => board.corners.into(),
-        }
-    }
-}
-
-/// Why nothing can be looked for.
+/// The target is not supported.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum SearchError {
-    /// Not these roundels.
     #[error(transparent)]
     Roundels(#[from] DetectorError),
-    /// Not in this program.
     #[error(
-        "this roundel was built without chessboards (`cargo build --release -p roundel-server --features chessboard` \
-         builds it with them); `roundel print --board 7x5 board.pdf` prints a board that needs no more than this one"
+        "this build of roundel has no chessboard support (`cargo build --release -p roundel-server --features chessboard` \
+         adds it); `roundel print --board 7x5 board.pdf` prints a board that every build supports"
     )]
     WithoutChessboards,
-    /// Not this chessboard.
     #[error("{0}")]
     Chessboard(String),
 }
 
-/// The print is not what was said.
+/// The printed board differs from its description.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum PrintMismatch {
     #[error(transparent)]
@@ -61,54 +48,36 @@ pub enum PrintMismatch {
     Chessboard(#[from] ChessboardMismatch),
 }
 
-/// A picture of another size than those before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[error(
-    "expected {} x {} pixels as the pictures before, found {} x {}: pictures of one camera have one size",
+    "expected {} x {} pixels as in earlier pictures, found {} x {}: all pictures of a camera must have the same size",
     .expected.0, .expected.1, .found.0, .found.1
 )]
 pub struct SizeChanged {
-    /// Of the first one: columns, rows.
     pub expected: (usize, usize),
     pub found: (usize, usize),
 }
 
+/// Views and counts of pictures by their [`Verdict`].
 #[derive(Clone, Debug)]
 pub struct CollectedViews {
-    /// Of the pictures: columns, rows.
+    /// Columns and rows of the pictures.
     pub size: (usize, usize),
     pub chooser: Chooser,
-    /// Pictures that were looked at …
+    /// All pictures.
     pub frames: usize,
-    /// … those without the board …
     pub without_board: usize,
-    /// … with less than half of it, or that is another one …
     pub too_little: usize,
     pub moving: usize,
-    /// … like one that was kept …
     pub alike: usize,
-    /// … and of a board with other columns or rows.
+    /// Pictures of a board with other columns or rows.
     pub others: usize,
-    /// Of a plain chessboard, what else it looked like.
+    /// Sizes of grids other than the described chessboard.
     grids: GridCounts,
 }
 
 impl CollectedViews {
-    fn new(target: Target, size: (usize, usize), still: bool) -> Self {
-        Self {
-            size,
-            chooser: Chooser::new(target, size, still),
-            frames: 0,
-            without_board: 0,
-            too_little: 0,
-            moving: 0,
-            alike: 0,
-            others: 0,
-            grids: GridCounts::default(),
-        }
-    }
-
-    /// How many pictures were left out, and why.
+    /// Numbers of pictures, of views kept, and of pictures left out by reason.
     pub fn describe(&self) -> String {
         let Self { frames, without_board, too_little, moving, alike, others, .. } = self;
         let taken = self.chooser.taken().len();
@@ -131,27 +100,22 @@ impl CollectedViews {
         text
     }
 
-    /// Why there will be no lens, once it is clear that the print is another one than is described; `is_over`: no more
-    /// pictures come.
+    /// The mismatch between the print and its description, once it is certain. `is_over`: there are no more pictures.
     pub fn other_print(&self, is_over: bool) -> Option<PrintMismatch> {
-        let of_roundels = self.chooser.other_board().map(PrintMismatch::Board);
-        let of_squares = || match self.chooser.target() {
-            Target::Corners(board) => {
-                let taken = self.chooser.taken().len();
-                self.grids.mismatch(board, taken, is_over).map(PrintMismatch::Chessboard)
-            }
-            Target::Roundels(_) => None,
-        };
-        of_roundels.or_else(of_squares)
+        if let Some(error) = self.chooser.other_board() {
+            return Some(PrintMismatch::Board(error));
+        }
+        let Target::Corners(board) = self.chooser.target() else { return None };
+        let taken = self.chooser.taken().len();
+        self.grids.mismatch(board, taken, is_over).map(PrintMismatch::Chessboard)
     }
 
-    /// Whether nothing is missing any more.
+    /// Whether there are enough views and the coverage is complete.
     pub fn is_complete(&self) -> bool {
         self.chooser.taken().len() >= GOOD_VIEWS && self.chooser.coverage().wants().is_empty()
     }
 }
 
-/// Looks for the board in one picture after the other.
 pub struct BoardSearch {
     target: Target,
     finder: Finder,
@@ -163,13 +127,6 @@ enum Finder {
     Roundels(Board, Box<(Detector, Scratch)>),
     #[cfg(feature = "chessboard")]
     Corners(corners::Finder),
-}
-
-enum SearchOutcome<'a> {
-    Board(View, &'a [Ring]),
-    /// Of a chessboard, columns and rows that are not those described.
-    #[cfg(feature = "chessboard")]
-    OtherGrid((usize, usize)),
 }
 
 impl Finder {
@@ -191,45 +148,56 @@ impl Finder {
         }
     }
 
-    fn find(&mut self, frame: &Frame<'_>) -> SearchOutcome<'_> {
+    /// Returns the view of the board, or the columns and rows of a chessboard that differs from the description, and the rings
+    /// found.
+    fn find(&mut self, frame: &Frame<'_>) -> (Result<View, (usize, usize)>, &[Ring]) {
         match self {
             Self::Roundels(board, detecting) => {
                 let (detector, scratch) = &mut **detecting;
                 let rings = detector.detect(frame, scratch);
-                SearchOutcome::Board(View::of_rings(board, frame, rings), rings)
+                (Ok(View::of_rings(board, frame, rings)), rings)
             }
             #[cfg(feature = "chessboard")]
-            Self::Corners(finder) => match finder.find(frame) {
-                corners::CornerSearch::Board(view) => SearchOutcome::Board(view, &[]),
-                corners::CornerSearch::Other(sides) => SearchOutcome::OtherGrid(sides),
-            },
+            Self::Corners(finder) => (finder.find(frame), &[]),
         }
     }
 }
 
 impl BoardSearch {
-    /// `still`: pictures follow one another in time, so a board that moves is seen to move.
+    /// `still`: the pictures are consecutive frames, and those of a moving board are left out.
     pub fn new(target: &CalibrationTarget, still: bool) -> Result<Self, SearchError> {
         let finder = Finder::new(target)?;
-        Ok(Self { target: target.target(), finder, still, gathered: None })
+        let target = match target {
+            CalibrationTarget::Roundels(board) => board.clone().into(),
+            CalibrationTarget::Chessboard(board) => board.corners.into(),
+        };
+        Ok(Self { target, finder, still, gathered: None })
     }
 
-    /// Looks at a picture: what became of it, and the rings that were found in it.
+    /// Searches a picture, and returns the rings found in it.
     pub fn look(&mut self, frame: &Frame<'_>) -> Result<(Verdict, &[Ring]), SizeChanged> {
         let found = (frame.width(), frame.height());
-        let (target, still) = (&self.target, self.still);
-        let gathered =
-            self.gathered.get_or_insert_with(|| CollectedViews::new(target.clone(), found, still));
+        let gathered = self.gathered.get_or_insert_with(|| CollectedViews {
+            size: found,
+            chooser: Chooser::new(self.target.clone(), found, self.still),
+            frames: 0,
+            without_board: 0,
+            too_little: 0,
+            moving: 0,
+            alike: 0,
+            others: 0,
+            grids: GridCounts::default(),
+        });
         if gathered.size != found {
             return Err(SizeChanged { expected: gathered.size, found });
         }
         gathered.frames += 1;
-        let (verdict, rings) = match self.finder.find(frame) {
-            SearchOutcome::Board(view, rings) => (gathered.chooser.offer(view), rings),
-            #[cfg(feature = "chessboard")]
-            SearchOutcome::OtherGrid(sides) => {
+        let (view, rings) = self.finder.find(frame);
+        let verdict = match view {
+            Ok(view) => gathered.chooser.offer(view),
+            Err(sides) => {
                 gathered.grids.add(sides);
-                (Verdict::TooLittle, &[] as &[Ring])
+                Verdict::TooLittle
             }
         };
         match verdict {
@@ -243,7 +211,7 @@ impl BoardSearch {
         Ok((verdict, rings))
     }
 
-    /// What was found so far; `None` before the first picture.
+    /// The views so far; `None` before the first picture.
     pub fn gathered(&self) -> Option<&CollectedViews> {
         self.gathered.as_ref()
     }
@@ -252,15 +220,15 @@ impl BoardSearch {
         self.gathered
     }
 
-    /// What is still missing, for who moves the board.
+    /// The progress and the most useful next view, for the operator who moves the board.
     pub fn message(&self) -> String {
         let Some(gathered) = &self.gathered else { return "waiting for a picture".to_owned() };
         let coverage = gathered.chooser.coverage();
         let taken = gathered.chooser.taken().len();
         let covered = (coverage.share() * 100.0).round();
         let next = coverage.wants().first().map_or_else(
-            || "hold it still at new places".to_owned(),
-            |want| format!("wanted: {want}"),
+            || "hold the board still at new places".to_owned(),
+            |want| format!("next: {want}"),
         );
         format!("{taken} views, {covered} % of the picture; {next}")
     }

@@ -1,6 +1,5 @@
-//! Chessboards of other tools as they are described on the command line: `chessboard:COLUMNSxROWS:SQUARE_MM`, counted in
-//! inner corners as OpenCV and ROS count them, and `charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM:DICTIONARY`, counted in squares
-//! as OpenCV counts these.
+//! Descriptions of other tools' boards on the command line: `chessboard:COLUMNSxROWS:SQUARE_MM`, counted in inner corners
+//! as in OpenCV and ROS, and `charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM:DICTIONARY`, counted in squares as in OpenCV.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +8,7 @@ use thiserror::Error;
 
 use crate::lab::print::spec;
 
-/// So many pictures of another board are no accident.
+/// Number of pictures of another board that excludes a misdetection.
 const MIN_MISMATCHES: usize = 3;
 
 #[derive(Clone, Debug, PartialEq)]
@@ -18,67 +17,63 @@ pub struct Chessboard {
     pub markers: Option<Markers>,
 }
 
-/// Markers in a ChArUco board's white squares, numbered row by row; the square at the top left is black.
+/// Markers in the white squares of a ChArUco board, numbered row by row; the square at the top left is black.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Markers {
     /// Side of the black border, metres.
     pub side_m: f64,
-    /// OpenCV's name of their dictionary, such as `DICT_4X4_50`.
+    /// OpenCV's name of the dictionary, such as `DICT_4X4_50`.
     pub dictionary: String,
 }
 
-/// Reads a description, `None` if the text begins with neither word.
+/// Parses a description; `None` if the text begins with neither word.
 pub fn parse(text: &str) -> Option<Result<Chessboard, String>> {
-    let (word, rest) = text.split_once(':').unwrap_or((text, ""));
-    match word {
-        "chessboard" => Some(plain(rest, text)),
-        "charuco" => Some(charuco(rest, text)),
-        _ => None,
-    }
+    let parts: Vec<&str> = text.split(':').collect();
+    let (parsed, expected) = match parts[..] {
+        ["chessboard", ref rest @ ..] => (
+            plain(rest),
+            "chessboard:COLUMNSxROWS:SQUARE_MM with counts of inner corners, such as chessboard:9x6:25 for 10 x 7 \
+             squares of 25 mm",
+        ),
+        ["charuco", ref rest @ ..] => (
+            charuco(rest),
+            "charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM:DICTIONARY with counts of squares, such as \
+             charuco:10x7:25:18:DICT_4X4_50",
+        ),
+        _ => return None,
+    };
+    Some(parsed.unwrap_or_else(|| Err(format!("expected {expected}, found `{text}`"))))
 }
 
-fn plain(rest: &str, text: &str) -> Result<Chessboard, String> {
-    let wrong = || {
-        format!(
-            "expected chessboard:COLUMNSxROWS:SQUARE_MM with counts of inner corners, such as chessboard:9x6:25 for \
-             10 x 7 squares of 25 mm, found `{text}`"
-        )
-    };
-    let (sides, square) = rest.split_once(':').ok_or_else(wrong)?;
-    let sides = spec::sides(sides).map_err(|_| wrong())?;
-    let square_m = metres(square).ok_or_else(wrong)?;
-    let corners = Checkerboard::new(sides, square_m).map_err(|error| error.to_string())?;
-    Ok(Chessboard { corners, markers: None })
+/// `None` if the description is incomplete.
+fn plain(parts: &[&str]) -> Option<Result<Chessboard, String>> {
+    let &[sides, square] = parts else { return None };
+    let corners = Checkerboard::new(spec::sides(sides).ok()?, metres(square)?);
+    let board = corners.map(|corners| Chessboard { corners, markers: None });
+    Some(board.map_err(|error| error.to_string()))
 }
 
-fn charuco(rest: &str, text: &str) -> Result<Chessboard, String> {
-    let wrong = || {
-        format!(
-            "expected charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM:DICTIONARY with counts of squares, such as \
-             charuco:10x7:25:18:DICT_4X4_50, found `{text}`"
-        )
-    };
-    let parts: Vec<&str> = rest.split(':').collect();
-    let [sides, square, marker, dictionary] = parts[..] else { return Err(wrong()) };
-    let (columns, rows) = spec::sides(sides).map_err(|_| wrong())?;
-    let square_m = metres(square).ok_or_else(wrong)?;
-    let side_m = metres(marker).ok_or_else(wrong)?;
-    if !(side_m > 0.0 && side_m < square_m) {
-        return Err(format!("a marker is smaller than its square, found `{text}`"));
-    }
+fn charuco(parts: &[&str]) -> Option<Result<Chessboard, String>> {
+    let &[sides, square, marker, dictionary] = parts else { return None };
+    let (columns, rows) = spec::sides(sides).ok()?;
+    let (square_m, side_m) = (metres(square)?, metres(marker)?);
     if dictionary.is_empty() {
-        return Err(wrong());
+        return None;
     }
-    let inner = (columns.saturating_sub(1), rows.saturating_sub(1));
-    let corners = Checkerboard::new(inner, square_m).map_err(|error| error.to_string())?;
-    Ok(Chessboard { corners, markers: Some(Markers { side_m, dictionary: dictionary.to_owned() }) })
+    if !(side_m > 0.0 && side_m < square_m) {
+        return Some(Err(format!("a marker must be smaller than its square, found {marker} mm")));
+    }
+    let corners = Checkerboard::new((columns.saturating_sub(1), rows.saturating_sub(1)), square_m);
+    let markers = Some(Markers { side_m, dictionary: dictionary.to_owned() });
+    let board = corners.map(|corners| Chessboard { corners, markers });
+    Some(board.map_err(|error| error.to_string()))
 }
 
 fn metres(millimetres: &str) -> Option<f64> {
     Some(millimetres.trim().parse::<f64>().ok()? * 1e-3)
 }
 
-/// The board has other counts than is said.
+/// The board has other counts than described.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[error(
     "the chessboard shows {} x {} inner corners, not {} x {}: corners are counted where four squares meet, one less than \
@@ -90,21 +85,19 @@ pub struct ChessboardMismatch {
     pub found: (usize, usize),
 }
 
-/// How often a plain chessboard looked as if it had other counts than is said.
+/// Counts of detected grids by size, except those of the described size.
+///
+/// Sizes have the longer side first, since the board may be turned.
 #[derive(Clone, Debug, Default)]
-pub(super) struct GridCounts {
-    /// By the longer and the shorter side, since a board may be turned.
-    seen: BTreeMap<(usize, usize), usize>,
-}
+pub(super) struct GridCounts(BTreeMap<(usize, usize), usize>);
 
 impl GridCounts {
-    #[cfg(any(feature = "chessboard", test))]
     pub(super) fn add(&mut self, (columns, rows): (usize, usize)) {
-        *self.seen.entry((columns.max(rows), columns.min(rows))).or_default() += 1;
+        *self.0.entry((columns.max(rows), columns.min(rows))).or_default() += 1;
     }
 
-    /// Why there will be no lens, once that is clear, of so many views that were taken. What is larger than described is
-    /// another board. What is smaller may be a part of it, unless pictures are over and most show just the same.
+    /// The mismatch, once it is certain beside `taken` views of the described board. A larger grid is another board. A
+    /// smaller one may be a part of the board, unless no more pictures come and most show the same size.
     pub(super) fn mismatch(
         &self,
         board: &Checkerboard,
@@ -113,12 +106,12 @@ impl GridCounts {
     ) -> Option<ChessboardMismatch> {
         let described = (board.columns(), board.rows());
         let (long, short) = (described.0.max(described.1), described.0.min(described.1));
-        let all: usize = self.seen.values().sum();
+        let all: usize = self.0.values().sum();
         let is_clear = |&((columns, rows), count): &((usize, usize), usize)| {
             let is_larger = columns > long || rows > short;
             count > taken && count >= MIN_MISMATCHES && (is_larger || (is_over && 2 * count > all))
         };
-        let seen = self.seen.iter().map(|(sides, count)| (*sides, *count)).filter(is_clear);
+        let seen = self.0.iter().map(|(sides, count)| (*sides, *count)).filter(is_clear);
         let ((columns, rows), _) = seen.max_by_key(|(_, count)| *count)?;
         let is_upright = described.0 < described.1;
         let found = if is_upright { (rows, columns) } else { (columns, rows) };
@@ -131,7 +124,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn both_kinds_are_read() {
+    fn both_kinds_are_parsed() {
         let plain = parse("chessboard:9x6:25").unwrap().unwrap();
         assert_eq!(plain.markers, None);
         assert_eq!(plain.corners, Checkerboard::new((9, 6), 0.025).unwrap());
@@ -143,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_told_with_what_was_expected() {
+    fn errors_name_the_expected_form() {
         let error = |text: &str| parse(text).unwrap().unwrap_err();
         for text in ["chessboard", "chessboard:9x6", "chessboard:9:25", "chessboard:9x6:wide"] {
             let error = error(text);
@@ -158,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn another_board_is_told_from_a_part_of_it() {
+    fn another_board_is_distinguished_from_a_part_of_it() {
         let board = Checkerboard::new((9, 6), 0.025).unwrap();
         let mut others = GridCounts::default();
         let mismatch = |others: &GridCounts, taken, is_over| {

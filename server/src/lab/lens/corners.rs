@@ -1,10 +1,9 @@
-//! Corners of chessboards and ChArUco boards in pictures, by the `calib-targets` crates (ChESS corners: Bennett, Lasenby 2014),
-//! with their fit of a saddle to each corner's surroundings: within 0.015 px rms a coordinate (noise 2/255, blur
-//! 0.8 px) where the default, a centre of mass, has 0.09.
+//! Corners of chessboards and ChArUco boards, found by the `calib-targets` crates (ChESS corners: Bennett, Lasenby 2014)
+//! and refined by a saddle fit. Accuracy: 0.015 px rms per coordinate (noise 2/255, blur 0.8 px); the crates' default, a
+//! centre of mass, has 0.09 px.
 //!
-//! Limits: of a plain chessboard all rows and columns have to be in the picture, since nothing else tells one corner
-//! from the next; neither is found through fisheyes. ChArUco boards are those of OpenCV since 4.6, the square at the top left
-//! black.
+//! Limits: all rows and columns of a plain chessboard must be in the picture, since its corners have no identity. Neither
+//! kind is found through a fisheye. ChArUco boards are those of OpenCV since 4.6, with a black square at the top left.
 
 use calib_targets_charuco::{
     CharucoBoardSpec, CharucoDetector, CharucoParams, builtins::BUILTIN_DICTIONARY_NAMES,
@@ -26,7 +25,6 @@ use roundel_core::{
 
 use super::chessboard::Chessboard;
 
-/// Finds the corners of one board.
 pub(super) struct Finder {
     board: Checkerboard,
     by: By,
@@ -39,17 +37,14 @@ enum By {
     Markers(Box<CharucoDetector>),
 }
 
-pub(super) enum CornerSearch {
-    Board(View),
-    /// A grid of so many corners across and down.
-    Other((usize, usize)),
-}
+/// Columns and rows of a grid of corners that is not the board.
+type OtherGrid = (usize, usize);
 
-/// A corner as it was found: column, row, place.
+/// Column, row and position of a corner.
 type Corner = (usize, usize, PixelPoint);
 
 impl Finder {
-    /// An error tells what is wrong with the description.
+    /// An error explains what is wrong with the description.
     pub(super) fn new(board: &Chessboard) -> Result<Self, String> {
         let config = default_chess_config().with_refiner(ImageRefiner::saddle_point());
         let by = match &board.markers {
@@ -77,7 +72,7 @@ impl Finder {
         Ok(Self { board: board.corners, by, pixels: Vec::new() })
     }
 
-    pub(super) fn find(&mut self, frame: &Frame<'_>) -> CornerSearch {
+    pub(super) fn find(&mut self, frame: &Frame<'_>) -> Result<View, OtherGrid> {
         let (width, height) = (frame.width(), frame.height());
         self.pixels.clear();
         (0..height).for_each(|row| self.pixels.extend_from_slice(frame.row(row)));
@@ -85,54 +80,49 @@ impl Finder {
         match &self.by {
             By::Grid(detector, config) => {
                 let corners = detect_corners(&picture, config);
-                let Some(grid) = detector.detect(&corners) else {
-                    return CornerSearch::Board(View::default());
-                };
-                let corners: Vec<Corner> = grid
+                let Some(grid) = detector.detect(&corners) else { return Ok(View::default()) };
+                let corners = grid
                     .corners
                     .iter()
-                    .map(|it| (it.grid.u as usize, it.grid.v as usize, pixel(&it.position)))
-                    .collect();
-                placed(&self.board, corners)
+                    .map(|it| (it.grid.u as usize, it.grid.v as usize, pixel(&it.position)));
+                view_of_grid(&self.board, corners.collect())
             }
             By::Markers(detector) => {
                 let columns = self.board.columns();
                 let found = detector.detect(&picture).map_or_else(|_| Vec::new(), |it| it.corners);
-                let corner = |id: usize| (id % columns, id / columns);
                 let corners: Vec<Corner> = found
                     .iter()
-                    .map(|it| (corner(it.id as usize), pixel(&it.position)))
-                    .map(|((column, row), place)| (column, row, place))
+                    .map(|it| (it.id as usize, pixel(&it.position)))
+                    .map(|(id, position)| (id % columns, id / columns, position))
                     .collect();
-                CornerSearch::Board(view(&self.board, &corners))
+                Ok(view(&self.board, &corners))
             }
         }
     }
 }
 
-/// Pixel centres are whole numbers there as here.
-fn pixel(place: &nalgebra::Point2<f32>) -> PixelPoint {
-    PixelPoint { u: place.x.into(), v: place.y.into() }
+/// Both coordinate systems have pixel centres at whole numbers.
+fn pixel(position: &nalgebra::Point2<f32>) -> PixelPoint {
+    PixelPoint { u: position.x.into(), v: position.y.into() }
 }
 
-/// A plain chessboard's corners, counted from the top left in the picture, on a board that may be turned by 90°.
-fn placed(board: &Checkerboard, mut corners: Vec<Corner>) -> CornerSearch {
+/// The view of a plain chessboard from a grid counted from the top left in the picture; the board may be turned by 90°.
+fn view_of_grid(board: &Checkerboard, mut corners: Vec<Corner>) -> Result<View, OtherGrid> {
     let most = |of: fn(&Corner) -> usize| corners.iter().map(of).max().map_or(0, |it| it + 1);
     let sides = (most(|it| it.0), most(|it| it.1));
     let described = (board.columns(), board.rows());
-    if sides == described {
-        CornerSearch::Board(view(board, &corners))
-    } else if (sides.1, sides.0) == described {
+    if sides != described {
+        if (sides.1, sides.0) != described {
+            return Err(sides);
+        }
         for (column, row, _) in &mut corners {
             (*column, *row) = (*row, sides.0 - 1 - *column);
         }
-        CornerSearch::Board(view(board, &corners))
-    } else {
-        CornerSearch::Other(sides)
     }
+    Ok(view(board, &corners))
 }
 
-/// A corner is as large as half of the way to those beside it.
+/// The radius of a corner is half of the distance to its nearest neighbour.
 fn view(board: &Checkerboard, corners: &[Corner]) -> View {
     let mut sightings: Vec<Sighting> = corners
         .iter()
@@ -167,17 +157,15 @@ mod tests {
     fn a_board_that_is_turned_keeps_its_handedness() {
         let board = Checkerboard::new((9, 6), 0.025).unwrap();
         for (columns, rows) in [(9, 6), (6, 9)] {
-            let CornerSearch::Board(view) = placed(&board, corners(columns, rows)) else {
-                panic!("{columns} x {rows} is the board");
-            };
+            let view = view_of_grid(&board, corners(columns, rows)).unwrap();
             assert_eq!(view.sightings.len(), 54);
             let place = |number: usize| view.sightings[number - 1].center;
-            // From the first corner to the next in its row, and to that below it: right-handed in the picture, whose v is down.
+            // First corner to the next in its row, and to the one below: right-handed in the picture, whose v is down.
             let (first, beside, below) = (place(1), place(2), place(10));
             let (ru, rv) = (beside.u - first.u, beside.v - first.v);
             let (du, dv) = (below.u - first.u, below.v - first.v);
             assert!(ru * dv - rv * du > 0.0, "{columns} x {rows}");
         }
-        assert!(matches!(placed(&board, corners(8, 6)), CornerSearch::Other((8, 6))));
+        assert_eq!(view_of_grid(&board, corners(8, 6)).err(), Some((8, 6)));
     }
 }

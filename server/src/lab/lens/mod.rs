@@ -1,23 +1,24 @@
-//! Finds a camera's lens while the server runs: the operator moves the printed board before the camera, sees what is missing,
-//! and takes the result.
+//! Calibrates a camera's lens while the server runs: the operator moves the printed board in front of the camera, sees
+//! which views are missing, and applies the result.
 //!
-//! | module | what it does |
+//! | module | content |
 //! | --- | --- |
-//! | [`board_search`] | the board in one picture after the other; the command line's too |
-//! | `pictures` | from a camera of this server, or a source that is opened for it |
-//! | `task` | gathering → solving, on a thread of its own |
-//! | [`report`] | how far it is, and what came out |
-//! | `annotated_picture` | the newest picture, with what was found in it |
+//! | [`board_search`] | finds the board in pictures and collects views; the command line uses it too |
+//! | [`chessboard`] | descriptions of chessboards and ChArUco boards |
+//! | [`picture_source`] | pictures of a running camera, or of a source opened for the calibration |
+//! | `task` | the thread that collects views and solves |
+//! | [`report`] | progress and result |
+//! | `annotated_picture` | the newest picture with the rings found in it |
 //!
-//! One runs at a time. A camera goes on meanwhile: what is looked at are copies of some of its frames, ten a second at most,
-//! and the thread looks for half of the time at most. One that nobody asks about for a minute ends.
+//! One calibration runs at a time. A running camera is not interrupted: at most ten of its frames a second are copied, and
+//! the thread is busy for at most half of the time. A calibration whose status is not read for a minute is cancelled.
 
 mod annotated_picture;
 pub mod board_search;
 pub mod chessboard;
 #[cfg(feature = "chessboard")]
 mod corners;
-mod picture_source;
+pub mod picture_source;
 pub mod report;
 mod task;
 
@@ -28,79 +29,74 @@ use std::{
     time::{Duration, Instant},
 };
 
-use roundel_core::{
-    calib::{
-        board::Board,
-        lens::{LEAST_VIEWS, LensCalibration, Model},
-    },
-    plan::precision::LensDoubt,
+use roundel_core::calib::{
+    board::Board,
+    lens::{LEAST_VIEWS, LensCalibration, Model},
 };
 use thiserror::Error;
 
-use crate::model::{
-    address::{AddressError, SourceAddress, without_credentials},
-    camera_file,
-    hub::Hub,
-    stop::StopSignal,
+use crate::{
+    lab::print::millimetres,
+    model::{
+        address::{AddressError, SourceAddress},
+        hub::Hub,
+        redact::redact,
+        source_rules::{SourceRuleError, SourceRules},
+        stop::StopSignal,
+    },
 };
 pub use annotated_picture::AnnotatedPicture;
-pub use picture_source::PictureSource;
+use board_search::GOOD_VIEWS;
+pub use picture_source::{OpenedSource, PictureSource};
 use report::{LensStatus, Stage};
 
-/// Fewest and most views that are kept.
+/// Allowed range of [`LensRun::max_views`].
 pub const VIEWS: (usize, usize) = (LEAST_VIEWS, 100);
-/// And so many, if nobody says otherwise.
 pub const DEFAULT_VIEWS: usize = 40;
-/// One that nobody asks about for so long ends.
 const IDLE_TIMEOUT: Duration = Duration::from_secs(60);
 
-/// What is to be done.
+/// A requested calibration.
 #[derive(Clone, Debug)]
 pub struct LensRun {
     pub picture_source: PictureSource,
-    /// What goes into the file as the camera's name.
+    /// Name of the camera in the camera file.
     pub name: String,
-    /// What stands for the picture_source in what clients are told.
+    /// The picture source as clients see it.
     pub shown: String,
     pub board: Board,
-    /// No more views than this, within [`VIEWS`].
-    pub most: usize,
-    /// The distortion model; `None`: the one for which most speaks.
+    /// Maximum number of views to keep, within [`VIEWS`].
+    pub max_views: usize,
+    /// The distortion model; `None` selects it automatically.
     pub model: Option<Model>,
 }
 
-/// Why something is not done.
 #[derive(Debug, Error)]
 pub enum LensError {
-    /// The source's address is none.
     #[error(transparent)]
     Address(#[from] AddressError),
-    /// One at a time: each takes half of a processor.
-    #[error("the lens of {0} is being calibrated: finish that one, or cancel it")]
+    #[error(transparent)]
+    Rule(#[from] SourceRuleError),
+    #[error("the lens of {0} is being calibrated: finish or cancel that calibration first")]
     Busy(String),
-    /// Out of bounds.
     #[error("expected {least} to {most} views, found {0}", least = VIEWS.0, most = VIEWS.1)]
     Views(usize),
     #[error(
-        "a `push:` source is fed by a program, so there is nothing to be opened: add the camera with any lens file first, and \
+        "a `push:` source cannot be opened, since a remote program feeds it: add the camera with any lens file, and \
          calibrate it by its name"
     )]
     Fed,
-    /// No pictures are looked at.
     #[error("no lens is being calibrated: start one first")]
     NotRecording,
-    /// The calibration has no result.
-    #[error("there is no lens to take: start a calibration, and finish it")]
+    #[error("there is no calibrated lens: complete a calibration first")]
     NoResult,
-    /// The system gives no thread.
     #[error("cannot start the thread of the lens calibration: {0}")]
     Thread(String),
 }
 
-/// A lens that was found, and whose it is.
+/// Result of a calibration.
 #[derive(Clone, Debug)]
 pub struct LensResult {
-    /// The camera of this server; `None`: a source of its own.
+    /// The camera of this server; `None` for a source that was opened for the calibration.
     pub camera: Option<String>,
     pub name: String,
     pub lens: Arc<LensCalibration>,
@@ -109,17 +105,14 @@ pub struct LensResult {
 impl LensResult {
     /// The `camera_info` YAML.
     pub fn file(&self) -> String {
-        let Self { name, lens, .. } = self;
-        let uncertainty =
-            LensDoubt { free: lens.model.free().to_vec(), covariance: lens.covariance.clone() };
-        camera_file::write_with_uncertainty(name, &lens.camera, Some(&uncertainty))
+        report::camera_file(&self.name, &self.lens)
     }
 }
 
 /// Starts, follows and ends calibrations of lenses.
 pub struct LensCalibrator {
     shared: Arc<Shared>,
-    /// Relative paths of sources begin here.
+    /// Base of relative paths in source addresses.
     folder: PathBuf,
     running: Mutex<Option<Running>>,
 }
@@ -129,66 +122,92 @@ struct Running {
     thread: JoinHandle<()>,
 }
 
-/// What the task's thread needs, too.
+/// Shared with the calibration thread.
 struct Shared {
     hub: Arc<Hub>,
     state: Mutex<State>,
-    /// One that nobody asks about for so long ends.
+    /// A calibration is cancelled when no client has read its status for this long.
     idle_timeout: Duration,
 }
 
-/// What is known of the newest calibration.
+/// State of the newest calibration.
 struct State {
     status: LensStatus,
-    /// The newest picture that was looked at.
+    /// The newest picture that was searched.
     shown: Option<Arc<AnnotatedPicture>>,
     found: Option<LensResult>,
-    /// When somebody asked last.
     last_request: Instant,
-    /// That it is to end without a result.
     cancelled: bool,
 }
 
+impl State {
+    fn new(status: LensStatus) -> Self {
+        Self { status, shown: None, found: None, last_request: Instant::now(), cancelled: false }
+    }
+}
+
 impl LensCalibrator {
-    /// One that has not calibrated anything; relative paths of sources begin in that folder.
+    /// `folder` is the base of relative paths in sources.
     pub fn new(hub: Arc<Hub>, folder: &Path) -> Self {
-        let state = State {
-            status: LensStatus::default(),
-            shown: None,
-            found: None,
-            last_request: Instant::now(),
-            cancelled: false,
-        };
-        let shared = Arc::new(Shared { hub, state: Mutex::new(state), idle_timeout: IDLE_TIMEOUT });
+        Self::with_idle_timeout(hub, folder, IDLE_TIMEOUT)
+    }
+
+    fn with_idle_timeout(hub: Arc<Hub>, folder: &Path, idle_timeout: Duration) -> Self {
+        let state = Mutex::new(State::new(LensStatus::default()));
+        let shared = Arc::new(Shared { hub, state, idle_timeout });
         Self { shared, folder: folder.to_owned(), running: Mutex::default() }
     }
 
-    /// A source's address as a picture_source, and as it may be shown.
+    /// Parses a source's address; `admit` checks it and returns the rules that bind the source. Also returns the address
+    /// without credentials, for display.
     pub fn source(
         &self,
         source: &str,
         size: Option<(usize, usize)>,
+        admit: impl Fn(&SourceAddress) -> Result<Option<Arc<SourceRules>>, SourceRuleError>,
     ) -> Result<(PictureSource, String), LensError> {
         match SourceAddress::parse(source, &self.folder)? {
             SourceAddress::Push(_) => Err(LensError::Fed),
             address => {
-                Ok((PictureSource::Source(Box::new(address), size), without_credentials(source)))
+                let rules = admit(&address)?;
+                let source_to_open = OpenedSource { address, rules, size };
+                Ok((PictureSource::Source(Box::new(source_to_open)), redact(source)))
             }
         }
     }
 
-    /// Begins one; what the one before has found is gone.
+    /// Starts a calibration and discards the result of the previous one.
     pub fn start(&self, run: LensRun) -> Result<(), LensError> {
         let mut running = lock(&self.running);
         if running.as_ref().is_some_and(|it| !it.thread.is_finished()) {
             let status = self.shared.lock().status.clone();
             return Err(LensError::Busy(format!("{}{}", status.camera, status.source)));
         }
-        if !(VIEWS.0..=VIEWS.1).contains(&run.most) {
-            return Err(LensError::Views(run.most));
+        if !(VIEWS.0..=VIEWS.1).contains(&run.max_views) {
+            return Err(LensError::Views(run.max_views));
         }
+        let (camera, source) = match run.picture_source {
+            PictureSource::Camera(..) => (run.shown.clone(), String::new()),
+            PictureSource::Source(..) => (String::new(), run.shown.clone()),
+        };
+        let board = format!(
+            "{} x {} roundels of {} mm, {} mm from centre to centre",
+            run.board.columns(),
+            run.board.rows(),
+            millimetres(run.board.kind().outer_diameter_m * 1e3),
+            millimetres(run.board.pitch_m() * 1e3)
+        );
         let (shared, stop) = (self.shared.clone(), StopSignal::default());
-        shared.begin(&run);
+        *shared.lock() = State::new(LensStatus {
+            stage: Stage::Gathering,
+            camera,
+            source,
+            board,
+            enough: GOOD_VIEWS.min(run.max_views),
+            least: LEAST_VIEWS,
+            most: run.max_views,
+            ..LensStatus::default()
+        });
         let until = stop.clone();
         let builder = std::thread::Builder::new().name("lens".to_owned());
         let spawned = builder.spawn(move || task::run(&shared, run, &until));
@@ -200,26 +219,26 @@ impl LensCalibrator {
         Ok(())
     }
 
-    /// How far it is; whoever asks keeps it running.
+    /// The progress. A call resets the idle timeout.
     pub fn status(&self) -> LensStatus {
         let mut state = self.shared.lock();
         state.last_request = Instant::now();
         state.status.clone()
     }
 
-    /// The newest picture that was looked at; `None` before the first. Whoever asks keeps it running.
+    /// The newest searched picture; `None` before the first. A call resets the idle timeout.
     pub fn shown(&self) -> Option<Arc<AnnotatedPicture>> {
         let mut state = self.shared.lock();
         state.last_request = Instant::now();
         state.shown.clone()
     }
 
-    /// Looks at no more pictures, and solves with the views that there are.
+    /// Ends the collection of views and solves with those collected so far.
     pub fn finish(&self) -> Result<(), LensError> {
         self.end(false)
     }
 
-    /// Ends it without a result.
+    /// Ends the calibration without a result.
     pub fn cancel(&self) -> Result<(), LensError> {
         self.end(true)
     }
@@ -241,12 +260,12 @@ impl LensCalibrator {
         self.shared.lock().found.clone().ok_or(LensError::NoResult)
     }
 
-    /// Says where the file of what was found is kept.
+    /// Records where the camera file of the result was written.
     pub fn applied(&self, kept: &str) {
         self.shared.lock().status.applied = kept.to_owned();
     }
 
-    /// Ends what runs, and gives its thread to be waited for.
+    /// Ends a running calibration and returns its thread.
     pub fn shut_down(&self) -> Option<JoinHandle<()>> {
         let Running { stop, thread } = lock(&self.running).take()?;
         self.shared.lock().cancelled = true;
@@ -258,28 +277,6 @@ impl LensCalibrator {
 impl Shared {
     fn lock(&self) -> MutexGuard<'_, State> {
         lock(&self.state)
-    }
-
-    fn begin(&self, run: &LensRun) {
-        let (camera, source) = match run.picture_source {
-            PictureSource::Camera(..) => (run.shown.clone(), String::new()),
-            PictureSource::Source(..) => (String::new(), run.shown.clone()),
-        };
-        let board = &run.board;
-        let board = format!(
-            "{} x {} roundels of {} mm, {} mm from centre to centre",
-            board.columns(),
-            board.rows(),
-            crate::lab::print::millimetres(board.kind().outer_diameter_m * 1e3),
-            crate::lab::print::millimetres(board.pitch_m() * 1e3)
-        );
-        *self.lock() = State {
-            status: LensStatus::begun(camera, source, board, run.most),
-            shown: None,
-            found: None,
-            last_request: Instant::now(),
-            cancelled: false,
-        };
     }
 }
 
@@ -305,73 +302,69 @@ mod tests {
             object_names: Default::default(),
             body_names: Vec::new(),
         }));
-        let lenses = LensCalibrator::new(hub.clone(), folder);
-        let state = Mutex::new(State {
-            status: LensStatus::default(),
-            shown: None,
-            found: None,
-            last_request: Instant::now(),
-            cancelled: false,
-        });
-        LensCalibrator { shared: Arc::new(Shared { hub, state, idle_timeout }), ..lenses }
+        LensCalibrator::with_idle_timeout(hub, folder, idle_timeout)
+    }
+
+    /// A folder with one white picture.
+    fn pictures() -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        let white: Vec<u8> = b"P5\n64 48\n255\n".iter().copied().chain([255; 64 * 48]).collect();
+        std::fs::write(folder.path().join("0.pgm"), white).unwrap();
+        folder
     }
 
     fn run(lenses: &LensCalibrator, source: &str) -> LensRun {
-        let (picture_source, shown) = lenses.source(source, None).unwrap();
+        let (picture_source, shown) = lenses.source(source, None, |_| Ok(None)).unwrap();
         let layout = CodeLayout { bits: 9, min_distance: 1 };
         let board = Board::new((7, 5), 0.036, 0.03, layout).unwrap();
-        LensRun { picture_source, name: "it".to_owned(), shown, board, most: 40, model: None }
+        LensRun { picture_source, name: "it".to_owned(), shown, board, max_views: 40, model: None }
     }
 
     fn ended(lenses: &LensCalibrator) {
         for _ in 0..1000 {
-            // Not by asking for its status, which would keep it running.
+            // Asking for the status would keep the calibration running.
             if lock(&lenses.running).as_ref().is_some_and(|it| it.thread.is_finished()) {
                 return;
             }
             std::thread::sleep(Duration::from_millis(10));
         }
-        panic!("it does not end");
+        panic!("the calibration does not end");
     }
 
     #[test]
-    fn one_that_nobody_asks_about_ends() {
-        let folder = tempfile::tempdir().unwrap();
-        let white: Vec<u8> = b"P5\n64 48\n255\n".iter().copied().chain([255; 64 * 48]).collect();
-        std::fs::write(folder.path().join("0.pgm"), white).unwrap();
+    fn an_idle_calibration_ends() {
+        let folder = pictures();
         let lenses = calibrator(folder.path(), Duration::from_millis(300));
         lenses.start(run(&lenses, "images:*.pgm?fps=50&loop=true")).unwrap();
         ended(&lenses);
         let status = lenses.status();
         assert_eq!(status.stage, Stage::Failed);
-        assert!(status.error.contains("nobody asked about it"), "{}", status.error);
-        assert_eq!((status.width, status.height), (64, 48), "its size was found");
+        assert!(status.error.contains("no client read the status"), "{}", status.error);
+        assert_eq!((status.width, status.height), (64, 48), "the size of the pictures");
         assert_eq!(status.source, "images:*.pgm?fps=50&loop=true");
     }
 
     #[test]
-    fn a_source_of_another_size_than_was_asked_for_says_which() {
-        let folder = tempfile::tempdir().unwrap();
-        let white: Vec<u8> = b"P5\n64 48\n255\n".iter().copied().chain([255; 64 * 48]).collect();
-        std::fs::write(folder.path().join("0.pgm"), white).unwrap();
+    fn a_source_of_another_size_than_requested_is_an_error() {
+        let folder = pictures();
         let lenses = calibrator(folder.path(), IDLE_TIMEOUT);
         let source = "images:*.pgm?fps=50";
-        let (picture_source, _) = lenses.source(source, Some((32, 24))).unwrap();
+        let (picture_source, _) = lenses.source(source, Some((32, 24)), |_| Ok(None)).unwrap();
         lenses.start(LensRun { picture_source, ..run(&lenses, source) }).unwrap();
         ended(&lenses);
         let error = lenses.status().error;
-        assert!(error.contains("asked for pictures of 32 x 24 pixels, found 64 x 48"), "{error}");
+        assert!(error.contains("requested 32 x 24 pixels, found 64 x 48"), "{error}");
     }
 
     #[test]
-    fn a_source_that_cannot_be_looked_at_says_why() {
+    fn a_source_that_cannot_be_opened_is_an_error() {
         let folder = tempfile::tempdir().unwrap();
         let lenses = calibrator(folder.path(), IDLE_TIMEOUT);
         lenses.start(run(&lenses, "images:*.png")).unwrap();
         ended(&lenses);
         assert!(lenses.status().error.contains("no file matches"), "{}", lenses.status().error);
-        assert!(matches!(lenses.source("push:", None), Err(LensError::Fed)));
-        let error = lenses.source("htp://a/b", None).unwrap_err().to_string();
+        assert!(matches!(lenses.source("push:", None, |_| Ok(None)), Err(LensError::Fed)));
+        let error = lenses.source("htp://a/b", None, |_| Ok(None)).unwrap_err().to_string();
         assert!(error.contains("did you mean `http:`?"), "{error}");
         assert!(matches!(lenses.found(), Err(LensError::NoResult)));
     }

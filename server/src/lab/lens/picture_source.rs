@@ -1,159 +1,135 @@
-//! Where the pictures of a lens calibration come from: a camera that this server runs, whose frames it only looks at, or a
-//! source that is opened for it.
+//! Sources of pictures for a lens calibration: a running camera, whose frames are copied, or a source that is opened for the
+//! calibration.
 
-use std::{sync::Arc, time::Duration, time::Instant};
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use roundel_core::{frame::Frame, id::CameraId};
 
 use crate::{
     capture::source::{OpenSource, Playback, SourceError, SourceOpener},
-    model::{address::SourceAddress, hub::Hub, simulated::simulated_camera, stop::StopSignal},
+    model::{
+        address::SourceAddress, hub::Hub, simulated::simulated_camera, source_rules::SourceRules,
+        stop::StopSignal,
+    },
 };
 
-/// Asked of a source that lets one choose, where nobody says a size.
+/// Size to request from a source that supports several.
 const DEFAULT_SIZE: (usize, usize) = (1280, 720);
-/// A camera of this server is looked at so often at most: its worker copies a frame each time.
+/// Minimum interval between two pictures of a running camera, whose worker copies each one.
 const MIN_INTERVAL: Duration = Duration::from_millis(100);
-/// How often a wait for a picture looks whether it is over.
 const POLL_INTERVAL: Duration = Duration::from_millis(10);
-/// A wish for a picture that went by, or got lost with a worker that began anew, is told again so often.
+/// A request for a picture is repeated after this time, because a restarted worker loses it.
 const REQUEST_INTERVAL: Duration = Duration::from_millis(500);
-/// Without a picture for so long, it is told.
+/// A missing picture is reported after this time.
 const NO_PICTURE_AFTER: Duration = Duration::from_secs(3);
 
 #[derive(Clone, Debug)]
 pub enum PictureSource {
-    /// A camera that this server runs.
+    /// A camera of this server, by id and name.
     Camera(CameraId, String),
-    /// A source, with the size that is asked of it.
-    Source(Box<SourceAddress>, Option<(usize, usize)>),
+    Source(Box<OpenedSource>),
 }
 
-/// Why there are no more pictures.
-pub(super) enum PicturesEnd {
-    /// Somebody ended it, or has seen enough.
-    Over,
-    /// The source has an end.
-    Finished,
-    Failed(String),
+/// A source that is opened for the calibration.
+#[derive(Clone, Debug)]
+pub struct OpenedSource {
+    pub address: SourceAddress,
+    /// Those that bind the source, if a client named it.
+    pub rules: Option<Arc<SourceRules>>,
+    /// To request from it.
+    pub size: Option<(usize, usize)>,
 }
 
-/// What is done with each picture: whether it was the last; an error ends it, too.
-pub(super) type FrameHandler<'a> = &'a mut dyn FnMut(&Frame<'_>) -> Result<bool, String>;
+/// Handles one frame; returns whether no more frames are needed.
+pub type FrameHandler<'a> = &'a mut dyn FnMut(&Frame<'_>) -> Result<bool, String>;
 
-/// Looks at a running camera's frames until it is over. At most half of the time is spent looking, so that a small
-/// machine has time for the cameras; `wait` is told why no picture comes.
-pub(super) fn of_camera(
-    hub: &Arc<Hub>,
+/// Passes a running camera's frames to `handle_frame`. It pauses as long as the handler takes, so that a slow computer keeps up
+/// with its cameras. While no picture arrives, `report_wait` is called with the reason.
+pub(super) fn for_each_camera_frame(
+    hub: &Hub,
     (id, name): (CameraId, &str),
     stop: &StopSignal,
-    look: FrameHandler<'_>,
-    wait: &mut dyn FnMut(String) -> bool,
-) -> PicturesEnd {
-    let removed = || PicturesEnd::Failed(format!("camera {name} was removed"));
-    let Some(mut pictures) = hub.request_picture(id) else { return removed() };
+    handle_frame: FrameHandler<'_>,
+    report_wait: &mut dyn FnMut(String) -> Result<(), String>,
+) -> Result<(), String> {
+    let request = || hub.request_picture(id).ok_or_else(|| format!("camera {name} was removed"));
+    let mut pictures = request()?;
     loop {
-        let asked = Instant::now();
-        let (mut request_at, mut report_at) = (asked + REQUEST_INTERVAL, asked + NO_PICTURE_AFTER);
+        let requested = Instant::now();
+        let (mut request_at, mut report_at) =
+            (requested + REQUEST_INTERVAL, requested + NO_PICTURE_AFTER);
         while !pictures.has_changed().unwrap_or(false) {
             if stop.wait(POLL_INTERVAL) {
-                return PicturesEnd::Over;
+                return Ok(());
             }
             let now = Instant::now();
             if now >= request_at {
                 request_at += REQUEST_INTERVAL;
-                if hub.request_picture(id).is_none() {
-                    return removed();
-                }
+                request()?;
             }
             if now >= report_at {
                 report_at += NO_PICTURE_AFTER;
                 let why = hub.camera(id).map(|state| state.error).unwrap_or_default();
-                let why = if why.is_empty() { "is it running?".to_owned() } else { why };
-                if wait(format!("no picture comes from camera {name}: {why}")) {
-                    return PicturesEnd::Over;
-                }
+                let why = if why.is_empty() { "is it running?" } else { &why };
+                report_wait(format!("no picture from camera {name}: {why}"))?;
             }
         }
         let newest = pictures.borrow_and_update().clone();
-        let looked = Instant::now();
+        let received = Instant::now();
         if let Some(picture) = newest {
             let (width, height) = (picture.width, picture.height);
-            match Frame::new(&picture.pixels, width, height, width).map(|frame| look(&frame)) {
-                Ok(Ok(true)) => return PicturesEnd::Over,
-                Ok(Ok(false)) => {}
-                Ok(Err(error)) => return PicturesEnd::Failed(error),
-                Err(error) => return PicturesEnd::Failed(error.to_string()),
+            let frame = Frame::new(&picture.pixels, width, height, width);
+            if handle_frame(&frame.map_err(|error| error.to_string())?)? {
+                return Ok(());
             }
         }
-        let pause = looked.elapsed().max(MIN_INTERVAL.saturating_sub(asked.elapsed()));
-        if stop.wait(pause) {
-            return PicturesEnd::Over;
+        if stop.wait(received.elapsed().max(MIN_INTERVAL.saturating_sub(requested.elapsed()))) {
+            return Ok(());
         }
-        if hub.request_picture(id).is_none() {
-            return removed();
-        }
+        request()?;
     }
 }
 
-/// Opens a source and looks at its frames until it is over. One whose pictures have another size is opened anew with that.
-pub(super) fn of_source(
-    address: &SourceAddress,
-    wanted: Option<(usize, usize)>,
+/// Opens a source and passes its frames to `handle_frame` until that returns `true` or the source ends. If no size is
+/// requested and the pictures do not have the default size, the source is opened again with their size.
+pub fn for_each_source_frame(
+    source: &OpenedSource,
     stop: &StopSignal,
-    look: FrameHandler<'_>,
-) -> PicturesEnd {
-    let (clock, playback) = match Playback::begin(std::iter::once(address)) {
-        Ok(begun) => begun,
-        Err(error) => return PicturesEnd::Failed(error.to_string()),
-    };
-    let mut size = match address {
-        SourceAddress::Sim(sim) => match simulated_camera(sim) {
-            Ok(simulated) => (simulated.camera.width(), simulated.camera.height()),
-            Err(error) => return PicturesEnd::Failed(error.to_string()),
-        },
-        _ => wanted.unwrap_or(DEFAULT_SIZE),
-    };
+    handle_frame: FrameHandler<'_>,
+) -> Result<(), SourceError> {
+    let failed = |error: String| SourceError::Failed(error);
+    let OpenedSource { address, rules, size: requested } = source;
+    let (clock, playback) =
+        Playback::begin(std::iter::once(address)).map_err(|error| failed(error.to_string()))?;
+    let mut size = requested.unwrap_or(DEFAULT_SIZE);
+    if let SourceAddress::Sim(sim) = address {
+        let camera = simulated_camera(sim).map_err(|error| failed(error.to_string()))?.camera;
+        size = (camera.width(), camera.height());
+    }
     let mut seen = false;
     loop {
-        let mut opener = SourceOpener::new(address.clone(), size, clock, playback, stop.clone());
-        let mut error = None;
+        let opener = SourceOpener::new(address.clone(), size, clock, playback, stop.clone());
+        let mut opener = opener.with_rules(rules.clone());
         let outcome = opener.open().and_then(|mut source| {
             loop {
                 let lent = source.next_frame()?;
                 seen = true;
-                let looked = Instant::now();
-                match look(&lent.frame) {
-                    Ok(true) => return Ok(()),
-                    Ok(false) => {}
-                    Err(said) => {
-                        error = Some(said);
-                        return Ok(());
-                    }
-                }
-                if stop.wait(looked.elapsed()) {
-                    return Err(SourceError::Stopped);
+                if handle_frame(&lent.frame).map_err(failed)? {
+                    return Ok(());
                 }
             }
         });
         match outcome {
-            Ok(()) => return error.map_or(PicturesEnd::Over, PicturesEnd::Failed),
-            Err(SourceError::Stopped) => return PicturesEnd::Over,
-            Err(SourceError::Finished) => return PicturesEnd::Finished,
-            Err(SourceError::Size { found, .. }) if !seen && found != size => {
-                if wanted.is_some() {
-                    return PicturesEnd::Failed(other_size(size, found));
-                }
+            Err(SourceError::Size { found, .. })
+                if requested.is_none() && !seen && found != size =>
+            {
                 size = found;
             }
-            Err(error) => return PicturesEnd::Failed(error.to_string()),
+            Err(SourceError::Finished) => return Ok(()),
+            outcome => return outcome,
         }
     }
-}
-
-fn other_size(wanted: (usize, usize), found: (usize, usize)) -> String {
-    format!(
-        "asked for pictures of {} x {} pixels, found {} x {}: ask for that size, or for none",
-        wanted.0, wanted.1, found.0, found.1
-    )
 }

@@ -1,137 +1,130 @@
-//! A lens calibration as clients are told of it: how far it is, and what came out.
+//! Progress and result of a lens calibration, as clients see them.
 
 use roundel_core::{
-    calib::lens::{Coverage, LEAST_VIEWS, LensCalibration, VISITED, Verdict, View, Width, ZONES},
+    calib::lens::{LensCalibration, VISITED, Verdict, View, Width, ZONES},
     camera::PixelPoint,
+    plan::precision::LensDoubt,
 };
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::board_search::{CollectedViews, GOOD_VIEWS};
+use super::board_search::CollectedViews;
+use crate::model::camera_file;
 
-/// How far a lens calibration is.
+/// Stage of a lens calibration.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Stage {
-    /// None was asked for since the start, or it was given up.
+    /// No calibration was started, or it was cancelled.
     #[default]
     Idle,
-    /// The board should be moved now.
+    /// Views are being collected: move the board.
     Gathering,
-    /// The views are being worked on.
+    /// The lens is being estimated.
     Solving,
-    /// There is a report.
+    /// Finished with a report.
     Done,
-    /// There is none, and an error says why.
+    /// Ended with an error.
     Failed,
 }
 
 /// The newest lens calibration.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, ToSchema)]
 pub struct LensStatus {
-    /// How far it is.
+    /// Its stage.
     pub stage: Stage,
-    /// The camera of this server whose pictures are looked at; empty: a source of its own.
+    /// The camera of this server that is calibrated; empty: a source of its own.
     pub camera: String,
-    /// The source that was opened for it, without user and password; empty: a camera of this server.
+    /// The source that is calibrated, without user and password; empty: a camera of this server.
     pub source: String,
-    /// The board that is looked for, in words.
+    /// Description of the board.
     pub board: String,
-    /// Of the pictures, pixels; 0 before the first.
+    /// Width of the pictures, pixels; 0 before the first.
     pub width: usize,
-    /// Likewise.
+    /// Height of the pictures, pixels; 0 before the first.
     pub height: usize,
-    /// Pictures that were looked at.
+    /// Pictures that were searched.
     pub frames: usize,
     /// Views that were kept.
     pub taken: usize,
-    /// So many are enough, once nothing is missing …
+    /// Number of views that suffices once the coverage is complete.
     pub enough: usize,
-    /// … fewer than this tell no lens …
+    /// Minimum number of views for an estimate.
     pub least: usize,
-    /// … and no more than so many are kept.
+    /// Maximum number of views kept.
     pub most: usize,
-    /// What became of the newest picture, in words.
+    /// Why the newest picture was kept or not, in words.
     pub newest: String,
     /// Whether it was kept.
     pub newest_taken: bool,
-    /// Where the board has been.
+    /// Parts of the picture that the board has covered.
     pub coverage: CoverageReport,
-    /// Outlines of the views that were kept, raw pixels.
+    /// Outlines of the kept views, raw pixels.
     pub outlines: Vec<Vec<[f64; 2]>>,
     /// The board's outline in the newest picture; empty where it was not found.
     pub outline: Vec<[f64; 2]>,
-    /// What is still missing, most wanted first; empty: nothing.
+    /// Missing views, most wanted first.
     pub missing: Vec<String>,
-    /// How many pictures were left out, and why; empty before the first.
+    /// Numbers of pictures by the reason for leaving them out, in words; empty before the first.
     pub left_out: String,
-    /// Why there is no lens, or no picture, and what to do.
+    /// Why there is no lens or no picture, and the remedy.
     pub error: String,
-    /// What came out.
+    /// The result.
     pub report: Option<LensReport>,
-    /// Whether its file can be kept on the server's machine, and be used from then on.
+    /// Whether the camera file can be saved on the server's machine and used by the camera.
     pub can_apply: bool,
-    /// Where the file is kept; empty: it is not.
+    /// Where the camera file is saved; empty: not saved.
     pub applied: String,
 }
 
-/// Where in the picture the board has been: zones, row by row from the top left.
+/// Parts of the picture that the board has covered, by zones.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, ToSchema)]
 pub struct CoverageReport {
     /// Zones across.
     pub columns: usize,
     /// Zones down.
     pub rows: usize,
-    /// Roundels seen in each.
+    /// Roundels seen in each zone, row by row from the top left.
     pub zones: Vec<usize>,
-    /// A zone has been visited when it held so many.
+    /// Minimum number of roundels for a zone to count as visited.
     pub visited_from: usize,
-    /// Share of the zones that have been visited, 0 to 1.
+    /// Share of visited zones, 0 to 1.
     pub share: f64,
 }
 
-impl CoverageReport {
-    fn of(coverage: &Coverage) -> Self {
-        let (columns, rows) = ZONES;
-        let (zones, share) = (coverage.zones().to_vec(), coverage.share());
-        Self { columns, rows, zones, visited_from: VISITED, share }
-    }
-}
-
-/// What came out of a lens calibration.
+/// Result of a lens calibration.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct LensReport {
-    /// ROS' name of the distortion model for which most speaks.
+    /// ROS name of the distortion model.
     pub distortion_model: String,
-    /// fx, fy, cx, cy, and the coefficients that were estimated.
+    /// fx, fy, cx, cy, and the estimated coefficients.
     pub parameters: Vec<LensParameter>,
-    /// Rms distance between seen and predicted centres, pixels.
+    /// Rms reprojection error of the centres, pixels.
     pub rms_px: f64,
-    /// Views that were used.
+    /// Views used.
     pub views: usize,
-    /// Views that were left out since they contradict the others.
+    /// Views left out because they contradict the others.
     pub views_left_out: usize,
-    /// Roundels that were left out of the views that were used.
+    /// Roundels left out of the used views.
     pub outliers: usize,
-    /// What the print's diameter and pitch look like, if not as said; else empty.
+    /// Warning if the print's diameter and pitch look different from their description; else empty.
     pub width_warning: String,
 }
 
-/// One number of a lens.
+/// One parameter of a lens.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct LensParameter {
-    /// As in `camera_info`'s terms: fx, fy, cx, cy, k1, …
+    /// Name as in `camera_info`: fx, fy, cx, cy, k1, …
     pub name: String,
-    /// As found.
+    /// Estimate.
     pub value: f64,
-    /// Its standard deviation.
+    /// Standard deviation of the estimate.
     pub deviation: f64,
-    /// `px`, or empty for a plain number.
+    /// `px`, or empty for a dimensionless number.
     pub unit: String,
 }
 
 impl LensReport {
-    /// What is told of a calibration.
     pub fn of(found: &LensCalibration) -> Self {
         let views = found.views.iter().flatten().count();
         let parameter = |(name, value, deviation): (&str, f64, f64)| LensParameter {
@@ -152,12 +145,13 @@ impl LensReport {
     }
 }
 
-/// That the print's diameter and pitch look other than said, if they do.
+/// A warning if the print's diameter and pitch look different from their description.
 pub fn width_doubt(found: &LensCalibration) -> Option<String> {
     let width = found.width.filter(Width::is_doubtful)?;
     Some(format!(
-        "the roundels look {:.2} mm wide, not {:.2}, if they are {:.2} mm from one to the next (or those {:.2} mm apart if \
-         {:.2} mm wide), ± {:.1} %: measure both on the print, for the lens is off with them",
+        "diameter and pitch contradict the pictures: the roundels appear {:.2} mm wide, not {:.2}, if their pitch is {:.2} mm; \
+         or the pitch is {:.2} mm if they are {:.2} mm wide (± {:.1} %). Measure both on the print: errors in them falsify \
+         the lens",
         width.found_outer_mm(),
         width.outer_mm,
         width.pitch_mm,
@@ -167,9 +161,16 @@ pub fn width_doubt(found: &LensCalibration) -> Option<String> {
     ))
 }
 
+/// The `camera_info` YAML of a lens with its covariance.
+pub fn camera_file(name: &str, found: &LensCalibration) -> String {
+    let (free, covariance) = (found.model.free().to_vec(), found.covariance.clone());
+    let doubt = LensDoubt { free, covariance };
+    camera_file::write_with_uncertainty(name, &found.camera, Some(&doubt))
+}
+
 const PINHOLE: [&str; 4] = ["fx", "fy", "cx", "cy"];
 
-/// Names, values and deviations of what was estimated.
+/// Names, values and standard deviations of the estimated parameters.
 pub fn parameters(found: &LensCalibration) -> Vec<(&'static str, f64, f64)> {
     let is = found.camera.intrinsics();
     let pinhole = PINHOLE.into_iter().zip([is.fx_px, is.fy_px, is.cx_px, is.cy_px]);
@@ -181,7 +182,7 @@ pub fn parameters(found: &LensCalibration) -> Vec<(&'static str, f64, f64)> {
 }
 
 impl LensStatus {
-    /// Takes over what was found so far, and in the newest picture.
+    /// Updates the status with the views so far, and the verdict and view of the newest picture.
     pub(super) fn update(&mut self, gathered: &CollectedViews, newest: Verdict, view: &View) {
         let chooser = &gathered.chooser;
         (self.width, self.height) = gathered.size;
@@ -192,17 +193,13 @@ impl LensStatus {
         self.left_out = gathered.describe();
         if chooser.taken().len() != self.taken || self.coverage.zones.is_empty() {
             self.taken = chooser.taken().len();
-            self.coverage = CoverageReport::of(chooser.coverage());
+            let (columns, rows) = ZONES;
+            let (zones, share) = (chooser.coverage().zones().to_vec(), chooser.coverage().share());
+            self.coverage = CoverageReport { columns, rows, zones, visited_from: VISITED, share };
             self.outlines = chooser.taken().iter().map(|view| corners(&view.outline())).collect();
             self.missing = chooser.coverage().wants().iter().map(ToString::to_string).collect();
         }
         self.error.clear();
-    }
-
-    pub(super) fn begun(camera: String, source: String, board: String, most: usize) -> Self {
-        let stage = Stage::Gathering;
-        let (enough, least) = (GOOD_VIEWS.min(most), LEAST_VIEWS);
-        Self { stage, camera, source, board, most, enough, least, ..Self::default() }
     }
 }
 
@@ -211,14 +208,14 @@ fn corners(outline: &[PixelPoint]) -> Vec<[f64; 2]> {
     outline.iter().map(|corner| [rounded(corner.u), rounded(corner.v)]).collect()
 }
 
-/// What became of a picture, for who moves the board.
+/// The verdict on a picture, for the operator who moves the board.
 fn verdict_text(verdict: Verdict) -> &'static str {
     match verdict {
-        Verdict::Taken => "taken: on to the next place",
-        Verdict::NoBoard => "no roundel of the board is seen",
-        Verdict::TooLittle => "less than half of the board is seen, or it is another board",
-        Verdict::OtherBoard(..) => "the board has other columns or rows than were said",
-        Verdict::Moving => "the board moves: hold it still for a moment",
-        Verdict::Alike(_) => "such a view is kept already: move the board on",
+        Verdict::Taken => "view taken: move the board to the next place",
+        Verdict::NoBoard => "no roundel of the board is visible",
+        Verdict::TooLittle => "less than half of the board is visible, or it is another board",
+        Verdict::OtherBoard(..) => "the board has other columns or rows than entered",
+        Verdict::Moving => "the board is moving: hold it still for a moment",
+        Verdict::Alike(_) => "a similar view was taken already: move the board",
     }
 }

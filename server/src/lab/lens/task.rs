@@ -1,4 +1,4 @@
-//! One calibration of a lens, on its thread: pictures until there is enough, then the solution.
+//! The thread of one lens calibration: collects views, then estimates the lens.
 
 use std::{sync::Arc, time::Instant};
 
@@ -11,26 +11,13 @@ use super::{
     LensResult, LensRun, PictureSource, Shared,
     annotated_picture::AnnotatedPicture,
     board_search::{BoardSearch, CalibrationTarget, CollectedViews},
-    picture_source::{self, PicturesEnd},
+    picture_source::{for_each_camera_frame, for_each_source_frame},
     report::{LensReport, Stage},
 };
-use crate::model::stop::StopSignal;
+use crate::{capture::source::SourceError, model::stop::StopSignal};
 
-/// From the first picture to a lens, or to the reason why there is none.
-pub(super) fn run(shared: &Arc<Shared>, run: LensRun, stop: &StopSignal) {
-    let outcome = BoardSearch::new(&CalibrationTarget::Roundels(run.board.clone()), true)
-        .map_err(|error| error.to_string())
-        .and_then(|mut search| {
-            gather(shared, &run, stop, &mut search)?;
-            if shared.lock().cancelled {
-                return Ok(None);
-            }
-            shared.lock().status.stage = Stage::Solving;
-            let gathered = search.into_gathered().ok_or("no picture came")?;
-            solve(&run, &gathered)
-                .map(Some)
-                .map_err(|error| format!("no lens was found: {}: {error}", gathered.describe()))
-        });
+pub(super) fn run(shared: &Shared, run: LensRun, stop: &StopSignal) {
+    let outcome = find_lens(shared, &run, stop);
     let mut state = shared.lock();
     if state.cancelled {
         state.status.stage = Stage::Idle;
@@ -39,31 +26,48 @@ pub(super) fn run(shared: &Arc<Shared>, run: LensRun, stop: &StopSignal) {
     match outcome {
         Ok(found) => {
             state.status.stage = Stage::Done;
-            state.status.report = found.as_ref().map(|found| LensReport::of(&found.lens));
+            state.status.report = Some(LensReport::of(&found.lens));
             state.status.error.clear();
-            state.found = found;
+            state.found = Some(found);
         }
         Err(error) => {
-            tracing::warn!(%error, "the calibration of a lens ended without one");
+            tracing::warn!(%error, "lens calibration failed");
             state.status.stage = Stage::Failed;
             state.status.error = error;
         }
     }
 }
 
-/// Looks at pictures until there are enough views, the source ends, or somebody ends it.
-fn gather(
-    shared: &Arc<Shared>,
+fn find_lens(shared: &Shared, run: &LensRun, stop: &StopSignal) -> Result<LensResult, String> {
+    let target = CalibrationTarget::Roundels(run.board.clone());
+    let mut search = BoardSearch::new(&target, true).map_err(|error| error.to_string())?;
+    collect_views(shared, run, stop, &mut search)?;
+    let mut state = shared.lock();
+    if state.cancelled {
+        return Err("cancelled".to_owned());
+    }
+    state.status.stage = Stage::Solving;
+    drop(state);
+    let gathered = search.into_gathered().ok_or("no picture arrived")?;
+    solve(run, &gathered)
+        .map_err(|error| format!("no lens was found: {}: {error}", gathered.describe()))
+}
+
+/// Searches pictures until there are enough views, the source ends, or a client ends the calibration.
+fn collect_views(
+    shared: &Shared,
     run: &LensRun,
     stop: &StopSignal,
     search: &mut BoardSearch,
 ) -> Result<(), String> {
-    let is_left = || shared.lock().last_request.elapsed() > shared.idle_timeout;
-    let left = || {
-        let seconds = shared.idle_timeout.as_secs_f64();
-        format!("nobody asked about it for {seconds} s, so it was ended: start again")
+    let check_idle = || {
+        if shared.lock().last_request.elapsed() <= shared.idle_timeout {
+            return Ok(());
+        }
+        let timeout_s = shared.idle_timeout.as_secs_f64();
+        Err(format!("cancelled: no client read the status for {timeout_s} s; start it again"))
     };
-    let mut look = |frame: &Frame<'_>| -> Result<bool, String> {
+    let mut handle_frame = |frame: &Frame<'_>| -> Result<bool, String> {
         let (verdict, rings) = search.look(frame).map_err(|error| error.to_string())?;
         let view = View::of_rings(&run.board, frame, rings);
         let shown = AnnotatedPicture::of(frame, rings);
@@ -72,32 +76,43 @@ fn gather(
         state.status.update(gathered, verdict, &view);
         state.shown = Some(Arc::new(shown));
         drop(state);
-        if is_left() {
-            return Err(left());
-        }
+        check_idle()?;
         if let Some(error) = gathered.other_print(false) {
             return Err(error.to_string());
         }
-        Ok(gathered.is_complete() || gathered.chooser.taken().len() >= run.most)
+        Ok(gathered.is_complete() || gathered.chooser.taken().len() >= run.max_views)
     };
-    let end = match &run.picture_source {
+    match &run.picture_source {
         PictureSource::Camera(id, name) => {
-            let mut wait = |why: String| {
+            let mut report_wait = |why: String| {
                 shared.lock().status.error = why;
-                is_left()
+                check_idle()
             };
-            picture_source::of_camera(&shared.hub, (*id, name.as_str()), stop, &mut look, &mut wait)
+            for_each_camera_frame(
+                &shared.hub,
+                (*id, name),
+                stop,
+                &mut handle_frame,
+                &mut report_wait,
+            )
         }
-        PictureSource::Source(address, size) => {
-            picture_source::of_source(address, *size, stop, &mut look)
+        PictureSource::Source(source) => {
+            // Busy for at most half of the time, as with a running camera.
+            let mut handle_and_pause = |frame: &Frame<'_>| -> Result<bool, String> {
+                let begun = Instant::now();
+                Ok(handle_frame(frame)? || stop.wait(begun.elapsed()))
+            };
+            match for_each_source_frame(source, stop, &mut handle_and_pause) {
+                Ok(()) | Err(SourceError::Stopped) => Ok(()),
+                Err(SourceError::Size { expected, found, .. }) if source.size.is_some() => {
+                    Err(format!(
+                        "expected the requested {} x {} pixels, found {} x {}: request that size, or none",
+                        expected.0, expected.1, found.0, found.1
+                    ))
+                }
+                Err(error) => Err(error.to_string()),
+            }
         }
-    };
-    match end {
-        PicturesEnd::Over if is_left() && !stop.is_stopped() && search.gathered().is_none() => {
-            Err(left())
-        }
-        PicturesEnd::Over | PicturesEnd::Finished => Ok(()),
-        PicturesEnd::Failed(error) => Err(error),
     }
 }
 
@@ -107,7 +122,7 @@ fn solve(run: &LensRun, gathered: &CollectedViews) -> Result<LensResult, LensCal
     let target = gathered.chooser.target();
     let lens = Arc::new(calibrate(target, gathered.size, taken, run.model)?);
     let seconds = begun.elapsed().as_secs_f64();
-    tracing::info!(views = taken.len(), rms_px = lens.rms_px, seconds, "a lens was found");
+    tracing::info!(views = taken.len(), rms_px = lens.rms_px, seconds, "lens found");
     let camera = match &run.picture_source {
         PictureSource::Camera(_, name) => Some(name.clone()),
         PictureSource::Source(..) => None,

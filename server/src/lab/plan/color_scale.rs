@@ -1,8 +1,8 @@
-//! The scale of a map's colours, and round numbers for its values.
+//! The colour scale of a map.
 
 use super::plan_map::{MapLayer, PlanMap};
 
-/// Colours of the scale, from the best to the worst: those of viridis, from its light end on.
+/// Colours from the best to the worst value: viridis, reversed.
 const COLOURS: [[f64; 3]; 5] = [
     [253.0, 231.0, 37.0],
     [94.0, 201.0, 98.0],
@@ -10,30 +10,29 @@ const COLOURS: [[f64; 3]; 5] = [
     [59.0, 82.0, 139.0],
     [68.0, 1.0, 84.0],
 ];
-/// Steps of the scale: neighbours of one colour become one area.
+/// Number of distinct colours. Adjacent spots of one colour are drawn as one area, so few colours keep files small.
 const SHADES: f64 = 48.0;
 
-/// Shares of the seen spots that are better than each mark of a scale of precision.
+/// Quantiles of the deviations at which a precision scale has its marks.
 const QUANTILES: [f64; 5] = [0.01, 0.25, 0.5, 0.75, 0.99];
-/// From one mark to the next precision is worse by this factor at least, or what nobody could measure would look like much.
+/// Minimum ratio of successive marks of a precision scale, so that negligible differences do not look large.
 const MIN_FACTOR: f64 = 1.1;
-/// Most steps between marks of a scale of counts.
+/// Maximum number of intervals between the marks of a count scale.
 const MAX_STEPS: usize = 5;
 
-/// Colours between marks, which stand evenly along the scale, from the best value to the worst.
+/// Maps values to colours. Marks are evenly spaced along the scale, from the best value to the worst.
 ///
-/// Marks of precision are quantiles, and colours go with the logarithm from one to the next: some far places with many
-/// times the error of all others would take the colours from them else.
+/// On a precision scale the marks are quantiles, and the colour between two marks depends on the logarithm of the deviation.
+/// On a linear scale, a few distant spots with large errors would take most of the colours.
 pub(super) struct ColorScale {
-    marks: Vec<Mark>,
-    show: MapLayer,
+    pub(super) marks: Vec<Mark>,
 }
 
-/// A value that has its place along the scale.
+/// A labelled value of the scale.
 pub(super) struct Mark {
-    value: f64,
-    /// What stands beside it.
-    pub(super) text: String,
+    /// Increases from the best value to the worst: the negative count, or the logarithm of the deviation.
+    position: f64,
+    pub(super) label: String,
 }
 
 impl ColorScale {
@@ -42,27 +41,26 @@ impl ColorScale {
             MapLayer::Cameras => counts(map.cameras.iter().copied().max().unwrap_or(1).max(2)),
             MapLayer::Precision => quantiles(map.deviation_m.iter().flatten().copied().collect()),
         };
-        Self { marks, show }
+        Self { marks }
     }
 
-    pub(super) fn marks(&self) -> &[Mark] {
-        &self.marks
+    pub(super) fn of_count(&self, cameras: usize) -> [u8; 3] {
+        self.colour(-(cameras as f64))
     }
 
-    pub(super) fn colour(&self, value: f64) -> [u8; 3] {
-        // Grows from the best to the worst.
-        let along = |value: f64| match self.show {
-            MapLayer::Cameras => -value,
-            MapLayer::Precision => value.ln(),
-        };
-        let (at, steps) = (along(value), self.marks.len() - 1);
-        let before = self.marks[1..steps].partition_point(|mark| along(mark.value) <= at);
-        let [from, to] = [before, before + 1].map(|place| along(self.marks[place].value));
-        color_at((before as f64 + (at - from) / (to - from)) / steps as f64)
+    pub(super) fn of_deviation(&self, deviation_m: f64) -> [u8; 3] {
+        self.colour(deviation_m.ln())
+    }
+
+    fn colour(&self, position: f64) -> [u8; 3] {
+        let intervals = self.marks.len() - 1;
+        let interval = self.marks[1..intervals].partition_point(|mark| mark.position <= position);
+        let [from, to] = [interval, interval + 1].map(|index| self.marks[index].position);
+        color_at((interval as f64 + (position - from) / (to - from)) / intervals as f64)
     }
 }
 
-/// The colour at a share of the way from the best to the worst.
+/// The colour at a share of the scale: 0 is the best value, 1 the worst.
 pub(super) fn color_at(share: f64) -> [u8; 3] {
     let share = (share.clamp(0.0, 1.0) * SHADES).round() / SHADES;
     let place = share * (COLOURS.len() - 1) as f64;
@@ -74,14 +72,14 @@ pub(super) fn color_at(share: f64) -> [u8; 3] {
     })
 }
 
-/// From the most to one.
-fn counts(most: usize) -> Vec<Mark> {
-    let step = (most - 1).div_ceil(MAX_STEPS);
-    let values = (2..=most).rev().step_by(step).chain([1]);
-    values.map(|count| Mark { value: count as f64, text: count.to_string() }).collect()
+/// Marks from `max` down to 1.
+fn counts(max: usize) -> Vec<Mark> {
+    let step = (max - 1).div_ceil(MAX_STEPS);
+    let values = (2..=max).rev().step_by(step).chain([1]);
+    values.map(|count| Mark { position: -(count as f64), label: count.to_string() }).collect()
 }
 
-/// Of deviations, metres.
+/// Marks at quantiles of deviations in metres.
 fn quantiles(mut all: Vec<f64>) -> Vec<Mark> {
     all.sort_by(f64::total_cmp);
     let mut values = QUANTILES.map(|share| {
@@ -97,12 +95,13 @@ fn quantiles(mut all: Vec<f64>) -> Vec<Mark> {
     }
     let mark = |value: f64| {
         let better = all.partition_point(|&one| one < value) as f64 / all.len().max(1) as f64;
-        Mark { value, text: format!("{} mm {:.0} %", significant(value * 1e3), better * 100.0) }
+        let label = format!("{} mm {:.0} %", significant(value * 1e3), better * 100.0);
+        Mark { position: value.ln(), label }
     };
     values.map(mark).into()
 }
 
-/// Two significant digits.
+/// Rounds to two significant digits.
 pub(super) fn significant(value: f64) -> f64 {
     if value == 0.0 {
         return 0.0;
@@ -116,45 +115,41 @@ pub(super) fn significant(value: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// How far apart the colours of two values are, of at most 1 (from end to end of all colours).
+    /// Distance of the colours of two values along the scale, 0 to 1.
     fn apart(scale: &ColorScale, one: f64, other: f64) -> f64 {
         let place = |value: f64| {
             let shades = (0..=SHADES as usize).map(|shade| shade as f64 / SHADES);
-            shades.into_iter().find(|&share| color_at(share) == scale.colour(value)).unwrap()
+            shades.into_iter().find(|&share| color_at(share) == scale.of_deviation(value)).unwrap()
         };
         place(other) - place(one)
     }
 
     #[test]
-    fn some_far_places_leave_the_others_their_colours() {
+    fn a_few_distant_spots_do_not_compress_the_other_colours() {
         let near = (0..95).map(|spot| 1e-3 * (1.0 + f64::from(spot) / 95.0));
         let far = [0.05, 0.1, 0.2, 0.4, 0.8];
-        let scale =
-            ColorScale { marks: quantiles(near.chain(far).collect()), show: MapLayer::Precision };
+        let scale = ColorScale { marks: quantiles(near.chain(far).collect()) };
         assert!(apart(&scale, 1.05e-3, 1.9e-3) > 0.6);
         assert!(apart(&scale, 1.9e-3, 0.4) > 0.15);
-        let texts: Vec<&str> = scale.marks().iter().map(|mark| mark.text.as_str()).collect();
+        let texts: Vec<&str> = scale.marks.iter().map(|mark| mark.label.as_str()).collect();
         assert_eq!(texts, ["1 mm 1 %", "1.3 mm 25 %", "1.5 mm 50 %", "1.8 mm 74 %", "400 mm 98 %"]);
-        // What is nearly the same looks nearly the same.
+        // Nearly equal deviations get nearly equal colours.
         let even = (0..100).map(|spot| 1e-3 * (1.0 + 1e-4 * f64::from(spot)));
-        let scale = ColorScale { marks: quantiles(even.collect()), show: MapLayer::Precision };
+        let scale = ColorScale { marks: quantiles(even.collect()) };
         assert!(apart(&scale, 1.0e-3, 1.01e-3).abs() < 0.05);
-        assert_eq!(scale.marks()[0].text, "0.83 mm 0 %");
+        assert_eq!(scale.marks[0].label, "0.83 mm 0 %");
     }
 
     #[test]
-    fn counts_of_cameras_stand_at_whole_numbers() {
+    fn marks_of_counts_are_whole_numbers() {
         for (most, expected) in
             [(2, "2 1"), (3, "3 2 1"), (6, "6 5 4 3 2 1"), (9, "9 7 5 3 1"), (16, "16 13 10 7 4 1")]
         {
-            let texts: Vec<String> = counts(most).into_iter().map(|mark| mark.text).collect();
+            let texts: Vec<String> = counts(most).into_iter().map(|mark| mark.label).collect();
             assert_eq!(texts.join(" "), expected);
         }
-        let scale = ColorScale { marks: counts(9), show: MapLayer::Cameras };
-        assert_eq!(
-            [scale.colour(9.0), scale.colour(5.0), scale.colour(1.0)],
-            [0.0, 0.5, 1.0].map(color_at)
-        );
+        let scale = ColorScale { marks: counts(9) };
+        assert_eq!([9, 5, 1].map(|count| scale.of_count(count)), [0.0, 0.5, 1.0].map(color_at));
     }
 
     #[test]

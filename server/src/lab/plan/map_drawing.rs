@@ -1,4 +1,4 @@
-//! A map as a picture: from above, x to the right and y upwards, with the cameras in it and a scale of colours.
+//! A map as a picture: seen from above, x to the right and y upwards, with the cameras and a colour scale.
 
 use std::io;
 
@@ -12,29 +12,48 @@ use crate::lab::drawing::{Anchor, Axes, BLACK, Drawing, LETTER_PX, Shape, WHITE,
 
 /// Largest size of the map itself, pixels.
 const MAP_PX: Size = Size::new(760.0, 620.0);
-/// Around the map: left, above, right, below.
+/// Margins of the map: left, above, right, below.
 const MARGIN_PX: [f64; 4] = [64.0, 44.0, 176.0, 48.0];
-/// Where no camera sees anything.
+/// Colour of spots that no camera sees.
 const UNSEEN: [u8; 3] = [214, 214, 214];
 
-/// The map as SVG.
-pub fn svg(map: &PlanMap, show: MapLayer) -> String {
-    drawing(map, show).svg("px")
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum MapFormat {
+    Json,
+    Svg,
+    Png,
 }
 
-/// The map as PNG.
-pub fn png(map: &PlanMap, show: MapLayer) -> io::Result<Vec<u8>> {
+impl MapFormat {
+    pub fn media_type(self) -> &'static str {
+        match self {
+            Self::Json => "application/json",
+            Self::Svg => "image/svg+xml",
+            Self::Png => "image/png",
+        }
+    }
+}
+
+/// Encodes the map. A picture shows the layer `show`.
+pub fn encode(map: &PlanMap, format: MapFormat, show: MapLayer) -> io::Result<Vec<u8>> {
+    Ok(match format {
+        MapFormat::Json => serde_json::to_vec(map)?,
+        MapFormat::Svg => drawing(map, show).svg("px").into_bytes(),
+        MapFormat::Png => png(map, show)?,
+    })
+}
+
+fn png(map: &PlanMap, show: MapLayer) -> io::Result<Vec<u8>> {
     let drawing = drawing(map, show);
-    let [width, height] =
-        [drawing.size.width, drawing.size.height].map(|side| side.round() as usize);
-    let data = drawing.rgba(1.0, width, height);
-    let data = data.ok_or_else(|| io::Error::other("the size of the picture cannot be drawn"))?;
+    let (width, height) = (drawing.size.width.round(), drawing.size.height.round());
+    let data = drawing.rgba(1.0, width as usize, 0..height as usize);
+    let data = data.ok_or_else(|| io::Error::other("cannot draw a picture of this size"))?;
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
     encoder.set_color(png::ColorType::Rgba);
-    let mut writer = encoder.write_header().map_err(io::Error::other)?;
-    writer.write_image_data(&data).map_err(io::Error::other)?;
-    writer.finish().map_err(io::Error::other)?;
+    let mut writer = encoder.write_header()?;
+    writer.write_image_data(&data)?;
+    writer.finish()?;
     Ok(bytes)
 }
 
@@ -68,8 +87,8 @@ fn label(x: f64, y: f64, text: impl Into<String>) -> Shape {
 
 fn spots(map: &PlanMap, show: MapLayer, colours: &ColorScale, area: Rect) -> Vec<Shape> {
     let colour = |index: usize| match (show, map.cameras[index], map.deviation_m[index]) {
-        (MapLayer::Cameras, count @ 1.., _) => colours.colour(count as f64),
-        (MapLayer::Precision, _, Some(deviation_m)) => colours.colour(deviation_m),
+        (MapLayer::Cameras, count @ 1.., _) => colours.of_count(count),
+        (MapLayer::Precision, _, Some(deviation_m)) => colours.of_deviation(deviation_m),
         _ => UNSEEN,
     };
     let x = |column: usize| area.x0 + area.width() * column as f64 / map.columns as f64;
@@ -78,10 +97,10 @@ fn spots(map: &PlanMap, show: MapLayer, colours: &ColorScale, area: Rect) -> Vec
     for row in 0..map.rows {
         let first = row * map.columns;
         let columns: Vec<usize> = (0..map.columns).collect();
-        // Neighbours of one colour are one area.
+        // Adjacent spots of one colour become one area.
         for run in columns.chunk_by(|one, next| colour(first + one) == colour(first + next)) {
             let (from, to) = (run[0], run[run.len() - 1] + 1);
-            // Whole pixels, and under the areas that follow, so that no seam is left.
+            // Whole pixels, extended below the areas that are drawn later, so that no seam shows.
             let spot = Rect::new(x(from), y(row + 1), x(to), y(row)).round();
             let spot =
                 Rect { x1: (spot.x1 + 0.5).min(area.x1), y0: (spot.y0 - 0.5).max(area.y0), ..spot };
@@ -110,32 +129,31 @@ fn cameras(map: &PlanMap, axes: &Axes) -> Vec<Shape> {
     shapes
 }
 
-/// The scale of colours, with its values beside it.
+/// The colour scale with its values beside it.
 fn legend(colours: &ColorScale, show: MapLayer, left: f64) -> Vec<Shape> {
     const STEPS: usize = 48;
-    const HIGH: f64 = 200.0;
+    const HEIGHT_PX: f64 = 200.0;
     let top = MARGIN_PX[1];
     let swatch = |y: f64, height: f64, color| {
         Shape::fill(Rect::from_origin_size((left, y), (16.0, height)), color)
     };
-    let step_px = HIGH / STEPS as f64;
+    let step_px = HEIGHT_PX / STEPS as f64;
     let mut shapes: Vec<Shape> = (0..STEPS)
         .map(|step| {
             let share = step as f64 / (STEPS - 1) as f64;
             swatch(top + step_px * step as f64, step_px + 0.5, color_at(share))
         })
         .collect();
-    let marks = colours.marks();
-    for (place, mark) in marks.iter().enumerate() {
-        let share = place as f64 / (marks.len() - 1) as f64;
-        shapes.push(label(left + 22.0, top + 5.0 + HIGH * share, &mark.text));
+    for (place, mark) in colours.marks.iter().enumerate() {
+        let share = place as f64 / (colours.marks.len() - 1) as f64;
+        shapes.push(label(left + 22.0, top + 5.0 + HEIGHT_PX * share, &mark.label));
     }
-    let below = top + HIGH + 16.0;
+    let below = top + HEIGHT_PX + 16.0;
     shapes.push(swatch(below, 16.0, UNSEEN));
     shapes.push(label(left + 22.0, below + 12.0, "unseen"));
     if show == MapLayer::Precision {
-        shapes.push(label(left, below + 40.0, "%: of what is"));
-        shapes.push(label(left, below + 58.0, "seen, better"));
+        shapes.push(label(left, below + 40.0, "%: share of seen"));
+        shapes.push(label(left, below + 58.0, "spots with less"));
     }
     shapes
 }
@@ -173,11 +191,15 @@ mod tests {
         }
     }
 
+    fn svg(map: &PlanMap, show: MapLayer) -> String {
+        String::from_utf8(encode(map, MapFormat::Svg, show).unwrap()).unwrap()
+    }
+
     #[test]
     fn a_map_becomes_svg_with_axes_cameras_and_scale() {
         for show in [MapLayer::Precision, MapLayer::Cameras] {
             let text = svg(&map(), show);
-            // The camera's dot begins at its right.
+            // The path of the camera's dot begins at its rightmost point.
             for part in ["north", "unseen", "x, m", "#d6d6d6", "M447.5 158 C"] {
                 assert!(text.contains(part), "{part} in {text}");
             }

@@ -1,4 +1,4 @@
-//! Cameras as the plan takes them: of a configuration, or of a server that runs.
+//! Inputs of a plan: cameras of a configuration or of a running server.
 
 use roundel_core::{
     marker::{Mask, Mode},
@@ -12,38 +12,54 @@ use crate::model::{
     hub::{CameraInfo, CameraState},
 };
 
-/// A camera with its name: planned with, or why not.
 #[derive(Clone, Debug)]
 pub struct PlannedCamera {
     pub name: String,
-    /// How it sees, or why it is left out and what to do.
+    /// The input of the plan, or why the camera is left out and what to do.
     pub station: Result<Box<Station>, String>,
 }
 
-/// A camera of a configuration; cameras that share trials are tried once.
-pub fn from_config(camera: &CameraConfig, imaging: Imaging, trials: &Trials) -> PlannedCamera {
-    let place = match &camera.pose {
-        PoseConfig::Known(world_from_camera) => Ok(CameraPlacement {
-            world_from_camera: *world_from_camera,
-            covariance: Covariance6::zeros(),
-        }),
-        PoseConfig::Calibrated(place) => Ok(**place),
-        PoseConfig::Unknown => {
-            Err("its pose is \"unknown\": write one to plan with, or calibrate the arena"
-                .to_owned())
+/// The cameras that the plan can use, or why there are none.
+pub fn usable_stations(cameras: &[PlannedCamera]) -> Result<Vec<Station>, String> {
+    let (mut stations, mut reasons) = (Vec::new(), Vec::new());
+    for camera in cameras {
+        match &camera.station {
+            Ok(station) => stations.push(Station::clone(station)),
+            Err(reason) => reasons.push(format!("{}: {reason}", camera.name)),
         }
-        PoseConfig::Mounted(_) => Err("it rides on an object".to_owned()),
-    };
-    let (calibration, mode) = (camera.calibration.clone(), camera.mode);
-    let sensor = Sensor { camera: calibration, imaging, mode, trials: trials.clone() };
-    let doubt = camera.lens_uncertainty.clone();
-    let mask = Mask::of_polygons(&camera.mask).map_err(|error| error.to_string());
-    let station =
-        place.and_then(|place| Ok(Box::new(Station { sensor, doubt, place, mask: mask? })));
-    PlannedCamera { name: camera.name.clone(), station }
+    }
+    if !stations.is_empty() {
+        return Ok(stations);
+    }
+    let reasons =
+        if cameras.is_empty() { "there are no cameras".to_owned() } else { reasons.join("; ") };
+    Err(format!("expected a camera with known lens and pose, found none; {reasons}"))
 }
 
-/// A camera of a running server, with the blur and the noise that were measured of it, where they were.
+/// A camera of a configuration. Cameras with equal optics and shared `trials` are simulated once.
+pub fn from_config(camera: &CameraConfig, imaging: Imaging, trials: &Trials) -> PlannedCamera {
+    let station = || {
+        let place = match &camera.pose {
+            PoseConfig::Known(world_from_camera) => CameraPlacement {
+                world_from_camera: *world_from_camera,
+                covariance: Covariance6::zeros(),
+            },
+            PoseConfig::Calibrated(place) => **place,
+            PoseConfig::Unknown => {
+                let reason = "its pose is \"unknown\": configure a pose, or calibrate the arena";
+                return Err(reason.to_owned());
+            }
+            PoseConfig::Mounted(_) => return Err("it is mounted on an object".to_owned()),
+        };
+        let (calibration, mode) = (camera.calibration.clone(), camera.mode);
+        let sensor = Sensor { camera: calibration, imaging, mode, trials: trials.clone() };
+        let mask = Mask::of_polygons(&camera.mask).map_err(|error| error.to_string())?;
+        Ok(Box::new(Station { sensor, doubt: camera.lens_uncertainty.clone(), place, mask }))
+    };
+    PlannedCamera { name: camera.name.clone(), station: station() }
+}
+
+/// A camera of a running server, with its measured blur and noise; `usual` replaces missing measurements.
 pub fn from_running(
     info: &CameraInfo,
     state: &CameraState,
@@ -52,12 +68,12 @@ pub fn from_running(
 ) -> PlannedCamera {
     let station = || {
         if info.ride.is_some() {
-            return Err("it rides on an object".to_owned());
+            return Err("it is mounted on an object".to_owned());
         }
-        let camera = state.camera.clone().ok_or("its lens is not known yet")?;
+        let camera = state.camera.clone().ok_or("its lens is unknown")?;
         let place = state.pose.placement.ok_or_else(|| match state.pose.reason.as_str() {
-            "" => "its place is not known".to_owned(),
-            reason => format!("its place is not known: {reason}"),
+            "" => "its pose is unknown".to_owned(),
+            reason => format!("its pose is unknown: {reason}"),
         })?;
         let measured = |value: f64, usual: f64| if value > 0.0 { value } else { usual };
         let imaging = Imaging {
@@ -65,7 +81,7 @@ pub fn from_running(
             blur_px: measured(state.blur_px, usual.blur_px),
             ..usual
         };
-        // What it located it with is the mode; before anything was seen, the usual one.
+        // The counts of located rings reveal the mode.
         let is_fast = state.counts.precise == 0 && state.counts.fast > 0;
         let mode = if is_fast { Mode::Fast } else { Mode::Precise };
         let mask = Mask::of_polygons(&info.mask).map_err(|error| error.to_string())?;

@@ -1,54 +1,37 @@
 //! The page of a calibration board.
 
-use kurbo::Point;
+use kurbo::{Point, Size};
 use roundel_core::{calib::board::Board, marker::Pattern};
-use thiserror::Error;
 
 use super::{
     codes, marks, millimetres,
     page::{Page, PageSize},
-    page_layout::printable_area,
+    page_layout::{PageLayoutError, printable_area},
     roundel::outline,
 };
 
-/// The board is larger than the page.
-#[derive(Clone, Debug, PartialEq, Error)]
-#[error(
-    "a board of {columns} x {rows} with a pitch of {} mm is {} x {} mm, and {page} has room for {} x {} mm: use a smaller \
-     pitch and outer diameter, fewer roundels, or a larger page",
-    millimetres(*.pitch_mm), millimetres(.size_mm.0), millimetres(.size_mm.1), millimetres(.room_mm.0),
-    millimetres(.room_mm.1)
-)]
-pub struct BoardPageError {
-    columns: usize,
-    rows: usize,
-    pitch_mm: f64,
-    size_mm: (f64, f64),
-    page: String,
-    room_mm: (f64, f64),
-}
-
-/// The board in the middle of one page, turned if it fits only then: its parts must not move against each
-/// other, so it is never spread over several.
-pub fn board_page(board: &Board, page: PageSize) -> Result<Page, BoardPageError> {
+/// The board in the middle of one page, rotated if it fits only then. It is never spread over several pages, since its
+/// parts must not move against each other.
+pub fn board_page(board: &Board, page: PageSize) -> Result<Page, PageLayoutError> {
     let kind = board.kind();
+    let (columns, rows) = (board.columns(), board.rows());
     let (outer_mm, pitch_mm) = (kind.outer_diameter_m * 1e3, board.pitch_m() * 1e3);
     let side = |count: usize| (count - 1) as f64 * pitch_mm + outer_mm;
-    let (width, height) = (side(board.columns()), side(board.rows()));
+    let size_mm = Size::new(side(columns), side(rows));
     let fits = |page: &PageSize| {
-        let room = printable_area(*page);
-        room.width() >= width && room.height() >= height
+        let available = printable_area(*page).size();
+        available.width >= size_mm.width && available.height >= size_mm.height
     };
     let Some(page) = [page, page.rotated()].into_iter().find(fits) else {
-        let lying = if width > height { page.rotated() } else { page };
-        let room = printable_area(lying);
-        return Err(BoardPageError {
-            columns: board.columns(),
-            rows: board.rows(),
+        let landscape = if size_mm.width > size_mm.height { page.rotated() } else { page };
+        let (page, available_mm) = (page.name(), printable_area(landscape).size());
+        return Err(PageLayoutError::Board {
+            columns,
+            rows,
             pitch_mm,
-            size_mm: (width, height),
-            page: page.name(),
-            room_mm: (room.width(), room.height()),
+            size_mm,
+            page,
+            available_mm,
         });
     };
     let window = printable_area(page);
@@ -64,9 +47,7 @@ pub fn board_page(board: &Board, page: PageSize) -> Result<Page, BoardPageError>
         outline(&kind, &teeth, center, pitch_mm)
     });
     let about = format!(
-        "calibration board: {} x {} roundels of {} mm, {} mm from centre to centre{}",
-        board.columns(),
-        board.rows(),
+        "calibration board: {columns} x {rows} roundels of {} mm, {} mm from centre to centre{}",
         millimetres(outer_mm),
         millimetres(pitch_mm),
         layout.map_or(String::new(), |layout| format!(", {}", codes(layout)))

@@ -1,4 +1,4 @@
-//! Which codes there are, and how far apart they are.
+//! The codes of a layout with their Hamming distances.
 
 use roundel_core::marker::{CodeError, CodeLayout};
 use serde::Serialize;
@@ -7,17 +7,16 @@ use utoipa::ToSchema;
 /// One code.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub struct CodeListing {
-    /// What it is known by.
+    /// Its number.
     pub number: u16,
     /// Its bits as printed, counter-clockwise from the print's right.
     pub word: String,
-    /// Bits that have to be misread, at least, for it to become another code.
+    /// Least number of misread bits that turns it into another code.
     pub distance: u8,
-    /// Bits that have to be misread, at least, for it to look turned.
+    /// Least number of misread bits that turns it into a rotation of itself.
     pub own_distance: u8,
 }
 
-/// Every code of a layout, by number.
 pub fn list_codes(layout: CodeLayout) -> Result<Vec<CodeListing>, CodeError> {
     let codes = layout.codes()?;
     let bits = usize::from(layout.bits);
@@ -35,7 +34,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn distances_are_at_least_what_was_asked_for() {
+    fn distances_are_at_least_the_requested_one() {
         let listed = list_codes(CodeLayout { bits: 8, min_distance: 2 }).unwrap();
         assert_eq!(listed[0].word, "00000001");
         assert!(listed.iter().all(|code| code.distance >= 2 && code.own_distance >= 1));

@@ -1,4 +1,4 @@
-//! What is to be printed: roundels of a kind by their numbers, or the calibration board.
+//! A print job: roundels of a kind by their numbers, or a calibration board.
 
 use roundel_core::{
     calib::board::{Board, BoardError},
@@ -10,64 +10,52 @@ use roundel_core::{
 use thiserror::Error;
 
 use super::{
-    BOARD_OUTER_M, BOARD_PITCH, BoardPageError, Page, PageLayoutError, PageSize, PrintItem,
-    board_page, lay_out_pages, millimetres,
+    BOARD_OUTER_M, BOARD_PITCH, Page, PageLayoutError, PageSize, PrintItem, board_page,
+    lay_out_pages, millimetres,
     spec::{CodeNumbers, Diameters, PrintSpec},
 };
 
-/// What is to be printed.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PrintJob {
-    /// Roundels, in this order.
     Roundels(Vec<PrintItem>),
     Board(Board),
 }
 
-/// Why that cannot be printed.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum PrintJobError {
-    /// Neither a ratio nor a code.
     #[error("expected OUTER_MM:INNER_MM for a plain roundel, or a code for a coded one")]
     Inner,
-    /// Both an ellipse and a code.
     #[error("an elliptical disc and a code exclude each other")]
     Exclusive,
-    /// The detector would not find it.
     #[error(
-        "expected a disc of {} to {} of the outer diameter, found {found:.3}: another would not be found",
+        "expected a disc of {} to {} of the outer diameter, found {found:.3}: the detector finds no other",
         RATIO_LIMITS.0, RATIO_LIMITS.1
     )]
     Ratio { found: f64 },
     #[error(
         "expected the disc's shorter diameter to be at most {AXIS_RATIO_LIMIT} of its longer one, found {found:.3}: \
-         of a rounder disc nobody could tell how it is turned; leave it out for a round one"
+         the heading of a rounder disc cannot be measured; leave it out for a round one"
     )]
     Axes { found: f64 },
-    /// Numbers of a kind that has none.
     #[error(
         "numbers are those of codes, and this kind has none: give a code, or a number of copies"
     )]
     NoCodes,
-    /// A board's ratio is that of all coded prints.
     #[error(
         "a board's roundels are coded, so their inner diameter is {} of the outer one: give the outer one alone",
         CodeLayout::RATIO
     )]
     BoardInner,
-    /// No such codes.
     #[error(transparent)]
     Code(#[from] CodeError),
     #[error(transparent)]
     Board(#[from] BoardError),
-    /// It does not fit.
-    #[error(transparent)]
-    BoardPage(#[from] BoardPageError),
     #[error(transparent)]
     PageLayout(#[from] PageLayoutError),
 }
 
 impl PrintJob {
-    /// The board of so many columns and rows; without a diameter or pitch (millimetres), those of a sheet of A4.
+    /// A board of `sides` columns and rows. Default diameter and pitch (millimetres) make a 7x5 board fit on A4.
     pub fn board(
         sides: (usize, usize),
         diameters: Option<Diameters>,
@@ -83,7 +71,7 @@ impl PrintJob {
         Ok(Board::new(sides, pitch_m, outer_m, layout)?)
     }
 
-    /// Roundels of which only sizes are known; their kind has no name.
+    /// Roundels that are described only by their sizes; their kind has no name.
     pub fn roundels(
         print: &PrintSpec,
         numbers: Option<&CodeNumbers>,
@@ -95,26 +83,25 @@ impl PrintJob {
         let kind = print.kind().ok_or(PrintJobError::Inner)?;
         let kind = Kind { name: String::new(), ..kind };
         let minor_ratio = minor_m.map(|minor_m| minor_m / kind.outer_diameter_m);
-        for found in [Some(kind.ratio()), minor_ratio].into_iter().flatten() {
-            if !is_measurable(found) {
-                return Err(PrintJobError::Ratio { found });
-            }
+        let mut ratios = std::iter::once(kind.ratio()).chain(minor_ratio);
+        if let Some(found) = ratios.find(|&ratio| !is_measurable(ratio)) {
+            return Err(PrintJobError::Ratio { found });
         }
-        let roundness = minor_m.map(|minor_m| minor_m / kind.inner_diameter_m);
-        if let Some(found) = roundness.filter(|&found| !tells_heading(found)) {
+        let axis_ratio = minor_m.map(|minor_m| minor_m / kind.inner_diameter_m);
+        if let Some(found) = axis_ratio.filter(|&ratio| !tells_heading(ratio)) {
             return Err(PrintJobError::Axes { found });
         }
         items_of_kind(&kind, numbers)
     }
 
-    /// So many of each roundel, one after the other; of the board there is one.
+    /// Repeats each roundel; there is always one board.
     #[must_use]
     pub fn copies(self, copies: usize) -> Self {
         match self {
             Self::Roundels(items) => Self::Roundels(
                 items.iter().flat_map(|item| std::iter::repeat_n(item, copies)).cloned().collect(),
             ),
-            Self::Board(board) => Self::Board(board),
+            board => board,
         }
     }
 
@@ -126,7 +113,7 @@ impl PrintJob {
     }
 }
 
-/// One of each code of a kind that is asked for (all, if none is), or the one plain roundel.
+/// One roundel for each of the given codes of a kind, by default all of them; or the one without a code.
 pub fn items_of_kind(
     kind: &Kind,
     numbers: Option<&CodeNumbers>,
@@ -143,30 +130,29 @@ pub fn items_of_kind(
     Ok(numbers.into_iter().map(|number| coded_item(kind, number, None)).collect())
 }
 
-/// One code of a kind, with the name of what carries it.
+/// One code of a kind; the label names its carrier.
 pub fn coded_item(kind: &Kind, number: u16, carrier: Option<&str>) -> PrintItem {
     let label = carrier.map_or_else(|| format!("#{number}"), |name| format!("{name} #{number}"));
     PrintItem { kind: kind.clone(), number: Some(number), label }
 }
 
-/// A kind as an installation's configuration has it, line by line.
+/// The lines that describe a kind in a configuration; one without a name is called "robot".
 pub fn config_lines(kind: &Kind) -> Vec<String> {
     let (outer, inner) = (kind.outer_diameter_m * 1e3, kind.inner_diameter_m * 1e3);
     let mut lines = vec![
         "[[roundel]]".to_owned(),
-        "name = \"robot\"".to_owned(),
+        format!("name = {:?}", if kind.name.is_empty() { "robot" } else { &kind.name }),
         format!("outer_mm = {}", millimetres(outer)),
     ];
+    if !(matches!(kind.pattern, Pattern::Coded(_)) && has_default_ratio(kind)) {
+        lines.push(format!("inner_mm = {}", millimetres(inner)));
+    }
     match kind.pattern {
-        Pattern::Plain => lines.push(format!("inner_mm = {}", millimetres(inner))),
+        Pattern::Plain => {}
         Pattern::Elliptical { minor_diameter_m } => {
-            lines.push(format!("inner_mm = {}", millimetres(inner)));
             lines.push(format!("inner_minor_mm = {}", millimetres(minor_diameter_m * 1e3)));
         }
         Pattern::Coded(CodeLayout { bits, min_distance }) => {
-            if !has_default_ratio(kind) {
-                lines.push(format!("inner_mm = {}", millimetres(inner)));
-            }
             lines.push(format!("code = {{ bits = {bits}, min_distance = {min_distance} }}"));
         }
     }
@@ -176,7 +162,7 @@ pub fn config_lines(kind: &Kind) -> Vec<String> {
     lines
 }
 
-/// Whether the inner diameter follows from the outer one, as it does of coded prints unless they were asked for otherwise.
+/// Whether the inner diameter is the default of coded prints.
 pub(super) fn has_default_ratio(kind: &Kind) -> bool {
     (kind.ratio() - CodeLayout::RATIO).abs() < 1e-6
 }
@@ -194,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn the_lines_to_configure_say_what_was_printed() {
+    fn configuration_lines_describe_the_print() {
         let lines =
             |marker, layout| config_lines(&printed(marker, layout).unwrap()[0].kind).join("; ");
         assert!(!lines("160", Some("8:2")).contains("inner_mm"));

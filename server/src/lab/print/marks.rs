@@ -1,4 +1,4 @@
-//! What is printed round the roundels: cut marks, the ruler that checks the printer, small print.
+//! Marks around the roundels: cut marks, rulers that verify the printed scale, and small print.
 
 use kurbo::{Point, Rect, Shape as _};
 use roundel_core::marker::Polarity;
@@ -6,20 +6,19 @@ use roundel_core::marker::Polarity;
 use super::page::{EDGE_MM, FOOT_MM, LINE_MM, PageSize, PrintItem, RULER_MM};
 use crate::lab::drawing::{Anchor, Shape};
 
-/// Length of a cut mark, and how far it stays from the square, millimetres.
+/// Length of a cut mark and its distance from the square, millimetres.
 pub(super) const CUT_MM: f64 = 3.0;
 pub(super) const CUT_GAP_MM: f64 = 0.5;
-/// Longest ruler, millimetres.
 const MAX_RULER_MM: f64 = 100.0;
-/// Lengths of the ruler's marks at each half and each whole centimetre, millimetres.
+/// Lengths of the rulers' ticks at half and whole centimetres, millimetres.
 const TICKS_MM: (f64, f64) = (1.5, 3.0);
 /// Height of capitals of the small print, millimetres.
 const SMALL_MM: f64 = 1.8;
-/// Below this it cannot be read, millimetres.
+/// Smallest legible height of capitals, millimetres.
 const MIN_TEXT_MM: f64 = 0.8;
-/// Width of a character over the height of capitals, about.
+/// Approximate width of a character over the height of capitals.
 const CHARACTER: f64 = 0.8;
-/// Length of a mark where sheets meet, and how far it stays from the window, millimetres.
+/// Length of a mark where sheets meet and its distance from the window, millimetres.
 const JOIN_MM: f64 = 1.5;
 const JOIN_GAP_MM: f64 = 0.3;
 
@@ -37,8 +36,8 @@ pub(super) fn cut_marks(square: &Rect) -> Vec<Shape> {
     marks
 }
 
-/// Label and size in the square's lower corners, where they stay after cutting and no rim is near. Where they cannot be, on
-/// black or too small to be read, they stand below the square, and tell what is what until it is cut out.
+/// Label and size in the square's lower corners, away from the rim and kept after cutting. On black, or where they would
+/// be too small to read, they are below the square and identify it until it is cut out.
 pub(super) fn corner_labels(item: &PrintItem, square: &Rect) -> Vec<Shape> {
     let outer_mm = item.kind.outer_diameter_m * 1e3;
     let height_mm = (outer_mm * 0.04).min(SMALL_MM * 1.5);
@@ -55,14 +54,13 @@ pub(super) fn corner_labels(item: &PrintItem, square: &Rect) -> Vec<Shape> {
     ]
 }
 
-/// Both in the middle of the gap between the cut marks, or what has room there: the label counts.
+/// Label and size in the gap between the cut marks, or one of them if only that fits, preferably the label.
 fn below(label: &str, size: &str, square: &Rect) -> Option<Shape> {
-    let both =
-        [label, size].into_iter().filter(|text| !text.is_empty()).collect::<Vec<_>>().join(" ");
-    // Neighbours have as much of a gap, of which each may take half.
-    let room_mm = square.width() + CUT_MM;
-    let fits = |text: &str| room_mm / (CHARACTER * text.chars().count() as f64);
-    let texts = [both.as_str(), label, size].into_iter().filter(|text| !text.is_empty());
+    let both = format!("{label} {size}");
+    // Half of the gap to each neighbour.
+    let available_mm = square.width() + CUT_MM;
+    let fits = |text: &str| available_mm / (CHARACTER * text.chars().count() as f64);
+    let texts = [both.trim(), label, size].into_iter().filter(|text| !text.is_empty());
     let (text, height_mm) = texts
         .map(|text| (text, fits(text).min(SMALL_MM)))
         .find(|(_, height_mm)| *height_mm >= MIN_TEXT_MM)?;
@@ -104,31 +102,29 @@ pub(super) fn footer(page: PageSize, about: &str) -> Vec<Shape> {
     shapes
 }
 
-/// Where sheets of one large roundel meet, marked outside of their windows: the left and the upper edge are
-/// cut off at the window where a sheet joins there, and laid on the line that the other sheet's marks span.
-/// `sides`: whether there is a sheet to the left, right, top and bottom.
+/// Marks outside the window where sheets of one large roundel meet: the left and upper edges of a sheet are cut at the
+/// window and placed on the line between the other sheet's marks. `sides`: whether there is a sheet to the left, right,
+/// top and bottom.
 pub(super) fn join_marks(window: &Rect, overlap_mm: f64, sides: [bool; 4]) -> Vec<Shape> {
     let [left, right, top, bottom] = sides;
-    let beyond = [JOIN_GAP_MM, JOIN_GAP_MM + JOIN_MM];
+    let (from, to) = (JOIN_GAP_MM, JOIN_GAP_MM + JOIN_MM);
+    let line = |x0, y0, x1, y1| Shape::line(Point::new(x0, y0), Point::new(x1, y1), LINE_MM);
+    let Rect { x0, y0, x1, y1 } = *window;
     let mut marks = Vec::new();
-    for (is_there, x) in [(left, window.x0), (right, window.x1 - overlap_mm)] {
-        if is_there {
-            let above = beyond.map(|away| Point::new(x, window.y0 - away));
-            let below = beyond.map(|away| Point::new(x, window.y1 + away));
-            marks.extend([above, below].map(|[from, to]| Shape::line(from, to, LINE_MM)));
+    for (joins, x) in [(left, x0), (right, x1 - overlap_mm)] {
+        if joins {
+            marks.extend([line(x, y0 - from, x, y0 - to), line(x, y1 + from, x, y1 + to)]);
         }
     }
-    for (is_there, y) in [(top, window.y0), (bottom, window.y1 - overlap_mm)] {
-        if is_there {
-            let before = beyond.map(|away| Point::new(window.x0 - away, y));
-            let behind = beyond.map(|away| Point::new(window.x1 + away, y));
-            marks.extend([before, behind].map(|[from, to]| Shape::line(from, to, LINE_MM)));
+    for (joins, y) in [(top, y0), (bottom, y1 - overlap_mm)] {
+        if joins {
+            marks.extend([line(x0 - from, y, x0 - to, y), line(x1 + from, y, x1 + to, y)]);
         }
     }
     marks
 }
 
-/// Whether a mark lies in an area as a whole.
+/// Whether a mark lies completely in an area.
 pub(super) fn is_inside(shape: &Shape, area: &Rect) -> bool {
     match shape {
         Shape::Text { at, .. } => area.contains(*at),
@@ -161,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn every_print_says_what_it_is() {
+    fn every_print_is_labelled() {
         let words = |outer_mm: f64, polarity: Polarity, label: &str| -> Vec<String> {
             texts(outer_mm, polarity, label).into_iter().map(|(text, _)| text).collect()
         };
@@ -171,7 +167,7 @@ mod tests {
         assert_eq!(words(12.0, black, "robot #17"), ["robot #17 12 mm"]);
         assert_eq!(words(2.0, black, "#1017"), ["#1017"]);
         assert_eq!(words(12.0, white, ""), ["12 mm"]);
-        // Outside of what is black.
+        // Outside of the black square.
         for (_, at) in texts(50.0, white, "#17") {
             assert!(at.y > 50.0 + 1.35 * 25.0 && at.x == 50.0);
         }

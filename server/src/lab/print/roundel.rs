@@ -1,4 +1,4 @@
-//! The black of one roundel, by its kind: what [`roundel_core::marker`] looks for.
+//! The black area of one roundel, as [`roundel_core::marker`] detects it.
 
 use std::f64::consts::TAU;
 
@@ -7,15 +7,15 @@ use roundel_core::marker::{CodeLayout, Kind, Pattern, Polarity, Tooth};
 
 use crate::lab::drawing::TOLERANCE;
 
-/// Side of the square that a roundel is cut out as, over its outer diameter: what is left beside the
-/// ring is the margin that the detector takes its level from.
+/// Side of the square that a roundel is cut out as, over its outer diameter. The detector measures the background level
+/// in the margin beside the ring.
 pub const SIDE_SHARE: f64 = 1.35;
 
-/// The least of that, where a page has no more room: the margin's level is taken within three pixels of the rim.
+/// Least side where the page is too small: the detector needs a margin of three pixels.
 pub const MIN_SIDE_SHARE: f64 = 1.15;
 
-/// The black of a roundel round `center`: the print's right is the page's right, its up the page's up.
-/// `teeth` are the code's, of coded kinds; `side_mm` is that of the square that it is cut out as.
+/// The black area of a roundel at `center`, in the page's orientation. `teeth` are those of the code; `side_mm` is the
+/// side of the square that it is cut out as.
 pub fn outline(kind: &Kind, teeth: &[Tooth], center: Point, side_mm: f64) -> BezPath {
     let (outer_mm, inner_mm) = (kind.outer_diameter_m * 500.0, kind.inner_diameter_m * 500.0);
     let mut path = BezPath::new();
@@ -37,13 +37,12 @@ pub fn outline(kind: &Kind, teeth: &[Tooth], center: Point, side_mm: f64) -> Bez
     path
 }
 
-/// A square round its centre.
 pub(super) fn square(center: Point, side_mm: f64) -> Rect {
     Rect::from_center_size(center, (side_mm, side_mm))
 }
 
-/// The disc between the teeth, as one outline: each tooth reaches from its rim down to its core. Drawn as
-/// a hole of the ring rather than as black on white, so that no seam shows between ring and teeth.
+/// The disc between the teeth as one outline; each tooth reaches from the rim down to the core. It is a hole in the
+/// ring rather than black on white, so that no seam shows between ring and teeth.
 fn add_toothed_disc(path: &mut BezPath, center: Point, rim_mm: f64, teeth: &[Tooth]) {
     let core_mm = rim_mm * CodeLayout::CORE_SHARE;
     // Angles of teeth are counter-clockwise, and y grows downwards.
@@ -57,7 +56,7 @@ fn add_toothed_disc(path: &mut BezPath, center: Point, rim_mm: f64, teeth: &[Too
     for (index, tooth) in teeth.iter().enumerate() {
         add_arc(path, core_mm, tooth.from_rad, tooth.to_rad);
         let next_rad = teeth.get(index + 1).map_or(first_rad + TAU, |next| next.from_rad);
-        // A code's last tooth may reach the first one over the print's right.
+        // The last tooth of a code may touch the first one.
         if next_rad - tooth.to_rad > 1e-9 {
             path.line_to(at(rim_mm, tooth.to_rad));
             add_arc(path, rim_mm, tooth.to_rad, next_rad);

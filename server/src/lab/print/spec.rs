@@ -1,9 +1,8 @@
-//! Prints in words, as commands and requests have them: diameters, code, polarity, and numbers of codes.
+//! Descriptions of prints in commands and requests: diameters, code, polarity, and numbers of codes.
 
 use clap::ValueEnum;
 use roundel_core::marker::{CodeLayout, Kind, Pattern, Polarity, Ring};
 
-/// Words for polarities.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum PolarityArg {
     /// Black ring, white disc, on white
@@ -25,40 +24,37 @@ impl From<PolarityArg> for Polarity {
 /// Diameters as given with `--marker`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Diameters {
-    /// Of the ring, metres.
+    /// Diameter of the ring.
     pub outer_m: f64,
-    /// Of the disc, metres; of an elliptical one the longer.
+    /// Diameter of the disc, the longer one if it is elliptical.
     pub inner_m: Option<f64>,
     /// Shorter diameter of an elliptical disc.
     pub minor_m: Option<f64>,
 }
 
-/// All that is known of the print.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PrintSpec {
-    /// As given, if any.
     pub diameters: Option<Diameters>,
     pub code: Option<CodeLayout>,
     pub polarity: Polarity,
 }
 
 impl PrintSpec {
-    /// The kind to look for; `None` if any plausible ring is wanted. Without diameters its outer one
-    /// is a metre.
+    /// The kind to search for; `None` if rings of any ratio are wanted. Without diameters, the outer one is a metre.
     pub fn kind(&self) -> Option<Kind> {
-        let outer_m = self.diameters.map_or(1.0, |diameters| diameters.outer_m);
-        let written = self.diameters.and_then(|diameters| diameters.inner_m);
-        let inner_m = written.or(self.code.map(|_| outer_m * CodeLayout::RATIO))?;
-        let minor_m = self.diameters.and_then(|diameters| diameters.minor_m);
-        let ellipse = |minor_diameter_m| Pattern::Elliptical { minor_diameter_m };
-        let disc = minor_m.map_or(Pattern::Plain, ellipse);
-        let pattern = self.code.map_or(disc, Pattern::Coded);
+        let unknown = Diameters { outer_m: 1.0, inner_m: None, minor_m: None };
+        let Diameters { outer_m, inner_m, minor_m } = self.diameters.unwrap_or(unknown);
+        let inner_m = inner_m.or(self.code.map(|_| outer_m * CodeLayout::RATIO))?;
+        let pattern = match (self.code, minor_m) {
+            (Some(layout), _) => Pattern::Coded(layout),
+            (None, Some(minor_diameter_m)) => Pattern::Elliptical { minor_diameter_m },
+            (None, None) => Pattern::Plain,
+        };
         Some(Kind { pattern, polarity: self.polarity, ..Kind::plain("as given", outer_m, inner_m) })
     }
 
-    /// The kind that a ring's pose follows from; `None` if nothing says its size. Where the inner
-    /// diameter was not given, it is taken as it is seen: the ratio of two nearly concentric circles is
-    /// nearly that of their images.
+    /// The kind for a ring's pose; `None` if its size is unknown. A missing inner diameter is taken from the picture:
+    /// the ratio of two nearly concentric circles is nearly that of their images.
     pub fn kind_of(&self, ring: &Ring) -> Option<Kind> {
         let outer_m = self.diameters?.outer_m;
         let ratio = ring.inner.mean_radius_px() / ring.outer.mean_radius_px();
@@ -68,7 +64,7 @@ impl PrintSpec {
     }
 }
 
-/// Reads `OUTER_MM[:INNER_MM[:MINOR_MM]]`.
+/// Parses `OUTER_MM[:INNER_MM[:MINOR_MM]]`.
 pub fn diameters(text: &str) -> Result<Diameters, String> {
     let millimetres = |text: &str| -> Result<f64, String> {
         let value: f64 = text.trim().parse().map_err(|_| {
@@ -83,17 +79,8 @@ pub fn diameters(text: &str) -> Result<Diameters, String> {
             Err(format!("expected a diameter above 0 mm, at most 100000 mm, found `{text}`"))
         }
     };
-    let (outer, inner) = match text.split_once(':') {
-        Some((outer, inner)) => (outer, Some(inner)),
-        None => (text, None),
-    };
-    let (inner, minor) = match inner.and_then(|inner| inner.split_once(':')) {
-        Some((inner, minor)) => (Some(inner), Some(minor)),
-        None => (inner, None),
-    };
-    let outer_m = millimetres(outer)?;
-    let inner_m = inner.map(millimetres).transpose()?;
-    let minor_m = minor.map(millimetres).transpose()?;
+    let parts = text.splitn(3, ':').map(millimetres).collect::<Result<Vec<f64>, _>>()?;
+    let (outer_m, inner_m, minor_m) = (parts[0], parts.get(1).copied(), parts.get(2).copied());
     match (inner_m, minor_m) {
         (Some(inner_m), _) if inner_m >= outer_m => {
             Err(format!("the inner diameter must be below the outer one, found `{text}`"))
@@ -105,7 +92,7 @@ pub fn diameters(text: &str) -> Result<Diameters, String> {
     }
 }
 
-/// Reads `BITS[:DISTANCE]`.
+/// Parses `BITS[:DISTANCE]`.
 pub fn code(text: &str) -> Result<CodeLayout, String> {
     let whole = |part: &str| -> Result<u8, String> {
         part.trim()
@@ -118,14 +105,13 @@ pub fn code(text: &str) -> Result<CodeLayout, String> {
     Ok(layout)
 }
 
-/// As many as there are codes of any length; a request may not ask for memory without end.
+/// Limit for untrusted requests: the number of codes of any length.
 const MAX_NUMBERS: usize = u16::MAX as usize;
 
-/// Numbers of codes, in the order given.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CodeNumbers(pub Vec<u16>);
 
-/// Reads `1-24,30`.
+/// Parses `1-24,30`.
 pub fn numbers(text: &str) -> Result<CodeNumbers, String> {
     let wrong = || format!("expected numbers from 1 on, such as 1-24,30, found `{text}`");
     let number = |text: &str| text.trim().parse::<u16>().ok().filter(|&number| number > 0);
@@ -144,7 +130,7 @@ pub fn numbers(text: &str) -> Result<CodeNumbers, String> {
     Ok(CodeNumbers(numbers))
 }
 
-/// Reads `COLUMNSxROWS`.
+/// Parses `COLUMNSxROWS`.
 pub fn sides(text: &str) -> Result<(usize, usize), String> {
     let side = |side: &str| side.trim().parse::<usize>().ok();
     text.split_once(['x', 'X', '×'])
@@ -157,7 +143,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn diameters_are_read_with_or_without_the_inner_one() {
+    fn diameters_are_parsed_with_or_without_the_inner_one() {
         assert_eq!(
             diameters("160:64"),
             Ok(Diameters { outer_m: 0.16, inner_m: Some(0.064), minor_m: None })
@@ -182,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn codes_are_read_with_or_without_their_distance() {
+    fn codes_are_parsed_with_or_without_their_distance() {
         assert_eq!(code("8:2"), Ok(CodeLayout { bits: 8, min_distance: 2 }));
         assert_eq!(code("12"), Ok(CodeLayout { bits: 12, min_distance: 1 }));
         for (text, expected) in [
@@ -227,20 +213,18 @@ mod tests {
         assert!((kind.inner_diameter_m - 0.096).abs() < 1e-12);
         assert_eq!(kind.pattern, Pattern::Coded(layout));
         assert_eq!(kind.polarity, Polarity::WhiteRing);
-        // Without any diameter codes are read as well, but there is no pose.
-        let ring = {
-            let rim = |semi_px: f64| roundel_core::ellipse::Ellipse {
-                center: roundel_core::camera::PixelPoint { u: 0.0, v: 0.0 },
-                semi_major_px: semi_px,
-                semi_minor_px: semi_px,
-                angle_rad: 0.0,
-            };
-            Ring::of_rims(rim(20.0), rim(10.0))
+        // Codes are read without any diameter, but there is no pose.
+        let rim = |semi_px: f64| roundel_core::ellipse::Ellipse {
+            center: roundel_core::camera::PixelPoint { u: 0.0, v: 0.0 },
+            semi_major_px: semi_px,
+            semi_minor_px: semi_px,
+            angle_rad: 0.0,
         };
+        let ring = Ring::of_rims(rim(20.0), rim(10.0));
         let sizeless = print(None, Some(layout));
         assert!((sizeless.kind().unwrap().ratio() - 0.6).abs() < 1e-12);
         assert_eq!(sizeless.kind_of(&ring), None);
-        // Without the inner one it is as seen.
+        // A missing inner diameter is taken from the picture.
         let seen = print(outer, None);
         assert_eq!(seen.kind(), None);
         let kind = seen.kind_of(&ring).unwrap();

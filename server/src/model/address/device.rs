@@ -1,22 +1,19 @@
 //! `v4l2:/dev/video0?fps=30&format=YUYV&CONTROL=NUMBER…`: a camera of this machine.
 
-use std::{
-    fmt,
-    path::{Path, PathBuf},
-};
+use std::{fmt, path::PathBuf};
 
-use super::{AddressError, frame_rate};
+use super::{AddressError, Options};
+use crate::model::redact::is_secret_name;
 
-/// A camera, and how it is to be set.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeviceAddress {
-    /// The device file; those in `/dev/v4l/by-id` stay with their camera.
+    /// The device file; names in `/dev/v4l/by-id` stay with their camera.
     pub path: PathBuf,
-    /// Frames a second; `None`: as many as it gives, up to 30.
+    /// Frames a second; `None`: the highest rate up to 30.
     pub fps: Option<f64>,
-    /// Four-character code; `None`: the one that costs least.
+    /// Four-character code; `None`: the cheapest format.
     pub format: Option<[u8; 4]>,
-    /// Names as `roundel cameras` lists them, in the order in which they are to be set.
+    /// Names as `roundel cameras` lists them, set in this order.
     pub controls: Vec<(String, i32)>,
 }
 
@@ -28,68 +25,31 @@ impl fmt::Display for DeviceAddress {
 
 pub(super) fn device(path: &str, query: &str) -> Result<DeviceAddress, AddressError> {
     if !path.starts_with('/') {
-        return Err(AddressError::Options(
+        return Err(AddressError::Invalid(
             "`v4l2:` needs a device file, such as `v4l2:/dev/video0?fps=30`; `roundel cameras` lists them",
         ));
     }
-    let path = Path::new(path).to_owned();
-    let mut address = DeviceAddress { path, fps: None, format: None, controls: Vec::new() };
-    for option in query.split('&').filter(|option| !option.is_empty()) {
-        let (key, value) = option.split_once('=').unwrap_or((option, ""));
-        match key {
-            "fps" => address.fps = Some(frame_rate(value)?),
-            "format" => address.format = Some(code(value)?),
-            // Which controls there are, the device says when it is opened.
-            control => address.controls.push((control.to_owned(), number(control, value)?)),
-        }
-    }
-    Ok(address)
+    let options = Options::parse_any(query);
+    // Unknown controls are reported when the device is opened.
+    let controls = options.iter().filter(|(key, _)| !["fps", "format"].contains(key));
+    let control = |(name, value): (&str, &str)| match value.parse() {
+        Ok(number) => Ok((name.to_owned(), number)),
+        Err(_) => Err(AddressError::Value {
+            what: format!("control `{name}`"),
+            expected: "a whole number".to_owned(),
+            found: if is_secret_name(name) { "***".to_owned() } else { value.to_owned() },
+        }),
+    };
+    let expected = || "a code of up to four characters, such as YUYV or MJPG".to_owned();
+    Ok(DeviceAddress {
+        path: path.into(),
+        fps: options.frame_rate()?,
+        format: options.parsed("format", format_code, expected)?,
+        controls: controls.map(control).collect::<Result<_, _>>()?,
+    })
 }
 
-fn code(value: &str) -> Result<[u8; 4], AddressError> {
-    let mut code = [b' '; 4];
-    if value.is_empty() || value.len() > 4 || !value.is_ascii() {
-        return Err(AddressError::Value {
-            option: "format",
-            expected: "a code of up to four characters, such as YUYV or MJPG".to_owned(),
-            found: value.to_owned(),
-        });
-    }
-    code[..value.len()].copy_from_slice(value.as_bytes());
-    Ok(code)
-}
-
-fn number(control: &str, value: &str) -> Result<i32, AddressError> {
-    value
-        .parse()
-        .map_err(|_| AddressError::Control { control: control.to_owned(), found: value.to_owned() })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn wishes_are_read_in_their_order() {
-        let url = "fps=25&format=Y10&auto_exposure=1&exposure_time_absolute=-40";
-        let address = device("/dev/video2", url).unwrap();
-        assert_eq!((address.to_string().as_str(), address.fps), ("/dev/video2", Some(25.0)));
-        assert_eq!(address.format, Some(*b"Y10 "));
-        let controls =
-            [("auto_exposure".to_owned(), 1), ("exposure_time_absolute".to_owned(), -40)];
-        assert_eq!(address.controls, controls);
-    }
-
-    #[test]
-    fn wrong_wishes_say_what_to_write() {
-        for (path, query, expected) in [
-            ("video0", "", "needs a device file, such as `v4l2:/dev/video0?fps=30`"),
-            ("/dev/video0", "fps=0", "option `fps` must be a number above 0"),
-            ("/dev/video0", "format=YUYV422", "a code of up to four characters"),
-            ("/dev/video0", "gain=high", "control `gain` must be a whole number, found `high`"),
-        ] {
-            let error = device(path, query).expect_err(query).to_string();
-            assert!(error.contains(expected), "{error}");
-        }
-    }
+fn format_code(value: &str) -> Option<[u8; 4]> {
+    let is_code = !value.is_empty() && value.len() <= 4 && value.is_ascii();
+    is_code.then(|| format!("{value:4}"))?.into_bytes().try_into().ok()
 }

@@ -1,22 +1,17 @@
-//! `http://USER:PASSWORD@HOST:PORT/PATH?QUERY#OPTIONS`: what stands after `#` is for Roundel, the rest for the
-//! camera.
+//! `http://USER:PASSWORD@HOST:PORT/PATH?QUERY#OPTIONS`: the options after `#` are Roundel's own.
 
 use std::{fmt, time::Duration};
 
 use hyper::Uri;
 use percent_encoding::percent_decode_str;
 
-use super::{AddressError, frame_rate, options};
+use super::{AddressError, Options};
+use crate::model::redact::redact;
 
-const HTTP_KEYS: [&str; 2] = ["fps", "stall"];
 const HTTP_EXAMPLE: &str = "`http://192.168.1.20:81/stream`";
-/// Snapshots a second, where a camera gives no stream and nothing else is said.
-const SNAPSHOT_HZ: f64 = 10.0;
-/// A stall, where nothing else is said, seconds; and the longest that may be said.
-pub(super) const STALL_S: f64 = 1.0;
-const MAX_STALL_S: f64 = 3600.0;
+const DEFAULT_SNAPSHOT_HZ: f64 = 10.0;
 
-/// `http://HOST/PATH`: a stream of JPEGs, or a JPEG that is asked for again and again.
+/// `http://HOST/PATH`: a stream of JPEGs, or a JPEG to poll.
 #[derive(Clone, PartialEq)]
 pub struct HttpAddress {
     /// Host and port as a connection takes them; IPv6 addresses without brackets.
@@ -24,97 +19,97 @@ pub struct HttpAddress {
     pub port: u16,
     pub target: String,
     pub credentials: Option<(String, String)>,
-    /// How often a camera that gives single pictures is asked for one, 1/s.
+    /// Requests a second to a camera that sends single pictures.
     pub snapshot_hz: f64,
-    /// No picture for so long is a failure.
+    /// A pause of this length is a failure.
     pub stall: Duration,
 }
 
 impl fmt::Debug for HttpAddress {
-    /// Passwords stay out of logs.
+    /// Without secrets.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "HttpAddress({self})")
     }
 }
 
 impl fmt::Display for HttpAddress {
-    /// The address without user, password and options.
+    /// Without secrets and options.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "http://{}{}", self.authority(), self.target)
+        f.write_str(&redact(&format!("http://{}{}", self.authority(), self.target)))
     }
 }
 
 impl HttpAddress {
     /// Host and port for the Host header.
     pub fn authority(&self) -> String {
-        let host = match self.host.contains(':') {
-            true => format!("[{}]", self.host),
-            false => self.host.clone(),
-        };
+        let host =
+            if self.host.contains(':') { format!("[{}]", self.host) } else { self.host.clone() };
         if self.port == 80 { host } else { format!("{host}:{}", self.port) }
     }
 }
 
-/// A source's URL without user and password, safe to show.
-pub fn without_credentials(url: &str) -> String {
+/// A source's URL without user and password. The rest stays as the camera needs it.
+fn without_credentials(url: &str) -> String {
     let Some((scheme, rest)) = url.split_once("://") else { return url.to_owned() };
     let end = rest.find(['/', '?', '#']).unwrap_or(rest.len());
-    // A password may hold an @ that was not escaped: the last one counts.
+    // A password may contain an unescaped @.
     match rest[..end].rfind('@') {
         Some(at) => format!("{scheme}://{}", &rest[at + 1..]),
         None => url.to_owned(),
     }
 }
 
-/// Reads the address of a camera that speaks HTTP.
+/// A URL of a network camera, split into its parts.
+pub(super) struct NetworkUrl<'u> {
+    /// Without user, password and options.
+    pub(super) shown: String,
+    pub(super) uri: Uri,
+    pub(super) credentials: Option<(String, String)>,
+    pub(super) query: &'u str,
+}
+
+impl<'u> NetworkUrl<'u> {
+    pub(super) fn parse(url: &'u str, example: &'static str) -> Result<Self, AddressError> {
+        let wrong = |reason: String| {
+            let found = redact(url);
+            AddressError::Network { found, reason, example }
+        };
+        let (plain, query) = url.split_once('#').unwrap_or((url, ""));
+        let credentials = credentials(plain).map_err(wrong)?;
+        let shown = without_credentials(plain);
+        let uri: Uri = shown.parse().map_err(|error| wrong(format!("{error}")))?;
+        if uri.host().is_none_or(str::is_empty) {
+            return Err(wrong("it names no host".to_owned()));
+        }
+        // `Uri` ignores a port that is not a number.
+        let authority = uri.authority().map_or("", |authority| authority.as_str());
+        let port = authority.rsplit_once(':').map(|(_, port)| port);
+        if let Some(port) = port.filter(|port| !port.ends_with(']') && port.parse::<u16>().is_err())
+        {
+            // It may be a password with an unescaped delimiter.
+            let found = if url.contains('@') { "no number" } else { port };
+            return Err(wrong(format!("its port must be a number up to 65535, found `{found}`")));
+        }
+        Ok(Self { shown, uri, credentials, query })
+    }
+}
+
 pub(super) fn http(url: &str) -> Result<HttpAddress, AddressError> {
-    let wrong = |reason: String| AddressError::Network {
-        found: without_credentials(url),
-        reason,
-        example: HTTP_EXAMPLE,
-    };
-    let (plain, query) = url.split_once('#').unwrap_or((url, ""));
-    let credentials = credentials(plain).map_err(wrong)?;
-    let uri: Uri = without_credentials(plain).parse().map_err(|error| wrong(format!("{error}")))?;
-    let host = uri.host().filter(|host| !host.is_empty());
-    let host = host.ok_or_else(|| wrong("it names no host".to_owned()))?;
-    check_port(&uri).map_err(wrong)?;
-    let mut address = HttpAddress {
-        host: host.trim_matches(['[', ']']).to_owned(),
+    let NetworkUrl { uri, credentials, query, .. } = NetworkUrl::parse(url, HTTP_EXAMPLE)?;
+    let options = Options::parse("http", &["fps", "stall"], query)?;
+    Ok(HttpAddress {
+        host: host(&uri),
         port: uri.port_u16().unwrap_or(80),
         target: uri.path_and_query().map_or("/", |target| target.as_str()).to_owned(),
         credentials,
-        snapshot_hz: SNAPSHOT_HZ,
-        stall: Duration::from_secs_f64(STALL_S),
-    };
-    for option in options("http", &HTTP_KEYS, query) {
-        match option? {
-            ("fps", value) => address.snapshot_hz = frame_rate(value)?,
-            (_, value) => address.stall = stall(value)?,
-        }
-    }
-    Ok(address)
-}
-
-/// A port that is no number is none to the parser.
-pub(super) fn check_port(uri: &Uri) -> Result<(), String> {
-    let authority = uri.authority().map_or("", |authority| authority.as_str());
-    let port = authority.rsplit_once(':').map(|(_, port)| port).filter(|port| !port.ends_with(']'));
-    match port {
-        Some(port) if port.parse::<u16>().is_err() => {
-            Err(format!("its port must be a number up to 65535, found `{port}`"))
-        }
-        _ => Ok(()),
-    }
-}
-
-pub(super) fn stall(value: &str) -> Result<Duration, AddressError> {
-    let seconds: Option<f64> = value.parse().ok().filter(|s| *s > 0.0 && *s <= MAX_STALL_S);
-    seconds.map(Duration::from_secs_f64).ok_or_else(|| AddressError::Value {
-        option: "stall",
-        expected: format!("seconds above 0, at most {MAX_STALL_S}"),
-        found: value.to_owned(),
+        snapshot_hz: options.frame_rate()?.unwrap_or(DEFAULT_SNAPSHOT_HZ),
+        stall: options.stall()?,
     })
+}
+
+/// Without the brackets of an IPv6 address.
+pub(super) fn host(uri: &Uri) -> String {
+    uri.host().unwrap_or_default().trim_matches(['[', ']']).to_owned()
 }
 
 /// User and password of a URL.
@@ -131,7 +126,7 @@ fn unescape(text: &str) -> Result<String, String> {
     let is_escape = |after: &str| {
         after.as_bytes().get(..2).is_some_and(|digits| digits.iter().all(u8::is_ascii_hexdigit))
     };
-    // The crate keeps a % that begins no escape.
+    // The crate accepts a % that begins no escape.
     if !text.split('%').skip(1).all(is_escape) {
         return Err(
             "its password has a % that is not followed by two hex digits (write %25)".to_owned()
@@ -146,23 +141,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn addresses_are_taken_apart() {
-        let address = http("http://lab:p%40ss%3A@cam-1:81/stream?res=9#stall=5&fps=2.5").unwrap();
-        assert_eq!(address.to_string(), "http://cam-1:81/stream?res=9");
-        assert_eq!((address.host.as_str(), address.port), ("cam-1", 81));
-        assert_eq!(address.credentials, Some(("lab".to_owned(), "p@ss:".to_owned())));
-        assert_eq!((address.snapshot_hz, address.stall), (2.5, Duration::from_secs(5)));
-        assert!(!format!("{address:?}").contains("p@ss"));
-        let address = http("http://[::1]").unwrap();
-        assert_eq!(
-            (address.host.as_str(), address.port, address.target.as_str()),
-            ("::1", 80, "/")
-        );
-        assert_eq!(address.authority(), "[::1]");
-        assert_eq!(address.credentials, None);
-    }
-
-    #[test]
     fn passwords_are_not_shown() {
         for (url, shown) in [
             ("http://u:p@h/x", "http://h/x"),
@@ -171,32 +149,6 @@ mod tests {
             ("images:a@b/*.png", "images:a@b/*.png"),
         ] {
             assert_eq!(without_credentials(url), shown);
-        }
-        let error = http("http://u:secret@").unwrap_err().to_string();
-        assert!(error.contains("`http://` is no address of a camera"), "{error}");
-    }
-
-    #[test]
-    fn wrong_addresses_say_what_to_write() {
-        for (url, expected) in [
-            ("http://", "write it as `http://192.168.1.20:81/stream`"),
-            (
-                "http://host:port/",
-                "`http://host:port/` is no address of a camera: its port must be a number up to 65535, found `port`",
-            ),
-            ("http://u:%zz@host/", "two hex digits (write %25)"),
-            (
-                "http://host/#stall=0",
-                "option `stall` must be seconds above 0, at most 3600, found `0`",
-            ),
-            ("http://host/#fps=fast", "option `fps` must be a number above 0, at most 1000"),
-            (
-                "http://host/#fsp=3",
-                "unknown option `fsp` of an `http:` source; did you mean `fps`?",
-            ),
-        ] {
-            let error = http(url).expect_err(url).to_string();
-            assert!(error.contains(expected), "{url}: {error}");
         }
     }
 }

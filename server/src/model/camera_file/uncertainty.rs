@@ -1,4 +1,4 @@
-//! How well a camera file's parameters are known: `parameter_names` and `parameter_covariance`.
+//! Uncertainty of a camera file's parameters: `parameter_names` and `parameter_covariance`.
 
 use nalgebra::DMatrix;
 use roundel_core::{camera::Lens, plan::precision::LensDoubt};
@@ -6,7 +6,7 @@ use serde_saphyr::Spanned;
 
 use super::{FieldError, Matrix};
 
-/// Names of a model's coefficients, in ROS' order.
+/// In ROS' order.
 fn coefficient_names(lens: &Lens) -> &'static [&'static str] {
     match lens {
         Lens::PlumbBob(_) => &["k1", "k2", "p1", "p2", "k3"],
@@ -15,7 +15,6 @@ fn coefficient_names(lens: &Lens) -> &'static [&'static str] {
     }
 }
 
-/// How well the parameters are known; `None` if that is not said.
 pub(super) fn uncertainty(
     lens: &Lens,
     names: Option<Vec<String>>,
@@ -24,7 +23,7 @@ pub(super) fn uncertainty(
     let (Some(names), Some(covariance)) = (names, covariance) else { return Ok(None) };
     let line = covariance.referenced.line();
     let wrong = |message: String| {
-        FieldError::at(line, message, "calibrate anew, or leave out `parameter_covariance`")
+        FieldError::at(line, message, "calibrate again, or leave out `parameter_covariance`")
     };
     let known = coefficient_names(lens);
     let place = |name: &String| known.iter().position(|known| known == name);
@@ -32,10 +31,10 @@ pub(super) fn uncertainty(
     let are_first = names.iter().take(4).eq(["fx", "fy", "cx", "cy"]);
     if !are_first || free.len() + 4 != names.len() || !free.is_sorted_by(|a, b| a < b) {
         return Err(wrong(format!(
-            "`parameter_names` must be fx, fy, cx, cy and then some of {} in this order, found {}",
-            known.join(", "),
-            names.join(", ")
-        )));
+            "`parameter_names` must be fx, fy, cx, cy and then some of {} in this order",
+            known.join(", ")
+        ))
+        .with_content(format!(", found {}", names.join(", "))));
     }
     let numbers = covariance.value.data.map(|data| data.value).unwrap_or_default();
     let side = names.len();
@@ -74,11 +73,12 @@ mod tests {
     use super::super::{parse, tests::GOOD};
 
     #[test]
-    fn a_covariance_that_is_none_is_refused() {
+    fn a_wrong_covariance_is_rejected() {
         let with = |names: &str, data: &str| {
             let text =
                 format!("{GOOD}parameter_names: {names}\nparameter_covariance:\n  data: {data}\n");
-            parse(&text).expect_err(names).message
+            let error = parse(&text).expect_err(names);
+            format!("{}{}", error.message, error.found)
         };
         let zeros = |count: usize| format!("{:?}", vec![0.0; count]);
         for (names, data, expected) in [

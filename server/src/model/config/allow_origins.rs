@@ -1,34 +1,27 @@
-//! `[server] allow_origins`: pages of which servers browsers let ask this one.
-
-use std::ops::Range;
+//! `[server] allow_origins`: origins of web pages that may use this server from a browser.
 
 use axum::http::uri::Authority;
 use toml::de::DeValue;
 
 use super::reader::{Table, found};
 
-const KEY: &str = "allow_origins";
 const HELP: &str = "an origin is a page's address up to its host and port, such as \"https://lab.example.org\" or \
                     \"http://localhost:5173\"; \"*\" is any";
 
-/// Origins as browsers write them: scheme, host, and port if it is not the scheme's own.
+/// Origins as browsers send them: scheme, host, and a port that is not the scheme's own.
 pub(super) fn allow_origins(table: &Table<'_, '_>) -> Vec<String> {
-    let Some(value) = table.value(KEY) else { return Vec::new() };
-    let wrong = |span: &Range<usize>, found: &str, help: &str| {
-        let message = format!("`{KEY}` must be a list of origins of pages, found {found}");
-        table.fail_with_help(span, message, help);
-    };
+    let Some(value) = table.value("allow_origins") else { return Vec::new() };
+    let message =
+        |found: &str| format!("`allow_origins` must be a list of origins of pages, found {found}");
     let Some(items) = value.get_ref().as_array() else {
-        wrong(&value.span(), &found(value.get_ref()), HELP);
-        return Vec::new();
+        let message = message(&found(value.get_ref()));
+        return table.reject("allow_origins", message, HELP).unwrap_or_default();
     };
     let mut origins = Vec::new();
     for item in items.iter() {
         match item.get_ref() {
-            DeValue::String(text) if is_origin(text) => {
-                // Browsers write hosts in small letters.
-                origins.push(text.to_ascii_lowercase());
-            }
+            // Browsers send hosts in lower case.
+            DeValue::String(text) if is_origin(text) => origins.push(text.to_ascii_lowercase()),
             DeValue::String(text) => {
                 let host = text.find("://").map(|at| at + 3);
                 let path = host.and_then(|host| Some(host + text[host..].find('/')?));
@@ -36,9 +29,9 @@ pub(super) fn allow_origins(table: &Table<'_, '_>) -> Vec<String> {
                     || HELP.to_owned(),
                     |path| format!("leave out the path: \"{}\"", &text[..path]),
                 );
-                wrong(&item.span(), &format!("\"{text}\""), &help);
+                table.fail_at(&item.span(), message(&format!("\"{text}\"")), help);
             }
-            other => wrong(&item.span(), &found(other), HELP),
+            other => table.fail_at(&item.span(), message(&found(other)), HELP),
         }
     }
     origins

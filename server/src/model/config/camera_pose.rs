@@ -1,10 +1,9 @@
-//! `pose` of a `[[camera]]`: where it stands, or which object it rides on.
+//! `pose` of a `[[camera]]`: fixed, unknown, or on a moving object.
 //!
-//! A camera that rides is placed by how its object is placed and turned, so that must be seen: by a camera
-//! that stands, or by a camera on it that finds itself from the reference roundels.
+//! The pose of a mounted camera follows from that of its object, which must therefore be observable: by a fixed
+//! camera, or by a camera on it that localizes itself with the reference roundels.
 
 use roundel_core::{
-    id::KindId,
     marker::Pattern,
     rigid::Rigid,
     world::{Body, CameraPlacement},
@@ -14,7 +13,7 @@ use super::{
     CameraConfig, ObjectRoundels, geometry, object::ParsedObjects, reader::Table,
     reference::ParsedReferences, roundel::ParsedKinds,
 };
-use crate::model::suggestion::{list, nearest};
+use crate::model::suggestion::{did_you_mean, list};
 
 const POSE_KEYS: [&str; 4] = ["position_m", "orientation_xyzw", "object", "localizes"];
 const POSE_HELP: &str = "write { position_m = [x, y, z], orientation_xyzw = [x, y, z, w] }, with \
@@ -25,54 +24,47 @@ const POSE_HELP: &str = "write { position_m = [x, y, z], orientation_xyzw = [x, 
 pub enum PoseConfig {
     /// world_from_camera.
     Known(Rigid),
-    /// As a calibration of the arena found it, in place of what the configuration says.
+    /// From the calibration file, in place of the configured pose.
     Calibrated(Box<CameraPlacement>),
-    /// To be found from the reference roundels.
+    /// Estimated from the reference roundels.
     Unknown,
     Mounted(MountConfig),
 }
 
-/// A camera that rides on an object.
+/// A camera mounted on an object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MountConfig {
-    /// Index among [`super::Config::objects`] of a [`ObjectRoundels::Body`] that shows how it is turned.
+    /// Index in [`super::Config::objects`] of a [`ObjectRoundels::Body`] whose orientation is observable.
     pub object: usize,
     pub object_from_camera: Rigid,
-    /// Whether the reference roundels that it sees say where the object is.
+    /// Whether it localizes the object with the reference roundels.
     pub localizes: bool,
 }
 
-/// The pose of one camera; `None` if it is absent or wrong. `required`: then an absent one is reported
-/// as well.
+/// `None` if absent or wrong.
 pub(super) fn pose(
     camera: &Table<'_, '_>,
-    required: bool,
+    is_required: bool,
     objects: &ParsedObjects<'_, '_>,
     kinds: &ParsedKinds,
 ) -> Option<PoseConfig> {
-    let Some(value) = camera.value("pose") else {
-        if required {
-            camera.report_missing("pose", "\"unknown\"");
-        }
-        return None;
-    };
-    if let Some(text) = value.get_ref().as_str() {
-        if text == "unknown" {
-            return Some(PoseConfig::Unknown);
-        }
-        let message = format!("`pose` must be a table or \"unknown\", found the text \"{text}\"");
-        camera.fail_with_help(&value.span(), message, POSE_HELP);
-        return None;
+    if is_required {
+        camera.require("pose", "\"unknown\"");
     }
-    if value.get_ref().as_table().is_none() {
-        let message = "`pose` must be a table or \"unknown\"";
-        camera.fail_with_help(&value.span(), message, POSE_HELP);
-        return None;
+    let value = camera.value("pose")?.get_ref();
+    if value.as_str() == Some("unknown") {
+        return Some(PoseConfig::Unknown);
+    }
+    if value.as_table().is_none() {
+        let found = value.as_str().map(|text| format!(", found the text \"{text}\""));
+        let found = found.unwrap_or_default();
+        let message = format!("`pose` must be a table or \"unknown\"{found}");
+        return camera.reject("pose", message, POSE_HELP);
     }
     let table = camera.table("pose", "pose", &POSE_KEYS)?;
     let place = geometry::pose(&table);
     let localizes = table.flag("localizes");
-    if table.value("object").is_some() {
+    if table.has("object") {
         let object = object_by_name(&table, objects);
         let object = object.filter(|&object| reveals_orientation(&table, object, objects, kinds));
         let (object, object_from_camera) = (object?, place?);
@@ -80,8 +72,8 @@ pub(super) fn pose(
         return Some(PoseConfig::Mounted(MountConfig { object, object_from_camera, localizes }));
     }
     if localizes == Some(true) {
-        table.fail_with_help(
-            &table.span_of("localizes"),
+        table.fail(
+            "localizes",
             "`localizes` is for a camera that rides on an object, and `object` is missing",
             "add `object = \"NAME\"`; a camera that stands finds its place with pose = \"unknown\"",
         );
@@ -89,29 +81,27 @@ pub(super) fn pose(
     place.map(PoseConfig::Known)
 }
 
-/// The place of the object that `object` names among the readable ones.
+/// Index of the object that `object` names among the readable ones.
 fn object_by_name(table: &Table<'_, '_>, objects: &ParsedObjects<'_, '_>) -> Option<usize> {
     let name = table.required_text("object", "\"drone\"")?;
     let place = objects.configs.iter().position(|object| object.name == name);
-    let names = || objects.names.iter().copied();
-    // One that is itself wrong is reported where it stands.
-    if place.is_none() && !names().any(|known| known == name) {
-        let meant = nearest(name, names())
-            .map(|meant| format!("; did you mean \"{meant}\"?"))
-            .unwrap_or_default();
-        let help = match objects.names[..] {
-            [] => {
-                "add [[object]] with its `name`, and with the `roundel` that it carries".to_owned()
-            }
-            _ => format!("configured: {}", list(names())),
-        };
-        let message = format!("no [[object]] is named \"{name}\"{meant}");
-        table.fail_with_help(&table.span_of("object"), message, help);
+    // Problems of an unreadable object are reported there.
+    if place.is_some() || objects.names.contains(&name) {
+        return place;
     }
-    place
+    if table.is_full() {
+        return table.reject("object", "", "");
+    }
+    let names = || objects.names.iter().copied();
+    let help = match objects.names[..] {
+        [] => "add [[object]] with its `name`, and with the `roundel` that it carries".to_owned(),
+        _ => format!("configured: {}", list(names())),
+    };
+    let meant = did_you_mean(name, names());
+    table.reject("object", format!("no [[object]] is named \"{name}\"{meant}"), help)
 }
 
-/// Whether what is seen of an object says how it is turned; if not, it is reported.
+/// Reports an object whose orientation is not observable.
 fn reveals_orientation(
     table: &Table<'_, '_>,
     object: usize,
@@ -119,11 +109,8 @@ fn reveals_orientation(
     kinds: &ParsedKinds,
 ) -> bool {
     let object = &objects.configs[object];
-    let pattern = |kind: KindId| {
-        kinds.kinds.get(usize::from(kind.0)).map_or(Pattern::Plain, |kind| kind.pattern)
-    };
     let why = match &object.carries {
-        ObjectRoundels::Kind { kind, .. } => match pattern(*kind) {
+        ObjectRoundels::Kind { kind, .. } => match kinds.pattern(*kind) {
             Pattern::Plain => "its plain roundel looks the same however it is turned",
             Pattern::Coded(_) => "it is known by a whole kind of roundel, whatever their codes",
             Pattern::Elliptical { .. } => "its elliptical disc looks the same after half a turn",
@@ -135,20 +122,20 @@ fn reveals_orientation(
         {
             return true;
         }
-        ObjectRoundels::Body(Body { mounts, .. }) => match pattern(mounts[0].kind) {
+        ObjectRoundels::Body(Body { mounts, .. }) => match kinds.pattern(mounts[0].kind) {
             Pattern::Elliptical { .. } => "its elliptical disc looks the same after half a turn",
             _ => "its roundels look the same when it turns about their normal",
         },
     };
-    table.fail_with_help(
-        &table.span_of("object"),
+    table.fail(
+        "object",
         format!("object \"{}\" does not say which way its camera looks: {why}", object.name),
         "give it a roundel with a `code`, or list several side by side in its `roundel = [ … ]`",
     );
     false
 }
 
-/// Reports cameras whose object nobody can see, and objects that carry nothing to be seen by.
+/// Reports cameras and objects that nothing can localize.
 pub(super) fn check(
     tables: &[Table<'_, '_>],
     cameras: &[CameraConfig],
@@ -171,8 +158,8 @@ pub(super) fn check(
             continue;
         }
         let name = &objects.configs[ride.object].name;
-        table.fail_with_help(
-            &table.span_of("pose"),
+        table.fail(
+            "pose",
             format!("no camera can say where \"{name}\" is, which this one rides on: all cameras ride"),
             "add a camera that stands, or write `localizes = true` to have this one find itself from \
              reference roundels",
@@ -184,7 +171,7 @@ pub(super) fn check(
     }
 }
 
-/// Reports cameras that want more of the reference roundels than these say.
+/// Reports cameras that need more reference roundels than configured.
 pub(super) fn check_references(
     tables: &[Table<'_, '_>],
     cameras: &[Option<CameraConfig>],
@@ -213,7 +200,7 @@ pub(super) fn check_references(
             "those configured do not say enough: none has both a `code` and its orientation"
         };
         let message = format!("`{wanted}` needs reference roundels, and {found}");
-        table.fail_with_help(&table.span_of("pose"), message, help);
+        table.fail("pose", message, help);
     }
     if places_some {
         references.check_sufficient_for_localization();

@@ -1,8 +1,10 @@
-//! Changes to cameras and objects in a configuration's text. Comments, order, and the form of what does not change stay.
+//! Edits cameras and objects in a configuration's text. Comments, order and the notation of unchanged values stay.
 //!
-//! The result is only text: [`super::Config::parse`] checks it like a text that a person has changed.
+//! The result is not checked; [`super::Config::parse`] does that.
 
+pub mod access;
 mod message;
+mod redaction;
 
 use thiserror::Error;
 use toml_edit::{
@@ -11,20 +13,18 @@ use toml_edit::{
 
 pub use self::message::Message;
 use self::message::{of_table, to_table};
-use crate::model::address;
+pub use self::redaction::{redacted, restored};
+use crate::model::redact::redact_line;
 
-/// Why a text is not changed.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum EditError {
-    /// It is none that could be changed.
     #[error("the configuration cannot be edited: {0}")]
     Text(String),
-    /// There is none of that name in the list.
     #[error("the configuration has no {what} \"{name}\"")]
     Missing { what: &'static str, name: String },
 }
 
-/// Adds a table behind the last of its list.
+/// Appends a table to its list.
 pub fn add<M: Message>(text: &str, message: &M) -> Result<String, EditError> {
     let mut document = parse(text)?;
     let keys = to_table(message)?;
@@ -42,7 +42,7 @@ pub fn add<M: Message>(text: &str, message: &M) -> Result<String, EditError> {
     Ok(document.to_string())
 }
 
-/// Sets these keys of a table to the values in `message`, and removes those that are absent or empty there.
+/// Sets these keys of a table to their values in `message`, and removes keys that are absent or empty there.
 pub fn change<M: Message>(
     text: &str,
     name: &str,
@@ -52,7 +52,7 @@ pub fn change<M: Message>(
     let mut document = parse(text)?;
     let changed = to_table(message)?;
     let table = table_of::<M>(&mut document, name)?;
-    // A key may be listed twice: two fields of a message can have the same one.
+    // A key may occur twice: two fields of a message can correspond to one key.
     for key in keys {
         match changed.get(key) {
             Some(value) => set(table, key, value.clone()),
@@ -64,7 +64,7 @@ pub fn change<M: Message>(
     Ok(document.to_string())
 }
 
-/// The keys that have another value in `after`.
+/// The keys whose values differ.
 pub fn difference<M: Message>(before: &M, after: &M) -> Result<Vec<&'static str>, EditError> {
     let (before, after) = (to_table(before)?, to_table(after)?);
     let text = |table: &InlineTable, key: &str| table.get(key).map(|value| value.to_string());
@@ -72,19 +72,7 @@ pub fn difference<M: Message>(before: &M, after: &M) -> Result<Vec<&'static str>
     Ok(M::KEYS.iter().filter(differs).copied().collect())
 }
 
-/// The text without users and passwords of sources.
-pub fn without_credentials(text: &str) -> Result<String, EditError> {
-    let mut document = parse(text)?;
-    for camera in tables(&mut document, "camera") {
-        if let Some(source) = camera.get("source").and_then(Item::as_str) {
-            let bare = address::without_credentials(source);
-            set(camera, "source", bare.into());
-        }
-    }
-    Ok(document.to_string())
-}
-
-/// Changes the object that cameras ride on from one name to another.
+/// Renames the object of mounted cameras.
 pub fn rename_carrier(text: &str, from: &str, to: &str) -> Result<String, EditError> {
     let mut document = parse(text)?;
     for camera in tables(&mut document, "camera") {
@@ -98,7 +86,7 @@ pub fn rename_carrier(text: &str, from: &str, to: &str) -> Result<String, EditEr
     Ok(document.to_string())
 }
 
-/// Takes one out, with the comments that stand directly above it.
+/// Removes a table, with the comments directly above it.
 pub fn remove<M: Message>(text: &str, name: &str) -> Result<String, EditError> {
     let mut document = parse(text)?;
     let index = index_of::<M>(&mut document, name)?;
@@ -125,13 +113,12 @@ pub fn read<M: Message>(text: &str, name: &str) -> Result<M, EditError> {
     of_table(table_of::<M>(&mut document, name)?)
 }
 
-/// All tables of a list, in their order.
 pub fn read_all<M: Message>(text: &str) -> Result<Vec<M>, EditError> {
     let mut document = parse(text)?;
     tables(&mut document, M::SECTION).into_iter().map(|table| of_table(table)).collect()
 }
 
-/// The key of one that stands at that byte of the text, with its value, and its place in the list; `None` between them.
+/// Index of the table, and its key, at a byte of the text.
 pub fn key_at<M: Message>(text: &str, at: usize) -> Option<(usize, &'static str)> {
     let document = toml_edit::Document::parse(text).ok()?;
     let tables: Vec<&dyn TableLike> = match document.get(M::SECTION)? {
@@ -147,7 +134,7 @@ pub fn key_at<M: Message>(text: &str, at: usize) -> Option<(usize, &'static str)
         let begins = [name.span(), item.span()].into_iter().flatten().map(|span| span.start);
         let Some(begin) = begins.min() else { return false };
         let mut end = item.span().map_or(0, |span| span.end);
-        // The spans of tables with headers of their own are those of the headers.
+        // The span of a table with a header is that of the header.
         let inner: Vec<&Table> = match item {
             Item::Table(table) => vec![table],
             Item::ArrayOfTables(tables) => tables.iter().collect(),
@@ -165,17 +152,20 @@ pub fn key_at<M: Message>(text: &str, at: usize) -> Option<(usize, &'static str)
     })
 }
 
-/// The key that a message names first.
+/// The first key that an error message names.
 pub fn key_named<M: Message>(message: &str) -> Option<&'static str> {
     let named = message.split('`').skip(1).step_by(2);
     named.filter_map(|name| M::KEYS.iter().find(|key| **key == name).copied()).next()
 }
 
 fn parse(text: &str) -> Result<DocumentMut, EditError> {
-    text.parse().map_err(|error: toml_edit::TomlError| EditError::Text(error.to_string()))
+    text.parse().map_err(|error: toml_edit::TomlError| {
+        // It quotes a line of the text.
+        let lines: Vec<String> = error.to_string().lines().map(redact_line).collect();
+        EditError::Text(lines.join("\n"))
+    })
 }
 
-/// All of a list, in their order.
 fn tables<'a>(document: &'a mut DocumentMut, section: &str) -> Vec<&'a mut dyn TableLike> {
     match document.get_mut(section) {
         Some(Item::ArrayOfTables(tables)) => {
@@ -203,17 +193,15 @@ fn table_of<'a, M: Message>(
     Ok(tables(document, M::SECTION).swap_remove(place))
 }
 
-/// Changes a value; the comment behind it stays, and so does a value that is the same in another form.
+/// Sets a value and keeps the comment behind it. An equal value keeps its notation.
 fn set(table: &mut dyn TableLike, key: &str, value: Value) {
     match (table.get_mut(key), &value) {
         (Some(Item::Value(before)), _) => {
             if !is_same(before, &value) {
-                let decor = before.decor().clone();
-                *before = value;
-                *before.decor_mut() = decor;
+                set_value(before, value);
             }
         }
-        // A table under its own header.
+        // A table with a header.
         (Some(Item::Table(before)), Value::InlineTable(wanted)) => set_all(before, wanted),
         (Some(Item::ArrayOfTables(before)), Value::Array(wanted)) => {
             while before.len() > wanted.len() {
@@ -232,6 +220,13 @@ fn set(table: &mut dyn TableLike, key: &str, value: Value) {
             table.insert(key, Item::Value(value));
         }
     }
+}
+
+/// Keeps the comment behind the value.
+fn set_value(before: &mut Value, value: Value) {
+    let decor = before.decor().clone();
+    *before = value;
+    *before.decor_mut() = decor;
 }
 
 fn set_all(table: &mut Table, wanted: &InlineTable) {
@@ -257,7 +252,7 @@ fn is_same(a: &Value, b: &Value) -> bool {
     }
 }
 
-/// What stands above a table and is not of it: all before the last empty line.
+/// Comments above a table that do not belong to it: those before the last empty line.
 fn comments_above(table: &Table) -> String {
     let prefix = table.decor().prefix().and_then(RawString::as_str).unwrap_or_default();
     let mut kept = 0;
@@ -272,7 +267,7 @@ fn comments_above(table: &Table) -> String {
     if kept.trim().is_empty() { String::new() } else { kept.to_owned() }
 }
 
-/// Puts a text above the table that follows that position, or at the end.
+/// Inserts a text above the next table after `position`, or at the end.
 fn prepend(document: &mut DocumentMut, position: Option<isize>, text: &str) {
     fn following<'a>(table: &'a mut Table, after: Option<isize>, found: &mut Vec<&'a mut Table>) {
         for (_, item) in table.iter_mut() {

@@ -1,11 +1,15 @@
-//! What is wrong with a configuration, told so that a person finds the place and the remedy.
+//! Problems of a configuration, with location and remedy.
 
 use std::{error::Error, fmt, ops::Range, path::PathBuf};
 
-/// Everything that is wrong with one configuration file, in the order of its lines.
+use crate::model::redact::redact_line;
+
+/// Longer lines are not quoted.
+const MAX_EXCERPT_BYTES: usize = 1000;
+
+/// All problems of one file, in the order of its lines.
 #[derive(Debug)]
 pub struct ConfigError {
-    /// The file, as it was named.
     pub path: PathBuf,
     /// At least one.
     pub problems: Vec<Problem>,
@@ -13,56 +17,67 @@ pub struct ConfigError {
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Problem {
-    /// What was expected and what was found.
     pub message: String,
-    /// What to do, where it does not follow from the message.
+    /// What to do.
     pub help: Option<String>,
-    /// The place in the file; `None` if the file itself could not be read.
+    /// `None` if the file could not be read.
     pub place: Option<TextLocation>,
 }
 
-/// A place in a text file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TextLocation {
     /// From 1.
     pub line: usize,
     /// In characters, from 1.
     pub column: usize,
+    /// The line, without secrets; empty if it is longer than [`MAX_EXCERPT_BYTES`].
     pub text: String,
-    /// Characters of the line that are meant, at least 1.
+    /// In characters, at least 1.
     pub width: usize,
 }
 
-impl TextLocation {
-    /// The place that a range of bytes of `source` begins at; what goes past the end of that line
-    /// is cut.
-    pub(super) fn of(source: &str, span: &Range<usize>) -> Self {
-        let start = floor_char_boundary(source, span.start.min(source.len()));
-        let line_start = source[..start].rfind('\n').map_or(0, |newline| newline + 1);
-        let line_end = source[start..].find('\n').map_or(source.len(), |length| start + length);
-        let end = floor_char_boundary(source, span.end.clamp(start, line_end));
-        Self {
-            line: source[..start].matches('\n').count() + 1,
+/// A text with the beginnings of its lines, so that locating many problems takes linear time.
+pub(super) struct Lines<'s> {
+    source: &'s str,
+    begins: Vec<usize>,
+}
+
+impl<'s> Lines<'s> {
+    pub(super) fn of(source: &'s str) -> Self {
+        let begins = source.match_indices('\n').map(|(newline, _)| newline + 1);
+        Self { source, begins: std::iter::once(0).chain(begins).collect() }
+    }
+
+    /// A range of bytes, cut at the end of its first line.
+    pub(super) fn locate(&self, span: &Range<usize>) -> TextLocation {
+        let source = self.source;
+        let floor = |at: usize| {
+            (0..=at.min(source.len())).rev().find(|&at| source.is_char_boundary(at)).unwrap_or(0)
+        };
+        let start = floor(span.start);
+        let line = self.begins.partition_point(|begin| *begin <= start);
+        let line_start = self.begins[line - 1];
+        let line_end = self.begins.get(line).map_or(source.len(), |next| next - 1);
+        let end = floor(span.end.clamp(start, line_end));
+        let text = source[line_start..line_end].trim_end();
+        let is_shown = text.len() <= MAX_EXCERPT_BYTES;
+        TextLocation {
+            line,
             column: source[line_start..start].chars().count() + 1,
-            text: source[line_start..line_end].trim_end().to_owned(),
+            text: if is_shown { redact_line(text) } else { String::new() },
             width: source[start..end].chars().count().max(1),
         }
     }
+}
 
-    /// The byte of `source` that it begins at.
+impl TextLocation {
+    /// Its first byte in `source`.
     pub fn offset(&self, source: &str) -> usize {
         let lines = source.split_inclusive('\n').take(self.line - 1);
         let before: usize = lines.map(str::len).sum();
         let line = source[before.min(source.len())..].chars();
         before + line.take(self.column - 1).map(char::len_utf8).sum::<usize>()
     }
-}
-
-fn floor_char_boundary(source: &str, mut at: usize) -> usize {
-    while !source.is_char_boundary(at) {
-        at -= 1;
-    }
-    at
 }
 
 impl fmt::Display for ConfigError {
@@ -76,16 +91,12 @@ impl fmt::Display for ConfigError {
                 write!(f, "{}:{}:", place.line, place.column)?;
             }
             write!(f, " {}", problem.message)?;
-            if let Some(place) = &problem.place {
+            if let Some(place) = problem.place.as_ref().filter(|place| !place.text.is_empty()) {
                 let number = place.line.to_string();
                 let gutter = " ".repeat(number.len());
-                // Tabs stay tabs, so that the marks stand below what they mark.
-                let indent: String = place
-                    .text
-                    .chars()
-                    .take(place.column - 1)
-                    .map(|c| if c == '\t' { '\t' } else { ' ' })
-                    .collect();
+                // Tabs stay, to align the marks.
+                let before = place.text.chars().take(place.column - 1);
+                let indent: String = before.map(|c| if c == '\t' { c } else { ' ' }).collect();
                 write!(f, "\n{gutter} |\n{number} | {}", place.text)?;
                 write!(f, "\n{gutter} | {indent}{}", "^".repeat(place.width))?;
             }
@@ -104,25 +115,25 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_place_counts_characters_and_stays_in_its_line() {
+    fn a_location_counts_characters_and_stays_in_its_line() {
         let source = "a = 1\nname = \"Größe\" # x\nb = 2\n";
         let start = source.find("# x").unwrap();
-        let place = TextLocation::of(source, &(start..start + 20));
+        let place = Lines::of(source).locate(&(start..start + 20));
         assert_eq!((place.line, place.column, place.width), (2, 16, 3));
         assert_eq!(place.offset(source), start);
-        let past_the_end = TextLocation::of(source, &(900..901));
+        let past_the_end = Lines::of(source).locate(&(900..901));
         assert_eq!((past_the_end.line, past_the_end.width), (4, 1));
     }
 
     #[test]
-    fn the_excerpt_marks_the_place() {
+    fn the_excerpt_marks_the_location() {
         let source = "[server]\n  listn = \"x\"\n";
         let error = ConfigError {
             path: "lab.toml".into(),
             problems: vec![Problem {
                 message: "unknown key `listn`".into(),
                 help: Some("the keys of [server] are …".into()),
-                place: Some(TextLocation::of(source, &(11..16))),
+                place: Some(Lines::of(source).locate(&(11..16))),
             }],
         };
         assert_eq!(

@@ -1,23 +1,21 @@
-//! Poses and places of the configuration.
+//! Poses, positions and orientations of the configuration.
 
 use nalgebra::{Matrix3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3};
 use roundel_core::{rigid::Rigid, world::Mount};
 
 use super::reader::{NumberRange, Table};
 
-/// How far a quaternion's length may be from 1: what three written decimals can cost.
+/// Tolerance of a quaternion's length: three written decimals.
 const NORM_TOLERANCE: f64 = 0.01;
-/// Reference roundels nearer than this to one another, or to one line, are an error of typing.
+/// Points nearer than this count as coincident, or as collinear.
 const MIN_SEPARATION_M: f64 = 1e-3;
-/// Roundels of one object whose centres are this far aside, metres, or whose normals have this sine between
-/// them, show how it is turned.
+/// Lateral distance of two roundels, metres, or sine between their normals, that reveals an object's orientation.
 const MIN_LATERAL_OFFSET_M: f64 = 0.02;
 const MIN_NORMAL_SINE: f64 = 0.1;
-/// `right` and `top` may be off from a right angle by this, as the sine of what is missing.
+/// Tolerance of the right angle between `right` and `top`, as its cosine.
 const RIGHT_ANGLE_TOLERANCE: f64 = 0.02;
 
-/// The pose that a table says by `position_m` and `orientation_xyzw`; `None` if it is wrong (then it is
-/// reported).
+/// `position_m` and `orientation_xyzw`.
 pub(super) fn pose(table: &Table<'_, '_>) -> Option<Rigid> {
     let position = table.required_numbers::<3>("position_m", "[x, y, z]");
     let orientation = table.required_numbers::<4>("orientation_xyzw", "[x, y, z, w]");
@@ -31,55 +29,46 @@ pub(super) fn pose(table: &Table<'_, '_>) -> Option<Rigid> {
         } else {
             "no rotation at all is [0.0, 0.0, 0.0, 1.0]".to_owned()
         };
-        table.fail_with_help(
-            &table.span_of("orientation_xyzw"),
-            format!("`orientation_xyzw` must be a quaternion of length 1, found length {norm:.4}"),
-            remedy,
-        );
-        return None;
+        let message =
+            format!("`orientation_xyzw` must be a quaternion of length 1, found length {norm:.4}");
+        return table.reject("orientation_xyzw", message, remedy);
     }
     let rotation = UnitQuaternion::from_quaternion(quaternion);
     Some(Rigid::from_parts(Translation3::from(Vector3::from(position)), rotation))
 }
 
-/// How a print is turned in `frame`; `None` if it is wrong (then it is reported).
+/// Orientation of a print in `frame`: `yaw_deg`, or `right` and `top`.
 pub(super) fn rotation(part: &Table<'_, '_>, frame: &str) -> Option<UnitQuaternion<f64>> {
-    let (right, top) = (part.value("right").is_some(), part.value("top").is_some());
-    if !right && !top {
+    if !part.has("right") && !part.has("top") {
         let yaw_deg = part.number("yaw_deg", NumberRange::Within(360.0), 0.0);
         return Some(UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_deg.to_radians()));
     }
-    if part.value("yaw_deg").is_some() {
-        part.fail_with_help(
-            &part.span_of("yaw_deg"),
-            "`yaw_deg` turns a print that lies flat, `right` and `top` any print: found both",
-            "leave out `yaw_deg`",
-        );
-        return None;
+    if part.has("yaw_deg") {
+        let message =
+            "`yaw_deg` turns a print that lies flat, `right` and `top` any print: found both";
+        return part.reject("yaw_deg", message, "leave out `yaw_deg`");
     }
     let right = part.required_numbers::<3>("right", "[0.0, 1.0, 0.0]").map(Vector3::from);
     let top = part.required_numbers::<3>("top", "[0.0, 0.0, 1.0]").map(Vector3::from);
     let (right, top) = (right?, top?);
     let (Some(x), Some(y)) = (right.try_normalize(1e-9), top.try_normalize(1e-9)) else {
-        part.fail(&part.span_of("right"), "`right` and `top` must point somewhere, found zeros");
-        return None;
+        let message = "`right` and `top` must point somewhere, found zeros";
+        return part.reject("right", message, "");
     };
     if x.dot(&y).abs() > RIGHT_ANGLE_TOLERANCE {
         let between_deg = x.dot(&y).acos().to_degrees();
-        part.fail_with_help(
-            &part.span_of("top"),
+        return part.reject(
+            "top",
             format!("`right` and `top` must be at right angles, found {between_deg:.1} degrees"),
             format!("they are the ways in {frame} that the print's right and its top point to"),
         );
-        return None;
     }
     let z = x.cross(&y).normalize();
     let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, z.cross(&x), z]));
     Some(UnitQuaternion::from_rotation_matrix(&rotation))
 }
 
-/// Whether roundels without codes tell how their object is turned: they lie side by side, or look to
-/// different sides, so that not all of it is along one axis.
+/// Whether roundels without codes reveal their object's orientation: they are not all on one axis.
 pub(super) fn determine_orientation(mounts: &[Mount]) -> bool {
     let Some((first, rest)) = mounts.split_first() else { return false };
     let normal = |mount: &Mount| mount.object_from_roundel.rotation * Vector3::z();
@@ -91,7 +80,7 @@ pub(super) fn determine_orientation(mounts: &[Mount]) -> bool {
     })
 }
 
-/// The first two places that are the same.
+/// The first two points that coincide.
 pub(super) fn coincident_points(places: &[Vector3<f64>]) -> Option<(usize, usize)> {
     (0..places.len()).find_map(|second| {
         (0..second)
@@ -100,10 +89,9 @@ pub(super) fn coincident_points(places: &[Vector3<f64>]) -> Option<(usize, usize
     })
 }
 
-/// Whether all places lie in one line.
 pub(super) fn collinear(places: &[Vector3<f64>]) -> bool {
     let Some((first, rest)) = places.split_first() else { return true };
-    // The farthest from the first gives the line's direction; any other base would do.
+    // The point farthest from the first gives the line's direction.
     let Some(farthest) = rest
         .iter()
         .max_by(|a, b| (*a - first).norm_squared().total_cmp(&(*b - first).norm_squared()))

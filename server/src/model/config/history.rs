@@ -1,4 +1,4 @@
-//! `[history]`: whether it is kept where objects were, and for how long.
+//! `[history]`: storage of past object positions.
 
 use std::{
     path::{Path, PathBuf},
@@ -11,17 +11,16 @@ use super::reader::{NumberRange, Table};
 #[derive(Clone, Debug, PartialEq)]
 pub struct HistoryConfig {
     pub file: PathBuf,
-    /// How long the finest tier is kept.
+    /// Age up to which the finest tier is kept.
     pub keep: Duration,
 }
 
-const KEYS: [&str; 2] = ["file", "keep_hours"];
 const DEFAULT_HOURS: f64 = 24.0;
 const MAX_HOURS: f64 = 24.0 * 366.0;
 
-/// `None` without the table: nothing is kept.
+/// `None` without the table.
 pub(super) fn history(root: &Table<'_, '_>, folder: &Path) -> Option<HistoryConfig> {
-    let table = root.table("history", "[history]", &KEYS)?;
+    let table = root.table("history", "[history]", &["file", "keep_hours"])?;
     let hours = table.number("keep_hours", NumberRange::PositiveUpTo(MAX_HOURS), DEFAULT_HOURS);
     let file = folder.join(table.text("file").unwrap_or("history.sqlite"));
     Some(HistoryConfig { file, keep: Duration::from_secs_f64(hours * 3600.0) })

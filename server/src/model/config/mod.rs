@@ -1,10 +1,10 @@
-//! The configuration of an installation: one TOML file, read into checked types.
+//! The configuration of an installation: one TOML file, parsed into checked types.
 //!
-//! Every key that exists stands in `deploy/roundel.example.toml` with its meaning and default. All
-//! that is wrong with a file is found in one go; each problem names file, line and column, and an
-//! unknown key the nearest known one. What is read here holds: sizes are positive, names unique,
-//! references to kinds resolved, camera files loaded, quaternions unit.
+//! `deploy/roundel.example.toml` has all keys with their meanings and defaults. All problems of a file are reported
+//! together, each with file, line and column, and an unknown key with the most similar known one. A parsed
+//! configuration is valid: sizes are positive, names unique, references resolved, camera files loaded, quaternions unit.
 
+mod access;
 mod allow_origins;
 mod camera;
 mod camera_pose;
@@ -15,17 +15,22 @@ mod file;
 mod geometry;
 mod history;
 mod mask;
+mod node;
 mod object;
 mod reader;
 mod recording;
 mod reference;
+mod request;
 mod roundel;
+mod source_rules;
+mod tls;
 
 use std::{
     collections::BTreeMap,
-    fs,
+    io,
     net::SocketAddr,
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 use roundel_core::{
@@ -40,37 +45,48 @@ use document::ParseOptions;
 pub use error::{ConfigError, Problem, TextLocation};
 pub use file::{ConfigFile, ConfigFileError};
 pub use history::HistoryConfig;
+pub use node::NodeConfig;
 pub use object::{ObjectConfig, ObjectRoundels};
 pub use recording::{FrameFormat, RecordingConfig};
 pub use reference::ReferenceConfig;
+use request::RequestScope;
 pub use roundel::POLARITIES;
+pub use tls::TlsConfig;
 
-/// A configuration longer than this is certainly another file.
-const MAX_BYTES: u64 = 4 << 20;
+use crate::model::{
+    access::AccessConfig,
+    address::SourceAddress,
+    regular_file,
+    source_rules::{SourceRuleError, SourceRules},
+};
+
+/// A longer file is not a configuration.
+pub const MAX_BYTES: u64 = 4 << 20;
 
 pub type Lenses = BTreeMap<String, Camera>;
 
 #[derive(Clone, Debug)]
 pub struct Config {
     pub file: ConfigFile,
-    /// Relative paths in it begin here.
+    /// Relative paths begin here.
     pub folder: PathBuf,
     /// Shown to clients and on the dashboard.
     pub name: String,
     /// `[server]`.
     pub server: ServerConfig,
-    /// `[detection] mode`, of cameras that do not say theirs.
+    /// `[[access]]`, and who may connect.
+    pub access: AccessConfig,
+    /// `[detection] mode`, for cameras without a mode of their own.
     pub mode: Mode,
-    /// `[[roundel]]`, by [`KindId`]; at least one. Plain ones have ratios of diameters a tenth apart,
-    /// coded ones codes of different bits.
+    /// `[[roundel]]`, by [`KindId`]; at least one. Ratios of plain ones differ by a tenth, coded ones in their bits.
     pub kinds: Vec<Kind>,
-    /// How objects of each kind move; of those beyond its end, freely.
+    /// Motion of the objects of each kind.
     pub motions: Vec<MotionClass>,
     /// `[[camera]]`, by [`roundel_core::id::CameraId`]; at least one, names unique.
     pub cameras: Vec<CameraConfig>,
     /// `[[reference]]`; at least three that are not in one line if a camera's pose is unknown.
     pub references: Vec<ReferenceConfig>,
-    /// `[[object]]`; no roundel is on two of them, names unique.
+    /// `[[object]]`, names unique; no roundel is on two of them.
     pub objects: Vec<ObjectConfig>,
     /// `[fusion]`.
     pub fusion: FusionConfig,
@@ -78,10 +94,10 @@ pub struct Config {
     pub limits: LimitsConfig,
     /// `[recording]`.
     pub recording: RecordingConfig,
-    /// `[history]`; `None`: none is kept.
+    /// `[history]`.
     pub history: Option<HistoryConfig>,
-    /// `[node] server`: the cameras are those of a node, which that server fuses, and have no poses here.
-    pub node: Option<String>,
+    /// `[node]`: the file is a node's, whose cameras need no poses.
+    pub node: Option<NodeConfig>,
 }
 
 /// `[server]`.
@@ -91,28 +107,33 @@ pub struct ServerConfig {
     pub listen: SocketAddr,
     /// Snapshots a second.
     pub snapshot_rate_hz: f64,
-    /// Whether there is one as soon as a frame was fused, besides.
+    /// Also publishes a snapshot as soon as a frame was fused.
     pub publishes_per_frame: bool,
-    /// Where calibrations of the arena are kept. `None`: until the end of the process.
+    /// The calibration file. `None`: calibrations last until the server ends.
     pub calibration: Option<PathBuf>,
-    /// Whether cameras that were bumped are noticed, left out and found again.
+    /// Whether bumped cameras are detected, quarantined and recovered.
     pub monitors_cameras: bool,
-    /// Whether clients may have sources tried; who may can have this machine open any address.
+    /// Whether clients (with `[[access]]`, those with the role `setup`) may change cameras and objects and probe sources,
+    /// within [`Self::source_rules`].
     pub setup: bool,
-    /// Origins whose pages browsers let ask this server, as browsers write them; `*` is any.
+    /// Origins of pages that may use this server from a browser; `*` is any.
     pub allow_origins: Vec<String>,
+    /// `None`: the port does not offer TLS.
+    pub tls: Option<TlsConfig>,
+    /// What sources that clients name may reach.
+    pub source_rules: Arc<SourceRules>,
 }
 
 /// `[fusion]`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FusionConfig {
-    /// Rms acceleration that objects are capable of, m/s².
+    /// Rms acceleration of objects, m/s².
     pub acceleration_m_s2: f64,
-    /// Observations this much older than the newest are still used, seconds.
+    /// Observations up to this much older than the newest are used, seconds.
     pub late_window_s: f64,
-    /// Not seen for so long: predicted, seconds.
+    /// A track without detections for this long is predicted, seconds.
     pub predicted_after_s: f64,
-    /// Not seen for so long: lost, seconds; above `predicted_after_s`.
+    /// A track without detections for this long is lost, seconds; above `predicted_after_s`.
     pub lost_after_s: f64,
 }
 
@@ -130,97 +151,106 @@ impl Default for FusionConfig {
 /// `[limits]`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LimitsConfig {
-    /// Objects followed at most.
     pub max_objects: usize,
-    /// Roundels that one camera follows at most.
     pub max_roundels_per_camera: usize,
     pub max_clients: usize,
+    pub max_connections_per_peer: usize,
 }
 
 impl Default for LimitsConfig {
     fn default() -> Self {
-        Self { max_objects: 1000, max_roundels_per_camera: 400, max_clients: 2000 }
+        Self {
+            max_objects: 1000,
+            max_roundels_per_camera: 400,
+            max_clients: 2000,
+            max_connections_per_peer: 1000,
+        }
     }
 }
 
 impl Config {
-    /// Reads a file and the camera files that it names; paths in it are relative to its folder. Calibrations
-    /// are kept beside it, `lab.calibration.toml` for `lab.toml`, if it does not say where.
-    ///
-    /// Errors name every problem with its line, and the remedy.
+    /// Reads a file and its camera files; relative paths begin in its folder. The calibration file of `lab.toml` is
+    /// `lab.calibration.toml` by default.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
         Self::load_as(path, ParseOptions::default())
     }
 
-    /// The same of a node, whose cameras need no poses whether it says `[node]` or not.
+    /// The configuration of a node, with `[node]` or without.
     pub fn load_node(path: &Path) -> Result<Self, ConfigError> {
         Self::load_as(path, ParseOptions { is_node: true, ..ParseOptions::default() })
     }
 
-    /// The same without its cameras, for what is printed before their lenses and places are known.
+    /// Without cameras, for printing before their lenses and poses are known.
     pub fn load_without_cameras(path: &Path) -> Result<Self, ConfigError> {
         Self::load_as(path, ParseOptions { is_without_cameras: true, ..ParseOptions::default() })
     }
 
     fn load_as(path: &Path, options: ParseOptions<'_>) -> Result<Self, ConfigError> {
-        let text = read(path).map_err(|(message, help)| ConfigError {
-            path: path.to_owned(),
-            problems: vec![Problem { message, help: Some(help.to_owned()), place: None }],
+        let failed = |problems| ConfigError { path: path.to_owned(), problems };
+        let text = regular_file::read_text(path, MAX_BYTES).map_err(|error| {
+            let message = format!("cannot read the configuration: {error}");
+            let help = match error.kind() {
+                io::ErrorKind::InvalidData => "a configuration is a TOML text file: save it as UTF-8",
+                _ => {
+                    "name the file with --config FILE; deploy/roundel.example.toml is an annotated example to start from"
+                }
+            };
+            failed(vec![Problem { message, help: Some(help.to_owned()), place: None }])
         })?;
         let folder = path.parent().unwrap_or(Path::new(""));
-        let mut config = document::parse(&text, folder, options)
-            .map_err(|problems| ConfigError { path: path.to_owned(), problems })?;
+        let mut config = document::parse(&text, folder, options).map_err(failed)?;
         config.set_file(ConfigFile::new(Some(path.to_owned()), text));
         Ok(config)
     }
 
-    /// Says where it is kept, and calibrations beside it if nobody has said where.
+    /// Sets the file, the default calibration file beside it, and its folder as one whose files clients may name.
     pub(crate) fn set_file(&mut self, file: ConfigFile) {
         self.file = file;
         if let Some(path) = self.file.path() {
+            let here = PathBuf::from(".");
+            // Without a file, clients may not name those of the folder in which the server happens to run.
+            if self.folder.as_os_str().is_empty()
+                && !self.server.source_rules.folders.contains(&here)
+            {
+                Arc::make_mut(&mut self.server.source_rules).folders.insert(0, here);
+            }
             let beside = || path.with_extension("calibration.toml");
             self.server.calibration.get_or_insert_with(beside);
         }
     }
 
-    /// Reads a configuration's text, which is kept nowhere; paths in it are relative to `folder`.
+    /// Parses a text; relative paths begin in `folder`.
     pub fn parse(text: &str, folder: &Path) -> Result<Self, Vec<Problem>> {
         document::parse(text, folder, ParseOptions::default())
     }
 
-    /// The same of a recording, whose cameras had these lenses; camera files are not read.
+    /// Parses a text of a request that may replace this configuration. Only its own sources and files, and those that
+    /// its rules allow, may be named.
+    pub fn parse_request(&self, text: &str) -> Result<Self, Vec<Problem>> {
+        let request = Some(self.request_scope());
+        document::parse(text, &self.folder, ParseOptions { request, ..ParseOptions::default() })
+    }
+
+    /// Checks a source of a request. Returns the rules that bind it; `None` for a source of the configuration file.
+    pub fn admit_source(
+        &self,
+        address: &SourceAddress,
+    ) -> Result<Option<Arc<SourceRules>>, SourceRuleError> {
+        self.request_scope().admit_source(address)
+    }
+
+    fn request_scope(&self) -> RequestScope<'_> {
+        RequestScope { rules: &self.server.source_rules, cameras: &self.cameras }
+    }
+
+    /// Parses the configuration of a recording with these lenses, in place of camera files.
     pub fn parse_recorded(text: &str, lenses: &Lenses) -> Result<Self, Vec<Problem>> {
-        document::parse(
-            text,
-            Path::new(""),
-            ParseOptions { lenses: Some(lenses), ..ParseOptions::default() },
-        )
+        let options = ParseOptions { lenses: Some(lenses), ..ParseOptions::default() };
+        document::parse(text, Path::new(""), options)
     }
 }
 
-/// The word for a value of a key that is one of several words.
+/// The word for a value of a key that takes one of several words.
 pub fn word<T: PartialEq>(words: &[(&'static str, T)], value: T) -> &'static str {
     words.iter().find(|(_, known)| *known == value).map_or("", |(word, _)| word)
-}
-
-fn read(path: &Path) -> Result<String, (String, &'static str)> {
-    const NAME_IT: &str = "name the file with --config FILE; deploy/roundel.example.toml is an \
-                           annotated example to start from";
-    let size = fs::metadata(path)
-        .map_err(|error| (format!("cannot read the configuration: {error}"), NAME_IT))?
-        .len();
-    if size > MAX_BYTES {
-        let message =
-            format!("expected a configuration of at most {MAX_BYTES} bytes, found {size}");
-        return Err((message, NAME_IT));
-    }
-    let bytes = fs::read(path)
-        .map_err(|error| (format!("cannot read the configuration: {error}"), NAME_IT))?;
-    String::from_utf8(bytes).map_err(|error| {
-        let at = error.utf8_error().valid_up_to();
-        (
-            format!("expected UTF-8 text, found other bytes after byte {at}"),
-            "a configuration is a TOML text file: save it as UTF-8",
-        )
-    })
 }

@@ -1,8 +1,7 @@
-//! `[[object]]`: what carries roundels, known by a whole kind of them, by one code, or by several roundels
-//! at measured places.
+//! `[[object]]`: an object identified by a kind of roundel, by one code, or by several roundels at measured positions.
 //!
-//! Places are what a tape measure gives: the centre of each print from the object's origin, and how the print is
-//! turned, for one that lies flat by an angle, for any other by the ways that its right and its top point to.
+//! A position is the centre of a print from the object's origin. The orientation of a flat print is an angle; that of
+//! any other is given by the directions of its right and its top.
 
 use nalgebra::Vector3;
 use roundel_core::{
@@ -15,7 +14,7 @@ use roundel_core::{
 use super::{
     ReferenceConfig, geometry,
     reader::Table,
-    roundel::{ParsedKinds, kind_named, motion},
+    roundel::{ParsedKinds, motion},
 };
 
 pub const OBJECT_KEYS: [&str; 6] = ["name", "roundel", "code", "offset_m", "motion", "height_m"];
@@ -29,70 +28,65 @@ pub struct ObjectConfig {
     pub carries: ObjectRoundels,
 }
 
-/// The roundels that an object is known by.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ObjectRoundels {
     Kind {
         kind: KindId,
         /// The tracked point in the roundel's frame, metres.
         offset_m: Vector3<f64>,
-        /// How it moves, if not as its kind says.
+        /// `None`: as its kind.
         motion: Option<MotionClass>,
     },
-    /// Several at known places, or one of known code; or none, if a camera on it finds itself.
+    /// Several at known positions, one with a code, or none if a camera on it localizes itself.
     Body(Body),
 }
 
-/// What is taken: by whom, for errors.
+/// Roundels that belong to an object, with its name.
 struct Claims<'a> {
     kinds: &'a ParsedKinds,
     references: &'a [ReferenceConfig],
     taken: Vec<(KindId, Option<Code>, String)>,
 }
 
-/// The objects that could be read.
 pub(super) struct ParsedObjects<'t, 'i> {
+    /// The readable objects.
     pub(super) configs: Vec<ObjectConfig>,
-    /// Of all, those that could not be read included.
+    /// Names of all objects, including unreadable ones.
     pub(super) names: Vec<&'t str>,
+    /// Tables of the readable objects.
     tables: Vec<Table<'t, 'i>>,
-    /// Of each that could be read.
-    table_of: Vec<usize>,
 }
 
-/// No roundel is on two objects, or on one of them and among the references.
+/// A roundel belongs to one object, or to the references.
 pub(super) fn objects<'t, 'i>(
     root: &Table<'t, 'i>,
     kinds: &ParsedKinds,
     references: &[ReferenceConfig],
 ) -> ParsedObjects<'t, 'i> {
-    let tables = root.tables("object", "[[object]]", &OBJECT_KEYS);
     let mut claims = Claims { kinds, references, taken: Vec::new() };
-    let (mut configs, mut table_of, mut names) = (Vec::<ObjectConfig>::new(), vec![], vec![]);
-    for (index, table) in tables.iter().enumerate() {
+    let mut objects = ParsedObjects { configs: Vec::new(), names: Vec::new(), tables: Vec::new() };
+    for table in root.tables("object", "[[object]]", &OBJECT_KEYS) {
         let name = table.required_text("name", "\"robot one\"");
-        names.extend(name);
+        objects.names.extend(name);
         let shown = name.unwrap_or("?");
         let carries = match table.value("roundel") {
-            None => object_without_roundels(table),
-            Some(it) if it.get_ref().as_array().is_some() => {
-                several(table, shown, kinds, &mut claims)
-            }
-            Some(_) => single(table, shown, kinds, &mut claims),
+            None => without_roundels(&table),
+            Some(it) if it.get_ref().is_array() => several(&table, shown, &mut claims),
+            Some(_) => single(&table, shown, &mut claims),
         };
         let (Some(name), Some(carries)) = (name, carries) else { continue };
-        if configs.iter().any(|object| object.name == name) {
+        if objects.configs.iter().any(|object| object.name == name) {
             let message = format!("two objects are named \"{name}\"");
-            table.fail_with_help(&table.span_of("name"), message, "give each its own name");
+            table.fail("name", message, "give each its own name");
         }
-        configs.push(ObjectConfig { name: name.to_owned(), carries });
-        table_of.push(index);
+        objects.configs.push(ObjectConfig { name: name.to_owned(), carries });
+        objects.tables.push(table);
     }
-    ParsedObjects { configs, names, tables, table_of }
+    objects
 }
 
 impl ParsedObjects<'_, '_> {
-    /// Those that nothing is printed on.
+    /// Indices of the objects without roundels.
     pub(super) fn without_roundels(&self) -> impl Iterator<Item = usize> + '_ {
         let is_bare = |object: &ObjectConfig| match &object.carries {
             ObjectRoundels::Kind { .. } => false,
@@ -101,122 +95,91 @@ impl ParsedObjects<'_, '_> {
         (0..self.configs.len()).filter(move |&index| is_bare(&self.configs[index]))
     }
 
-    /// Reports that nobody can tell where one of them is, which a camera may ride on.
+    /// Reports an object that nothing can localize.
     pub(super) fn report_unobservable(&self, object: usize, carries_camera: bool) {
-        let table = &self.tables[self.table_of[object]];
+        let (table, name) = (&self.tables[object], &self.configs[object].name);
         if !carries_camera {
-            return table.report_missing("roundel", "\"robot\"");
+            return table.require("roundel", "\"robot\"");
         }
-        let name = &self.configs[object].name;
-        table.fail_with_help(
-            table.span(),
-            format!(
-                "object \"{name}\" carries no roundel, and its camera does not say where it is"
-            ),
-            "add its `roundel`, or `localizes = true` to the pose of the camera that rides on it",
+        let message = format!(
+            "object \"{name}\" carries no roundel, and its camera does not say where it is"
         );
+        let help =
+            "add its `roundel`, or `localizes = true` to the pose of the camera that rides on it";
+        table.fail("roundel", message, help);
     }
 }
 
-/// An object that is known by what its own camera sees.
-fn object_without_roundels(table: &Table<'_, '_>) -> Option<ObjectRoundels> {
-    for key in ["code", "offset_m"].into_iter().filter(|key| table.value(key).is_some()) {
-        table.fail_with_help(
-            &table.span_of(key),
-            format!("`{key}` is for an object with one roundel, and `roundel` is missing"),
-            "add `roundel = \"NAME\"`",
-        );
+/// Reports keys that only an object with one roundel has.
+fn reject_keys_of_single(table: &Table<'_, '_>, why: &str, help: &str) {
+    for key in ["code", "offset_m"].into_iter().filter(|key| table.has(key)) {
+        let message = format!("`{key}` is for an object with one roundel, and `roundel` {why}");
+        table.fail(key, message, help);
     }
+}
+
+/// An object that its own camera localizes.
+fn without_roundels(table: &Table<'_, '_>) -> Option<ObjectRoundels> {
+    reject_keys_of_single(table, "is missing", "add `roundel = \"NAME\"`");
     let motion = explicit_motion(table)?.unwrap_or_default();
     Some(ObjectRoundels::Body(Body { motion, mounts: Vec::new() }))
 }
 
-/// An object by one roundel, of a kind that is its own or with a code.
-fn single(
-    table: &Table<'_, '_>,
-    name: &str,
-    kinds: &ParsedKinds,
-    claims: &mut Claims<'_>,
-) -> Option<ObjectRoundels> {
-    let kind = kind_named(table, "roundel", kinds);
-    let offset = match table.value("offset_m") {
-        Some(_) => table.numbers::<3>("offset_m"),
-        None => Some([0.0; 3]),
-    };
+/// An object with one roundel, which has a code or a kind of its own.
+fn single(table: &Table<'_, '_>, name: &str, claims: &mut Claims<'_>) -> Option<ObjectRoundels> {
+    let kind = claims.kinds.named(table, "roundel");
+    let offset = if table.has("offset_m") { table.numbers("offset_m") } else { Some([0.0; 3]) };
     let motion = explicit_motion(table)?;
     let (kind, offset_m) = (kind?, Vector3::from(offset?));
-    if table.value("code").is_none() {
+    if !table.has("code") {
         claims.take(table, "roundel", (kind, None), name)?;
         return Some(ObjectRoundels::Kind { kind, offset_m, motion });
     }
-    let code = code(table, kind, kinds)?;
+    let code = code(table, kind, claims.kinds)?;
     claims.take(table, "code", (kind, code), name)?;
     let object_from_roundel = Rigid::translation(-offset_m.x, -offset_m.y, -offset_m.z);
-    let mounts = vec![Mount { kind, code, object_from_roundel }];
-    let motion = motion.unwrap_or_else(|| inherited_motion(&mounts[0], kinds));
-    Some(ObjectRoundels::Body(Body { motion, mounts }))
+    let mount = Mount { kind, code, object_from_roundel };
+    let motion = motion.unwrap_or_else(|| inherited_motion(&mount, claims.kinds));
+    Some(ObjectRoundels::Body(Body { motion, mounts: vec![mount] }))
 }
 
-/// An object by a list of roundels.
-fn several(
-    table: &Table<'_, '_>,
-    name: &str,
-    kinds: &ParsedKinds,
-    claims: &mut Claims<'_>,
-) -> Option<ObjectRoundels> {
-    for key in ["code", "offset_m"].into_iter().filter(|key| table.value(key).is_some()) {
-        table.fail_with_help(
-            &table.span_of(key),
-            format!("`{key}` is for an object with one roundel, and `roundel` lists several"),
-            "each roundel of the list has its own `code`, and `position_m` from the object's origin",
-        );
-    }
+/// An object with a list of roundels.
+fn several(table: &Table<'_, '_>, name: &str, claims: &mut Claims<'_>) -> Option<ObjectRoundels> {
+    reject_keys_of_single(
+        table,
+        "lists several",
+        "each roundel of the list has its own `code`, and `position_m` from the object's origin",
+    );
     let motion = explicit_motion(table);
     let parts = table.tables("roundel", "[[object.roundel]]", &PART_KEYS);
     if parts.is_empty() && !table.is_broken() {
-        table.fail_with_help(
-            &table.span_of("roundel"),
-            "`roundel` lists no roundel",
-            "an object is known by one roundel at least",
-        );
+        let help = "an object is known by one roundel at least";
+        table.fail("roundel", "`roundel` lists no roundel", help);
     }
-    let mut mounts = Vec::new();
-    let mut is_whole = true;
-    for part in &parts {
-        match mount(part, name, kinds, claims) {
-            Some(mount) => mounts.push(mount),
-            None => is_whole = false,
-        }
-    }
-    let first = mounts.first().filter(|_| is_whole)?;
-    let motion = motion?.unwrap_or_else(|| inherited_motion(first, kinds));
+    let mounts: Vec<_> = parts.iter().map(|part| mount(part, name, claims)).collect();
+    let mounts = mounts.into_iter().collect::<Option<Vec<Mount>>>()?;
+    let motion = motion?.unwrap_or(inherited_motion(mounts.first()?, claims.kinds));
     Some(ObjectRoundels::Body(Body { motion, mounts }))
 }
 
-fn mount(
-    part: &Table<'_, '_>,
-    name: &str,
-    kinds: &ParsedKinds,
-    claims: &mut Claims<'_>,
-) -> Option<Mount> {
-    let kind = kind_named(part, "kind", kinds);
+fn mount(part: &Table<'_, '_>, name: &str, claims: &mut Claims<'_>) -> Option<Mount> {
+    let kind = claims.kinds.named(part, "kind");
     let position = part.required_numbers::<3>("position_m", "[0.2, 0.0, 0.1]");
     let rotation = geometry::rotation(part, "the object's frame");
     let kind = kind?;
-    let code = code(part, kind, kinds)?;
+    let code = code(part, kind, claims.kinds)?;
     let key = if code.is_some() { "code" } else { "kind" };
     claims.take(part, key, (kind, code), name)?;
     let object_from_roundel = Rigid::from_parts(Vector3::from(position?).into(), rotation?);
     Some(Mount { kind, code, object_from_roundel })
 }
 
-/// How the object itself is said to move; `None` if that is wrong (then it is reported).
+/// The object's own motion, if it has one; `None` if wrong.
 fn explicit_motion(table: &Table<'_, '_>) -> Option<Option<MotionClass>> {
-    let is_said = table.value("motion").is_some() || table.value("height_m").is_some();
-    if is_said { motion(table).map(Some) } else { Some(None) }
+    if table.has("motion") || table.has("height_m") { motion(table).map(Some) } else { Some(None) }
 }
 
-/// As the kind of its first roundel moves, whose height is that of the roundel.
+/// The motion of the kind of the first roundel; its height is that of the roundel.
 fn inherited_motion(first: &Mount, kinds: &ParsedKinds) -> MotionClass {
     let above_m = first.object_from_roundel.translation.z;
     match kinds.motions.get(usize::from(first.kind.0)).copied().unwrap_or_default() {
@@ -227,53 +190,39 @@ fn inherited_motion(first: &Mount, kinds: &ParsedKinds) -> MotionClass {
     }
 }
 
-/// The code of a coded roundel; `None` within for one of another kind, outside if it is wrong or missing
-/// (then it is reported).
+/// The code, or none for a kind without codes; `None` if missing or wrong.
 pub(super) fn code(
     table: &Table<'_, '_>,
     kind: KindId,
     kinds: &ParsedKinds,
 ) -> Option<Option<Code>> {
-    let kind = kinds.kinds.get(usize::from(kind.0))?;
-    let Pattern::Coded(layout) = kind.pattern else {
-        if table.value("code").is_none() {
+    let name = &kinds.kinds.get(usize::from(kind.0))?.name;
+    let Pattern::Coded(layout) = kinds.pattern(kind) else {
+        if !table.has("code") {
             return Some(None);
         }
-        table.fail_with_help(
-            &table.span_of("code"),
-            format!("roundels \"{}\" have no codes", kind.name),
-            "leave out `code`, or name a [[roundel]] with `code = { bits = … }`",
-        );
-        return None;
+        let help = "leave out `code`, or name a [[roundel]] with `code = { bits = … }`";
+        return table.reject("code", format!("roundels \"{name}\" have no codes"), help);
     };
-    if table.value("code").is_none() {
-        table.report_missing("code", "3");
-        return None;
-    }
+    table.require("code", "3");
     let number = table.whole("code", 0..=MAX_CODES)?;
-    let count = layout.codes().ok()?.len();
+    let count = kinds.code_count(kind);
     if number == 0 || number > count {
-        table.fail_with_help(
-            &table.span_of("code"),
+        return table.reject(
+            "code",
             format!("`code` must be 1 to {count}, found {number}"),
             format!(
-                "roundels \"{}\" have {count} identities: {} bits at `min_distance` {}",
-                kind.name, layout.bits, layout.min_distance
+                "roundels \"{name}\" have {count} identities: {} bits at `min_distance` {}",
+                layout.bits, layout.min_distance
             ),
         );
-        return None;
     }
     let number = u16::try_from(number).ok()?;
     Some(Some(Code { bits: layout.bits, number }))
 }
 
 impl Claims<'_> {
-    fn is_coded(&self, kind: KindId) -> bool {
-        let kind = self.kinds.kinds.get(usize::from(kind.0));
-        kind.is_some_and(|kind| matches!(kind.pattern, Pattern::Coded(_)))
-    }
-
-    /// Takes a roundel for an object; reports it and gives `None` if it is another's, or its own twice.
+    /// Takes a roundel for an object; `None` if it is taken already.
     fn take(
         &mut self,
         table: &Table<'_, '_>,
@@ -281,40 +230,38 @@ impl Claims<'_> {
         (kind, code): (KindId, Option<Code>),
         name: &str,
     ) -> Option<()> {
+        let is_same =
+            |(other, taken, _): &&(KindId, Option<Code>, String)| (*other, *taken) == (kind, code);
+        let owner = self.taken.iter().find(is_same).map(|(.., owner)| owner);
         let is_reference =
             |it: &ReferenceConfig| it.kind == kind && (code.is_none() || it.code == code);
         let reference = self.references.iter().position(is_reference);
-        let same =
-            |(other, taken, _): &&(KindId, Option<Code>, String)| (*other, *taken) == (kind, code);
-        let owner = match (self.taken.iter().find(same), reference) {
-            (Some((.., owner)), _) if owner == name => None,
-            (Some((.., owner)), _) => Some(format!("objects \"{owner}\" and \"{name}\"")),
-            (None, Some(index)) => Some(format!("reference {} and object \"{name}\"", index + 1)),
+        let (what, remedy) = match (code, self.kinds.pattern(kind)) {
+            (Some(code), _) => (
+                format!("code {}", code.number),
+                "a code is on one print: give the other one its own",
+            ),
+            (None, Pattern::Coded(_)) => (
+                "the same kind of roundel".to_owned(),
+                "write the `code` of the object's own roundel",
+            ),
+            (None, _) => (
+                "the same kind of roundel".to_owned(),
+                "roundels of one kind without codes cannot be distinguished: print another ratio for one \
+                 of them",
+            ),
+        };
+        let message = match (owner, reference) {
+            (Some(owner), _) if owner == name => format!("object \"{name}\" carries {what} twice"),
+            (Some(owner), _) => format!("objects \"{owner}\" and \"{name}\" carry {what}"),
+            (None, Some(index)) => {
+                format!("reference {} and object \"{name}\" carry {what}", index + 1)
+            }
             (None, None) => {
                 self.taken.push((kind, code, name.to_owned()));
                 return Some(());
             }
         };
-        let (what, remedy) = match code {
-            Some(code) => (
-                format!("code {}", code.number),
-                "a code is on one print: give the other one its own",
-            ),
-            None if self.is_coded(kind) => (
-                "the same kind of roundel".to_owned(),
-                "write the `code` of the object's own roundel",
-            ),
-            None => (
-                "the same kind of roundel".to_owned(),
-                "roundels of one kind without codes cannot be told apart: print another ratio for one \
-                 of them",
-            ),
-        };
-        let message = match owner {
-            Some(both) => format!("{both} carry {what}"),
-            None => format!("object \"{name}\" carries {what} twice"),
-        };
-        table.fail_with_help(&table.span_of(key), message, remedy);
-        None
+        table.reject(key, message, remedy)
     }
 }

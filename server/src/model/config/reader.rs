@@ -1,5 +1,4 @@
-//! Reads a TOML document key by key and remembers every problem with its place, so that a person
-//! sees all of them at once instead of one a run.
+//! Reads a TOML document key by key and collects every problem with its location, so that one run reports them all.
 
 use std::{
     cell::{Cell, RefCell},
@@ -11,47 +10,66 @@ use toml::{
     de::{DeTable, DeValue},
 };
 
-use super::error::{Problem, TextLocation};
-use crate::model::suggestion::{list, nearest};
+use super::error::{Lines, Problem};
+use crate::model::{
+    redact::redact,
+    suggestion::{did_you_mean, list, nearest},
+};
 
-/// Collects what is wrong with one document.
+/// Further problems are counted, but not listed.
+const MAX_PROBLEMS: usize = 100;
+
+/// The problems of one document.
 pub(super) struct Problems<'s> {
-    source: &'s str,
+    lines: Lines<'s>,
     found: RefCell<Vec<(usize, Problem)>>,
+    /// Number of problems beyond [`MAX_PROBLEMS`].
+    unlisted: Cell<usize>,
 }
 
 impl<'s> Problems<'s> {
     pub(super) fn new(source: &'s str) -> Self {
-        Self { source, found: RefCell::default() }
+        Self { lines: Lines::of(source), found: RefCell::default(), unlisted: Cell::new(0) }
     }
 
-    pub(super) fn add(&self, span: &Range<usize>, message: impl Into<String>) {
-        self.push(span, message.into(), None);
+    /// Whether further problems are not listed.
+    pub(super) fn are_full(&self) -> bool {
+        self.found.borrow().len() >= MAX_PROBLEMS
     }
 
-    pub(super) fn add_with_help(
+    /// An empty `help` is omitted.
+    pub(super) fn add(
         &self,
         span: &Range<usize>,
         message: impl Into<String>,
         help: impl Into<String>,
     ) {
-        self.push(span, message.into(), Some(help.into()));
-    }
-
-    fn push(&self, span: &Range<usize>, message: String, help: Option<String>) {
-        let place = Some(TextLocation::of(self.source, span));
-        self.found.borrow_mut().push((span.start, Problem { message, help, place }));
+        if self.are_full() {
+            self.unlisted.set(self.unlisted.get() + 1);
+            return;
+        }
+        let place = Some(self.lines.locate(span));
+        let help = Some(help.into()).filter(|help| !help.is_empty());
+        let message = redact(&message.into());
+        let problem = Problem { message, help, place };
+        self.found.borrow_mut().push((span.start, problem));
     }
 
     pub(super) fn any(&self) -> bool {
         !self.found.borrow().is_empty()
     }
 
-    /// All problems in the order of their places.
+    /// The problems in the order of their locations, and how many there are besides.
     pub(super) fn into_sorted(self) -> Vec<Problem> {
         let mut found = self.found.into_inner();
         found.sort_by_key(|(start, _)| *start);
-        found.into_iter().map(|(_, problem)| problem).collect()
+        let mut problems: Vec<Problem> = found.into_iter().map(|(_, problem)| problem).collect();
+        if self.unlisted.get() > 0 {
+            let message = format!("{} more problems are not listed", self.unlisted.get());
+            let help = Some("correct those above first".to_owned());
+            problems.push(Problem { message, help, place: None });
+        }
+        problems
     }
 }
 
@@ -84,216 +102,182 @@ impl NumberRange {
     }
 }
 
-/// One table of the document, of which only known keys may be used.
+/// One table of the document, with a fixed set of keys. Every method that returns `None` for a wrong value has reported
+/// it.
 pub(super) struct Table<'t, 'i> {
-    /// As people write it: `[server]`, `[[camera]]`.
+    /// As written in the file: `[server]`, `[[camera]]`.
     title: &'static str,
     span: Range<usize>,
-    entries: &'t DeTable<'i>,
+    /// `None`: the table is absent.
+    entries: Option<&'t DeTable<'i>>,
     problems: &'t Problems<'t>,
-    /// Known keys that an unknown one was probably meant to be: these are not missed again.
+    /// Known keys for which unknown ones were probably mistyped; they are not reported as missing.
     suspected: RefCell<Vec<&'static str>>,
-    /// Whether a problem was found while reading this table.
     broken: Cell<bool>,
 }
 
 impl<'t, 'i> Table<'t, 'i> {
-    /// A table, once its unknown keys are reported.
+    /// Reports unknown keys.
     pub(super) fn new(
         title: &'static str,
         span: Range<usize>,
-        entries: &'t DeTable<'i>,
+        entries: Option<&'t DeTable<'i>>,
         known: &[&'static str],
         problems: &'t Problems<'t>,
     ) -> Self {
-        let table = Self {
-            title,
-            span,
-            entries,
-            problems,
-            suspected: RefCell::default(),
-            broken: Cell::new(false),
-        };
-        for key in entries.keys() {
+        let (suspected, broken) = Default::default();
+        let table = Self { title, span, entries, problems, suspected, broken };
+        for key in entries.into_iter().flat_map(|entries| entries.keys()) {
             let name: &str = key.get_ref();
-            if !known.contains(&name) {
-                table.report_unknown(name, &key.span(), known);
+            if known.contains(&name) {
+                continue;
             }
+            let place = if title.is_empty() { String::new() } else { format!(" in {title}") };
+            let mut message = format!("unknown key `{name}`{place}");
+            if let Some(meant) = nearest(name, known.iter().copied()) {
+                message.push_str(&format!("; did you mean `{meant}`?"));
+                table.suspected.borrow_mut().push(meant);
+            }
+            let help = format!("known keys here: {}", list(known.iter().copied()));
+            table.fail_at(&key.span(), message, help);
         }
         table
     }
 
-    fn report_unknown(&self, name: &str, span: &Range<usize>, known: &[&'static str]) {
-        let place =
-            if self.title.is_empty() { String::new() } else { format!(" in {}", self.title) };
-        let mut message = format!("unknown key `{name}`{place}");
-        if let Some(meant) = nearest(name, known.iter().copied()) {
-            message.push_str(&format!("; did you mean `{meant}`?"));
-            self.suspected.borrow_mut().push(meant);
-        }
-        self.fail_with_help(
-            span,
-            message,
-            format!("known keys here: {}", list(known.iter().copied())),
-        );
-    }
-
-    pub(super) fn span(&self) -> &Range<usize> {
-        &self.span
-    }
-
-    pub(super) fn fail(&self, span: &Range<usize>, message: impl Into<String>) {
-        self.broken.set(true);
-        self.problems.add(span, message);
-    }
-
-    pub(super) fn fail_with_help(
+    pub(super) fn fail_at(
         &self,
         span: &Range<usize>,
         message: impl Into<String>,
         help: impl Into<String>,
     ) {
         self.broken.set(true);
-        self.problems.add_with_help(span, message, help);
+        self.problems.add(span, message, help);
     }
 
-    /// Whether this table had a problem so far.
+    /// Reports a problem at the value of `key`, or at the table if that is absent. An empty `help` is omitted.
+    pub(super) fn fail(&self, key: &str, message: impl Into<String>, help: impl Into<String>) {
+        let span = self.value(key).map_or_else(|| self.span.clone(), Spanned::span);
+        self.fail_at(&span, message, help);
+    }
+
+    /// [`Self::fail`] that returns `None`.
+    pub(super) fn reject<T>(
+        &self,
+        key: &str,
+        message: impl Into<String>,
+        help: impl Into<String>,
+    ) -> Option<T> {
+        self.fail(key, message, help);
+        None
+    }
+
+    /// Whether a further problem would not be listed, so that its text need not be made.
+    pub(super) fn is_full(&self) -> bool {
+        self.problems.are_full()
+    }
+
+    /// Whether this table has had a problem so far.
     pub(super) fn is_broken(&self) -> bool {
         self.broken.get()
     }
 
     pub(super) fn value(&self, key: &str) -> Option<&'t Spanned<DeValue<'i>>> {
-        self.entries.iter().find(|(name, _)| name.get_ref() == key).map(|(_, value)| value)
+        self.entries?.iter().find(|(name, _)| name.get_ref() == key).map(|(_, value)| value)
     }
 
-    /// The value's place, or the table's if it is absent.
-    pub(super) fn span_of(&self, key: &str) -> Range<usize> {
-        self.value(key).map_or_else(|| self.span.clone(), Spanned::span)
+    pub(super) fn has(&self, key: &str) -> bool {
+        self.value(key).is_some()
     }
 
-    /// Reports that a key is missing, unless a mistyped one probably was meant to be it.
-    pub(super) fn report_missing(&self, key: &'static str, example: &str) {
-        if self.suspected.borrow().contains(&key) {
+    /// Reports an absent key, unless an unknown key was probably meant to be it.
+    pub(super) fn require(&self, key: &'static str, example: &str) {
+        if self.has(key) || self.suspected.borrow().contains(&key) {
             return;
         }
-        let place =
-            if self.title.is_empty() { "the file".to_owned() } else { self.title.to_owned() };
-        self.fail_with_help(
-            &self.span.clone(),
-            format!("missing key `{key}` in {place}"),
-            format!("add `{key} = {example}`"),
-        );
+        let place = if self.title.is_empty() { "the file" } else { self.title };
+        let message = format!("missing key `{key}` in {place}");
+        self.fail_at(&self.span, message, format!("add `{key} = {example}`"));
     }
 
-    fn report_type(&self, key: &str, value: &Spanned<DeValue<'_>>, expected: &str) {
-        self.fail(
-            &value.span(),
-            format!("`{key}` must be {expected}, found {}", found(value.get_ref())),
-        );
+    fn reject_type<T>(&self, key: &str, value: &Spanned<DeValue<'_>>, expected: &str) -> Option<T> {
+        let message = format!("`{key}` must be {expected}, found {}", found(value.get_ref()));
+        self.fail_at(&value.span(), message, "");
+        None
     }
 
-    /// A text that is not empty; `None` if absent or wrong (then it is reported).
+    /// A text that is not empty; `None` if absent or wrong.
     pub(super) fn text(&self, key: &'static str) -> Option<&'t str> {
         let value = self.value(key)?;
         match value.get_ref() {
             DeValue::String(text) if !text.trim().is_empty() => Some(text),
-            _ => {
-                self.report_type(key, value, "a text in quotes that is not empty");
-                None
-            }
+            _ => self.reject_type(key, value, "a text in quotes that is not empty"),
         }
     }
 
-    /// A text that must be there.
     pub(super) fn required_text(&self, key: &'static str, example: &str) -> Option<&'t str> {
-        if self.value(key).is_none() {
-            self.report_missing(key, example);
-        }
+        self.require(key, example);
         self.text(key)
     }
 
-    /// A number; the default if absent, or wrong (then it is reported).
+    /// A number; the default if absent or wrong.
     pub(super) fn number(&self, key: &'static str, allowed: NumberRange, default: f64) -> f64 {
-        let Some(value) = self.value(key) else { return default };
-        self.checked(key, value, allowed).unwrap_or(default)
+        self.optional_number(key, allowed).unwrap_or(default)
     }
 
-    /// A number that must be there.
+    /// A number; `None` if absent or wrong.
+    pub(super) fn optional_number(&self, key: &'static str, allowed: NumberRange) -> Option<f64> {
+        let value = self.value(key)?;
+        let read = number(value.get_ref()).filter(|read| allowed.contains(*read));
+        read.or_else(|| self.reject_type(key, value, &allowed.describe()))
+    }
+
     pub(super) fn required_number(
         &self,
         key: &'static str,
         allowed: NumberRange,
         example: &str,
     ) -> Option<f64> {
-        match self.value(key) {
-            Some(value) => self.checked(key, value, allowed),
-            None => {
-                self.report_missing(key, example);
-                None
-            }
-        }
+        self.require(key, example);
+        self.optional_number(key, allowed)
     }
 
-    /// A whole number from 1 to `most`; the default if absent or wrong.
-    pub(super) fn count(&self, key: &'static str, most: usize, default: usize) -> usize {
-        self.whole(key, 1..=most).unwrap_or(default)
-    }
-
-    /// A whole number within a range; `None` if absent or wrong (then it is reported).
+    /// A whole number; `None` if absent or wrong.
     pub(super) fn whole(&self, key: &'static str, range: RangeInclusive<usize>) -> Option<usize> {
         let value = self.value(key)?;
-        let whole = match value.get_ref() {
-            DeValue::Integer(_) => number(value.get_ref()),
-            _ => None,
-        };
         let (least, most) = (*range.start(), *range.end());
+        let whole = number(value.get_ref()).filter(|_| value.get_ref().is_integer());
         let whole = whole.filter(|whole| (least as f64..=most as f64).contains(whole));
-        if whole.is_none() {
-            self.report_type(key, value, &format!("a whole number from {least} to {most}"));
-        }
-        whole.map(|whole| whole as usize)
+        let expected = || format!("a whole number from {least} to {most}");
+        whole.map(|whole| whole as usize).or_else(|| self.reject_type(key, value, &expected()))
     }
 
-    /// Yes or no; `None` if absent or neither (then it is reported).
+    /// A flag; `None` if absent or wrong.
     pub(super) fn flag(&self, key: &'static str) -> Option<bool> {
         let value = self.value(key)?;
-        if let DeValue::Boolean(flag) = value.get_ref() {
-            return Some(*flag);
-        }
-        self.report_type(key, value, "true or false");
-        None
+        value.get_ref().as_bool().or_else(|| self.reject_type(key, value, "true or false"))
     }
 
-    /// What one of the known words means; `None` if absent or another word (then it is reported).
+    /// The meaning of one of the known words; `None` if absent or wrong.
     pub(super) fn choice<T: Copy>(&self, key: &'static str, known: &[(&str, T)]) -> Option<T> {
         let value = self.value(key)?;
-        let words = || known.iter().map(|(word, _)| *word);
-        let quoted: Vec<String> = words().map(|word| format!("\"{word}\"")).collect();
         let text = value.get_ref().as_str();
-        let meaning =
-            known.iter().find(|(word, _)| text == Some(word)).map(|(_, meaning)| *meaning);
-        if meaning.is_none() {
-            let meant = text
-                .and_then(|text| nearest(text, words()))
-                .map(|meant| format!("; did you mean \"{meant}\"?"))
-                .unwrap_or_default();
-            let (expected, found) = (quoted.join(" or "), found(value.get_ref()));
-            self.fail(&value.span(), format!("`{key}` must be {expected}, found {found}{meant}"));
+        if let Some((_, meaning)) = known.iter().find(|(word, _)| text == Some(word)) {
+            return Some(*meaning);
         }
-        meaning
+        let words = known.iter().map(|(word, _)| *word);
+        let quoted: Vec<String> = words.clone().map(|word| format!("\"{word}\"")).collect();
+        let (expected, found) = (quoted.join(" or "), found(value.get_ref()));
+        let meant = text.map(|text| did_you_mean(text, words)).unwrap_or_default();
+        self.reject(key, format!("`{key}` must be {expected}, found {found}{meant}"), "")
     }
 
-    fn checked(
-        &self,
-        key: &str,
-        value: &Spanned<DeValue<'_>>,
-        allowed: NumberRange,
-    ) -> Option<f64> {
-        let read = number(value.get_ref()).filter(|read| allowed.contains(*read));
-        if read.is_none() {
-            self.report_type(key, value, &allowed.describe());
-        }
-        read
+    /// A list of texts; `None` if absent or wrong.
+    pub(super) fn texts(&self, key: &'static str, expected: &str) -> Option<Vec<String>> {
+        let value = self.value(key)?;
+        let items = value.get_ref().as_array().map(|items| items.iter());
+        let text = |item: &Spanned<DeValue<'_>>| item.get_ref().as_str().map(str::to_owned);
+        let texts: Option<Vec<String>> = items.and_then(|items| items.map(text).collect());
+        texts.or_else(|| self.reject_type(key, value, expected))
     }
 
     /// `N` finite numbers; `None` if absent or wrong.
@@ -301,41 +285,27 @@ impl<'t, 'i> Table<'t, 'i> {
         let value = self.value(key)?;
         let expected = format!("a list of {N} finite numbers");
         let Some(items) = value.get_ref().as_array() else {
-            self.report_type(key, value, &expected);
-            return None;
+            return self.reject_type(key, value, &expected);
         };
-        let read: Vec<f64> = items
-            .iter()
-            .filter_map(|item| number(item.get_ref()))
-            .filter(|number| number.is_finite())
-            .collect();
         if items.len() != N {
-            self.fail(
-                &value.span(),
-                format!("`{key}` must be {expected}, found {} of them", items.len()),
-            );
-            return None;
+            let message = format!("`{key}` must be {expected}, found {} of them", items.len());
+            return self.reject(key, message, "");
         }
-        let Ok(read) = <[f64; N]>::try_from(read) else {
-            self.report_type(key, value, &expected);
-            return None;
-        };
-        Some(read)
+        let read = items.iter().filter_map(|item| number(item.get_ref()));
+        let read: Vec<f64> = read.filter(|number| number.is_finite()).collect();
+        read.try_into().ok().or_else(|| self.reject_type(key, value, &expected))
     }
 
-    /// `N` finite numbers that must be there.
     pub(super) fn required_numbers<const N: usize>(
         &self,
         key: &'static str,
         example: &str,
     ) -> Option<[f64; N]> {
-        if self.value(key).is_none() {
-            self.report_missing(key, example);
-        }
+        self.require(key, example);
         self.numbers(key)
     }
 
-    /// The table under a key, if it is there.
+    /// The table under a key; `None` if absent or wrong.
     pub(super) fn table(
         &self,
         key: &'static str,
@@ -344,13 +314,24 @@ impl<'t, 'i> Table<'t, 'i> {
     ) -> Option<Table<'t, 'i>> {
         let value = self.value(key)?;
         let Some(entries) = value.get_ref().as_table() else {
-            self.report_type(key, value, &format!("a table: write `{title}` above its keys"));
-            return None;
+            let expected = format!("a table: write `{title}` above its keys");
+            return self.reject_type(key, value, &expected);
         };
-        Some(Table::new(title, value.span(), entries, known, self.problems))
+        Some(Table::new(title, value.span(), Some(entries), known, self.problems))
     }
 
-    /// The list of tables under a key; empty if it is not there.
+    /// The table under a key; an empty one if absent or wrong.
+    pub(super) fn section(
+        &self,
+        key: &'static str,
+        title: &'static str,
+        known: &[&'static str],
+    ) -> Table<'t, 'i> {
+        let absent = || Table::new(title, self.span.clone(), None, known, self.problems);
+        self.table(key, title, known).unwrap_or_else(absent)
+    }
+
+    /// The list of tables under a key; empty if absent or wrong.
     pub(super) fn tables(
         &self,
         key: &'static str,
@@ -360,19 +341,15 @@ impl<'t, 'i> Table<'t, 'i> {
         let Some(value) = self.value(key) else { return Vec::new() };
         let expected = format!("a list of tables: write `{title}` above each one's keys");
         let Some(items) = value.get_ref().as_array() else {
-            self.report_type(key, value, &expected);
-            return Vec::new();
+            return self.reject_type(key, value, &expected).unwrap_or_default();
         };
-        let mut tables = Vec::new();
-        for item in items.iter() {
-            match item.get_ref().as_table() {
-                Some(entries) => {
-                    tables.push(Table::new(title, item.span(), entries, known, self.problems));
-                }
-                None => self.report_type(key, item, &expected),
+        let table = |item: &'t Spanned<DeValue<'i>>| match item.get_ref().as_table() {
+            Some(entries) => {
+                Some(Table::new(title, item.span(), Some(entries), known, self.problems))
             }
-        }
-        tables
+            None => self.reject_type(key, item, &expected),
+        };
+        items.iter().filter_map(table).collect()
     }
 }
 

@@ -1,4 +1,4 @@
-//! `[recording]`: where recordings go, and how much room they take.
+//! `[recording]`: folder, size limits and frames of recordings.
 
 use std::{
     path::{Path, PathBuf},
@@ -7,10 +7,9 @@ use std::{
 
 use super::reader::{NumberRange, Table};
 
-/// What pictures of frames are kept as.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum FrameFormat {
-    /// A tenth of the size of PNG; what is found in them again differs a little.
+    /// A tenth of the size of PNG; detections in it differ slightly.
     #[default]
     Jpeg,
     Png,
@@ -22,18 +21,20 @@ const GIGABYTE: u64 = 1_000_000_000;
 /// `[recording]`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordingConfig {
-    /// Whether it begins with the server.
+    /// Whether recording starts with the server.
     pub starts: bool,
     pub folder: PathBuf,
-    /// A file that has grown to so much is followed by another one.
+    /// Size after which a new file is begun.
     pub rotate_bytes: u64,
-    /// So does one that is so old.
+    /// Age after which a new file is begun.
     pub rotate_after: Duration,
-    /// All files together take no more; the oldest make room. At least two files.
+    /// Limit of all files together; the oldest are deleted. At least two files.
     pub budget_bytes: u64,
-    /// The disk has so much left, or nothing is recorded.
+    /// Files younger than this are not deleted for a recording that a client starts.
+    pub keep: Duration,
+    /// Free space on the disk below which nothing is recorded.
     pub min_free_bytes: u64,
-    /// One in so many frames of each camera is kept; 0: none.
+    /// Every how many frames one is recorded; 0: none.
     pub frames_every: u32,
     pub frames_format: FrameFormat,
 }
@@ -46,6 +47,7 @@ impl Default for RecordingConfig {
             rotate_bytes: GIGABYTE,
             rotate_after: Duration::from_secs(3600),
             budget_bytes: 20 * GIGABYTE,
+            keep: Duration::from_secs(24 * 3600),
             min_free_bytes: GIGABYTE,
             frames_every: 0,
             frames_format: FrameFormat::default(),
@@ -53,12 +55,13 @@ impl Default for RecordingConfig {
     }
 }
 
-const KEYS: [&str; 8] = [
+const KEYS: [&str; 9] = [
     "start",
     "folder",
     "rotate_mb",
     "rotate_minutes",
     "budget_gb",
+    "keep_hours",
     "min_free_mb",
     "frames_every",
     "frames_format",
@@ -68,36 +71,37 @@ const MB: f64 = 1e6;
 const GB: f64 = 1e9;
 const MAX_MB: f64 = 1e9;
 const MAX_MINUTES: f64 = 1e6;
+const MAX_HOURS: f64 = 1e5;
 
 pub(super) fn recording(root: &Table<'_, '_>, folder: &Path) -> RecordingConfig {
     let default = RecordingConfig::default();
-    let default = RecordingConfig { folder: folder.join(&default.folder), ..default };
-    let Some(table) = root.table("recording", "[recording]", &KEYS) else { return default };
+    let table = root.section("recording", "[recording]", &KEYS);
     let size = |key, unit: f64, allowed: fn(f64) -> NumberRange, default: u64| {
         (table.number(key, allowed(MAX_MB * MB / unit), default as f64 / unit) * unit) as u64
     };
     let minutes = default.rotate_after.as_secs_f64() / 60.0;
     let minutes = table.number("rotate_minutes", NumberRange::PositiveUpTo(MAX_MINUTES), minutes);
+    let hours = default.keep.as_secs_f64() / 3600.0;
+    let hours = table.number("keep_hours", NumberRange::ZeroUpTo(MAX_HOURS), hours);
     let config = RecordingConfig {
         starts: table.flag("start").unwrap_or(default.starts),
-        folder: table.text("folder").map_or(default.folder, |name| folder.join(name)),
+        folder: table.text("folder").map_or(folder.join(&default.folder), |name| folder.join(name)),
         rotate_bytes: size("rotate_mb", MB, NumberRange::PositiveUpTo, default.rotate_bytes),
         rotate_after: Duration::from_secs_f64(minutes * 60.0),
         budget_bytes: size("budget_gb", GB, NumberRange::PositiveUpTo, default.budget_bytes),
+        keep: Duration::from_secs_f64(hours * 3600.0),
         min_free_bytes: size("min_free_mb", MB, NumberRange::ZeroUpTo, default.min_free_bytes),
         frames_every: table.whole("frames_every", 0..=1_000_000).unwrap_or(0) as u32,
         frames_format: table.choice("frames_format", &FORMATS).unwrap_or_default(),
     };
     if config.budget_bytes < 2 * config.rotate_bytes {
-        table.fail(
-            &table.span_of("budget_gb"),
-            format!(
-                "`budget_gb` must have room for two files of `rotate_mb` = {}, found {}: the one that is written and \
-                 one before it",
-                config.rotate_bytes as f64 / MB,
-                config.budget_bytes as f64 / GB
-            ),
+        let message = format!(
+            "`budget_gb` must allow two files of `rotate_mb` = {}, found {}: the one that is written and the one \
+             before it",
+            config.rotate_bytes as f64 / MB,
+            config.budget_bytes as f64 / GB
         );
+        table.fail("budget_gb", message, "");
     }
     config
 }

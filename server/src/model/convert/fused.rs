@@ -1,4 +1,4 @@
-//! Camera updates and configurations as recordings keep them.
+//! Converts camera updates and configurations to and from recordings.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use roundel_core::{
@@ -14,7 +14,7 @@ use crate::model::{
     hub::{Installation, MountInfo},
 };
 
-/// The configuration of a recording as it begins.
+/// The configuration at the start of a recording.
 pub fn recorded_configuration(
     installation: &Installation,
     text: &str,
@@ -30,7 +30,7 @@ pub fn recorded_configuration(
     }
 }
 
-/// One that fusion goes by from here on.
+/// A configuration that fusion applied during the recording.
 pub fn fused_configuration(
     installation: &Installation,
     written: &AppliedConfig,
@@ -44,13 +44,13 @@ pub fn fused_configuration(
     }
 }
 
-pub fn fused_camera(installation: &Installation, told: &CameraUpdate) -> v1::FusedCamera {
+pub fn fused_camera(installation: &Installation, update: &CameraUpdate) -> v1::FusedCamera {
     let mut message = v1::FusedCamera {
-        camera: installation.camera_name(told.camera).to_owned(),
-        number: told.camera.0,
+        camera: installation.camera_name(update.camera).to_owned(),
+        number: update.camera.0,
         ..v1::FusedCamera::default()
     };
-    match &told.change {
+    match &update.change {
         CameraChange::Removed => message.removed = true,
         CameraChange::Quarantined => message.place = v1::FusedPlace::Quarantined.into(),
         CameraChange::HoldBackExempt(is_exempt) => message.spared = Some(*is_exempt),
@@ -99,18 +99,18 @@ fn write_mounted_pose(
     }
 }
 
-/// The same, read from a recording; `None`: it says nothing that this version understands.
+/// `None` if this version does not understand the message.
 pub fn read_fused_camera(message: &v1::FusedCamera) -> Option<CameraUpdate> {
-    let told = |change| Some(CameraUpdate { camera: CameraId(message.number), change });
+    let update = |change| Some(CameraUpdate { camera: CameraId(message.number), change });
     if message.removed {
-        return told(CameraChange::Removed);
+        return update(CameraChange::Removed);
     }
     if let Some(is_exempt) = message.spared {
-        return told(CameraChange::HoldBackExempt(is_exempt));
+        return update(CameraChange::HoldBackExempt(is_exempt));
     }
     let place = match message.place() {
         v1::FusedPlace::Unspecified => None,
-        v1::FusedPlace::Quarantined => return told(CameraChange::Quarantined),
+        v1::FusedPlace::Quarantined => return update(CameraChange::Quarantined),
         v1::FusedPlace::Unknown => Some(CameraPose::Unknown),
         v1::FusedPlace::Stands => {
             let covariance = read_covariance(&message.covariance);
@@ -142,10 +142,10 @@ pub fn read_fused_camera(message: &v1::FusedCamera) -> Option<CameraUpdate> {
     if place.is_none() && clock.is_none() {
         return None;
     }
-    told(CameraChange::Set(Box::new(CameraModel { pose: place, clock })))
+    update(CameraChange::Set(Box::new(CameraModel { pose: place, clock })))
 }
 
-/// A recorded pose, bit for bit; `None` if something is missing or not finite.
+/// A recorded pose, exactly; `None` if something is missing or not finite.
 pub fn read_pose(pose: &v1::Pose) -> Option<Rigid> {
     let (position, turn) = (pose.position.as_ref()?, pose.orientation.as_ref()?);
     let numbers = [position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w];
@@ -157,7 +157,7 @@ pub fn read_pose(pose: &v1::Pose) -> Option<Rigid> {
     })
 }
 
-/// 21 numbers; all 0 if there are others.
+/// Zeros unless there are 21 numbers.
 pub fn read_covariance(triangle: &[f64]) -> Covariance6 {
     from_upper_triangle(triangle).unwrap_or_else(Covariance6::zeros)
 }

@@ -1,4 +1,4 @@
-//! What an installation consists of, by name. Cameras come and go; an id is never given twice.
+//! Names of an installation's cameras, kinds and objects. Ids are never reused.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -9,26 +9,25 @@ use roundel_core::{
 
 use super::CameraInfo;
 
-/// What is known of a server beside how it is doing. Cameras and objects come and go while a server runs.
 #[derive(Clone, Debug)]
 pub struct Installation {
     pub name: String,
-    /// Tells this run of this server from every other.
+    /// Identifies this run of this server.
     pub source_id: String,
     pub started: Timestamp,
     /// Snapshots a second.
     pub snapshot_rate_hz: f64,
-    /// In the order of the configuration, since those that are added go to its end.
+    /// In the order of the configuration.
     pub cameras: BTreeMap<CameraId, Arc<CameraInfo>>,
     /// Names of the kinds of roundel, by [`KindId`].
     pub kinds: Vec<String>,
-    /// Configured names of objects that are known by a whole kind, by that.
+    /// Names of the objects that are identified by their kind.
     pub object_names: BTreeMap<KindId, String>,
-    /// Configured names of all others, by [`BodyId`]; empty of one that was removed.
+    /// Names of all other objects, by [`BodyId`]; empty if removed.
     pub body_names: Vec<String>,
 }
 
-/// What an object of the configuration is known by.
+/// What identifies a configured object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ObjectKey {
     Kind(KindId),
@@ -53,10 +52,11 @@ impl Installation {
     }
 
     pub fn object_key(&self, name: &str) -> Option<ObjectKey> {
-        let kind = self.object_names.iter().find(|(_, known)| *known == name);
-        let body = || (0..).zip(&self.body_names).find(|(_, known)| *known == name);
-        kind.map(|(kind, _)| ObjectKey::Kind(*kind))
-            .or_else(|| body().map(|(index, _)| ObjectKey::Body(BodyId(index))))
+        if let Some((kind, _)) = self.object_names.iter().find(|(_, known)| *known == name) {
+            return Some(ObjectKey::Kind(*kind));
+        }
+        let index = self.body_names.iter().position(|known| known == name)?;
+        Some(ObjectKey::Body(BodyId(index as u32)))
     }
 
     /// The kind's name; empty for no kind.

@@ -1,7 +1,7 @@
-//! Objects of now and of the last minute, for whoever asks for a list.
+//! Objects of the newest snapshot and those lost within the last minute.
 //!
-//! Snapshots come many times a second, and of those who were lost there may be many: a snapshot touches only what is
-//! in it, and what has just left it.
+//! There may be many lost objects and many snapshots a second: a snapshot touches only its own objects and those that
+//! have just left.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -12,19 +12,15 @@ use roundel_core::{
     world::{LifeStage, ObjectState, Snapshot},
 };
 
-/// How long a lost object stays in the list of objects.
 const LOST_RETENTION_S: f64 = 60.0;
 
-/// An object as the list of objects shows it.
 #[derive(Clone, Debug)]
 pub struct ObjectRecord {
     pub id: ObjectId,
     pub kind: Option<KindId>,
-    /// Which body, if it is one.
     pub body: Option<BodyId>,
-    /// The code that it was seen with most of late.
+    /// The code read most often of late.
     pub code: Option<Code>,
-    /// In the newest snapshot, or Lost.
     pub stage: LifeStage,
     /// Capture time of the first detection.
     pub first_seen: Timestamp,
@@ -48,12 +44,11 @@ impl ObjectRecord {
     }
 }
 
-/// Objects of the newest snapshot, and those that were lost within the last minute.
 #[derive(Debug, Default)]
 pub(super) struct RecentObjects {
-    /// By id, as in the snapshot.
+    /// By id.
     present: Vec<ObjectRecord>,
-    /// In the order in which they were lost.
+    /// In the order of their loss.
     lost: VecDeque<ObjectRecord>,
 }
 
@@ -79,12 +74,11 @@ impl RecentObjects {
 
     pub fn all(&self) -> Vec<ObjectRecord> {
         let lost = self.lost.iter().map(|record| (record.id, record));
-        // One that has come back is present.
+        // A recovered object replaces its lost record.
         let present = self.present.iter().map(|record| (record.id, record));
         lost.chain(present).collect::<BTreeMap<_, _>>().into_values().cloned().collect()
     }
 
-    /// The one of them that was seen last.
     pub fn newest(&self, matches: impl Fn(&ObjectRecord) -> bool) -> Option<ObjectId> {
         let all = self.lost.iter().chain(&self.present).filter(|record| matches(record));
         all.max_by_key(|record| record.last_seen).map(|record| record.id)

@@ -21,7 +21,7 @@ fn hub() -> Hub {
 }
 
 #[test]
-fn a_slow_reader_finds_the_newest_snapshot_and_the_gap() {
+fn a_slow_reader_skips_to_the_newest_snapshot() {
     let hub = hub();
     let reader = hub.snapshots();
     for _ in 0..5 {
@@ -33,12 +33,11 @@ fn a_slow_reader_finds_the_newest_snapshot_and_the_gap() {
 #[test]
 fn events_are_neither_lost_nor_doubled_between_backlog_and_stream() {
     let hub = hub();
-    let kind = EventKind::CameraStatusChanged(CameraId(0), CameraStatus::Running);
-    for _ in 0..3 {
-        hub.publish_event(Timestamp::default(), kind, String::new());
-    }
+    let publish =
+        || hub.publish_event(Timestamp::default(), EventKind::CamerasAgree, String::new());
+    (0..3).for_each(|_| publish());
     let (backlog, mut stream) = hub.events(2);
-    hub.publish_event(Timestamp::default(), kind, String::new());
+    publish();
     assert_eq!(backlog.iter().map(|e| e.sequence).collect::<Vec<_>>(), [2, 3]);
     assert_eq!(stream.try_recv().unwrap().sequence, 4);
 }
@@ -54,7 +53,7 @@ fn a_picture_is_made_once_for_each_request() {
 }
 
 #[test]
-fn who_is_lost_is_listed_for_a_minute_or_until_it_is_back() {
+fn a_lost_object_is_listed_for_a_minute_or_until_it_is_recovered() {
     let hub = hub();
     let listed = |second: i64, ids: &[u64]| {
         let state = |&object_id: &u64| v1::ObjectState {

@@ -1,11 +1,8 @@
-//! Where the board has been, as a few lines of text below the spinner.
+//! Renders the coverage of the picture as text below the spinner.
 
 use roundel_core::calib::lens::{Coverage, Side, VISITED, ZONES};
 
-/// A zone of the picture where the board has been often enough, where it was seen, and where it was not.
-const ZONE: [&str; 3] = ["███", "▒▒▒", "···"];
-
-/// The picture's zones, and beside them which sides of the board were nearer to the camera than the other.
+/// The picture's zones, and beside them the sides of the board that have been tilted towards the camera.
 pub(super) fn render(coverage: &Coverage) -> String {
     let side = |wanted: Side| {
         let is_done = coverage.sides().iter().any(|&(side, is_done)| side == wanted && is_done);
@@ -19,9 +16,9 @@ pub(super) fn render(coverage: &Coverage) -> String {
     let rows = coverage.zones().chunks(ZONES.0).zip(nearer);
     let row = |(zones, nearer): (&[usize], String)| {
         let zone = |&count: &usize| match count {
-            0 => ZONE[2],
-            1..VISITED => ZONE[1],
-            _ => ZONE[0],
+            0 => "···",
+            1..VISITED => "▒▒▒",
+            _ => "███",
         };
         let zones: Vec<&str> = zones.iter().map(zone).collect();
         format!("  {}   {nearer}", zones.join(" "))

@@ -1,5 +1,5 @@
-//! Views of the board out of image files. What cannot be looked at is named and left out, and so are pictures of another
-//! size than most, whichever comes first.
+//! Views of the board from image files. Unreadable files are reported and left out, and so are pictures that do not have the
+//! most frequent size.
 
 use std::path::{Path, PathBuf};
 
@@ -11,35 +11,36 @@ use super::views::{BoardViews, ViewOptions};
 use crate::{
     capture::{
         image_file::{self, ImageError},
-        source::image_files,
+        source::image_list::list_files,
     },
-    lab::lens::board_search::{BoardSearch, CollectedViews},
+    lab::lens::board_search::BoardSearch,
+    model::stop::StopSignal,
 };
 
-/// What plays a video, if this program cannot.
+/// Added to the hint for videos if this build cannot play them.
 const PLAYER: &str = if cfg!(feature = "gst") {
     ""
 } else {
-    ", in a roundel that was built with GStreamer (`cargo build --release -p roundel-server --features gst`)"
+    ", with a build that has GStreamer (`cargo build --release -p roundel-server --features gst`)"
 };
 
 /// The pictures of one size.
 struct SameSizeImages {
     size: (usize, usize),
-    /// In order, with what became of each.
+    /// In order, with their verdicts.
     files: Vec<(PathBuf, Verdict)>,
     search: BoardSearch,
 }
 
 impl SameSizeImages {
-    /// Files of the views that were taken, in their order.
+    /// Files of the views, in their order.
     fn taken(&self) -> Vec<PathBuf> {
         let taken = self.files.iter().filter(|(_, verdict)| *verdict == Verdict::Taken);
         taken.map(|(file, _)| file.clone()).collect()
     }
 
-    /// Those that were not, and why.
-    fn out(&self) -> Vec<(PathBuf, String)> {
+    /// The other files, and why they were left out.
+    fn left_out(&self) -> Vec<(PathBuf, String)> {
         let taken = self.taken();
         let why = |verdict: Verdict| match verdict {
             Verdict::Taken => None,
@@ -49,7 +50,8 @@ impl SameSizeImages {
             }
             Verdict::Moving => Some("in motion".to_owned()),
             Verdict::Alike(like) => {
-                Some(format!("like {}", taken.get(like).map_or(String::new(), |it| shown(it))))
+                let file = taken.get(like).map(|file| file.display().to_string());
+                Some(format!("like {}", file.unwrap_or_default()))
             }
             Verdict::OtherBoard(columns, rows) => {
                 Some(format!("of a board of {columns} x {rows} or more"))
@@ -60,68 +62,64 @@ impl SameSizeImages {
     }
 }
 
-fn shown(path: &Path) -> String {
-    path.display().to_string()
-}
-
-/// Looks at all files of folders and patterns.
+/// Searches all files of the given folders and patterns.
 pub(super) fn collect_views(
     patterns: &[String],
     views: &ViewOptions<'_>,
 ) -> anyhow::Result<BoardViews> {
-    // What this program cannot look for at all is told before any file.
-    BoardSearch::new(views.sought, false)?;
+    // Rejects an unsupported target before any file is read.
+    BoardSearch::new(views.target, false)?;
     let mut files = Vec::new();
     for pattern in patterns {
-        files.extend(image_files(pattern).map_err(anyhow::Error::msg)?);
+        files.extend(list_files(pattern, &StopSignal::default())?);
     }
     let is_one = files.len() == 1;
     let bar = ProgressBar::new(files.len() as u64);
-    let (mut groups, mut out) = (Vec::<SameSizeImages>::new(), Vec::new());
+    let (mut groups, mut left_out) = (Vec::<SameSizeImages>::new(), Vec::new());
     for file in files {
         bar.inc(1);
-        let looked = add_image(&mut groups, &file, views)?;
-        match looked {
+        match add_image(&mut groups, &file, views)? {
             Ok(true) => break,
             Ok(false) => {}
             Err(why) if is_one => bail!(why),
             Err(why) => {
                 bar.suspend(|| eprintln!("left out: {why}"));
-                out.push((file, why));
+                left_out.push((file, why));
             }
         }
     }
     bar.finish_and_clear();
-    let most = groups.iter().map(|group| group.files.len()).max();
-    let Some(chosen) = groups.iter().position(|group| Some(group.files.len()) == most) else {
-        bail!("no picture is left of {}: what is wrong with each is said above", out.len());
+    let largest = groups.iter().map(|group| group.files.len()).max();
+    let Some(chosen) = groups.iter().position(|group| Some(group.files.len()) == largest) else {
+        bail!("none of the {} files can be used: see the errors above", left_out.len());
     };
     let chosen = groups.swap_remove(chosen);
     let (width, height) = chosen.size;
     for SameSizeImages { size, files, .. } in &groups {
         for (file, _) in files {
             let why = format!(
-                "expected {width} x {height} pixels as most have, found {} x {}: pictures of one camera have one size",
+                "expected {width} x {height} pixels as in most pictures, found {} x {}: all pictures of a camera must have \
+                 the same size",
                 size.0, size.1
             );
             eprintln!("left out: {}: {why}", file.display());
-            out.push((file.clone(), why));
+            left_out.push((file.clone(), why));
         }
     }
-    let left_out = out.len();
-    let (taken, left) = (chosen.taken(), chosen.out());
-    let Some(gathered) = chosen.search.into_gathered() else { bail!("no picture came") };
+    let files_left_out = left_out.len();
+    let (taken, without_view) = (chosen.taken(), chosen.left_out());
+    let Some(gathered) = chosen.search.into_gathered() else { bail!("no picture arrived") };
     if let Some(error) = gathered.other_print(true) {
         return Err(error.into());
     }
-    for (file, why) in &left {
+    for (file, why) in &without_view {
         eprintln!("left out: {}: {why}", file.display());
     }
-    out.extend(left);
-    Ok(BoardViews { gathered, left_out, taken, out })
+    left_out.extend(without_view);
+    Ok(BoardViews { gathered, files_left_out, taken, left_out })
 }
 
-/// Looks at one: whether there is enough, or why it is left out.
+/// Searches one file. Returns whether there are enough views, or why the file is left out.
 fn add_image(
     groups: &mut Vec<SameSizeImages>,
     file: &Path,
@@ -136,26 +134,22 @@ fn add_image(
         Err(error) => return Ok(Err(format!("{}: {error}", file.display()))),
     };
     let size = (image.width, image.height);
-    let place = match groups.iter().position(|group| group.size == size) {
-        Some(place) => place,
-        None => {
-            let search = BoardSearch::new(views.sought, false)?;
-            groups.push(SameSizeImages { size, files: Vec::new(), search });
-            groups.len() - 1
-        }
-    };
-    let group = &mut groups[place];
+    let known = groups.iter().position(|group| group.size == size);
+    if known.is_none() {
+        let search = BoardSearch::new(views.target, false)?;
+        groups.push(SameSizeImages { size, files: Vec::new(), search });
+    }
+    let index = known.unwrap_or(groups.len() - 1);
+    let group = &mut groups[index];
     let (verdict, _) = group.search.look(&frame)?;
     group.files.push((file.to_path_buf(), verdict));
-    let taken = |gathered: &CollectedViews| gathered.chooser.taken().len();
-    Ok(Ok(group.search.gathered().map_or(0, taken) >= views.most))
+    Ok(Ok(group.search.gathered().is_some_and(|it| it.chooser.taken().len() >= views.max_views)))
 }
 
-/// Why a file is no picture; a video is a source.
 fn describe_error(error: &ImageError) -> String {
     match error {
         ImageError::Video { path, .. } => {
-            format!("{error}; a video is given as `file:{}`{PLAYER}", path.display())
+            format!("{error}; open a video as `file:{}`{PLAYER}", path.display())
         }
         _ => error.to_string(),
     }

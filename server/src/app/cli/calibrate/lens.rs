@@ -1,32 +1,30 @@
-//! `roundel calibrate lens`: a camera file from views of the printed board, or from a recording ([`super::moving`]).
+//! `roundel calibrate lens`: a camera file from views of a board, or from a recording ([`super::moving`]).
 
 use std::{
-    fmt::Write as _,
-    io::Write as _,
+    fmt::{Display, Write as _},
     path::{Path, PathBuf},
     process::ExitCode,
 };
 
 use anyhow::{Context, bail};
-use clap::{Args, ValueEnum};
+use clap::Args;
 use roundel_core::{
     calib::lens::{LensCalibration, Model, STRONG, calibrate},
     marker::{CodeLayout, Pattern},
-    plan::precision::LensDoubt,
 };
 use serde_json::{Value, json};
 
 use super::{
-    Format, files, output,
+    files, output,
     views::{self, BoardViews, ViewOptions},
 };
 use crate::{
-    app::cli::size,
+    app::cli::{Format, print, size, words},
     lab::{
         lens::{
-            board_search::CalibrationTarget,
+            board_search::{CalibrationTarget, CollectedViews},
             chessboard::{self, Chessboard},
-            report::{parameters, width_doubt},
+            report::{camera_file, parameters, width_doubt},
         },
         print::{
             BOARD_LAYOUT, PrintJob, codes,
@@ -34,16 +32,15 @@ use crate::{
         },
     },
     model::address::SourceAddress,
-    model::camera_file,
 };
 
-/// Find a lens: focal length, principal point and distortion, from views of the printed board, or from a recording of
-/// robots that other cameras saw as well.
+/// Calibrate a lens (focal length, principal point, distortion) from views of a printed board, or from a recording of
+/// robots that other cameras saw too.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     roundel print --board 7x5 board.pdf\n  \
     roundel calibrate lens --output north.yaml v4l2:/dev/video0\n      \
-    move the board before the camera\n  \
+    move the board in front of the camera\n  \
     roundel calibrate lens --output north.yaml --size 1920x1080 v4l2:/dev/video0\n  \
     roundel calibrate lens --output north.yaml http://10.0.0.2:81/stream\n  \
     roundel calibrate lens --output north.yaml views/\n      \
@@ -51,61 +48,61 @@ use crate::{
     roundel calibrate lens --output north.yaml --board chessboard:9x6:25 views/\n  \
     roundel calibrate lens --output north.yaml --board charuco:10x7:25:18:DICT_4X4_50 views/\n  \
     roundel calibrate lens --output north.yaml --from-recording run.mcap --camera north\n\n\
-    Good views are chosen by themselves: the board held still for a moment, near and far, in the middle and in every \
-    corner, tilted to each side by 20° to 45°. Fix the print to something flat. It ends when nothing is missing, after \
-    --views views, or with Ctrl-C, which takes what there is.\n\n\
-    From a recording that a server has made (`roundel record`), without a board: where the other cameras had the coded \
-    roundels of moving robots is held against where this one saw them. The arena must be calibrated, and the camera must \
-    stand still; its own file and pose are not asked.")]
+    Fix the print to something flat. Hold the board still for a moment, near and far, in the middle and in every corner of \
+    the picture, tilted to each side by 20° to 45°; good views are selected automatically. The command ends when no view is \
+    missing, after --views views, or with Ctrl-C, which uses the views taken so far.\n\n\
+    A recording made by a server (`roundel record`) needs no board: the sightings of coded roundels on moving robots are \
+    matched to their trajectories from the other cameras. The arena must be calibrated, and the camera must stand still; \
+    its own camera file and pose are not used.")]
 pub(super) struct LensArgs {
     /// A source as in a configuration (images:, http:, v4l2:, rtsp:, file:, …), a folder, or image files
     #[arg(required_unless_present = "from_recording", value_name = "SOURCE")]
     sources: Vec<String>,
-    /// A recording in which other cameras saw coded roundels that this one saw
+    /// A recording in which other cameras saw the same coded roundels
     #[arg(
         long,
         value_name = "FILE.mcap",
         requires = "camera",
         conflicts_with_all = ["sources", "board", "marker", "pitch", "code", "views", "size"]
     )]
-    from_recording: Option<PathBuf>,
-    /// The camera of the recording whose lens is wanted
+    pub(super) from_recording: Option<PathBuf>,
+    /// Camera of the recording to calibrate
     #[arg(long, value_name = "NAME", requires = "from_recording", conflicts_with = "sources")]
-    camera: Option<String>,
+    pub(super) camera: Option<String>,
     /// The printed board: columns and rows of roundels; or chessboard:COLUMNSxROWS:SQUARE_MM by its inner corners, or
     /// charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM:DICTIONARY by its squares
     #[arg(long, value_name = "COLUMNSxROWS", value_parser = parse_board, default_value = "7x5")]
     board: BoardArg,
-    /// Its roundels' outer diameter, millimetres, as measured on the print [default: 30]
+    /// Outer diameter of its roundels, millimetres, as measured on the print [default: 30]
     #[arg(long, value_name = "OUTER_MM", value_parser = spec::diameters, allow_hyphen_values = true)]
     marker: Option<Diameters>,
-    /// From centre to centre, millimetres, as measured on the print [default: 1.2 of the outer diameter]
+    /// Distance from centre to centre, millimetres, as measured on the print [default: 1.2 of the outer diameter]
     #[arg(long, value_name = "MM", allow_negative_numbers = true)]
     pitch: Option<f64>,
-    /// Its codes [default: 9]
+    /// Codes of its roundels [default: 9]
     #[arg(long, value_name = "BITS[:DISTANCE]", value_parser = spec::code)]
     code: Option<CodeLayout>,
-    /// The distortion model [default: the one that the views speak for]
-    #[arg(long, value_enum)]
-    model: Option<ModelArg>,
-    /// Most views that are used
+    /// Distortion model [default: selected automatically]
+    #[arg(long, value_parser = words(&MODELS))]
+    pub(super) model: Option<Model>,
+    /// Maximum number of views to use
     #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u16).range(5..=500))]
     views: u16,
-    /// Size of the pictures that is asked of a camera [default: 1280x720, or what it gives]
+    /// Picture size to request from a camera [default: 1280x720, or what it delivers]
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
     size: Option<(usize, usize)>,
     /// The camera's name in the file [default: the file's, or the recorded camera's]
     #[arg(long)]
     name: Option<String>,
-    /// Where the camera_info YAML is written, what was there is kept as FILE.previous.yaml; without it, it is only shown
+    /// Camera file to write (camera_info YAML); an existing file is kept as FILE.previous.yaml. Without it, the lens is
+    /// only printed
     #[arg(long, short, value_name = "FILE.yaml")]
-    output: Option<PathBuf>,
-    /// How to print the report
+    pub(super) output: Option<PathBuf>,
+    /// Format of the report
     #[arg(long, value_enum, default_value_t = Format::Table)]
-    format: Format,
+    pub(super) format: Format,
 }
 
-/// A board as it is described.
 #[derive(Clone, Debug, PartialEq)]
 enum BoardArg {
     Roundels((usize, usize)),
@@ -117,72 +114,43 @@ fn parse_board(text: &str) -> Result<BoardArg, String> {
         Some(board) => board.map(BoardArg::Chessboard),
         None => spec::sides(text).map(BoardArg::Roundels).map_err(|error| {
             format!(
-                "{error}; boards of other tools are described as chessboard:9x6:25 or charuco:10x7:25:18:DICT_4X4_50"
+                "{error}; for boards of other tools, use chessboard:9x6:25 or charuco:10x7:25:18:DICT_4X4_50"
             )
         }),
     }
 }
 
-/// Words for distortion models.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-#[value(rename_all = "snake_case")]
-enum ModelArg {
-    /// k1 k2 p1 p2 k3
-    PlumbBob,
-    /// k1 k2 p1 p2 k3 k4 k5 k6
-    RationalPolynomial,
-    /// k1 k2 k3 k4, for fisheyes
-    Equidistant,
-}
+const MODELS: [(&str, Model, &str); 3] = [
+    ("plumb_bob", Model::PlumbBob, "k1 k2 p1 p2 k3"),
+    ("rational_polynomial", Model::Rational, "k1 k2 p1 p2 k3 k4 k5 k6"),
+    ("equidistant", Model::Equidistant, "k1 k2 k3 k4, for fisheyes"),
+];
 
-impl LensArgs {
-    /// The recording and its camera, if the lens is calibrated from one.
-    pub(super) fn recorded_camera(&self) -> Option<(&Path, &str)> {
-        Some((self.from_recording.as_deref()?, self.camera.as_deref()?))
-    }
-
-    pub(super) fn output(&self) -> Option<&Path> {
-        self.output.as_deref()
-    }
-
-    pub(super) fn model(&self) -> Option<Model> {
-        self.model.map(|word| match word {
-            ModelArg::PlumbBob => Model::PlumbBob,
-            ModelArg::RationalPolynomial => Model::Rational,
-            ModelArg::Equidistant => Model::Equidistant,
-        })
-    }
-
-    pub(super) fn format(&self) -> Format {
-        self.format
-    }
-}
-
-/// Chooses views, solves, writes the file, and prints the report.
 pub(super) fn run(arguments: &LensArgs) -> anyhow::Result<ExitCode> {
-    let sought = calibration_target(arguments)?;
-    let most = usize::from(arguments.views);
-    let mut views_found = collect_views(
-        &arguments.sources,
-        &ViewOptions { sought: &sought, most, size: arguments.size },
-    )?;
-    let gathered = &views_found.gathered;
-    let taken = gathered.chooser.taken();
-    let found = calibrate(gathered.chooser.target(), gathered.size, taken, arguments.model())
-        .with_context(|| {
-            format!("no lens was found: {}{}", views_found.summary(), hint(&sought, &views_found))
-        })?;
-    views_found.add_left_out(&found);
+    let target = calibration_target(arguments)?;
+    let max_views = usize::from(arguments.views);
+    let options = ViewOptions { target: &target, max_views, size: arguments.size };
+    let mut views_found = collect_views(&arguments.sources, &options)?;
+    let CollectedViews { chooser, size, .. } = &views_found.gathered;
+    let found = calibrate(chooser.target(), *size, chooser.taken(), arguments.model);
+    let found = found.with_context(|| {
+        format!("no lens was found: {}{}", views_found.summary(), hint(&target, &views_found))
+    })?;
+    for (file, view) in views_found.taken.iter().zip(&found.views) {
+        if let Err(why) = view {
+            eprintln!("left out: {}: {why}", file.display());
+            views_found.left_out.push((file.clone(), why.to_string()));
+        }
+    }
     let text = match arguments.format {
         Format::Json => format!("{}\n", report_of_views(&found, &views_found)),
         Format::Table => table(&found, &views_found)?,
     };
-    let file = arguments.output.as_deref().map(stem).unwrap_or_default();
-    write_results(arguments, &found, &file, &text)?;
+    let stem = arguments.output.as_deref().and_then(Path::file_stem).unwrap_or_default();
+    write_results(arguments, &found, &stem.to_string_lossy(), &text)?;
     Ok(ExitCode::SUCCESS)
 }
 
-/// Searches every picture, or a stream until it ends, there are enough views, or Ctrl-C.
 fn collect_views(sources: &[String], options: &ViewOptions<'_>) -> anyhow::Result<BoardViews> {
     let mut patterns = Vec::new();
     for source in sources {
@@ -191,20 +159,15 @@ fn collect_views(sources: &[String], options: &ViewOptions<'_>) -> anyhow::Resul
             continue;
         }
         match SourceAddress::parse(source, Path::new(""))? {
-            // Without a rate nobody says that one was taken right after the other: a board that is elsewhere in the
-            // next one has not moved.
+            // Images without a rate are not consecutive frames, so a different position of the board is not motion.
             SourceAddress::Images(images) if !images.is_timed() => patterns.push(images.pattern),
             address if sources.len() == 1 => {
                 let gathered = views::collect_from_stream(source, &address, options)?;
-                return Ok(BoardViews {
-                    gathered,
-                    left_out: 0,
-                    taken: Vec::new(),
-                    out: Vec::new(),
-                });
+                let (taken, left_out) = (Vec::new(), Vec::new());
+                return Ok(BoardViews { gathered, files_left_out: 0, taken, left_out });
             }
             _ => bail!(
-                "one source at a time: {source} is looked at by itself; files and folders may be several"
+                "expected a single source: {source} cannot be combined with others; only files and folders can"
             ),
         }
     }
@@ -212,7 +175,7 @@ fn collect_views(sources: &[String], options: &ViewOptions<'_>) -> anyhow::Resul
     files::collect_views(&patterns, options)
 }
 
-/// Writes the file if one is wanted, and prints the report, whatever becomes of the other.
+/// Writes the file, if one is requested, and prints the report even if that fails.
 pub(super) fn write_results(
     arguments: &LensArgs,
     found: &LensCalibration,
@@ -220,19 +183,10 @@ pub(super) fn write_results(
     report: &str,
 ) -> anyhow::Result<()> {
     let written = arguments.output.as_ref().map_or(Ok(()), |file| {
-        let name = arguments.name.as_deref().unwrap_or(name);
-        let doubt =
-            LensDoubt { free: found.model.free().to_vec(), covariance: found.covariance.clone() };
-        output::write(file, &camera_file::write_with_uncertainty(name, &found.camera, Some(&doubt)))
+        output::write(file, &camera_file(arguments.name.as_deref().unwrap_or(name), found))
     });
-    std::io::stdout()
-        .write_all(report.as_bytes())
-        .context("cannot write to the standard output")?;
+    print(report)?;
     written
-}
-
-fn stem(file: &Path) -> String {
-    file.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 fn calibration_target(arguments: &LensArgs) -> anyhow::Result<CalibrationTarget> {
@@ -245,8 +199,8 @@ fn calibration_target(arguments: &LensArgs) -> anyhow::Result<CalibrationTarget>
         BoardArg::Chessboard(board) => {
             if marker.is_some() || pitch.is_some() || code.is_some() {
                 bail!(
-                    "--marker, --pitch and --code describe a board of roundels; a chessboard's squares are described in \
-                     --board, such as chessboard:9x6:25"
+                    "--marker, --pitch and --code apply only to boards of roundels; --board describes the squares of a \
+                     chessboard, such as chessboard:9x6:25"
                 );
             }
             Ok(CalibrationTarget::Chessboard(board.clone()))
@@ -254,27 +208,27 @@ fn calibration_target(arguments: &LensArgs) -> anyhow::Result<CalibrationTarget>
     }
 }
 
-/// What may be wrong where there is no view at all: nothing of a board is found where anything of its description is wrong.
-fn hint(sought: &CalibrationTarget, BoardViews { gathered, .. }: &BoardViews) -> String {
+/// Suggests why no view was taken. A board is not found if any part of its description is wrong.
+fn hint(target: &CalibrationTarget, BoardViews { gathered, .. }: &BoardViews) -> String {
     let is_nowhere = gathered.without_board == gathered.frames;
-    match sought {
+    match target {
         CalibrationTarget::Roundels(board) if is_nowhere => {
             let codes = match board.kind().pattern {
                 Pattern::Coded(layout) => format!(" with {}", codes(layout)),
                 _ => String::new(),
             };
-            let (columns, rows) = (board.columns(), board.rows());
             format!(
-                " (is it the board of {columns} x {rows} roundels{codes} (see its foot), lit, and large enough in the \
-                 picture?)"
+                " (is it the board of {} x {} roundels{codes} (see its footer), lit, and large enough in the picture?)",
+                board.columns(),
+                board.rows()
             )
         }
         CalibrationTarget::Chessboard(Chessboard { markers: Some(_), .. }) if is_nowhere => {
             " (are these its counts of squares and its dictionary, and is the square at the top left black?)".to_owned()
         }
         _ if gathered.moving > 0 && gathered.chooser.taken().is_empty() => {
-            " (hold the board still for a moment at each place; photographs that do not follow one another in time are \
-             given as a folder or as files)"
+            " (hold the board still for a moment at each place; pass photographs that are not consecutive frames as a \
+             folder or as files)"
                 .to_owned()
         }
         _ => String::new(),
@@ -282,29 +236,29 @@ fn hint(sought: &CalibrationTarget, BoardViews { gathered, .. }: &BoardViews) ->
 }
 
 fn report_of_views(found: &LensCalibration, views_found: &BoardViews) -> Value {
-    let BoardViews { gathered, left_out, taken, out } = views_found;
+    let BoardViews { gathered, files_left_out, taken, left_out } = views_found;
     let points = gathered.chooser.target().points();
     let views: Vec<_> = found
         .views
         .iter()
         .enumerate()
         .map(|(index, view)| {
-            let mut told = match view {
+            let mut report = match view {
                 Ok(view) => json!({"rms_px": view.rms_px, points: view.roundels}),
                 Err(why) => json!({"left_out": why.to_string()}),
             };
             if let Some(file) = taken.get(index) {
-                told["file"] = json!(file);
+                report["file"] = json!(file);
             }
-            told
+            report
         })
         .collect();
     let mut report = report(found);
     report["views"] = json!(views);
     report["frames"] = json!(gathered.frames);
-    report["files_left_out"] = json!(left_out);
+    report["files_left_out"] = json!(files_left_out);
     let of_file = |(file, why): &(PathBuf, String)| json!({"file": file, "why": why});
-    report["left_out"] = json!(out.iter().map(of_file).collect::<Vec<_>>());
+    report["left_out"] = json!(left_out.iter().map(of_file).collect::<Vec<_>>());
     report["coverage"] = json!(gathered.chooser.coverage().share());
     report["width"] = found.width.map_or(Value::Null, |width| {
         json!({
@@ -318,7 +272,7 @@ fn report_of_views(found: &LensCalibration, views_found: &BoardViews) -> Value {
     report
 }
 
-/// The lens, and what speaks for it.
+/// The lens and the comparison of distortion models.
 pub(super) fn report(found: &LensCalibration) -> Value {
     let intrinsics = found.camera.intrinsics();
     let parameters: serde_json::Map<String, Value> = parameters(found)
@@ -364,29 +318,30 @@ fn table(found: &LensCalibration, views_found: &BoardViews) -> anyhow::Result<St
         writeln!(text, "Warning: {doubt}")?;
     }
     write_evidence(&mut text, found)?;
-    let wants = gathered.chooser.coverage().wants();
-    if !wants.is_empty() {
-        writeln!(text, "It would be known better with:")?;
-        for want in wants {
-            writeln!(text, "  {want}")?;
-        }
-    }
+    write_missing(&mut text, &gathered.chooser.coverage().wants())?;
     Ok(text)
 }
 
-/// What speaks against each model, a line a model.
+/// The views or sightings that would improve the lens.
+pub(super) fn write_missing(text: &mut String, missing: &[impl Display]) -> std::fmt::Result {
+    if !missing.is_empty() {
+        writeln!(text, "To improve the lens, add:")?;
+    }
+    missing.iter().try_for_each(|missing| writeln!(text, "  {missing}"))
+}
+
+/// A line for each distortion model with the evidence against it.
 pub(super) fn write_evidence(text: &mut String, found: &LensCalibration) -> std::fmt::Result {
     if found.evidence.len() < 2 {
         return Ok(());
     }
     writeln!(
         text,
-        "Evidence against each model (Schwarz's criterion less the least; {STRONG} is strong, and of those below the simplest \
-         is taken):"
+        "Distortion models (BIC above the lowest; the simplest model below {STRONG} is selected):"
     )?;
     for evidence in &found.evidence {
         let model = format!("{} ({})", evidence.model.ros_name(), evidence.model.names().join(" "));
-        let taken = if evidence.model == found.model { "  taken" } else { "" };
+        let taken = if evidence.model == found.model { "  selected" } else { "" };
         writeln!(
             text,
             "  {model:45} {:>9.1}  rms {:.3} px{taken}",
@@ -396,7 +351,7 @@ pub(super) fn write_evidence(text: &mut String, found: &LensCalibration) -> std:
     Ok(())
 }
 
-/// The lens, a line a parameter.
+/// A line for each parameter of the lens.
 pub(super) fn write_parameters(text: &mut String, found: &LensCalibration) -> std::fmt::Result {
     writeln!(text, "{} ({})", found.model.ros_name(), found.model.names().join(" "))?;
     for (name, value, sd) in parameters(found) {

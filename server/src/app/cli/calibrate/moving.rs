@@ -1,41 +1,35 @@
-//! A lens out of a recording: what one camera saw of robots, held against where the others had them.
+//! A lens from a recording: one camera's sightings of coded roundels, matched to trajectories from the other cameras.
 
 use std::{fmt::Write as _, path::Path, process::ExitCode, time::Duration};
 
 use anyhow::Context;
-use indicatif::{ProgressBar, ProgressStyle};
 use roundel_core::calib::lens::moving::{MovingLens, Seen, calibrate};
 use serde_json::json;
 
-use super::{
-    Format,
-    lens::{self, LensArgs},
+use super::lens::{self, LensArgs};
+use crate::{
+    app::cli::{Format, progress_bar},
+    archive::replay::correspondences::{Correspondences, correspondences},
 };
-use crate::archive::replay::correspondences::{Correspondences, correspondences};
 
-/// The spinner turns so often while all is solved together.
-const TICK: Duration = Duration::from_millis(200);
-
-/// Solves, writes the file, and prints the report.
 pub(super) fn run(arguments: &LensArgs, file: &Path, camera: &str) -> anyhow::Result<ExitCode> {
-    let bar = ProgressBar::new_spinner();
-    bar.set_style(ProgressStyle::with_template("{spinner} {msg}")?);
+    let bar = progress_bar(None, "{spinner} {msg}")?;
     let correspondences = correspondences(file, camera, |seconds| {
-        bar.set_message(format!("fusing what the others saw: {seconds:.1} s"));
+        bar.set_message(format!("fusing the other cameras' observations: {seconds:.1} s"));
         bar.tick();
     })?;
     let Correspondences { size, ways, glimpses, clock, damage, .. } = &correspondences;
     for sentence in damage {
-        bar.suspend(|| eprintln!("{}: not whole: {sentence}", file.display()));
+        bar.suspend(|| eprintln!("{}: damaged: {sentence}", file.display()));
     }
     bar.set_message(format!("solving: {} sightings", glimpses.len()));
-    bar.enable_steady_tick(TICK);
+    bar.enable_steady_tick(Duration::from_millis(200));
     let seen = Seen { size: *size, ways, glimpses, clock: *clock };
-    let found = calibrate(&seen, arguments.model());
+    let found = calibrate(&seen, arguments.model);
     bar.finish_and_clear();
     let found = found
         .with_context(|| format!("no lens was found: {}", summary(camera, &correspondences)))?;
-    let text = match arguments.format() {
+    let text = match arguments.format {
         Format::Json => format!("{}\n", report(&found, &correspondences)),
         Format::Table => table(&found, &summary(camera, &correspondences))?,
     };
@@ -46,7 +40,7 @@ pub(super) fn run(arguments: &LensArgs, file: &Path, camera: &str) -> anyhow::Re
 fn summary(camera: &str, correspondences: &Correspondences) -> String {
     let Correspondences { ways, glimpses, frames, unmatched, .. } = correspondences;
     format!(
-        "{frames} frames of \"{camera}\", {} sightings of {} roundels that others saw, {unmatched} of what nobody else saw",
+        "{frames} frames of \"{camera}\", {} sightings of {} roundels that other cameras saw, {unmatched} of other roundels",
         glimpses.len(),
         ways.len()
     )
@@ -78,13 +72,13 @@ fn report(found: &MovingLens, correspondences: &Correspondences) -> serde_json::
     report
 }
 
-fn table(found: &MovingLens, told: &str) -> anyhow::Result<String> {
+fn table(found: &MovingLens, summary: &str) -> anyhow::Result<String> {
     let mut text = String::new();
     let [nearest_m, farthest_m] = found.depths_m;
-    writeln!(text, "{told}")?;
+    writeln!(text, "{summary}")?;
     writeln!(
         text,
-        "{} sightings used, {} left out, {nearest_m:.2} to {farthest_m:.2} m before the camera; rms {:.3} px; {} % of the \
+        "{} sightings used, {} left out, {nearest_m:.2} to {farthest_m:.2} m from the camera; rms {:.3} px; {} % of the \
          picture covered",
         found.sightings,
         found.lens.outliers,
@@ -100,7 +94,7 @@ fn table(found: &MovingLens, told: &str) -> anyhow::Result<String> {
     };
     writeln!(
         text,
-        "it stands at ({:.4}, {:.4}, {:.4}) m ± {:.1} mm, turned ± {:.3}°; its stamps are {:.2} ± {:.2} ms late",
+        "position ({:.4}, {:.4}, {:.4}) m ± {:.1} mm, rotation ± {:.3}°; time stamps {:.2} ± {:.2} ms late",
         place.x,
         place.y,
         place.z,
@@ -109,11 +103,6 @@ fn table(found: &MovingLens, told: &str) -> anyhow::Result<String> {
         found.offset_s.0 * 1e3,
         found.offset_s.1 * 1e3
     )?;
-    if !found.missing.is_empty() {
-        writeln!(text, "It would be known better with:")?;
-        for missing in &found.missing {
-            writeln!(text, "  {missing}")?;
-        }
-    }
+    lens::write_missing(&mut text, &found.missing)?;
     Ok(text)
 }

@@ -1,5 +1,4 @@
-//! Where a camera file goes: looked at before anything is opened, since nobody wants to wave a board for minutes for a
-//! folder that is not there. What is replaced is kept beside it.
+//! Writes the camera file. The path is checked before a camera is opened, and a replaced file is kept under another name.
 
 use std::{
     ffi::OsString,
@@ -9,9 +8,9 @@ use std::{
 
 use anyhow::{Context, bail};
 
-use crate::app::cli::check_writable;
+use crate::{app::cli::check_writable, model::text_file};
 
-/// Whether a file can be written there; leaves everything as it is.
+/// Checks whether a file can be written there, without changing anything.
 pub(super) fn check(path: &Path) -> anyhow::Result<()> {
     let shown = path.display();
     if path.is_dir() {
@@ -21,36 +20,39 @@ pub(super) fn check(path: &Path) -> anyhow::Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
         bail!(
-            "--output {shown}: there is no folder {}: make it, or name another file",
+            "--output {shown}: there is no folder {}: create it, or name another file",
             folder.display()
         );
     }
-    let kept = path.is_file().then(|| beside(path));
+    let kept = path.is_file().then(|| previous_path(path));
     let writable =
         check_writable(path).and_then(|()| kept.as_deref().map_or(Ok(()), check_writable));
     writable.with_context(|| format!("--output {shown} cannot be written"))
 }
 
-/// Writes it; what was there is kept under another name. Says on stderr what was done.
+/// Writes the file, keeps an existing one under another name, and reports both on stderr.
 pub(super) fn write(path: &Path, text: &str) -> anyhow::Result<()> {
-    let kept = path.is_file().then(|| beside(path));
+    let kept = path.is_file().then(|| previous_path(path));
     if let Some(kept) = &kept {
         fs::copy(path, kept).with_context(|| {
-            format!("{} was not replaced: it cannot be kept as {}", path.display(), kept.display())
+            format!("{} was not replaced: cannot keep it as {}", path.display(), kept.display())
         })?;
     }
-    fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))?;
+    // A pipe or a terminal cannot be replaced.
+    let is_special = path.exists() && !path.is_file();
+    let written = if is_special { fs::write(path, text) } else { text_file::replace(path, text) };
+    written.with_context(|| format!("cannot write {}", path.display()))?;
     match kept {
         Some(kept) => {
-            eprintln!("wrote {}; what was there is kept as {}", path.display(), kept.display());
+            eprintln!("wrote {}; the previous file is kept as {}", path.display(), kept.display());
         }
         None => eprintln!("wrote {}", path.display()),
     }
     Ok(())
 }
 
-/// `north.yaml` → `north.previous.yaml`, as calibrations of arenas are kept.
-fn beside(path: &Path) -> PathBuf {
+/// `north.yaml` → `north.previous.yaml`, as for arena calibrations.
+fn previous_path(path: &Path) -> PathBuf {
     let mut name = path.file_stem().map_or_else(OsString::new, OsString::from);
     name.push(".previous");
     if let Some(ending) = path.extension() {
@@ -65,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_was_there_is_kept_under_another_name() {
+    fn an_existing_file_is_kept_under_another_name() {
         let folder = tempfile::tempdir().unwrap();
         for (name, previous) in [
             ("north.yaml", "north.previous.yaml"),
@@ -74,7 +76,7 @@ mod tests {
         ] {
             let (path, previous) = (folder.path().join(name), folder.path().join(previous));
             check(&path).unwrap();
-            assert!(!path.exists(), "looking leaves nothing behind");
+            assert!(!path.exists(), "a check creates no file");
             write(&path, "first").unwrap();
             check(&path).unwrap();
             assert!(!previous.exists() && fs::read(&path).unwrap() == b"first");
@@ -86,17 +88,17 @@ mod tests {
     }
 
     #[test]
-    fn a_place_that_is_none_is_told_before() {
+    fn a_path_that_cannot_be_written_is_an_error() {
         let folder = tempfile::tempdir().unwrap();
-        let told = |path: &Path| format!("{:#}", check(path).unwrap_err());
+        let error = |path: &Path| format!("{:#}", check(path).unwrap_err());
         let gone = folder.path().join("no").join("x.yaml");
-        assert!(told(&gone).contains("there is no folder"), "{}", told(&gone));
-        assert!(told(folder.path()).contains("is a folder"), "{}", told(folder.path()));
+        assert!(error(&gone).contains("there is no folder"), "{}", error(&gone));
+        assert!(error(folder.path()).contains("is a folder"), "{}", error(folder.path()));
         let file = folder.path().join("file");
         fs::write(&file, "").unwrap();
         let below = file.join("x.yaml");
-        assert!(told(&below).contains("there is no folder"), "{}", told(&below));
+        assert!(error(&below).contains("there is no folder"), "{}", error(&below));
         let long = folder.path().join("x".repeat(300));
-        assert!(told(&long).contains("cannot be written: "), "{}", told(&long));
+        assert!(error(&long).contains("cannot be written: "), "{}", error(&long));
     }
 }

@@ -1,21 +1,15 @@
-//! A calibration in words and columns.
+//! Report and progress of an arena calibration as text.
 
-use std::io::{self, Write};
+use std::fmt::{self, Write as _};
 
 use roundel_proto::v1;
 
-/// The answer as REST gives it, one line.
-pub(super) fn json(out: &mut impl Write, calibration: &v1::Calibration) -> io::Result<()> {
-    serde_json::to_writer(&mut *out, calibration)?;
-    writeln!(out)
-}
-
-/// A line for each camera, then what a person should know.
+/// A line for each camera, the findings, and whether the result is in use.
 pub(super) fn table(
-    out: &mut impl Write,
     calibration: &v1::Calibration,
     report: &v1::CalibrationReport,
-) -> io::Result<()> {
+) -> Result<String, fmt::Error> {
+    let mut out = String::new();
     let v1::CalibrationReport { sightings, roundels, length_s, steps, solve_s, .. } = report;
     writeln!(
         out,
@@ -25,7 +19,7 @@ pub(super) fn table(
     writeln!(
         out,
         "{:width$} {:>28} {:>20} {:>19} {:>8} {:>6} {:>5} {:>10}",
-        "camera", "place m", "moved", "deviation", "error px", "ratio", "seen", "clock ms"
+        "camera", "position m", "moved", "deviation", "error px", "ratio", "seen", "clock ms"
     )?;
     for camera in &report.cameras {
         let place = camera.pose.and_then(|pose| pose.position).unwrap_or_default();
@@ -58,20 +52,18 @@ pub(super) fn table(
         let sign = if finding.grave { "!!" } else { " -" };
         writeln!(out, "{sign} {}", finding.message)?;
     }
-    writeln!(out, "\n{}", outcome(calibration, report))
-}
-
-fn outcome(calibration: &v1::Calibration, report: &v1::CalibrationReport) -> String {
-    match calibration.applied_version {
-        0 if report.sound => "The cameras stay as they were: nobody asked them to change.".to_owned(),
-        0 => "The cameras stay as they were, because of the findings marked !!. Mend them and calibrate again, \
-              or let the cameras take this over with `--apply always`, or by the dashboard."
+    let outcome = match calibration.applied_version {
+        0 if report.sound => "Not applied (`--apply never`)".to_owned(),
+        0 => "Not applied, because of the findings marked !!. Fix them and calibrate again, or apply the result \
+              anyway with `--apply always` or in the dashboard."
             .to_owned(),
-        version => format!("In use as version {version}."),
-    }
+        version => format!("Applied as version {version}."),
+    };
+    writeln!(out, "\n{outcome}")?;
+    Ok(out)
 }
 
-/// What has been recorded, and what is missing most.
+/// Recorded time, and the most urgent problem of the recording.
 pub(super) fn recorded(calibration: &v1::Calibration) -> String {
     let seconds = format!("{:.0} of {:.0} s", calibration.recorded_s, calibration.seconds);
     let alone = calibration.recorded.iter().find(|camera| camera.together.is_empty());
@@ -79,21 +71,12 @@ pub(super) fn recorded(calibration: &v1::Calibration) -> String {
         None if calibration.recorded.is_empty() => seconds,
         None => format!("{seconds}, every camera shares robots with another"),
         Some(camera) if camera.frames == 0 => {
-            format!("{seconds}, {} gives no frames", camera.camera)
+            format!("{seconds}, {} delivers no frames", camera.camera)
         }
-        // Those without codes are told apart once all is recorded.
+        // Roundels without codes are matched only after the recording.
         Some(_) if calibration.recorded.iter().all(|camera| camera.codes == 0) => seconds,
-        Some(camera) => format!("{seconds}, {} shares no code with any other yet", camera.camera),
-    }
-}
-
-/// A line for a log.
-pub(super) fn stage(calibration: &v1::Calibration) {
-    match calibration.stage() {
-        v1::CalibrationStage::Recording => {
-            eprintln!("recording for {:.0} s: let robots drive", calibration.seconds);
+        Some(camera) => {
+            format!("{seconds}, {} shares no code with another camera yet", camera.camera)
         }
-        v1::CalibrationStage::Solving => eprintln!("solving; {}", recorded(calibration)),
-        _ => {}
     }
 }

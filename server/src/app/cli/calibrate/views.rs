@@ -1,65 +1,50 @@
-//! Views of the board out of a stream; those out of files are in [`super::files`].
+//! Views of the board from a stream; [`super::files`] has those from image files.
 
 use std::{
     path::{Path, PathBuf},
-    sync::Arc,
-    sync::atomic::{AtomicBool, Ordering},
-    thread,
     time::{Duration, Instant},
 };
 
 use anyhow::{Context, bail};
-use indicatif::{ProgressBar, ProgressStyle};
-use roundel_core::{calib::lens::LensCalibration, frame::Frame};
+use roundel_core::frame::Frame;
 
 use super::coverage;
 use crate::{
-    capture::source::{OpenSource, Playback, SourceError, SourceOpener},
-    lab::lens::board_search::{BoardSearch, CalibrationTarget, CollectedViews},
+    app::cli::progress_bar,
+    capture::source::SourceError,
+    lab::lens::{
+        board_search::{BoardSearch, CalibrationTarget, CollectedViews},
+        picture_source::{OpenedSource, for_each_source_frame},
+    },
     model::{address::SourceAddress, stop::StopSignal},
 };
 
-/// Asked of a camera that lets one choose, where nobody says a size.
-const USUAL_SIZE: (usize, usize) = (1280, 720);
+/// Time between progress lines where there is no terminal for a spinner.
+const LOG_INTERVAL: Duration = Duration::from_secs(10);
 
-/// Where no spinner turns, so often a line says how far it is.
-const LOGGED: Duration = Duration::from_secs(10);
-
-/// What is looked for.
 pub(super) struct ViewOptions<'a> {
-    pub(super) sought: &'a CalibrationTarget,
-    /// No more than so many.
-    pub(super) most: usize,
-    /// Columns and rows that are asked of a camera; `None`: the usual ones, or what it gives.
+    pub(super) target: &'a CalibrationTarget,
+    /// Maximum number of views to keep.
+    pub(super) max_views: usize,
+    /// Columns and rows to request from a camera; `None` accepts what it delivers.
     pub(super) size: Option<(usize, usize)>,
 }
 
-/// What was looked at.
 pub(super) struct BoardViews {
     pub(super) gathered: CollectedViews,
-    /// Files that could not be looked at.
-    pub(super) left_out: usize,
-    /// Files of the views that were taken, in their order; a stream has none.
+    /// Number of files that could not be searched.
+    pub(super) files_left_out: usize,
+    /// Files of the views, in their order; empty for a stream.
     pub(super) taken: Vec<PathBuf>,
-    /// Files that were left out, and why.
-    pub(super) out: Vec<(PathBuf, String)>,
+    /// Files without a view, and why.
+    pub(super) left_out: Vec<(PathBuf, String)>,
 }
 
 impl BoardViews {
-    /// Tells which views the calibration has left out, and why; those of a stream have no names.
-    pub(super) fn add_left_out(&mut self, found: &LensCalibration) {
-        for (file, view) in self.taken.iter().zip(&found.views) {
-            if let Err(why) = view {
-                eprintln!("left out: {}: {why}", file.display());
-                self.out.push((file.clone(), why.to_string()));
-            }
-        }
-    }
-
-    /// How many pictures were left out, and why.
+    /// Numbers of pictures and views, and of pictures and files left out.
     pub(super) fn summary(&self) -> String {
         let pictures = self.gathered.describe();
-        match self.left_out {
+        match self.files_left_out {
             0 => pictures,
             1 => format!("{pictures}; 1 file left out"),
             files => format!("{pictures}; {files} files left out"),
@@ -67,135 +52,90 @@ impl BoardViews {
     }
 }
 
-/// What has been taken has its size.
+/// `--size` does not apply to existing pictures.
 pub(super) fn reject_size_option(views: &ViewOptions<'_>, what: &str) -> anyhow::Result<()> {
     if views.size.is_some() {
-        bail!("--size is asked of a camera, and {what} have the size that they have: leave it out");
+        bail!("--size applies only to cameras; {what} have a fixed size: leave it out");
     }
     Ok(())
 }
 
-/// Whether it is a source's address; a drive's letter is none.
+/// Whether it is the address of a source. A single letter before the colon is a drive.
 pub(super) fn is_stream(source: &str) -> bool {
     !Path::new(source).exists()
         && source.split_once(':').is_some_and(|(scheme, _)| scheme.len() > 1)
 }
 
-/// Looks at a picture; whether there is enough.
-fn add_image(
-    search: &mut BoardSearch,
-    frame: &Frame<'_>,
-    views: &ViewOptions<'_>,
-) -> anyhow::Result<bool> {
-    search.look(frame)?;
-    if let Some(error) = search.gathered().and_then(|it| it.other_print(false)) {
-        return Err(error.into());
-    }
-    let enough = |it: &CollectedViews| it.chooser.taken().len() >= views.most || it.is_complete();
-    Ok(search.gathered().is_some_and(enough))
-}
-
-/// How far it is, with a small map of where the board has been.
-fn message(search: &BoardSearch) -> String {
-    let map = search.gathered().map(|it| coverage::render(it.chooser.coverage()));
-    [Some(search.message()), map].into_iter().flatten().collect::<Vec<_>>().join("\n")
-}
-
-fn done(search: BoardSearch, what: &str) -> anyhow::Result<CollectedViews> {
-    let gathered = search.into_gathered().with_context(|| format!("{what}: no picture came"))?;
-    gathered.other_print(true).map_or(Ok(gathered), |error| Err(error.into()))
-}
-
+/// Collects views until there are enough, the stream ends, or Ctrl-C; a second Ctrl-C ends the process.
 pub(super) fn collect_from_stream(
     source: &str,
     address: &SourceAddress,
     views: &ViewOptions<'_>,
 ) -> anyhow::Result<CollectedViews> {
-    let mut size = match address {
+    match address {
         SourceAddress::Push(_) => {
-            bail!("a `push:` camera is calibrated where it is: run this there, on its own source")
+            bail!(
+                "a `push:` camera is calibrated on its own computer: run this command there, with the camera's source"
+            )
         }
-        SourceAddress::Sim(sim) => {
-            reject_size_option(views, "simulated pictures")?;
-            let camera = crate::model::simulated::simulated_camera(sim)?.camera;
-            (camera.width(), camera.height())
+        SourceAddress::Sim(_) => reject_size_option(views, "simulated pictures")?,
+        SourceAddress::Images(_) => reject_size_option(views, "pictures in files")?,
+        _ => {}
+    }
+    let stop = StopSignal::default();
+    let on_signal = stop.clone();
+    tokio::spawn(async move {
+        if tokio::signal::ctrl_c().await.is_ok() {
+            on_signal.stop();
+            let _ = tokio::signal::ctrl_c().await;
+            std::process::exit(super::ENDED_BY_SIGNAL.into());
         }
-        SourceAddress::Images(_) => {
-            reject_size_option(views, "pictures in files")?;
-            USUAL_SIZE
-        }
-        _ => views.size.unwrap_or(USUAL_SIZE),
-    };
-    let (stop, interrupted) = (StopSignal::default(), Arc::new(AtomicBool::new(false)));
-    let (stopping, noted) = (stop.clone(), interrupted.clone());
-    // Ctrl-C takes what there is; a second one ends the process.
-    thread::Builder::new().name("signals".to_owned()).spawn(move || {
-        let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_all().build() else {
-            return;
-        };
-        if runtime.block_on(tokio::signal::ctrl_c()).is_ok() {
-            noted.store(true, Ordering::Relaxed);
-            stopping.stop();
-            let _ = runtime.block_on(tokio::signal::ctrl_c());
-            std::process::exit(130);
-        }
-    })?;
-    let (clock, playback) = Playback::begin(std::iter::once(address))?;
-    let bar = ProgressBar::new_spinner();
-    bar.set_style(ProgressStyle::with_template("{spinner} {msg}")?);
+    });
+    let bar = progress_bar(None, "{spinner} {msg}")?;
     bar.enable_steady_tick(Duration::from_millis(200));
-    let mut search = BoardSearch::new(views.sought, true)?;
+    let mut search = BoardSearch::new(views.target, true)?;
     let mut logged = Instant::now();
-    loop {
-        let mut opener = SourceOpener::new(address.clone(), size, clock, playback, stop.clone());
-        let outcome = opener.open().and_then(|mut stream| {
-            loop {
-                let lent = stream.next_frame()?;
-                match add_image(&mut search, &lent.frame, views) {
-                    Ok(false) if !bar.is_hidden() => bar.set_message(message(&search)),
-                    Ok(false) if logged.elapsed() >= LOGGED => {
-                        logged = Instant::now();
-                        eprintln!("{}", search.message());
-                    }
-                    Ok(false) => {}
-                    Ok(true) => return Ok(()),
-                    Err(error) => return Err(SourceError::Failed(error.to_string())),
-                }
-            }
-        });
-        match outcome {
-            Err(SourceError::Size { found, .. })
-                if views.size.is_none() && search.gathered().is_none() && found != size =>
-            {
-                size = found;
-            }
-            Err(SourceError::Size { found, .. }) => bail!(other_size(source, size, found, views)),
-            Ok(()) | Err(SourceError::Finished) => break,
-            Err(SourceError::Stopped) if interrupted.load(Ordering::Relaxed) => break,
-            Err(error) => {
-                let why = error.to_string();
-                bail!(if why.starts_with(source) { why } else { format!("{source}: {why}") })
-            }
+    let mut look = |frame: &Frame<'_>| -> Result<bool, String> {
+        search.look(frame).map_err(|error| error.to_string())?;
+        let Some(gathered) = search.gathered() else { return Ok(false) };
+        if let Some(error) = gathered.other_print(false) {
+            return Err(error.to_string());
+        }
+        if !bar.is_hidden() {
+            let map = coverage::render(gathered.chooser.coverage());
+            bar.set_message(format!("{}\n{map}", search.message()));
+        } else if logged.elapsed() >= LOG_INTERVAL {
+            logged = Instant::now();
+            eprintln!("{}", search.message());
+        }
+        Ok(gathered.is_complete() || gathered.chooser.taken().len() >= views.max_views)
+    };
+    let opened = OpenedSource { address: address.clone(), rules: None, size: views.size };
+    match for_each_source_frame(&opened, &stop, &mut look) {
+        Ok(()) | Err(SourceError::Stopped) => {}
+        Err(SourceError::Size { expected, found, .. }) => {
+            let (as_what, remedy) = match views.size {
+                Some(_) => ("(--size)", "use that size, or leave --size out"),
+                None => ("as before", "a lens is calibrated for one size"),
+            };
+            bail!(
+                "{source}: expected pictures of {} x {} pixels {as_what}, found {} x {}: {remedy}",
+                expected.0,
+                expected.1,
+                found.0,
+                found.1
+            );
+        }
+        Err(error) => {
+            let why = error.to_string();
+            bail!(if why.starts_with(source) { why } else { format!("{source}: {why}") })
         }
     }
     bar.finish_and_clear();
-    done(search, source)
-}
-
-fn other_size(
-    source: &str,
-    (width, height): (usize, usize),
-    found: (usize, usize),
-    views: &ViewOptions<'_>,
-) -> String {
-    let (as_what, remedy) = match views.size {
-        Some(_) => {
-            ("as --size asks", "give its own size, or leave --size out to take what it gives")
-        }
-        None => ("as before", "a lens is calibrated for one size"),
-    };
-    format!(
-        "{source}: expected pictures of {width} x {height} pixels {as_what}, found {} x {}: {remedy}",
-        found.0, found.1
-    )
+    let gathered =
+        search.into_gathered().with_context(|| format!("{source}: no picture arrived"))?;
+    match gathered.other_print(true) {
+        Some(error) => Err(error.into()),
+        None => Ok(gathered),
+    }
 }

@@ -1,4 +1,4 @@
-//! How `roundel detect` prints.
+//! The output formats of `roundel detect`.
 
 use std::{
     io::{self, Write},
@@ -10,44 +10,35 @@ use roundel_core::{
     marker::{RejectCounts, Rejected},
     rigid::upper_triangle,
 };
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 use super::search::{ImageDetections, Roundel};
 use crate::{app::cli::error_chain, model::reason};
 
-/// One line, whatever became of the image.
+/// One line for each image, including those that failed.
 pub(super) fn json(
     out: &mut impl Write,
     path: &Path,
     outcome: &anyhow::Result<ImageDetections>,
     explain: bool,
 ) -> io::Result<()> {
-    let mut line = match outcome {
-        Ok(found) => json!({
-            "image": path.to_string_lossy(),
-            "width": found.image.width,
-            "height": found.image.height,
-            "elapsed_us": round_us(found.elapsed_us),
-            "detections": found.roundels.iter().map(roundel).collect::<Vec<_>>(),
-        }),
-        Err(error) => json!({
-            "image": path.to_string_lossy(),
-            "width": null,
-            "height": null,
-            "elapsed_us": null,
-            "detections": [],
-            "error": error_chain(error),
-        }),
-    };
-    if let (Some(line), Ok(found), true) = (line.as_object_mut(), outcome, explain) {
-        line.insert("rejects".to_owned(), rejects(&found.rejects));
-        line.insert("rejected".to_owned(), found.rejected.iter().map(rejected).collect());
+    let found = outcome.as_ref().ok();
+    let mut line = json!({
+        "image": path.to_string_lossy(),
+        "width": found.map(|found| found.image.width),
+        "height": found.map(|found| found.image.height),
+        "elapsed_us": found.map(|found| (found.elapsed_us * 10.0).round() / 10.0),
+        "detections": found.map_or(Vec::new(), |it| it.roundels.iter().map(roundel).collect()),
+    });
+    match outcome {
+        Err(error) => line["error"] = json!(error_chain(error)),
+        Ok(found) if explain => {
+            line["rejects"] = rejects(&found.rejects);
+            line["rejected"] = found.rejected.iter().map(rejected).collect();
+        }
+        Ok(_) => {}
     }
     writeln!(out, "{line}")
-}
-
-fn round_us(microseconds: f64) -> f64 {
-    (microseconds * 10.0).round() / 10.0
 }
 
 fn roundel(roundel: &Roundel) -> Value {
@@ -78,17 +69,12 @@ fn rim(ellipse: &Ellipse) -> Value {
     })
 }
 
-/// Refused candidates by reason, in the order of the stages.
+/// Numbers of rejected candidates by reason, in the order of the stages.
 fn rejects(counts: &RejectCounts) -> Value {
-    let counted: Map<String, Value> = counts
-        .iter()
-        .filter(|(_, count)| *count > 0)
-        .map(|(reject, count)| (reject.reason().to_owned(), count.into()))
-        .collect();
-    counted.into()
+    let counts = counts.iter().filter(|(_, count)| *count > 0);
+    counts.map(|(reject, count)| (reject.reason(), count)).collect()
 }
 
-/// Where a candidate was, how large it was thought to be, and why it died.
 fn rejected(rejected: &Rejected) -> Value {
     json!({
         "reason": rejected.reject.reason(),
@@ -97,14 +83,13 @@ fn rejected(rejected: &Rejected) -> Value {
     })
 }
 
-/// A heading for each image, and a row for each roundel.
+/// A heading for each image and a row for each roundel; the error of a failed image goes to stderr.
 pub(super) fn table(
     out: &mut impl Write,
     path: &Path,
     outcome: &anyhow::Result<ImageDetections>,
     explain: bool,
 ) -> io::Result<()> {
-    // The error stands on stderr.
     let Ok(found) = outcome else { return writeln!(out, "{}: failed", path.display()) };
     writeln!(
         out,
@@ -122,41 +107,30 @@ pub(super) fn table(
             "track", "id", "centre px", "outer px", "inner px", "position m", "normal"
         )?;
     }
-    for roundel in &found.roundels {
-        row(out, roundel)?;
+    let semiaxes = |rim: &Ellipse| format!("{:.2} x {:.2}", rim.semi_major_px, rim.semi_minor_px);
+    for Roundel { track, ring, pose } in &found.roundels {
+        let track = track.map_or("–".to_owned(), |track| track.to_string());
+        let id = ring.code.map_or("–".to_owned(), |reading| reading.code.number.to_string());
+        let (center, outer, inner) =
+            (ring.outer.center, semiaxes(&ring.outer), semiaxes(&ring.inner));
+        let (mut position, mut normal) = ("–".to_owned(), "–".to_owned());
+        if let Some(pose) = pose {
+            let (p, n) = (&pose.position_m, &pose.normal);
+            position = format!("{:>8.4} {:>8.4} {:>8.4}", p.x, p.y, p.z);
+            normal = format!("{:>7.3} {:>7.3} {:>7.3}", n.x, n.y, n.z);
+        }
+        writeln!(
+            out,
+            "  {track:>5} {id:>5} {:>8.2} {:>8.2} {outer:>15} {inner:>15} {position:>26} {normal:>23}",
+            center.u, center.v
+        )?;
     }
     if explain {
-        writeln!(out, "  refused candidates: {}", found.rejects.total())?;
+        writeln!(out, "  rejected candidates: {}", found.rejects.total())?;
         for (reject, count) in found.rejects.iter().filter(|(_, count)| *count > 0) {
             let word = reason::reject_name(reject, ' ');
             writeln!(out, "  {count:>7}  {word:15} {}", reject.reason())?;
         }
     }
     Ok(())
-}
-
-fn row(out: &mut impl Write, roundel: &Roundel) -> io::Result<()> {
-    let track = roundel.track.map_or_else(|| "–".to_owned(), |track| track.to_string());
-    let id = roundel.ring.code.map_or("–".to_owned(), |reading| reading.code.number.to_string());
-    let center = roundel.ring.outer.center;
-    let semiaxes = |rim: &Ellipse| format!("{:.2} x {:.2}", rim.semi_major_px, rim.semi_minor_px);
-    write!(
-        out,
-        "  {track:>5} {id:>5} {:>8.2} {:>8.2} {:>15} {:>15}",
-        center.u,
-        center.v,
-        semiaxes(&roundel.ring.outer),
-        semiaxes(&roundel.ring.inner),
-    )?;
-    match &roundel.pose {
-        Some(pose) => {
-            let (p, n) = (&pose.position_m, &pose.normal);
-            writeln!(
-                out,
-                " {:>8.4} {:>8.4} {:>8.4} {:>7.3} {:>7.3} {:>7.3}",
-                p.x, p.y, p.z, n.x, n.y, n.z
-            )
-        }
-        None => writeln!(out, " {:>26} {:>23}", "–", "–"),
-    }
 }

@@ -1,79 +1,71 @@
-//! What is found in one image after the other.
+//! Searches images one after the other.
 
 use std::{path::Path, time::Instant};
 
 use anyhow::{Context, bail};
 use roundel_core::{
-    camera::Camera,
     frame::Frame,
     id::TrackNumber,
     marker::{Detector, Params, RejectCounts, Rejected, Ring, Scratch, TrackedRing, Tracker},
     pose::{Locator, RoundelPose},
 };
 
+use super::DetectArgs;
 use crate::{
     capture::image_file::{self, GreyImage},
     lab::print::spec::PrintSpec,
+    model::camera_file,
 };
 
-/// What was found in one image.
 pub(super) struct ImageDetections {
     pub(super) image: GreyImage,
     pub(super) elapsed_us: f64,
     pub(super) roundels: Vec<Roundel>,
     pub(super) rejects: RejectCounts,
-    /// Rejected candidates with their places, if they were asked for.
+    /// Rejected candidates with their places; empty without `--explain`.
     pub(super) rejected: Vec<Rejected>,
 }
 
-/// One roundel in one image.
 pub(super) struct Roundel {
     pub(super) track: Option<TrackNumber>,
     pub(super) ring: Ring,
     pub(super) pose: Option<RoundelPose>,
 }
 
-/// How images are searched.
-pub(super) struct SearchOptions {
-    pub(super) print: PrintSpec,
-    pub(super) camera: Option<Camera>,
-    pub(super) params: Params,
-    /// The images are frames of one camera.
-    pub(super) sequence: bool,
-    /// Rejected candidates are wanted with their places.
-    pub(super) explain: bool,
-}
-
-/// Searches images one after the other.
 pub(super) struct ImageSearch {
-    finder: ImageDetector,
+    finder: Finder,
     locator: Option<Locator>,
     print: PrintSpec,
 }
 
-enum ImageDetector {
-    /// Each image for itself.
-    Single { detector: Box<Detector>, scratch: Box<Scratch> },
-    /// Frames of one camera.
-    Sequence { tracker: Box<Tracker> },
+enum Finder {
+    /// Searches each image independently.
+    Single(Box<(Detector, Scratch)>),
+    /// Follows tracks through the frames of one camera.
+    Sequence(Box<Tracker>),
 }
 
 impl ImageSearch {
-    pub(super) fn new(options: SearchOptions) -> anyhow::Result<Self> {
-        let SearchOptions { print, camera, params, sequence, explain } = options;
-        let mode = params.mode;
-        let kinds = print.kind().into_iter().collect();
-        let detector =
-            Detector::new(kinds, params).context("--marker")?.with_polarity_of_any(print.polarity);
+    pub(super) fn new(arguments: &DetectArgs) -> anyhow::Result<Self> {
+        let DetectArgs { marker, code, polarity, mode, .. } = *arguments;
+        if marker.is_some_and(|diameters| diameters.minor_m.is_some()) && code.is_some() {
+            bail!("--marker with an elliptical disc and --code exclude each other");
+        }
+        let print = PrintSpec { diameters: marker, code, polarity: polarity.into() };
+        let camera = arguments.camera.as_deref().map(camera_file::load).transpose()?;
+        let params = Params { mode, ..Params::default() };
+        let detector = Detector::new(print.kind().into_iter().collect(), params)
+            .context("--marker")?
+            .with_polarity_of_any(print.polarity);
         let locator = camera.map(|camera| Locator::new(camera, detector.kinds().to_vec(), mode));
-        let finder = if sequence {
-            let mut tracker = Box::new(Tracker::new(detector));
-            tracker.explain(explain);
-            ImageDetector::Sequence { tracker }
+        let finder = if arguments.sequence {
+            let mut tracker = Tracker::new(detector);
+            tracker.explain(arguments.explain);
+            Finder::Sequence(Box::new(tracker))
         } else {
-            let mut scratch = Box::<Scratch>::default();
-            scratch.explain(explain);
-            ImageDetector::Single { detector: Box::new(detector), scratch }
+            let mut scratch = Scratch::default();
+            scratch.explain(arguments.explain);
+            Finder::Single(Box::new((detector, scratch)))
         };
         Ok(Self { finder, locator, print })
     }
@@ -94,47 +86,37 @@ impl ImageSearch {
         }
         let frame = image.frame().with_context(|| path.display().to_string())?;
         let begun = Instant::now();
-        let (mut roundels, rejects) = self.finder.find(&frame);
+        let (mut roundels, rejects, rejected) = self.finder.find(&frame);
         if let Some(locator) = &mut self.locator {
             for roundel in &mut roundels {
                 locate(locator, &self.print, &frame, roundel);
             }
         }
         let elapsed_us = begun.elapsed().as_secs_f64() * 1e6;
-        let rejected = self.finder.rejected().to_vec();
         Ok(ImageDetections { image, elapsed_us, roundels, rejects, rejected })
     }
 }
 
-impl ImageDetector {
-    fn find(&mut self, frame: &Frame) -> (Vec<Roundel>, RejectCounts) {
+impl Finder {
+    fn find(&mut self, frame: &Frame) -> (Vec<Roundel>, RejectCounts, Vec<Rejected>) {
+        let roundel = |track, ring| Roundel { track, ring, pose: None };
         match self {
-            Self::Single { detector, scratch } => {
+            Self::Single(search) => {
+                let (detector, scratch) = &mut **search;
                 let rings = detector.detect(frame, scratch).iter();
-                let found = rings.map(|&ring| Roundel { track: None, ring, pose: None }).collect();
-                (found, *scratch.rejects())
+                let found = rings.map(|ring| roundel(None, *ring)).collect();
+                (found, *scratch.rejects(), scratch.rejected().to_vec())
             }
-            Self::Sequence { tracker } => {
+            Self::Sequence(tracker) => {
                 let rings = tracker.process(frame).iter();
-                let roundel = |tracked: &TrackedRing| Roundel {
-                    track: Some(tracked.track),
-                    ring: tracked.ring,
-                    pose: None,
-                };
-                (rings.map(roundel).collect(), *tracker.rejects())
+                let found = rings.map(|it| roundel(Some(it.track), it.ring)).collect();
+                (found, *tracker.rejects(), tracker.rejected().to_vec())
             }
-        }
-    }
-
-    fn rejected(&self) -> &[Rejected] {
-        match self {
-            Self::Single { scratch, .. } => scratch.rejected(),
-            Self::Sequence { tracker } => tracker.rejected(),
         }
     }
 }
 
-/// Adds the pose, where something says the roundel's size.
+/// Adds the pose where the roundel's size is known.
 fn locate(locator: &mut Locator, print: &PrintSpec, frame: &Frame, roundel: &mut Roundel) {
     let ring = roundel.ring;
     let Some(kind) = print.kind_of(&ring) else { return };

@@ -1,47 +1,46 @@
-//! Several cameras over an arena: those of an installation, or the fewest that do it.
+//! Several cameras over an arena: the cameras of an installation, or the fewest that meet the requirements.
 
-use std::{io::Write as _, path::Path};
+use std::path::Path;
 
 use anyhow::{Context, bail};
 use roundel_core::{
     marker::Kind,
     plan::{
         Trials,
-        map::{Field, Map, map},
+        map::{Field, map},
         search::{Grid, Wish, fewest as search, fewest_of_any_size as search_with_size, scaled},
     },
 };
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::{
-    Format, ModeArg, PlanArgs,
-    load::{ApparentSize, load},
-    optics, roundel,
+    Format, PlanArgs, optics, roundel,
+    timing::{times_source, timing_case},
 };
 use crate::{
     fusion::calibration::file::CalibrationFile,
     lab::plan::{
         DEFAULT_SPOTS,
-        plan_map::{PlanMap, PlanSummary, usable_stations},
-        planned_camera::{PlannedCamera, from_config as planned_camera},
+        plan_map::{PlanMap, PlanSummary},
+        planned_camera::{PlannedCamera, from_config as planned_camera, usable_stations},
+        timing::{FrameTimes, TimingCase},
     },
     model::config::Config,
 };
 
-/// What an installation sees.
-pub(super) fn plan_installation(arguments: &PlanArgs, path: &Path) -> anyhow::Result<()> {
+/// Plans with the cameras of a configuration.
+pub(super) fn plan_installation(
+    arguments: &PlanArgs,
+    path: &Path,
+) -> anyhow::Result<(String, PlanMap)> {
     let mut config = Config::load(path)?;
-    // Where a calibration has found the cameras counts, as at a start of the server.
+    // Poses from a stored calibration take precedence, as when the server starts.
     if let Some(path) = config.server.calibration.clone()
         && let Some(mut kept) = CalibrationFile::load(&path)?
     {
         kept.merge_into(&mut config).iter().for_each(|why| eprintln!("{why}"));
     }
-    if let Some(word) = arguments.mode {
-        let mode = match word {
-            ModeArg::Precise => roundel_core::marker::Mode::Precise,
-            ModeArg::Fast => roundel_core::marker::Mode::Fast,
-        };
+    if let Some(mode) = arguments.mode {
         config.cameras.iter_mut().for_each(|camera| camera.mode = mode);
     }
     let kind = configured_kind(arguments, &config)?;
@@ -49,23 +48,13 @@ pub(super) fn plan_installation(arguments: &PlanArgs, path: &Path) -> anyhow::Re
     let trials = Trials::default();
     let cameras: Vec<PlannedCamera> =
         config.cameras.iter().map(|camera| planned_camera(camera, imaging, &trials)).collect();
-    let stations = usable_stations(&cameras);
-    if stations.is_empty() {
-        let reasons: Vec<String> = cameras
-            .iter()
-            .filter_map(|camera| {
-                Some(format!("{}: {}", camera.name, camera.station.as_ref().err()?))
-            })
-            .collect();
-        bail!("expected a camera that stands at a known place, found none; {}", reasons.join("; "));
-    }
+    let stations = usable_stations(&cameras).map_err(anyhow::Error::msg)?;
     let seen = Field::seen_by(&stations, arguments.height(), DEFAULT_SPOTS).with_context(|| {
-        format!("no camera looks down on the plane --height {} m", arguments.height())
+        format!("no camera sees the plane --height {} m from above", arguments.height())
     })?;
     let field = Field { step_m: arguments.step.unwrap_or(seen.step_m), ..seen };
     let map = PlanMap::of(&map(&stations, &kind, field)?, &kind.name, &cameras);
-    let times = times(arguments, &kind, &cameras)?;
-    print_plan(arguments, &ArenaPlan { kind, size: Size::Said, map, grid: None, times })
+    ArenaPlan { kind, size: Size::Given, map, grid: None }.report(arguments, &cameras)
 }
 
 fn configured_kind(arguments: &PlanArgs, config: &Config) -> anyhow::Result<Kind> {
@@ -74,8 +63,8 @@ fn configured_kind(arguments: &PlanArgs, config: &Config) -> anyhow::Result<Kind
     }
     if arguments.code.is_some() {
         bail!(
-            "--code: expected --marker beside it, since the configuration says which roundels it has; --kind NAME takes \
-             another of those"
+            "--code: expected --marker as well, since configured roundels have their own codes; --kind NAME selects one of \
+             them"
         );
     }
     let Some(name) = &arguments.kind else {
@@ -88,12 +77,17 @@ fn configured_kind(arguments: &PlanArgs, config: &Config) -> anyhow::Result<Kind
     })
 }
 
-/// The fewest cameras that do it.
-pub(super) fn plan_arena(arguments: &PlanArgs, arena_m: [f64; 2]) -> anyhow::Result<()> {
+/// Searches for the fewest cameras, and without `--marker` also for the roundel.
+pub(super) fn plan_arena(
+    arguments: &PlanArgs,
+    arena_m: [f64; 2],
+) -> anyhow::Result<(String, PlanMap)> {
     let (sensor, doubt, _) = optics::sensor(arguments)?;
     let kind = Kind { name: "the roundel".to_owned(), ..arguments.kind()? };
     let Some(mount_m) = arguments.mount else {
-        bail!("how high can the cameras hang? Say --mount M, or --mount LOWEST:HIGHEST");
+        bail!(
+            "--arena: expected the mounting height of the cameras: add --mount M, or --mount LOWEST:HIGHEST"
+        );
     };
     let half_m = arena_m.map(|side| 0.5 * side);
     let step_m = arguments.step.unwrap_or((arena_m[0] * arena_m[1] / DEFAULT_SPOTS as f64).sqrt());
@@ -111,7 +105,7 @@ pub(super) fn plan_arena(arguments: &PlanArgs, arena_m: [f64; 2]) -> anyhow::Res
             (scaled(&kind, outer_m), Size::Searched, grid)
         }
         (marker, _) => {
-            let size = if marker.is_some() { Size::Said } else { Size::Assumed };
+            let size = if marker.is_some() { Size::Given } else { Size::Assumed };
             let grid = search(&sensor, doubt.as_ref(), &kind, &wish)?;
             (kind, size, grid)
         }
@@ -123,164 +117,163 @@ pub(super) fn plan_arena(arguments: &PlanArgs, arena_m: [f64; 2]) -> anyhow::Res
             station: Ok(Box::new(station.clone())),
         })
         .collect();
-    let fine: Map = map(&grid.stations, &kind, field)?;
-    let map = PlanMap::of(&fine, &kind.name, &cameras);
-    let times = times(arguments, &kind, &cameras)?;
-    print_plan(arguments, &ArenaPlan { kind, size, map, grid: Some(grid), times })
+    let map = PlanMap::of(&map(&grid.stations, &kind, field)?, &kind.name, &cameras);
+    ArenaPlan { kind, size, map, grid: Some(grid) }.report(arguments, &cameras)
 }
 
-/// Where the roundel's size comes from.
+/// Origin of the roundel's size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Size {
-    Said,
-    /// Of an arena whose roundels nobody has described the usual ones; of an installation never.
+    Given,
+    /// The default.
     Assumed,
-    /// Searched for, since only what it has to do is said.
     Searched,
 }
 
-/// Everything that is told.
 struct ArenaPlan {
     kind: Kind,
     size: Size,
     map: PlanMap,
     grid: Option<Grid>,
-    times: FrameTimes,
 }
 
-/// What frames take.
-struct FrameTimes {
-    /// Of the camera that takes longest, its name, and of all together, seconds.
-    longest_s: f64,
-    longest: String,
-    together_s: f64,
-    /// Where the constants come from.
-    machine: String,
-}
-
-/// Of frames in which as many roundels as are said lie straight below each camera, where they are largest.
-fn times(
+/// Measures each camera's frames with `--count` roundels straight below it, where they appear largest.
+fn measure<'a>(
     arguments: &PlanArgs,
     kind: &Kind,
-    cameras: &[PlannedCamera],
-) -> anyhow::Result<FrameTimes> {
-    let (machine, from) = arguments.machine()?;
-    let mut times =
-        FrameTimes { longest_s: 0.0, longest: String::new(), together_s: 0.0, machine: from };
+    cameras: &'a [PlannedCamera],
+) -> anyhow::Result<Vec<(&'a str, TimingCase, FrameTimes)>> {
+    let mut all: Vec<(&str, TimingCase, FrameTimes)> = Vec::new();
     for camera in cameras {
         let Ok(station) = &camera.station else { continue };
         let lens = station.sensor.camera.intrinsics();
         let above_m = station.place.world_from_camera.translation.vector.z - arguments.height();
-        let per_m = 0.5 * (lens.fx_px + lens.fy_px) / above_m.abs().max(kind.outer_diameter_m);
-        let seen = ApparentSize { diameter_px: per_m * kind.outer_diameter_m, per_m };
-        let load = load(arguments, &station.sensor, kind, seen)?;
-        let frame_s = machine.of(station.sensor.mode).frame_s(&load);
-        times.together_s += frame_s;
-        if frame_s > times.longest_s {
-            (times.longest_s, times.longest) = (frame_s, camera.name.clone());
-        }
+        let px_per_m = 0.5 * (lens.fx_px + lens.fy_px) / above_m.abs().max(kind.outer_diameter_m);
+        // In steps of 5 %, so that similar cameras are timed once.
+        let px_per_m = ((px_per_m.ln() / 0.05).round() * 0.05).exp();
+        let diameter_px = px_per_m * kind.outer_diameter_m;
+        let case = timing_case(arguments, &station.sensor, kind, diameter_px, px_per_m)?;
+        let times = match all.iter().find(|(_, timed, _)| *timed == case) {
+            Some((_, _, times)) => times.clone(),
+            None => case.measure()?,
+        };
+        all.push((&camera.name, case, times));
     }
-    Ok(times)
+    Ok(all)
 }
 
-fn print_plan(arguments: &PlanArgs, plan: &ArenaPlan) -> anyhow::Result<()> {
-    let ArenaPlan { kind, size, map, grid, times } = plan;
-    let text = match arguments.format {
-        Format::Json => {
-            let grid = grid.as_ref().map(|grid| {
-                json!({"counts": grid.counts, "mount_m": grid.mount_m, "turned": grid.is_turned})
-            });
-            format!(
-                "{:#}\n",
-                json!({
-                    "roundel": map.roundel,
-                    "outer_m": kind.outer_diameter_m,
-                    "inner_m": kind.inner_diameter_m,
-                    "code": roundel::code(kind),
-                    "size_is_assumed": *size == Size::Assumed,
-                    "outer_was_searched": *size == Size::Searched,
-                    "height_m": map.height_m,
-                    "min_m": map.min_m,
-                    "max_m": map.max_m,
-                    "summary": map.summary,
-                    "stations": map.stations,
-                    "grid": grid,
-                    "longest_frame_s": times.longest_s,
-                    "frames_together_s": times.together_s,
-                    "times": times.machine,
-                })
-            )
-        }
-        Format::Table => table(arguments, plan),
-    };
-    std::io::stdout().write_all(text.as_bytes()).context("cannot write to the standard output")?;
-    arguments.write_map(map)
-}
-
-fn table(arguments: &PlanArgs, ArenaPlan { kind, size, map, grid, times }: &ArenaPlan) -> String {
-    let size = match size {
-        Size::Said => "",
-        Size::Assumed => ", assumed since --marker says none",
-        Size::Searched => ", searched for: so few cameras do it",
-    };
-    let mut lines = vec![format!("{}: {}{size}", map.roundel, roundel::words(kind))];
-    if let Some(grid) = grid {
-        let [columns, rows] = grid.counts;
-        lines.push(format!(
-            "{}, {:.2} m high, straight down, the picture's top towards {}",
-            match columns * rows {
-                1 => "1 camera in the middle".to_owned(),
-                count => format!("{count} cameras: {columns} along x, {rows} along y"),
-            },
-            grid.mount_m,
-            if grid.is_turned { "-x" } else { "+y" }
-        ));
+impl ArenaPlan {
+    fn report(
+        self,
+        arguments: &PlanArgs,
+        cameras: &[PlannedCamera],
+    ) -> anyhow::Result<(String, PlanMap)> {
+        let lost = arguments.lost();
+        let all = measure(arguments, &self.kind, cameras)?;
+        let together_s = all.iter().map(|(_, _, times)| times.median_s(lost)).sum();
+        let longest = all.iter().max_by(|a, b| a.2.median_s(lost).total_cmp(&b.2.median_s(lost)));
+        let (name, _, times) = longest.context("expected a camera, found none")?;
+        let text = match arguments.format {
+            Format::Json => format!("{:#}\n", self.json(arguments, times, together_s)),
+            Format::Table => self.table(arguments, name, times, together_s),
+        };
+        Ok((text, self.map))
     }
-    for station in &map.stations {
-        lines.push(match station.position_m {
-            Some([x, y, z]) => {
-                let share = match station.seen_share {
-                    Some(share) if share > 0.0 => format!("sees {:.1} % of the map", share * 100.0),
-                    _ => "sees nothing of the map".to_owned(),
-                };
-                format!("  {:12} at {x:7.2} {y:7.2} {z:6.2} m, {share}", station.name)
-            }
-            None => format!("  {:12} left out: {}", station.name, station.reason),
+
+    fn json(&self, arguments: &PlanArgs, longest: &FrameTimes, together_s: f64) -> Value {
+        let Self { kind, size, map, grid } = self;
+        let grid = grid.as_ref().map(|grid| {
+            json!({"counts": grid.counts, "mount_m": grid.mount_m, "turned": grid.is_turned})
         });
+        json!({
+            "roundel": map.roundel,
+            "outer_m": kind.outer_diameter_m,
+            "inner_m": kind.inner_diameter_m,
+            "code": roundel::code(kind),
+            "size_is_assumed": *size == Size::Assumed,
+            "outer_was_searched": *size == Size::Searched,
+            "height_m": map.height_m,
+            "min_m": map.min_m,
+            "max_m": map.max_m,
+            "summary": map.summary,
+            "stations": map.stations,
+            "grid": grid,
+            "longest_frame_s": longest.median_s(arguments.lost()),
+            "longest_frame_p95_s": longest.p95_s(arguments.lost()),
+            "frames_together_s": together_s,
+            "times": times_source(arguments, longest),
+        })
     }
-    let PlanSummary { seen_share, twice_share, median_m, p95_m } = &map.summary;
-    let millimetres = |value: &Option<f64>| {
-        value.map_or("-".to_owned(), |value| format!("{:.3} mm", value * 1e3))
-    };
-    let sides = [0, 1].map(|axis| map.max_m[axis] - map.min_m[axis]);
-    lines.push(format!(
-        "{:.1} x {:.1} m at {} m: {:.1} % {}, {:.1} % by two and more; rms error {} (median), {} (95 %)",
-        sides[0],
-        sides[1],
-        map.height_m,
+
+    fn table(
+        &self,
+        arguments: &PlanArgs,
+        name: &str,
+        longest: &FrameTimes,
+        together_s: f64,
+    ) -> String {
+        let Self { kind, size, map, grid } = self;
+        let size = match size {
+            Size::Given => "",
+            Size::Assumed => " (default size; --marker sets another one)",
+            Size::Searched => " (the size that needs the fewest cameras)",
+        };
+        let mut lines = vec![format!("{}: {}{size}", map.roundel, roundel::words(kind))];
+        if let Some(grid) = grid {
+            let [columns, rows] = grid.counts;
+            lines.push(format!(
+                "{}, at {:.2} m, looking straight down, top of the image towards {}",
+                match columns * rows {
+                    1 => "1 camera in the middle".to_owned(),
+                    count => format!("{count} cameras: {columns} along x, {rows} along y"),
+                },
+                grid.mount_m,
+                if grid.is_turned { "-x" } else { "+y" }
+            ));
+        }
+        for station in &map.stations {
+            lines.push(match station.position_m {
+                Some([x, y, z]) => {
+                    let share = match station.seen_share {
+                        Some(share) if share > 0.0 => {
+                            format!("sees {:.1} % of the map", share * 100.0)
+                        }
+                        _ => "sees nothing of the map".to_owned(),
+                    };
+                    format!("  {:12} at {x:7.2} {y:7.2} {z:6.2} m, {share}", station.name)
+                }
+                None => format!("  {:12} left out: {}", station.name, station.reason),
+            });
+        }
+        let PlanSummary { seen_share, twice_share, median_m, p95_m } = &map.summary;
+        let millimetres = |value: &Option<f64>| {
+            value.map_or("-".to_owned(), |value| format!("{:.3} mm", value * 1e3))
+        };
+        let [wide, deep] = [0, 1].map(|axis| map.max_m[axis] - map.min_m[axis]);
+        lines.push(format!(
+            "{wide:.1} x {deep:.1} m at {} m: {:.1} % {}, {:.1} % by two or more; rms error {} (median), {} (95 %)",
+            map.height_m,
         seen_share * 100.0,
         if roundel::is_coded(kind) { "seen and the code read" } else { "seen" },
         twice_share * 100.0,
         millimetres(median_m),
         millimetres(p95_m)
     ));
-    if map.summary.seen_share == 0.0 {
-        lines.push(
-            "No spot there is seen well enough, so that there is nothing to tell of times."
-                .to_owned(),
-        );
-        lines.push(String::new());
-        return lines.join("\n");
+        if map.summary.seen_share > 0.0 {
+            let lost = arguments.lost();
+            lines.push(format!(
+                "time per frame with {} roundels straight below: median {:.3} ms, 95th percentile {:.3} ms (slowest camera, \
+                 {name}); all cameras at {} Hz load {:.2} cores",
+                arguments.count(),
+                longest.median_s(lost) * 1e3,
+                longest.p95_s(lost) * 1e3,
+                arguments.rate(),
+                together_s * arguments.rate()
+            ));
+            lines.push(format!("Times are {}.", times_source(arguments, longest)));
+        } else {
+            lines.push("No spot is seen well enough, so no times are reported.".to_owned());
+        }
+        lines.join("\n") + "\n"
     }
-    let FrameTimes { longest_s, longest, together_s, machine } = times;
-    lines.push(format!(
-        "a frame with {} of them straight below: at most {:.3} ms (camera {longest}); all cameras at {} Hz keep {:.2} of a core busy",
-        arguments.count(),
-        longest_s * 1e3,
-        arguments.rate(),
-        together_s * arguments.rate()
-    ));
-    lines.push(format!("Times are {machine}."));
-    lines.push(String::new());
-    lines.join("\n")
 }

@@ -1,8 +1,7 @@
-//! What was said and does not count, for whoever believes that it does.
+//! Options without an effect on the requested plan.
 
 use super::PlanArgs;
 
-/// What is planned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Subject {
     Machine,
@@ -11,54 +10,54 @@ enum Subject {
     Camera,
 }
 
-/// A line for each option that changes nothing.
+/// One line for each option without effect.
 pub(super) fn ignored_options(arguments: &PlanArgs) -> Vec<String> {
     use Subject::{Arena, Camera, Installation, Machine};
     let (subject, of) = match arguments {
         PlanArgs { measure: true, .. } => (Machine, "with --measure"),
-        PlanArgs { config: Some(_), .. } => (Installation, "of an installation"),
+        PlanArgs { config: Some(_), .. } => (Installation, "for an installation"),
         PlanArgs { arena: Some(_), .. } => (Arena, "over an arena"),
-        _ => (Camera, "of one camera without a place"),
+        _ => (Camera, "for a single camera"),
     };
-    let face_up = "roundels lie face up";
+    let PlanArgs { camera, resolution, marker, code, mode, distance, tilt, count, speed, .. } =
+        arguments;
+    let PlanArgs { rate, lost, precision, height, arena, config, map, show, step, .. } = arguments;
+    let all: &[Subject] = &[Installation, Arena, Camera];
+    let places: &[Subject] = &[Installation, Arena];
+    let pinhole: &[Subject] = &[Arena, Camera];
+    // With a given roundel, only the number of cameras can be searched for.
+    let searched = if marker.is_some() { &[Arena] } else { pinhole };
+    // Name, whether it is given, the plans it affects, and why it does not affect others.
     let options: [(&str, bool, &[Subject], &str); 18] = [
-        ("--camera", arguments.camera.is_some(), &[Arena, Camera], ""),
-        ("--resolution", arguments.resolution.is_some(), &[Arena, Camera], "its files say it"),
-        ("--marker", arguments.marker.is_some(), &[Installation, Arena, Camera], ""),
-        ("--code", arguments.code.is_some(), &[Installation, Arena, Camera], ""),
-        ("--mode", arguments.mode.is_some(), &[Installation, Arena, Camera], "both are measured"),
-        ("--distance", arguments.distance.is_some(), &[Camera], "places and heights say it"),
-        ("--tilt", arguments.tilt.is_some(), &[Camera], face_up),
-        ("--count", arguments.count.is_some(), &[Installation, Arena, Camera], ""),
-        ("--speed", arguments.speed.is_some(), &[Installation, Arena, Camera], ""),
-        ("--rate", arguments.rate.is_some(), &[Installation, Arena, Camera], ""),
-        ("--lost", arguments.lost.is_some(), &[Installation, Arena, Camera], ""),
-        (
-            "--precision",
-            arguments.precision.is_some(),
-            if arguments.marker.is_some() { &[Arena] } else { &[Arena, Camera] },
-            "what is told is what is reached",
-        ),
-        ("--height", arguments.height.is_some(), &[Installation, Arena], "--distance says it"),
-        ("--arena", arguments.arena.is_some(), &[Arena], ""),
-        ("--config", arguments.config.is_some(), &[Installation, Machine], ""),
-        ("--map", arguments.map.is_some(), &[Installation, Arena, Camera], ""),
-        ("--show", arguments.show.is_some() && arguments.map.is_some(), &[Installation, Arena], ""),
-        ("--step", arguments.step.is_some(), &[Installation, Arena], "there is no map"),
+        ("--camera", camera.is_some(), pinhole, ""),
+        ("--resolution", resolution.is_some(), pinhole, ": camera files contain it"),
+        ("--marker", marker.is_some(), all, ""),
+        ("--code", code.is_some(), all, ""),
+        ("--mode", mode.is_some(), all, ": both are measured"),
+        ("--distance", distance.is_some(), &[Camera], ": cameras have positions"),
+        ("--tilt", tilt.is_some(), &[Camera], ": roundels lie face up"),
+        ("--count", count.is_some(), all, ""),
+        ("--speed", speed.is_some(), all, ""),
+        ("--rate", rate.is_some(), all, ""),
+        ("--lost", lost.is_some(), all, ""),
+        ("--precision", precision.is_some(), searched, ": the report shows the accuracy"),
+        ("--height", height.is_some(), places, ": --distance replaces it"),
+        ("--arena", arena.is_some(), &[Arena], ""),
+        ("--config", config.is_some(), &[Installation], ""),
+        ("--map", map.is_some(), all, ""),
+        ("--show", show.is_some() && map.is_some(), places, ""),
+        ("--step", step.is_some(), places, ": there is no map"),
     ];
-    let is_idle = |(_, is_said, counts, _): &(&str, bool, &[Subject], &str)| {
-        *is_said && !counts.contains(&subject)
-    };
     let mut lines: Vec<String> = options
         .into_iter()
-        .filter(is_idle)
-        .map(|(name, _, _, why)| match why {
-            "" => format!("{name} does not count {of}"),
-            _ => format!("{name} does not count {of}: {why}"),
-        })
+        .filter(|(_, is_given, subjects, _)| *is_given && !subjects.contains(&subject))
+        .map(|(name, _, _, why)| format!("{name} has no effect {of}{why}"))
         .collect();
-    if arguments.show.is_some() && arguments.map.is_none() {
-        lines.push("--show does not count without --map".to_owned());
+    if show.is_some() && map.is_none() {
+        lines.push("--show has no effect without --map".to_owned());
+    }
+    if arguments.machine.is_some() {
+        lines.push("--machine has no effect: each plan measures its own frames".to_owned());
     }
     lines
 }

@@ -1,101 +1,76 @@
-//! `roundel plan --measure`: what this machine takes for a frame.
+//! `roundel plan --measure`: time per frame of some typical cases on this computer.
 
-use std::{fs, io::Write as _, path::Path};
+use roundel_core::{
+    marker::{CodeLayout, Kind, Mode, Pattern},
+    plan::Imaging,
+};
+use serde_json::json;
 
-use anyhow::Context;
-use indicatif::{ProgressBar, ProgressStyle};
-use roundel_core::plan::time::{Constants, TERM_NAMES, TERMS};
-use serde_json::{Map, Value, json};
-
-use super::{Format, PlanArgs};
+use super::Format;
 use crate::{
-    app::cli::check_writable,
-    lab::plan::{
-        machine_timings::{MachineTimings, default_path, measure},
-        timing::TimingSample,
-    },
+    lab::plan::timing::TimingCase,
+    model::config::{MODES, word},
 };
 
-pub(super) fn run(arguments: &PlanArgs) -> anyhow::Result<()> {
-    let usual = || default_path(arguments.config.as_deref());
-    let path = arguments.machine.clone().or_else(usual).context(
-        "where to keep it? There is neither HOME nor XDG_CONFIG_HOME: say --machine FILE",
-    )?;
-    create_parent_folder(&path)
-        .with_context(|| format!("--machine {} cannot be written", path.display()))?;
-    eprintln!("Measuring for about a minute: let nothing else run meanwhile.");
-    let style = ProgressStyle::with_template("measuring {bar:30} {pos}/{len} {eta}")
-        .context("a template of our own")?;
-    let bar = ProgressBar::new(0).with_style(style);
-    let (machine, measured) = measure(|done, of| {
-        bar.set_length(of as u64);
-        bar.set_position(done as u64);
-    })?;
-    bar.finish_and_clear();
-    machine.save(&path)?;
-    let text = match arguments.format {
-        Format::Json => format!("{:#}\n", report(&machine, &measured)),
-        Format::Table => table(&machine, &measured),
-    };
-    std::io::stdout().write_all(text.as_bytes()).context("cannot write to the standard output")?;
-    eprintln!("wrote {}", path.display());
-    Ok(())
-}
+/// Columns and rows, number of roundels, diameter and motion per frame in pixels, and whether they are coded.
+type Situation = ((usize, usize), usize, f64, f64, bool);
 
-/// Whether the times can be kept there, before a minute is spent on them; makes the folder that they are kept in.
-fn create_parent_folder(path: &Path) -> std::io::Result<()> {
-    if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-        fs::create_dir_all(folder)?;
+const SITUATIONS: [Situation; 5] = [
+    ((640, 480), 10, 24.0, 1.0, false),
+    ((1280, 720), 24, 20.0, 1.5, false),
+    ((1920, 1080), 24, 40.0, 3.0, false),
+    ((1920, 1080), 100, 24.0, 1.0, false),
+    ((1920, 1080), 24, 50.0, 1.5, true),
+];
+
+/// Returns the report.
+pub(super) fn run(format: Format) -> anyhow::Result<String> {
+    let mut rows = Vec::new();
+    let mut text = "mode     megapixels  roundels         px  px / frame  searched  median ms  95th percentile ms\n".to_owned();
+    for (size, roundels, diameter_px, motion_px, is_coded) in SITUATIONS {
+        let kind = if is_coded {
+            let pattern = Pattern::Coded(CodeLayout { bits: 8, min_distance: 1 });
+            Kind { pattern, ..Kind::plain("robot", 0.16, 0.16 * CodeLayout::RATIO) }
+        } else {
+            Kind::plain("robot", 0.16, 0.064)
+        };
+        for mode in [Mode::Precise, Mode::Fast] {
+            let (kind, imaging) = (kind.clone(), Imaging::default());
+            let case = TimingCase { size, kind, mode, imaging, roundels, diameter_px, motion_px };
+            let times = case.measure()?;
+            let (mode, image_px) = (word(&MODES, mode), size.0 * size.1);
+            for searched_share in [0.0, 1.0] {
+                let (median_s, p95_s) =
+                    (times.median_s(searched_share), times.p95_s(searched_share));
+                text += &format!(
+                    "{mode:8} {:10.2}  {:8}  {:6} {diameter_px:3.0}  {motion_px:10.1}  {:8}  {:9.3}  {:18.3}\n",
+                    image_px as f64 * 1e-6,
+                    times.followed,
+                    if is_coded { "coded" } else { "" },
+                    if searched_share > 0.0 { "yes" } else { "" },
+                    median_s * 1e3,
+                    p95_s * 1e3,
+                );
+                // `model_s` remains for programs that read earlier reports, which compared a fitted model.
+                rows.push(json!({
+                    "mode": mode,
+                    "image_px": image_px,
+                    "roundels": times.followed,
+                    "diameter_px": diameter_px,
+                    "motion_px": motion_px,
+                    "coded": is_coded,
+                    "searched_share": searched_share,
+                    "measured_s": median_s,
+                    "p95_s": p95_s,
+                    "model_s": median_s,
+                }));
+            }
+        }
     }
-    check_writable(path)
-}
-
-fn report(machine: &MachineTimings, measured: &[TimingSample]) -> serde_json::Value {
-    let each: Vec<_> = measured
-        .iter()
-        .map(|one| {
-            json!({
-                "mode": format!("{:?}", one.mode).to_lowercase(),
-                "image_px": one.load.image_px,
-                "roundels": one.load.roundels,
-                "diameter_px": one.load.diameter_px,
-                "motion_px": one.load.motion_px,
-                "coded": one.load.is_coded,
-                "searched_share": one.load.searched_share,
-                "measured_s": one.time_s,
-                "model_s": machine.of(one.mode).frame_s(&one.load),
-            })
-        })
-        .collect();
-    let [precise, fast] = [&machine.precise, &machine.fast].map(constants);
-    json!({"precise_s": precise, "fast_s": fast, "measured": each})
-}
-
-fn constants(of: &Constants) -> Value {
-    let named = |terms: &[f64; TERMS]| -> Map<String, Value> {
-        let each = TERM_NAMES.into_iter().zip(terms);
-        each.map(|(name, seconds)| (name.to_owned(), json!(seconds))).collect()
-    };
-    json!({"followed": named(&of.followed), "searched": named(&of.searched)})
-}
-
-fn table(machine: &MachineTimings, measured: &[TimingSample]) -> String {
-    let mut text = "mode     megapixels  roundels         px  px a frame  searched  measured ms  model/measured\n"
-        .to_owned();
-    for one in measured {
-        let load = &one.load;
-        text.push_str(&format!(
-            "{:8} {:10.2}  {:8.1}  {:6} {:3.0}  {:10.1}  {:8}  {:11.3}  {:14.2}\n",
-            format!("{:?}", one.mode).to_lowercase(),
-            load.image_px * 1e-6,
-            load.roundels,
-            if load.is_coded { "coded" } else { "" },
-            load.diameter_px,
-            load.motion_px,
-            if load.searched_share > 0.0 { "yes" } else { "" },
-            one.time_s * 1e3,
-            machine.of(one.mode).frame_s(load) / one.time_s,
-        ));
-    }
-    text
+    Ok(match format {
+        Format::Table => text,
+        Format::Json => {
+            format!("{:#}\n", json!({"precise_s": null, "fast_s": null, "measured": rows}))
+        }
+    })
 }

@@ -1,4 +1,4 @@
-//! The camera that is planned with.
+//! The camera of a plan, from a camera file or from resolution and field of view.
 
 use anyhow::{Context, bail};
 use roundel_core::{
@@ -9,10 +9,10 @@ use roundel_core::{
 use super::PlanArgs;
 use crate::model::camera_file;
 
-/// Fields of view that a pinhole has, degrees.
+/// Allowed horizontal fields of view of a pinhole camera, degrees.
 const FOV_RANGE_DEG: std::ops::RangeInclusive<f64> = 1.0..=150.0;
 
-/// The camera, how well its lens is known, and what to call it.
+/// The camera, the uncertainty of its lens, and its name in the report.
 pub(super) fn sensor(arguments: &PlanArgs) -> anyhow::Result<(Sensor, Option<LensDoubt>, String)> {
     let (camera, uncertainty, name) = if let Some(path) = &arguments.camera {
         let (camera, uncertainty) = camera_file::load_with_uncertainty(path)?;
@@ -21,11 +21,11 @@ pub(super) fn sensor(arguments: &PlanArgs) -> anyhow::Result<(Sensor, Option<Len
         (pinhole(size, fov_deg)?, None, "pinhole".to_owned())
     } else {
         bail!(
-            "which camera? Say --camera FILE (a ROS camera_info YAML, as `roundel calibrate lens` writes), or its \
+            "expected a camera: add --camera FILE (a ROS camera_info YAML, as `roundel calibrate lens` writes), or \
              --resolution WIDTHxHEIGHT and --fov DEGREES"
         );
     };
-    let (imaging, mode) = (arguments.imaging(), arguments.mode());
+    let (imaging, mode) = (arguments.imaging(), arguments.mode.unwrap_or_default());
     let sensor = Sensor { camera, imaging, mode, trials: Trials::default() };
     Ok((sensor, uncertainty, name))
 }
@@ -33,8 +33,7 @@ pub(super) fn sensor(arguments: &PlanArgs) -> anyhow::Result<(Sensor, Option<Len
 fn pinhole((width, height): (usize, usize), fov_deg: f64) -> anyhow::Result<Camera> {
     if !FOV_RANGE_DEG.contains(&fov_deg) {
         bail!(
-            "--fov: expected {} to {} degrees, found {fov_deg}; a wider lens is no pinhole: calibrate it and say \
-             --camera",
+            "--fov: expected {} to {} degrees, found {fov_deg}; for a wider lens, use --camera with its calibration",
             FOV_RANGE_DEG.start(),
             FOV_RANGE_DEG.end()
         );
@@ -53,17 +52,13 @@ fn pinhole((width, height): (usize, usize), fov_deg: f64) -> anyhow::Result<Came
     .context("--resolution")
 }
 
-/// Horizontal and vertical field of view, degrees; where the lens' model ends before the picture does, none.
+/// Horizontal and vertical field of view, degrees; `None` where the lens model does not reach the picture's edge.
 pub(super) fn fields_deg(camera: &Camera) -> [Option<f64>; 2] {
     let Intrinsics { width, height, cx_px, cy_px, .. } = *camera.intrinsics();
-    let between = |one: PixelPoint, other: PixelPoint| {
-        let (one, other) = (camera.bearing(one).ok()?, camera.bearing(other).ok()?);
-        Some(one.angle(&other).to_degrees())
-    };
-    let level = |u: f64| PixelPoint { u, v: cy_px };
-    let upright = |v: f64| PixelPoint { u: cx_px, v };
-    [
-        between(level(-0.5), level(width as f64 - 0.5)),
-        between(upright(-0.5), upright(height as f64 - 0.5)),
-    ]
+    let at = |u: f64, v: f64| camera.bearing(PixelPoint { u, v }).ok();
+    let edges = [
+        at(-0.5, cy_px).zip(at(width as f64 - 0.5, cy_px)),
+        at(cx_px, -0.5).zip(at(cx_px, height as f64 - 0.5)),
+    ];
+    edges.map(|edges| edges.map(|(from, to)| from.angle(&to).to_degrees()))
 }

@@ -1,14 +1,13 @@
-//! The roundel that is planned with, in words and as JSON.
+//! The planned roundel as text and as JSON.
 
 use roundel_core::marker::{CodeLayout, Kind, Pattern};
 use serde_json::{Value, json};
 
-/// Whether it has a code to be read.
 pub(super) fn is_coded(kind: &Kind) -> bool {
     matches!(kind.pattern, Pattern::Coded(_))
 }
 
-/// Its diameters and its code.
+/// Diameters and code.
 pub(super) fn words(kind: &Kind) -> String {
     let [outer_mm, inner_mm] = [kind.outer_diameter_m, kind.inner_diameter_m].map(|it| it * 1e3);
     let pattern = match kind.pattern {
@@ -21,7 +20,7 @@ pub(super) fn words(kind: &Kind) -> String {
     format!("{outer_mm:.1} mm, disc {inner_mm:.1}{pattern}")
 }
 
-/// Its code's layout; null of one without.
+/// The layout of its code; null for a plain roundel.
 pub(super) fn code(kind: &Kind) -> Value {
     match kind.pattern {
         Pattern::Coded(CodeLayout { bits, min_distance }) => {

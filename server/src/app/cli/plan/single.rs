@@ -1,7 +1,5 @@
-//! One camera and one kind of roundel: range, precision and time, beside the paper's figures; or the smallest roundel
-//! that does it.
-
-use std::io::Write as _;
+//! One camera and one kind of roundel: range, accuracy and time with the paper's prediction, or the smallest roundel that
+//! meets a required accuracy.
 
 use anyhow::{Context, bail};
 use roundel_core::{
@@ -9,7 +7,7 @@ use roundel_core::{
     marker::Kind,
     plan::{
         Sensor, paper,
-        precision::{Expected, LensDoubt, expect},
+        precision::{Expected, expect},
         reach::{Reach, before, reach},
         search::{scaled, smallest_m},
     },
@@ -17,36 +15,34 @@ use roundel_core::{
 use serde_json::{Value, json};
 
 use super::{
-    Format, PlanArgs,
-    load::{ApparentSize, load},
-    optics, roundel,
+    Format, PlanArgs, optics, roundel,
+    timing::{times_source, timing_case},
 };
-use crate::model::config::{MODES, word};
+use crate::{
+    lab::plan::timing::FrameTimes,
+    model::config::{MODES, word},
+};
 
-/// Everything that is told.
 struct PlanResult {
     name: String,
     sensor: Sensor,
     kind: Kind,
-    /// Whether its size was searched for.
     was_searched: bool,
     reach: Reach,
     distance_m: f64,
     expected: Expected,
     has_doubt: bool,
     motion_px: f64,
-    frame_s: f64,
-    machine: String,
+    times: FrameTimes,
     paper: paper::Pinhole,
 }
 
-pub(super) fn run(arguments: &PlanArgs) -> anyhow::Result<()> {
+pub(super) fn run(arguments: &PlanArgs) -> anyhow::Result<String> {
     let result = plan_camera(arguments)?;
-    let text = match arguments.format {
+    Ok(match arguments.format {
         Format::Table => result.table(arguments),
         Format::Json => format!("{:#}\n", result.json(arguments)),
-    };
-    std::io::stdout().write_all(text.as_bytes()).context("cannot write to the standard output")
+    })
 }
 
 fn plan_camera(arguments: &PlanArgs) -> anyhow::Result<PlanResult> {
@@ -56,7 +52,7 @@ fn plan_camera(arguments: &PlanArgs) -> anyhow::Result<PlanResult> {
     let was_searched = arguments.precision.is_some() && arguments.marker.is_none();
     if was_searched {
         let Some(distance_m) = arguments.distance else {
-            bail!("which roundel is located so exactly depends on how far it is: say --distance M");
+            bail!("--precision: the required roundel depends on its distance: add --distance M");
         };
         let most_m = arguments.most_m();
         let at = (distance_m, tilt_rad);
@@ -64,17 +60,26 @@ fn plan_camera(arguments: &PlanArgs) -> anyhow::Result<PlanResult> {
     }
     let reach = reach(&sensor, &kind, tilt_rad)?;
     let distance_m = arguments.distance.unwrap_or(0.5 * (reach.least_m + reach.most_m));
-    let expected = expected(&sensor, doubt.as_ref(), &kind, (distance_m, tilt_rad), &reach)?;
+    if !(distance_m > 0.0 && distance_m.is_finite()) {
+        bail!("--distance: expected metres above 0, found {distance_m}");
+    }
+    let pose = before(NormalizedPoint::default(), distance_m, tilt_rad);
+    let expected = expect(&sensor, doubt.as_ref(), &kind, &pose).with_context(|| {
+        format!(
+            "--distance: a roundel of {:.0} mm tilted by {:.0}° is detected from {:.2} to {:.2} m, not at {distance_m} m",
+            kind.outer_diameter_m * 1e3,
+            tilt_rad.to_degrees(),
+            reach.least_m,
+            reach.unread.map_or(reach.most_m, |ring| ring.most_m)
+        )
+    })?;
     let ring = &expected.sighting.ring.outer;
-    // The longer diameter is the one that tilt leaves.
+    // Tilt does not change the longer diameter.
     let per_m = 2.0 * ring.semi_major_px / kind.outer_diameter_m;
-    let seen = ApparentSize { diameter_px: 2.0 * ring.mean_radius_px(), per_m };
-    let load = load(arguments, &sensor, &kind, seen)?;
-    let (machine, from) = arguments.machine()?;
-    let frame_s = machine.of(sensor.mode).frame_s(&load);
-    let paper = paper_pinhole(&sensor, &kind, tilt_rad);
-    let has_doubt = doubt.is_some();
+    let diameter_px = 2.0 * ring.mean_radius_px();
+    let case = timing_case(arguments, &sensor, &kind, diameter_px, per_m)?;
     Ok(PlanResult {
+        paper: paper_pinhole(&sensor, &kind, tilt_rad),
         name,
         sensor,
         kind,
@@ -82,37 +87,13 @@ fn plan_camera(arguments: &PlanArgs) -> anyhow::Result<PlanResult> {
         reach,
         distance_m,
         expected,
-        has_doubt,
-        motion_px: load.motion_px,
-        frame_s,
-        machine: from,
-        paper,
+        has_doubt: doubt.is_some(),
+        motion_px: case.motion_px,
+        times: case.measure()?,
     })
 }
 
-fn expected(
-    sensor: &Sensor,
-    doubt: Option<&LensDoubt>,
-    kind: &Kind,
-    (distance_m, tilt_rad): (f64, f64),
-    reach: &Reach,
-) -> anyhow::Result<Expected> {
-    if !(distance_m > 0.0 && distance_m.is_finite()) {
-        bail!("--distance: expected metres above 0, found {distance_m}");
-    }
-    let pose = before(NormalizedPoint::default(), distance_m, tilt_rad);
-    expect(sensor, doubt, kind, &pose).with_context(|| {
-        format!(
-            "--distance: a roundel of {:.0} mm tilted by {:.0}° is found from {:.2} to {:.2} m, not at {distance_m} m",
-            kind.outer_diameter_m * 1e3,
-            tilt_rad.to_degrees(),
-            reach.least_m,
-            reach.unread.map_or(reach.most_m, |ring| ring.most_m)
-        )
-    })
-}
-
-/// What the paper's model is told of the same camera.
+/// The same camera in the paper's model.
 fn paper_pinhole(sensor: &Sensor, kind: &Kind, tilt_rad: f64) -> paper::Pinhole {
     let Intrinsics { width, height, fx_px, fy_px, cx_px, cy_px, lens } = sensor.camera.intrinsics();
     let shrink = match lens {
@@ -163,66 +144,59 @@ impl PlanResult {
             String::new(),
             format!("{:36} {:>12} {:>12}", "", "plan", "paper"),
         ];
-        let mut row = |what: &str, plan: String, paper: String| {
-            lines.push(format!("{what:36} {plan:>12} {paper:>12}"));
-        };
         let metres = |length: f64| format!("{length:.2} m");
-        row(
-            "nearest, however it is turned",
-            metres(reach.least_m),
-            metres(paper.least_distance_m()),
-        );
-        let farthest = if reach.unread.is_some() { "farthest, code read" } else { "farthest" };
-        row(
-            &format!("{farthest}, on the axis"),
-            metres(reach.most_m),
-            metres(paper.most_distance_m()),
-        );
-        row(
-            &format!("{farthest}, in every corner"),
-            metres(reach.most_corner_m),
-            metres(paper.most_corner_distance_m()),
-        );
-        let [base, papers_base] = [reach.base_m, paper.base_m()]
-            .map(|[wide, high]| format!("{:.1} x {:.1} m", wide.max(0.0), high.max(0.0)));
-        row("wide and high there", base, papers_base);
         let pixels = |length: f64| format!("{length:.1} px");
+        let millimetres = |length: f64| format!("{:.3} mm", length * 1e3);
+        let milliseconds = |time_s: f64| format!("{:.3} ms", time_s * 1e3);
+        let sides =
+            |[wide, high]: [f64; 2]| format!("{:.1} x {:.1} m", wide.max(0.0), high.max(0.0));
+        let mut row = |what: &str, plan: String, paper: Option<String>| {
+            lines.push(format!("{what:36} {plan:>12} {:>12}", paper.unwrap_or_default()));
+        };
+        let (least, most) = (paper.least_distance_m(), paper.most_distance_m());
+        row("minimum distance, any rotation", metres(reach.least_m), Some(metres(least)));
+        let farthest =
+            if reach.unread.is_some() { "maximum distance, code read" } else { "maximum distance" };
+        row(&format!("{farthest}, on axis"), metres(reach.most_m), Some(metres(most)));
+        let papers_corner = metres(paper.most_corner_distance_m());
+        row(&format!("{farthest}, corners"), metres(reach.most_corner_m), Some(papers_corner));
+        row("  width x height covered there", sides(reach.base_m), Some(sides(paper.base_m())));
         if let Some(ring) = reach.unread {
-            row("farthest, ring found, code unread", metres(ring.most_m), String::new());
-            row("smallest whose code is read", pixels(reach.least_minor_px), String::new());
+            row("maximum distance, code not read", metres(ring.most_m), None);
+            row("minimum diameter, code read", pixels(reach.least_minor_px), None);
         }
         let found_px = reach.unread.map_or(reach.least_minor_px, |ring| ring.least_minor_px);
-        row("smallest that is found", pixels(found_px), pixels(paper.least_px));
-        let millimetres = |length: f64| format!("{:.3} mm", length * 1e3);
+        row("minimum diameter, detected", pixels(found_px), Some(pixels(paper.least_px)));
         row(
-            &format!("at {:.2} m it is", self.distance_m),
+            &format!("diameter at {:.2} m", self.distance_m),
             pixels(expected.sighting.minor_px),
-            String::new(),
+            None,
         );
         if reach.unread.is_some() {
             let read = if expected.is_read { "read" } else { "not read" };
-            row("  its code is", read.to_owned(), String::new());
+            row("  code", read.to_owned(), None);
         }
+        let papers_depth = millimetres(self.paper_depth_error_m());
+        row("  rms error, distance", millimetres(expected.depth_m()), Some(papers_depth));
+        row("  rms error, across (2D)", millimetres(expected.across_m()), None);
+        row("  rms error, position (3D)", millimetres(expected.position_m()), None);
+        row("  rms error, normal", format!("{:.2}°", expected.normal_rad().to_degrees()), None);
+        let lost = arguments.lost();
+        let (frame_s, p95_s) = (self.times.median_s(lost), self.times.p95_s(lost));
         row(
-            "  its distance is known to",
-            millimetres(expected.depth_m()),
-            millimetres(self.paper_depth_error_m()),
+            &format!("time per frame, {} roundels", arguments.count()),
+            milliseconds(frame_s),
+            None,
         );
-        row("  its place across to (2D)", millimetres(expected.across_m()), String::new());
-        row("  its place in all to (3D)", millimetres(expected.position_m()), String::new());
-        let normal_deg = expected.normal_rad().to_degrees();
-        row("  its normal to", format!("{normal_deg:.2}°"), String::new());
-        let time = format!("{:.3} ms", self.frame_s * 1e3);
-        row(&format!("a frame with {} of them", arguments.count()), time, String::new());
-        row("  each moving by", format!("{:.1} px", self.motion_px), String::new());
-        row("  frames a second, one core", format!("{:.0}", 1.0 / self.frame_s), String::new());
+        row("  95th percentile", milliseconds(p95_s), None);
+        row("  motion per frame", pixels(self.motion_px), None);
+        row("  frames per second, one core", format!("{:.0}", 1.0 / frame_s), None);
         lines.push(String::new());
-        lines.push(format!("Times are {}.", self.machine));
+        lines.push(format!("Times are {}.", times_source(arguments, &self.times)));
         lines.push(if self.has_doubt {
-            "The lens' own uncertainty is in the figures.".to_owned()
+            "The errors include the uncertainty of the lens.".to_owned()
         } else {
-            "The lens is taken as exactly known: the camera file says nothing of its uncertainty."
-                .to_owned()
+            "The lens is assumed to be exact: the camera file has no uncertainty.".to_owned()
         });
         lines.push(String::new());
         lines.join("\n")
@@ -230,6 +204,7 @@ impl PlanResult {
 
     fn json(&self, arguments: &PlanArgs) -> Value {
         let Self { reach, expected, paper, kind, .. } = self;
+        let frame_s = self.times.median_s(arguments.lost());
         json!({
             "outer_m": kind.outer_diameter_m,
             "inner_m": kind.inner_diameter_m,
@@ -252,9 +227,11 @@ impl PlanResult {
             "position_deviation_m": expected.position_m(),
             "normal_deviation_deg": expected.normal_rad().to_degrees(),
             "motion_px": self.motion_px,
-            "frame_s": self.frame_s,
-            "frames_per_s": 1.0 / self.frame_s,
-            "times": self.machine,
+            "frame_s": frame_s,
+            "frame_p95_s": self.times.p95_s(arguments.lost()),
+            "frames_per_s": 1.0 / frame_s,
+            "roundels_timed": self.times.followed,
+            "times": times_source(arguments, &self.times),
             "lens_uncertainty_known": self.has_doubt,
             "paper": {
                 "least_distance_m": paper.least_distance_m(),

@@ -1,4 +1,4 @@
-//! What is to be printed, as told on the command line or by an installation's configuration.
+//! The print job that the command line or an installation's configuration describes.
 
 use anyhow::bail;
 use roundel_core::{
@@ -18,57 +18,48 @@ use crate::{
     },
 };
 
-/// What the arguments ask for.
 pub(super) fn print_job(arguments: &PrintArgs) -> anyhow::Result<PrintJob> {
-    if let Some(sides) = arguments.board {
-        let layout = arguments.code.unwrap_or(BOARD_LAYOUT);
-        return Ok(PrintJob::Board(PrintJob::board(
-            sides,
-            arguments.marker,
-            arguments.pitch,
-            layout,
-        )?));
+    let &PrintArgs { board, marker: diameters, pitch, code, .. } = arguments;
+    if let Some(sides) = board {
+        let board = PrintJob::board(sides, diameters, pitch, code.unwrap_or(BOARD_LAYOUT))?;
+        return Ok(PrintJob::Board(board));
     }
     let numbers = arguments.ids.as_ref();
-    let items = match (&arguments.config, arguments.marker) {
-        (Some(file), _) => items_of_config(
-            &Config::load_without_cameras(file)?,
-            arguments.kind.as_deref(),
-            numbers,
-        )?,
-        (None, Some(_)) => {
-            let polarity = arguments.polarity.unwrap_or_default().into();
-            let (diameters, code) = (arguments.marker, arguments.code);
-            PrintJob::roundels(&PrintSpec { diameters, code, polarity }, numbers)?
-        }
-        (None, None) => bail!(
-            "expected --marker OUTER_MM[:INNER_MM] for the size, --config FILE for what an installation \
-             uses, or --board COLUMNSxROWS"
-        ),
+    let items = if let Some(file) = &arguments.config {
+        let config = Config::load_without_cameras(file)?;
+        items_of_config(&config, arguments.kind.as_deref(), numbers)?
+    } else if diameters.is_some() {
+        let polarity = arguments.polarity.unwrap_or_default().into();
+        PrintJob::roundels(&PrintSpec { diameters, code, polarity }, numbers)?
+    } else {
+        bail!(
+            "expected --marker OUTER_MM[:INNER_MM], --config FILE for the roundels of an installation, or \
+             --board COLUMNSxROWS"
+        )
     };
     Ok(PrintJob::Roundels(items).copies(arguments.copies.unwrap_or(1).into()))
 }
 
-/// What was printed, in words; `prints`: outlines on all pages.
-pub(super) fn describe(order: &PrintJob, prints: usize) -> String {
-    let roundels = |count: usize| match count {
-        1 => "one roundel".to_owned(),
-        _ => format!("{count} roundels"),
-    };
-    match order {
-        PrintJob::Roundels(items) if prints > items.len() => {
-            format!("{} over several pages", roundels(items.len()))
+/// Describes the job; `prints` counts the outlines on all pages.
+pub(super) fn describe(job: &PrintJob, prints: usize) -> String {
+    match job {
+        PrintJob::Roundels(items) => {
+            let roundels = match items.len() {
+                1 => "one roundel".to_owned(),
+                count => format!("{count} roundels"),
+            };
+            let spread = if prints > items.len() { " over several pages" } else { "" };
+            roundels + spread
         }
-        PrintJob::Roundels(items) => roundels(items.len()),
         PrintJob::Board(board) => {
             format!("a board of {} x {} roundels", board.columns(), board.rows())
         }
     }
 }
 
-/// What has to be said of them elsewhere: the lines of a configuration, or the next command.
-pub(super) fn next_steps(order: &PrintJob) -> Vec<String> {
-    match order {
+/// The lines for the configuration, or the next command.
+pub(super) fn next_steps(job: &PrintJob) -> Vec<String> {
+    match job {
         PrintJob::Board(board) => {
             let kind = board.kind();
             let Pattern::Coded(CodeLayout { bits, min_distance }) = kind.pattern else {
@@ -93,7 +84,7 @@ pub(super) fn next_steps(order: &PrintJob) -> Vec<String> {
     }
 }
 
-/// What the objects and references of an installation carry, by kind, or of one kind the numbers given.
+/// The roundels that the objects and references of an installation carry, by kind; with `wanted`, only that kind.
 fn items_of_config(
     config: &Config,
     wanted: Option<&str>,
@@ -106,7 +97,7 @@ fn items_of_config(
         bail!("no kind of roundel is called \"{name}\"; there are {}", list(names()));
     }
     if numbers.is_some() && wanted.is_none() && config.kinds.len() > 1 {
-        bail!("--ids are numbers of one kind's codes: say which with --kind NAME");
+        bail!("--ids are code numbers of one kind: select it with --kind NAME");
     }
     let mut items = Vec::new();
     for (kind, id) in config.kinds.iter().zip((0..).map(KindId)) {
@@ -124,7 +115,7 @@ fn items_of_config(
     Ok(items)
 }
 
-/// The codes of a kind that are on something named, by number, with its name.
+/// Numbers of a kind's codes that an object or reference carries, with its name.
 fn carried(config: &Config, kind: KindId) -> Vec<(u16, String)> {
     let mut carried = Vec::new();
     for object in &config.objects {

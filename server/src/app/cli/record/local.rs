@@ -1,8 +1,7 @@
-//! A recording on this machine, out of what a server streams.
+//! A recording on this machine, from a server's streams.
 
 use std::{
     collections::BTreeMap,
-    io::Write as _,
     path::Path,
     process::ExitCode,
     time::{Duration, Instant},
@@ -14,9 +13,9 @@ use roundel_client::{Client, Subscription, Update};
 use roundel_core::time::Timestamp;
 use roundel_proto::v1;
 
-use super::progress;
+use super::PROGRESS;
 use crate::{
-    app::cli::serve::{Signals, elapsed},
+    app::cli::{print, progress_bar, signals::signal_or_after},
     archive::record::{
         file_writer::{FileWriter, MessageStamp},
         megabytes,
@@ -41,35 +40,30 @@ pub(super) async fn record(
     ]);
     let mut file = FileWriter::create(path, &about)
         .with_context(|| format!("cannot write {}", path.display()))?;
-    let recorded = take_all(client, &mut file, &info, length).await;
-    let (messages, begun) = (file.messages(), recorded?);
-    let bytes = file.finish().with_context(|| format!("cannot end {}", path.display()))?;
-    writeln!(
-        std::io::stdout(),
-        "{}: {:.1} s, {messages} messages, {}",
-        path.display(),
-        begun.elapsed().as_secs_f64(),
-        megabytes(bytes)
-    )
-    .context("cannot write to the standard output")?;
+    let begun = Instant::now();
+    let recorded = write_streams(client, &mut file, &info, length).await;
+    let (messages, seconds) = (file.messages(), begun.elapsed().as_secs_f64());
+    recorded?;
+    let bytes = file.finish().with_context(|| format!("cannot finish {}", path.display()))?;
+    let size = megabytes(bytes);
+    print(&format!("{}: {seconds:.1} s, {messages} messages, {size}\n", path.display()))?;
     Ok(ExitCode::SUCCESS)
 }
 
-async fn take_all(
+async fn write_streams(
     client: &Client,
     file: &mut FileWriter,
     info: &v1::ServerInfo,
     length: Option<Duration>,
-) -> anyhow::Result<Instant> {
+) -> anyhow::Result<()> {
     let (clock, begun) = (Clock::anchored_now(), Instant::now());
-    let mut signals = Signals::listen()?;
+    let end = signal_or_after(length)?;
+    tokio::pin!(end);
     let mut snapshots = client.snapshots(Subscription::default());
     let mut observations = client.observations(&[]).await?;
     let mut events = client.events(0).await?;
     let mut flush = tokio::time::interval(FLUSH_INTERVAL);
-    let end = elapsed(length);
-    tokio::pin!(end);
-    let bar = progress()?;
+    let bar = progress_bar(None, PROGRESS)?;
     let message = v1::RecordedConfiguration {
         version: info.version.clone(),
         source_id: info.source_id.clone(),
@@ -93,14 +87,14 @@ async fn take_all(
                     let stamp = at(snapshot.pose_time_ns, snapshot.sequence);
                     file.write(Topic::Snapshots, stamp, &snapshot)?;
                 }
-                // The other streams do not come back by themselves: what there is, is kept.
+                // The other streams do not reconnect, so the recording ends here.
                 Some(Ok(Update::Disconnected { reason, .. })) => {
-                    tracing::warn!("the connection is lost, and the recording ends: {reason}");
-                    return Ok(begun);
+                    tracing::warn!("connection lost; the recording ends: {reason}");
+                    return Ok(());
                 }
                 Some(Ok(_)) => {}
                 Some(Err(error)) => return Err(error.into()),
-                None => return Ok(begun),
+                None => return Ok(()),
             },
             Some(Ok(frame)) = observations.next() => {
                 missed += frame.missed;
@@ -113,12 +107,11 @@ async fn take_all(
                 let cameras = client.cameras().await?;
                 let message = v1::ListCamerasResponse { cameras };
                 file.write(Topic::Health, MessageStamp::at(now, 0), &message)?;
-                file.flush().context("the recording cannot be written")?;
+                file.flush().context("cannot write the recording")?;
                 let seconds = begun.elapsed().as_secs_f64();
                 bar.set_message(format!("{seconds:.0} s, {}, {missed} missed", megabytes(file.bytes())));
             }
-            () = signals.next() => return Ok(begun),
-            () = &mut end => return Ok(begun),
+            () = &mut end => return Ok(()),
         }
     }
 }

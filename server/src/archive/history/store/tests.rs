@@ -7,7 +7,7 @@ fn at(seconds: i64) -> Timestamp {
     Timestamp::from_ns(BEGIN + seconds * 1_000_000_000)
 }
 
-/// Objects that stand at (id, 0, 0) for so long, in the tiers from `finest` on.
+/// Objects at (id, 0, 0) for some seconds, in the tiers from `finest` on.
 fn store(folder: &Path, objects: u64, seconds: i64, finest: usize) -> Store {
     let mut store = Store::open(&folder.join("h.sqlite")).unwrap();
     for id in 1..=objects {
@@ -44,7 +44,7 @@ fn count(answer: &HistoryResult) -> usize {
 }
 
 #[test]
-fn questions_get_no_more_points_than_they_want_and_not_many_fewer() {
+fn queries_return_almost_the_maximum_number_of_points() {
     let folder = tempfile::tempdir().unwrap();
     let store = store(folder.path(), 10, DAY_S, 1);
     for (from, until, most) in [(0, DAY_S, 5000), (0, 3600, 5000), (100, 200, 500), (0, DAY_S, 50)]
@@ -60,7 +60,7 @@ fn questions_get_no_more_points_than_they_want_and_not_many_fewer() {
 }
 
 #[test]
-fn objects_and_regions_are_chosen() {
+fn objects_and_regions_are_selected() {
     let folder = tempfile::tempdir().unwrap();
     let store = store(folder.path(), 5, 1000, 1);
     let ids = |query: &HistoryQuery| {
@@ -80,27 +80,27 @@ fn objects_and_regions_are_chosen() {
 }
 
 #[test]
-fn what_is_old_is_forgotten_the_fine_before_the_coarse() {
+fn finer_tiers_expire_before_coarser_ones() {
     let folder = tempfile::tempdir().unwrap();
     let store = store(folder.path(), 2, 2000, 1);
-    // Of the tier of 1 s the last 700 s stay, of the coarser ones all.
-    while store.forget(at(2000), Duration::from_secs(100)).unwrap() {}
+    // The tier of 1 s keeps the last 700 s, coarser tiers keep everything.
+    while store.expire(at(2000), Duration::from_secs(100)).unwrap() {}
     let finest = |from, until| {
         let query = HistoryQuery { step_s: Some(1.0), max_points: 100_000, ..all(from, until) };
         count(&store.query(&query).unwrap())
     };
     assert_eq!((finest(0, 1299), finest(1300, 2000)), (0, 2 * 700));
-    // Whoever leaves the distance of points open gets what is there.
+    // Without a step, a query falls back to a tier that still has the points.
     let old = store.query(&all(0, 1000)).unwrap();
     assert!(count(&old) == 2 * 101 && (old.step_s - 10.0).abs() < 1e-9, "{}", old.step_s);
     let coarse = HistoryQuery { step_s: Some(10.0), ..all(0, 2000) };
     assert_eq!(count(&store.query(&coarse).unwrap()), 2 * 200);
-    while store.forget(at(10_000_000), Duration::from_secs(100)).unwrap() {}
+    while store.expire(at(10_000_000), Duration::from_secs(100)).unwrap() {}
     assert_eq!(store.query(&all(0, 2000)).unwrap().kept, None);
 }
 
 #[test]
-fn a_file_of_something_else_is_refused() {
+fn foreign_and_newer_files_are_rejected() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("x.sqlite");
     std::fs::write(&path, "name = \"lab\"\n".repeat(100)).unwrap();

@@ -38,7 +38,7 @@ fn sequences(reader: &mut FileReader) -> Vec<u64> {
 }
 
 #[test]
-fn a_whole_file_is_read_from_any_place() {
+fn a_complete_file_is_read_from_any_position() {
     let folder = tempfile::tempdir().unwrap();
     let mut reader = FileReader::open(&recorded(folder.path())).unwrap();
     assert_eq!(reader.metadata()["installation"], "lab");
@@ -52,7 +52,7 @@ fn a_whole_file_is_read_from_any_place() {
 }
 
 #[test]
-fn a_file_cut_off_anywhere_is_read_to_its_last_complete_chunk() {
+fn a_truncated_file_is_read_to_its_last_complete_chunk() {
     let folder = tempfile::tempdir().unwrap();
     let whole = fs::read(recorded(folder.path())).unwrap();
     let cut = folder.path().join("cut.mcap");
@@ -62,12 +62,12 @@ fn a_file_cut_off_anywhere_is_read_to_its_last_complete_chunk() {
         match FileReader::open(&cut) {
             Ok(mut reader) => {
                 let found = sequences(&mut reader);
-                assert_eq!(found.len() % 10, 0, "chunks are whole or not there");
+                assert_eq!(found.len() % 10, 0, "chunks are complete or absent");
                 assert!(found.len() >= most && found.iter().copied().eq(0..found.len() as u64));
                 most = found.len();
                 if reader.damage().is_cut_off {
-                    let told = reader.damage().sentences.join("; ");
-                    assert!(told.contains("the file has no end"), "{told}");
+                    let reported = reader.damage().sentences.join("; ");
+                    assert!(reported.contains("the file has no end"), "{reported}");
                 }
             }
             Err(error) => {
@@ -80,47 +80,50 @@ fn a_file_cut_off_anywhere_is_read_to_its_last_complete_chunk() {
 }
 
 #[test]
-fn a_broken_chunk_is_left_out_and_told() {
+fn a_broken_chunk_is_skipped_and_reported() {
     let folder = tempfile::tempdir().unwrap();
     let path = recorded(folder.path());
     let mut bytes = fs::read(&path).unwrap();
     let place = FileReader::open(&path).unwrap().chunks()[4].clone();
-    // Within the compressed messages, behind the chunk's own head.
+    // Within the compressed messages, after the chunk's header.
     let broken = place.offset as usize + 9 + 60;
     bytes[broken] ^= 0x55;
     fs::write(&path, bytes).unwrap();
     let mut reader = FileReader::open(&path).unwrap();
     let found = sequences(&mut reader);
     assert_eq!(found.len(), 90, "{found:?}");
-    let told = reader.damage().sentences.join("; ");
-    assert!(told.contains(&format!("the chunk at byte {} is broken", place.offset)), "{told}");
+    let reported = reader.damage().sentences.join("; ");
+    assert!(
+        reported.contains(&format!("the chunk at byte {} is corrupt", place.offset)),
+        "{reported}"
+    );
     assert!(reader.damage().bytes > 0 && !reader.damage().is_cut_off);
 }
 
 #[test]
-fn what_is_no_recording_is_said_to_be_what_it_is() {
+fn errors_say_what_a_foreign_file_is() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.mcap");
-    let told = |bytes: &[u8]| {
+    let error = |bytes: &[u8]| {
         fs::write(&path, bytes).unwrap();
         FileReader::open(&path).err().map(|error| error.to_string()).unwrap_or_default()
     };
-    assert!(told(b"").contains("found an empty file"));
-    assert!(told(b"\x89PNG\r\n\x1a\n....").contains("found a PNG image"));
-    assert!(told(b"time,x,y\n").contains("a file that begins with \"time,x,y\""));
-    assert!(told(&MAGIC[..5]).contains("only 5 bytes of one"));
+    assert!(error(b"").contains("found an empty file"));
+    assert!(error(b"\x89PNG\r\n\x1a\n....").contains("found a PNG image"));
+    assert!(error(b"time,x,y\n").contains("a file that begins with \"time,x,y\""));
+    assert!(error(&MAGIC[..5]).contains("only 5 bytes of one"));
     let missing = FileReader::open(&folder.path().join("b.mcap")).err().unwrap().to_string();
     assert!(missing.contains("cannot read") && missing.contains("b.mcap"), "{missing}");
 
     let mut other = mcap::Writer::new(io::Cursor::new(Vec::new())).unwrap();
     other.add_channel(0, "/imu", "json", &BTreeMap::new()).unwrap();
     other.finish().unwrap();
-    let error = told(other.into_inner().get_ref());
-    assert!(error.contains("an MCAP file of something else, with the topics /imu"), "{error}");
+    let error = error(other.into_inner().get_ref());
+    assert!(error.contains("an MCAP file of another program, with the topics /imu"), "{error}");
 }
 
 #[test]
-fn a_later_format_is_refused_by_name() {
+fn a_later_format_is_rejected() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("later.mcap");
     let mut writer = mcap::Writer::new(fs::File::create(&path).unwrap()).unwrap();
@@ -129,5 +132,5 @@ fn a_later_format_is_refused_by_name() {
     writer.write_metadata(&mcap::records::Metadata { name: METADATA.into(), metadata }).unwrap();
     writer.finish().unwrap();
     let error = FileReader::open(&path).err().unwrap().to_string();
-    assert!(error.contains("was recorded by Roundel 3.1 in format 7"), "{error}");
+    assert!(error.contains("recorded by Roundel 3.1 in format 7"), "{error}");
 }

@@ -1,45 +1,37 @@
-//! What decoding a frame takes.
+//! Time that decoding a frame takes.
 
 use std::{
-    sync::{
-        Arc,
-        atomic::{AtomicU64, Ordering},
-    },
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant},
 };
 
 use gstreamer as gst;
 use gstreamer::prelude::*;
 
-/// From a frame's way into the decoder to the next way out, of the newest frame.
+/// Time from a frame's entry into the decoder to the next output; clones share it.
 ///
-/// A decoder that works in one thread gives a frame out before it takes the next one in: this is then its work. One
-/// with several threads gives out an earlier frame: this is then the time that decoding holds the stream up.
-#[derive(Clone, Debug)]
-pub(super) struct DecodeTimer {
-    since: Instant,
-    /// ns after `since`.
-    entered: Arc<AtomicU64>,
-    taken_ns: Arc<AtomicU64>,
-}
+/// A decoder with one thread outputs a frame before it takes the next one: this is then its work. One with several
+/// threads outputs an earlier frame: this is then the time for which decoding blocks the stream.
+#[derive(Clone, Debug, Default)]
+pub(super) struct DecodeTimer(Arc<Mutex<State>>);
 
-impl Default for DecodeTimer {
-    fn default() -> Self {
-        Self { since: Instant::now(), entered: Arc::default(), taken_ns: Arc::default() }
-    }
+#[derive(Debug, Default)]
+struct State {
+    entered: Option<Instant>,
+    taken: Duration,
 }
 
 impl DecodeTimer {
-    /// Of the newest frame; zero where nothing is decoded.
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The time of the newest frame; zero if nothing is decoded.
     pub(super) fn newest(&self) -> Duration {
-        Duration::from_nanos(self.taken_ns.load(Ordering::Relaxed))
+        self.lock().taken
     }
 
-    fn elapsed_ns(&self) -> u64 {
-        u64::try_from(self.since.elapsed().as_nanos()).unwrap_or(u64::MAX)
-    }
-
-    /// Watches an element if it decodes pictures; bins are watched by what is in them.
+    /// Measures an element if it decodes pictures; of a bin, its elements are measured.
     pub(super) fn watch(&self, element: &gst::Element) {
         let decodes = element.factory().is_some_and(|factory| {
             factory.has_type(gst::ElementFactoryType::DECODER)
@@ -51,13 +43,13 @@ impl DecodeTimer {
         };
         let this = self.clone();
         sink.add_probe(gst::PadProbeType::BUFFER, move |_, _| {
-            this.entered.store(this.elapsed_ns(), Ordering::Relaxed);
+            this.lock().entered = Some(Instant::now());
             gst::PadProbeReturn::Ok
         });
         let this = self.clone();
         src.add_probe(gst::PadProbeType::BUFFER, move |_, _| {
-            let taken_ns = this.elapsed_ns().saturating_sub(this.entered.load(Ordering::Relaxed));
-            this.taken_ns.store(taken_ns, Ordering::Relaxed);
+            let mut state = this.lock();
+            state.taken = state.entered.map_or(Duration::ZERO, |entered| entered.elapsed());
             gst::PadProbeReturn::Ok
         });
     }

@@ -1,20 +1,22 @@
-//! `rtsp://…`, `file:` and `gst:` – whatever GStreamer receives and decodes.
+//! `rtsp://…`, `file:` and `gst:` – sources that GStreamer receives and decodes.
 //!
-//! One pipeline for all: what the address asks for, then an appsink that keeps the newest frame. Frames stay where
-//! GStreamer put them: a luma plane is lent as it lies there. The pipeline's clock is the machine's monotonic one,
-//! as the server's is, so a frame's running time says when it was taken.
+//! One pipeline for all: the elements of the address, then an appsink that keeps the newest frame. A luma plane is lent
+//! from GStreamer's buffer without a copy. The pipeline's clock is the machine's monotonic one, like the server's, so a
+//! frame's running time gives its capture time.
 //!
 //! | address | capture time |
 //! | --- | --- |
-//! | `rtsp://` | the camera's NTP time, from its sender reports. While it has sent none: arrival. Where its clock is not that of this machine: the same brought to the server's clock |
-//! | `file:` | when it is due; `speed=max`: when it is given |
-//! | `gst:` | base time + time stamp: of a live source, its driver's. Of a source that counts by its camera's clock from the first frame's arrival on, as `aravissrc` does, the count brought to the server's clock: by itself it would drift away |
+//! | `rtsp://` | the camera's NTP time, from its sender reports; mapped to the server's clock if the camera's clock is not synchronized; before the first report: arrival |
+//! | `file:` | when it is due; `speed=max`: when it is returned |
+//! | `gst:` | base time + time stamp. If the camera's counter stamps the frames, as with `aravissrc`: the counter mapped to the server's clock, from which it drifts |
 
 mod decode_timer;
 mod launch;
+mod pinned;
 mod plugin;
 
 use std::{
+    io,
     sync::atomic::{AtomicU64, Ordering},
     time::{Duration, Instant},
 };
@@ -26,25 +28,23 @@ use gstreamer_video as gst_video;
 use gstreamer_video::prelude::*;
 use roundel_core::time::Timestamp;
 
-use decode_timer::DecodeTimer;
-use launch::Launched;
-
 use super::{
     CaptureClock, FrameInfo, FrameSource, LentFrame, SourceError, SourceParts, bad_frame,
+    mailbox::stalled,
     pixels::{GreyConverter, PixelFormat, RawImage, SampleFormat},
     timing::CameraTimeline,
     wrong_size,
 };
-use crate::model::address::MediaAddress;
-use crate::model::stop::StopSignal;
+use crate::model::{address::MediaAddress, regular_file, source_rules::SourceRules};
+use decode_timer::DecodeTimer;
 
-/// How often a wait looks whether the server goes down or the pipeline has failed.
+/// How often a wait checks the stop signal and the pipeline.
 const POLL_INTERVAL: gst::ClockTime = gst::ClockTime::from_mseconds(20);
-/// A pipeline may take so long to its first frame: connections, negotiation, the first key frame.
+/// Timeout of the first frame: connection, negotiation, the first key frame.
 const FIRST_FRAME: Duration = Duration::from_secs(10);
-/// Seconds from NTP's epoch to Unix'.
+/// Seconds from NTP's epoch to the Unix epoch.
 const UNIX_FROM_NTP_S: u64 = 2_208_988_800;
-/// A camera whose clock is in step never stamps what arrives sooner than it was taken, nor so late.
+/// A camera's clock is synchronized if its frames arrive at most this long before and after their NTP time.
 const STEP_EARLY_S: f64 = 0.5;
 const STEP_LATE_S: f64 = 5.0;
 
@@ -54,31 +54,46 @@ pub(super) struct GstSource {
     sink: AppSink,
     address: MediaAddress,
     parts: SourceParts,
-    stop: StopSignal,
     timeline: CameraTimeline,
     converter: GreyConverter,
     current: Option<gst_video::VideoFrame<gst_video::video_frame::Readable>>,
     /// The number of the newest frame, as [`number_frames`] gave it.
     newest: u64,
     patience: Duration,
-    /// What the pipeline could not find.
+    /// Errors of missing plugins.
     missing: Vec<String>,
     decoding: DecodeTimer,
-    /// Whether time stamps are the camera's count, and not this machine's clock.
+    /// Whether the camera's counter stamps the frames, not this machine's clock.
     has_camera_timestamps: bool,
-    /// Frames a second, as the newest frame's source has it.
     promised_hz: Option<f64>,
+    /// A client named the source.
+    is_bound: bool,
 }
 
 impl GstSource {
+    /// `rules`: those that bind the source, if it is not one of the configuration file.
     pub(super) fn open(
         address: &MediaAddress,
+        rules: Option<&SourceRules>,
         parts: SourceParts,
-        stop: StopSignal,
     ) -> Result<Self, SourceError> {
         let failed = SourceError::Failed;
+        // GStreamer would wait for a pipe. It reports a missing file itself.
+        if let MediaAddress::File { path, .. } = address
+            && let Err(error) = regular_file::open(path)
+            && error.kind() == io::ErrorKind::InvalidInput
+        {
+            return Err(failed(format!("{address}: cannot play it: {error}")));
+        }
         gst::init().map_err(|error| failed(format!("GStreamer does not start: {error}")))?;
-        let Launched { pipeline, sink, decoding } = launch::launch(address).map_err(failed)?;
+        let pinned = match rules {
+            Some(rules) => &pinned::pin(address, rules, &parts.stop)?,
+            None => address,
+        };
+        let (pipeline, sink, decoding) = launch::launch(pinned).map_err(failed)?;
+        if rules.is_some() {
+            pinned::reject_redirects(&pipeline);
+        }
         let bus = pipeline.bus().ok_or_else(|| failed("the pipeline has no bus".to_owned()))?;
         number_frames(&sink);
         pipeline.use_clock(Some(&gst::SystemClock::obtain()));
@@ -89,7 +104,6 @@ impl GstSource {
             sink,
             address: address.clone(),
             parts,
-            stop,
             timeline: CameraTimeline::default(),
             converter: GreyConverter::default(),
             current: None,
@@ -99,9 +113,10 @@ impl GstSource {
             decoding,
             has_camera_timestamps,
             promised_hz: None,
+            is_bound: rules.is_some(),
         };
         if source.pipeline.set_state(gst::State::Playing).is_err() {
-            source.look_at_bus()?;
+            source.check_bus()?;
             return Err(failed(source.named("the pipeline does not start")));
         }
         Ok(source)
@@ -111,31 +126,38 @@ impl GstSource {
     fn sample(&mut self) -> Result<gst::Sample, SourceError> {
         let begun = Instant::now();
         loop {
-            if self.stop.is_stopped() {
+            if self.parts.stop.is_stopped() {
                 return Err(SourceError::Stopped);
             }
             if let Some(sample) = self.sink.try_pull_sample(POLL_INTERVAL) {
                 self.patience = self.address.stall();
                 return Ok(sample);
             }
-            self.look_at_bus()?;
+            self.check_bus()?;
             if self.sink.is_eos() {
                 self.end()?;
             }
             if begun.elapsed() >= self.patience {
-                let words = format!("stalled: no picture for {:.1} s", self.patience.as_secs_f64());
-                return Err(SourceError::Failed(self.named(&words)));
+                if self.hides_failures() {
+                    return Err(SourceError::Failed(pinned::no_answer(&self.address)));
+                }
+                return Err(SourceError::Failed(self.named(&stalled(self.patience, "", 0))));
             }
         }
     }
 
-    /// Errors that the pipeline has told of.
-    fn look_at_bus(&mut self) -> Result<(), SourceError> {
+    /// Returns an error that the pipeline has reported.
+    fn check_bus(&mut self) -> Result<(), SourceError> {
         while let Some(message) = self.bus.pop() {
             match message.view() {
                 gst::MessageView::Element(element) => {
                     let structure = element.structure();
                     self.missing.extend(structure.and_then(plugin::missing));
+                }
+                gst::MessageView::Error(error)
+                    if self.hides_failures() && !pinned::is_answer(&error.error()) =>
+                {
+                    return Err(SourceError::Failed(pinned::no_answer(&self.address)));
                 }
                 gst::MessageView::Error(error) => {
                     let what = error.error().to_string();
@@ -153,41 +175,43 @@ impl GstSource {
         Ok(())
     }
 
+    /// Whether an error must not reveal why a connection failed.
+    fn hides_failures(&self) -> bool {
+        let is_network = matches!(self.address, MediaAddress::Rtsp { .. });
+        self.is_bound && is_network && self.newest == 0 && self.missing.is_empty()
+    }
+
     fn describe_error(&self, what: &str, element: Option<&str>, debug: &str) -> String {
         if let Some(missing) = self.missing.first() {
             return self.named(missing);
         }
-        let mut words = what.trim_end_matches('.').to_owned();
-        // The last line says what happened; those before it, where in GStreamer's sources.
-        match debug.lines().last().filter(|line| !line.contains("gst")) {
-            Some(detail) => words.push_str(&format!(" ({})", detail.trim_end_matches('.'))),
-            None => words.push_str(&element.map_or(String::new(), |it| format!(" ({it})"))),
-        }
-        if let Some(remedy) = plugin::remedy(what, debug) {
-            words.push_str(&format!("; {remedy}"));
-        }
-        self.named(&words)
+        // The lines before the last one name places in GStreamer's sources.
+        let last = debug.lines().last().filter(|line| !line.contains("gst"));
+        let detail = last.map(|line| line.trim_end_matches('.')).or(element);
+        let detail = detail.map(|detail| format!(" ({detail})")).unwrap_or_default();
+        let remedy = plugin::remedy(what, debug).map(|remedy| format!("; {remedy}"));
+        let what = what.trim_end_matches('.');
+        self.named(&format!("{what}{detail}{}", remedy.unwrap_or_default()))
     }
 
-    /// The address before what is the matter with it.
     fn named(&self, what: &str) -> String {
         format!("{}: {what}", self.address)
     }
 
-    /// The stream is over: again from its beginning, or that was all.
+    /// Handles the end of the stream: a repeated file starts again.
     fn end(&mut self) -> Result<(), SourceError> {
         match &self.address {
             MediaAddress::File { repeat: true, .. } => {
                 let flags = gst::SeekFlags::FLUSH | gst::SeekFlags::KEY_UNIT;
                 let seek = self.pipeline.seek_simple(flags, gst::ClockTime::ZERO);
-                seek.map_err(|_| SourceError::Failed(self.named("it cannot be played again")))
+                seek.map_err(|_| SourceError::Failed(self.named("cannot seek to the beginning")))
             }
             MediaAddress::File { .. } => Err(SourceError::Finished),
             _ => Err(SourceError::Failed(self.named("the stream has ended"))),
         }
     }
 
-    /// When the sample's frame was taken, and by which clock.
+    /// Capture time of a sample, and its clock.
     fn time(&mut self, sample: &gst::Sample) -> (Timestamp, CaptureClock) {
         let now = self.parts.clock.now();
         let buffer = sample.buffer();
@@ -212,22 +236,39 @@ impl GstSource {
             now.plus_ns(due.nseconds() as i64 - clock_now.nseconds() as i64)
         });
         match &self.address {
-            // Its time stamps are those of packets that arrived.
+            // The time stamps are the arrivals of packets.
             MediaAddress::Rtsp { .. } => (capture_time.min(now), CaptureClock::ARRIVAL),
             MediaAddress::File { hurry: true, .. } => (now, CaptureClock::EXACT),
             MediaAddress::File { .. } => (capture_time, CaptureClock::EXACT),
             MediaAddress::Pipeline(_) => (capture_time.min(now), CaptureClock::DRIVER),
         }
     }
+
+    /// Frame rate that the source announces. Rates that decoders derive from an H.264 stream are often wrong.
+    fn promise(&self, video: &gst_video::VideoInfo) -> Option<f64> {
+        match &self.address {
+            // The session description has it.
+            MediaAddress::Rtsp { .. } => {
+                let origin = self.pipeline.by_name(launch::ORIGIN)?;
+                let caps = origin.src_pads().iter().find_map(|pad| pad.current_caps())?;
+                caps.structure(0)?.get::<&str>("a-framerate").ok()?.parse().ok()
+            }
+            MediaAddress::File { .. } => None,
+            MediaAddress::Pipeline(_) => {
+                let (frames, seconds) = (video.fps().numer(), video.fps().denom());
+                Some(f64::from(frames) / f64::from(seconds))
+            }
+        }
+    }
 }
 
-/// Numbers what comes to the sink, from 1, so that what it drops for something newer is counted.
+/// Numbers the buffers that reach the sink, from 1, so that those that it drops are counted.
 fn number_frames(sink: &AppSink) {
     let Some(pad) = sink.static_pad("sink") else { return };
     let number = AtomicU64::new(1);
     pad.add_probe(gst::PadProbeType::BUFFER, move |_, info| {
         if let Some(buffer) = info.buffer_mut() {
-            // Its pixels stay where they are.
+            // Copies the metadata, not the pixels.
             buffer.make_mut().set_offset(number.fetch_add(1, Ordering::Relaxed));
         }
         gst::PadProbeReturn::Ok
@@ -241,25 +282,6 @@ fn ntp_ns(buffer: &gst::BufferRef) -> Option<i64> {
         meta.reference().structure(0).is_some_and(|it| it.name() == "timestamp/x-ntp")
     });
     ntp.next().and_then(|meta| i64::try_from(meta.timestamp().nseconds()).ok())
-}
-
-impl GstSource {
-    /// Frames a second that the camera promises. What decoders make of an H.264 stream is often nobody's promise.
-    fn promise(&self, video: &gst_video::VideoInfo) -> Option<f64> {
-        match &self.address {
-            // Of the stream's description.
-            MediaAddress::Rtsp { .. } => {
-                let origin = self.pipeline.by_name(launch::ORIGIN)?;
-                let caps = origin.src_pads().iter().find_map(|pad| pad.current_caps())?;
-                caps.structure(0)?.get::<&str>("a-framerate").ok()?.parse().ok()
-            }
-            MediaAddress::File { .. } => None,
-            MediaAddress::Pipeline(_) => {
-                let (frames, seconds) = (video.fps().numer(), video.fps().denom());
-                Some(f64::from(frames) / f64::from(seconds))
-            }
-        }
-    }
 }
 
 impl FrameSource for GstSource {
@@ -290,7 +312,7 @@ impl FrameSource for GstSource {
         let buffer = sample.buffer_owned().ok_or_else(|| bad_frame("a sample without buffer"))?;
         let frame = gst_video::VideoFrame::from_buffer_readable(buffer, &video)
             .map_err(|_| bad_frame("a buffer that cannot be read"))?;
-        // The one before is given back to GStreamer here.
+        // This returns the previous frame to GStreamer.
         let frame = self.current.insert(frame);
         let raw = RawImage {
             format,
@@ -303,7 +325,7 @@ impl FrameSource for GstSource {
     }
 }
 
-/// Of those that the pipeline's end takes.
+/// Converts a format that the sink accepts.
 fn pixel_format(format: gst_video::VideoFormat) -> Option<PixelFormat> {
     use gst_video::VideoFormat as Known;
     match format {

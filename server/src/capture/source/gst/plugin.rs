@@ -1,32 +1,22 @@
-//! What GStreamer lacks, in words that name the package to install.
+//! Error messages for missing GStreamer plugins, with the package to install.
 
 use gstreamer as gst;
 
-/// Elements, or how their names begin, and Debian's packages of them.
-const PACKAGES: [(&str, &str); 21] = [
-    ("aravissrc", "libaravis-0.8-0"),
-    ("avdec_", "gstreamer1.0-libav"),
-    ("appsink", "gstreamer1.0-plugins-base"),
-    ("decodebin", "gstreamer1.0-plugins-base"),
-    ("h264parse", "gstreamer1.0-plugins-bad"),
-    ("h265parse", "gstreamer1.0-plugins-bad"),
-    ("jpegdec", "gstreamer1.0-plugins-good"),
-    ("libcamerasrc", "gstreamer1.0-libcamera"),
-    ("multipartdemux", "gstreamer1.0-plugins-good"),
-    ("openh264dec", "gstreamer1.0-plugins-bad"),
-    ("rtp", "gstreamer1.0-plugins-good"),
-    ("rtspsrc", "gstreamer1.0-plugins-good"),
-    ("souphttpsrc", "gstreamer1.0-plugins-good"),
-    ("udpsrc", "gstreamer1.0-plugins-good"),
-    ("uridecodebin", "gstreamer1.0-plugins-base"),
-    ("v4l2", "gstreamer1.0-plugins-good"),
-    ("va", "gstreamer1.0-plugins-bad"),
-    ("vaapi", "gstreamer1.0-vaapi"),
-    ("video", "gstreamer1.0-plugins-base"),
-    ("vp8dec", "gstreamer1.0-plugins-good"),
-    ("x264enc", "gstreamer1.0-plugins-ugly"),
+/// Debian's packages, and the prefixes of their elements' names.
+const PACKAGES: [(&str, &[&str]); 8] = [
+    ("libaravis-0.8-0", &["aravissrc"]),
+    ("gstreamer1.0-libav", &["avdec_"]),
+    ("gstreamer1.0-libcamera", &["libcamerasrc"]),
+    ("gstreamer1.0-plugins-bad", &["h264parse", "h265parse", "openh264dec", "va"]),
+    ("gstreamer1.0-plugins-base", &["appsink", "decodebin", "uridecodebin", "video"]),
+    (
+        "gstreamer1.0-plugins-good",
+        &["jpegdec", "multipartdemux", "rtp", "rtspsrc", "souphttpsrc", "udpsrc", "v4l2", "vp8dec"],
+    ),
+    ("gstreamer1.0-plugins-ugly", &["x264enc"]),
+    ("gstreamer1.0-vaapi", &["vaapi"]),
 ];
-/// What streams hold, as GStreamer calls it, and packages that decode it.
+/// Media types, and the packages that decode them.
 const DECODERS: [(&str, &str); 6] = [
     ("video/x-h264", "gstreamer1.0-libav"),
     ("video/x-h265", "gstreamer1.0-libav"),
@@ -36,20 +26,22 @@ const DECODERS: [(&str, &str); 6] = [
     ("application/x-rtp", "gstreamer1.0-plugins-good"),
 ];
 
-/// An element that is not there.
+/// The error of a missing element.
 pub(super) fn element(name: &str) -> String {
-    let known = PACKAGES.iter().filter(|(begin, _)| name.starts_with(begin));
-    // `vaapi…` begins with `va` too: the longest says most.
-    let package = known.max_by_key(|(begin, _)| begin.len()).map(|(_, package)| *package);
-    match package {
-        Some(package) => format!("GStreamer has no element `{name}`: install {package}"),
+    let known = PACKAGES
+        .iter()
+        .flat_map(|(package, prefixes)| prefixes.iter().map(move |prefix| (prefix, package)))
+        .filter(|(prefix, _)| name.starts_with(**prefix));
+    // The longest prefix counts: `vaapi…` begins with `va` too.
+    match known.max_by_key(|(prefix, _)| prefix.len()) {
+        Some((_, package)) => format!("GStreamer has no element `{name}`: install {package}"),
         None => format!(
             "GStreamer has no element `{name}`: check its name (`gst-inspect-1.0`), or install the plugin that has it"
         ),
     }
 }
 
-/// What a missing-plugin message says; `None`: it is another message.
+/// The error of a missing-plugin message; `None` for other messages.
 pub(super) fn missing(structure: &gst::StructureRef) -> Option<String> {
     if structure.name() != "missing-plugin" {
         return None;
@@ -65,11 +57,11 @@ pub(super) fn missing(structure: &gst::StructureRef) -> Option<String> {
     Some(format!("GStreamer lacks: {what}; install {package}"))
 }
 
-/// What to do about an error, as far as its words tell.
+/// What to do about an error, judged by its text.
 pub(super) fn remedy(what: &str, debug: &str) -> Option<&'static str> {
     let has = |part: &str| what.contains(part) || debug.contains(part);
     if has("401") || has("Unauthorized") {
-        Some("user or password is missing or wrong: rtsp://USER:PASSWORD@HOST/…")
+        Some("user or password is missing or wrong; write rtsp://USER:PASSWORD@HOST/…")
     } else if has("404") || has("Not found") && has("rtsp") {
         Some("the camera has no such path; find the address of the stream in its manual")
     } else if has("Could not find camera") {
@@ -79,11 +71,13 @@ pub(super) fn remedy(what: &str, debug: &str) -> Option<&'static str> {
     } else if has("Connection refused") || has("Failed to connect") {
         Some("nothing listens there; check host and port")
     } else if has("Parse error") {
-        Some("what came is no RTSP: is it a camera's port, and is the network sound?")
+        Some("the answer is not RTSP: check the port and the network")
     } else if has("any UDP packets") {
-        Some("`#transport=tcp` behind the address has the camera send within its connection")
+        Some(
+            "append `#transport=tcp` to the address, so that the camera sends over its TCP connection",
+        )
     } else if has("not-linked") {
-        Some("the stream holds no picture that GStreamer can decode")
+        Some("the stream contains no pictures that GStreamer can decode")
     } else {
         None
     }

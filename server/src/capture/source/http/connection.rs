@@ -1,19 +1,29 @@
-//! One request to a camera, and the meaning of its answer.
+//! One request to a camera, and the classification of its answer.
+//!
+//! Rules bind a source that a client named: its host is resolved once, and the connection goes to an address that the
+//! rules allow. Until such a camera has answered, every failure has the same words, so that a client cannot find out
+//! which ports of other machines are open. Redirects are never followed.
 
-use std::{io, time::Duration};
+use std::{io, net::SocketAddr, time::Duration};
 
 use base64::{Engine, prelude::BASE64_STANDARD};
 use http_body_util::Empty;
 use hyper::{
     HeaderMap, Request, Response, StatusCode,
     body::{Bytes, Incoming},
-    client::conn::http1::{self, SendRequest},
+    client::conn::http1,
     header::{self, HeaderName, HeaderValue},
 };
 use hyper_util::rt::TokioIo;
-use tokio::{net::TcpStream, time::timeout};
+use tokio::{
+    net::{TcpStream, ToSocketAddrs, lookup_host},
+    time::timeout,
+};
 
-use crate::model::address::HttpAddress;
+use crate::model::{
+    address::HttpAddress,
+    source_rules::{SourceRuleError, SourceRules},
+};
 
 /// Timeout of the answer. Cameras may first have to switch on.
 pub(super) const RESPONSE_TIMEOUT: Duration = Duration::from_secs(5);
@@ -26,60 +36,85 @@ pub(super) enum ResponseKind {
     Snapshot(Incoming),
 }
 
-pub(super) struct Connection(SendRequest<Empty<Bytes>>);
-
-impl Connection {
-    /// Connects; a task of the current runtime drives the connection.
-    pub(super) async fn open(address: &HttpAddress) -> Result<Self, String> {
-        let to = (address.host.as_str(), address.port);
-        let stream = match timeout(CONNECT_TIMEOUT, TcpStream::connect(to)).await {
-            Ok(Ok(stream)) => stream,
-            Ok(Err(error)) => return Err(unreachable(address, &error)),
-            Err(_) => {
-                return Err(format!(
-                    "{} does not answer within {} s: is the camera on, and in this network?",
-                    address.authority(),
-                    CONNECT_TIMEOUT.as_secs()
-                ));
-            }
-        };
-        // Without it, requests only leave later.
-        let _ = stream.set_nodelay(true);
-        let handshake = http1::Builder::new()
-            .allow_spaces_after_header_name_in_responses(true)
-            .allow_obsolete_multiline_headers_in_responses(true)
-            .ignore_invalid_headers_in_responses(true)
-            .handshake(TokioIo::new(stream))
-            .await;
-        let (sender, connection) = handshake.map_err(|error| describe(address, &error))?;
-        // Its errors are also those of the response or its body.
-        tokio::spawn(connection);
-        Ok(Self(sender))
-    }
-
-    /// Requests the picture or the stream.
-    pub(super) async fn send_request(
-        mut self,
-        address: &HttpAddress,
-    ) -> Result<ResponseKind, String> {
-        let request = request(address)?;
-        let ask = async {
-            self.0.ready().await?;
-            self.0.send_request(request).await
-        };
-        match timeout(RESPONSE_TIMEOUT, ask).await {
-            Ok(Ok(response)) => classify_response(address, response),
-            Ok(Err(error)) => Err(describe(address, &error)),
-            Err(_) => Err(format!(
-                "{address} took the connection, but gives no answer within {} s: many cameras serve one viewer at \
-                 a time; is another one watching?",
-                RESPONSE_TIMEOUT.as_secs()
-            )),
+/// Connects and requests the picture or the stream; a task of the current runtime drives the connection.
+pub(super) async fn request(
+    address: &HttpAddress,
+    rules: Option<&SourceRules>,
+) -> Result<ResponseKind, String> {
+    let response = match rules {
+        None => exchange(address, (address.host.as_str(), address.port)).await?,
+        Some(rules) => {
+            let allowed = resolve(address, rules).await?;
+            exchange(address, &allowed[..]).await.map_err(|_| no_answer(address))?
         }
+    };
+    classify_response(address, response)
+}
+
+/// The addresses of the host that the rules allow, at least one.
+async fn resolve(address: &HttpAddress, rules: &SourceRules) -> Result<Vec<SocketAddr>, String> {
+    let found = timeout(CONNECT_TIMEOUT, lookup_host((address.host.as_str(), address.port))).await;
+    let Ok(Ok(found)) = found else { return Err(no_answer(address)) };
+    let allowed: Vec<SocketAddr> = found.filter(|it| rules.allows(it.ip())).collect();
+    if allowed.is_empty() {
+        return Err(SourceRuleError::Network(address.host.clone()).to_string());
+    }
+    Ok(allowed)
+}
+
+/// Connects to one of the addresses, sends the request, and returns the head of the response.
+async fn exchange(
+    address: &HttpAddress,
+    to: impl ToSocketAddrs,
+) -> Result<Response<Incoming>, String> {
+    let stream = match timeout(CONNECT_TIMEOUT, TcpStream::connect(to)).await {
+        Ok(Ok(stream)) => stream,
+        Ok(Err(error)) => return Err(unreachable(address, &error)),
+        Err(_) => {
+            return Err(format!(
+                "{} does not answer within {} s: is the camera on, and in this network?",
+                address.authority(),
+                CONNECT_TIMEOUT.as_secs()
+            ));
+        }
+    };
+    // A failure only delays the request.
+    let _ = stream.set_nodelay(true);
+    let handshake = http1::Builder::new()
+        .allow_spaces_after_header_name_in_responses(true)
+        .allow_obsolete_multiline_headers_in_responses(true)
+        .ignore_invalid_headers_in_responses(true)
+        .handshake(TokioIo::new(stream))
+        .await;
+    let (mut sender, connection) = handshake.map_err(|error| describe(address, &error))?;
+    // The response or its body reports the connection's errors too.
+    tokio::spawn(connection);
+    let request = http_request(address)?;
+    let response = async {
+        sender.ready().await?;
+        sender.send_request(request).await
+    };
+    match timeout(RESPONSE_TIMEOUT, response).await {
+        Ok(Ok(response)) => Ok(response),
+        Ok(Err(error)) => Err(describe(address, &error)),
+        Err(_) => Err(format!(
+            "{address} accepted the connection but does not answer within {} s: many cameras serve one viewer at a \
+             time; is another one watching?",
+            RESPONSE_TIMEOUT.as_secs()
+        )),
     }
 }
 
-fn request(address: &HttpAddress) -> Result<Request<Empty<Bytes>>, String> {
+/// The only error of a bound source before its camera has answered.
+fn no_answer(address: &HttpAddress) -> String {
+    format!(
+        "no camera answers at {}: is it on, in this network, without another viewer, and is the port right? An ESP32-CAM \
+         streams on port 81",
+        address.authority()
+    )
+}
+
+fn http_request(address: &HttpAddress) -> Result<Request<Empty<Bytes>>, String> {
     let mut request = Request::builder()
         .uri(&address.target)
         .header(header::HOST, address.authority())
@@ -147,7 +182,7 @@ fn classify_response(
 
 fn remedy_for(kind: &str) -> &'static str {
     if kind == "text/html" {
-        "this is a page for people; find the address of the stream itself in the camera's manual (ESP32-CAM: \
+        "this is a web page; find the address of the stream in the camera's manual (ESP32-CAM: \
          http://HOST:81/stream)"
     } else if kind.starts_with("image/") {
         "set the camera to JPEG"
@@ -162,8 +197,8 @@ fn refusal(address: &HttpAddress, status: StatusCode, headers: &HeaderMap) -> St
     if status.is_redirection() {
         let to = text(headers, header::LOCATION);
         return format!(
-            "{address} sends to `{to}` ({status}): redirects are not followed, so that a password goes nowhere \
-             else; write that address as the source"
+            "{address} redirects to `{to}` ({status}): redirects are not followed, so that no other host gets the \
+             password; use that address as the source"
         );
     }
     let why = match status {
@@ -172,11 +207,11 @@ fn refusal(address: &HttpAddress, status: StatusCode, headers: &HeaderMap) -> St
             let is_digest = scheme.to_ascii_lowercase().starts_with("digest");
             match (&address.credentials, is_digest) {
                 (_, true) => {
-                    "it wants Digest authentication, which this version does not speak: set the camera to Basic, \
-                     or use its RTSP stream"
+                    "it requires Digest authentication, which is not supported: set the camera to Basic, or use its \
+                     RTSP stream"
                 }
                 (None, false) => {
-                    "it wants a user and a password: http://USER:PASSWORD@HOST/…, with %40 for an @ in them"
+                    "it requires a user and a password, as in http://USER:PASSWORD@HOST/…, with %40 for an @ in them"
                 }
                 (Some(_), false) => "user or password is wrong",
             }
@@ -188,7 +223,7 @@ fn refusal(address: &HttpAddress, status: StatusCode, headers: &HeaderMap) -> St
         StatusCode::SERVICE_UNAVAILABLE | StatusCode::TOO_MANY_REQUESTS => {
             "it is busy: many cameras serve one viewer at a time; is another one watching?"
         }
-        _ if status.is_server_error() => "the camera has a fault; switch it off and on",
+        _ if status.is_server_error() => "the camera has an internal error; switch it off and on",
         _ => "expected 200",
     };
     format!("{address} answers {status}: {why}")

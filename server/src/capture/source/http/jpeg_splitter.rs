@@ -173,14 +173,18 @@ fn step(bytes: &[u8], walk: ScanState) -> ScanStep {
             {
                 at += offset;
                 match bytes.get(at + 1) {
-                    None => return ScanStep::On(ScanState::Coded(at)).or_need_more(from == at),
+                    None if at == from => return ScanStep::Wait,
+                    None => return ScanStep::On(ScanState::Coded(at)),
                     // An escaped FF, a restart marker or a fill byte does not end the coded data.
                     Some(0x00 | 0xD0..=0xD7) => at += 2,
                     Some(0xFF) => at += 1,
                     Some(_) => return ScanStep::On(ScanState::Marker(at)),
                 }
             }
-            ScanStep::On(ScanState::Coded(bytes.len())).or_need_more(from >= bytes.len())
+            match bytes.len() {
+                end if from >= end => ScanStep::Wait,
+                end => ScanStep::On(ScanState::Coded(end)),
+            }
         }
         ScanState::Marker(at) => marker(bytes, at),
     }
@@ -218,12 +222,6 @@ fn marker(bytes: &[u8], at: usize) -> ScanStep {
     }
 }
 
-impl ScanStep {
-    fn or_need_more(self, wait: bool) -> Self {
-        if wait { Self::Wait } else { self }
-    }
-}
-
 #[cfg(test)]
 mod properties;
 
@@ -233,30 +231,38 @@ mod tests {
 
     use super::*;
 
-    fn jpeg(level: u8) -> Vec<u8> {
+    pub(super) fn jpeg(level: u8) -> Vec<u8> {
         let mut bytes = Vec::new();
         let pixels: Vec<u8> = (0..32 * 24u32).map(|i| (i * 7 % 97) as u8 ^ level).collect();
         Encoder::new(&mut bytes, 90).encode(&pixels, 32, 24, ColorType::Luma).unwrap();
         bytes
     }
 
-    /// What is found in `stream`, however it is cut into pieces.
-    fn found(stream: &[u8]) -> (Vec<StampedJpeg>, u64) {
-        let mut all = [1, 3, 64, stream.len()].map(|size| {
-            let mut parts = JpegSplitter::default();
-            let mut found = Vec::new();
-            for (piece, bytes) in stream.chunks(size).enumerate() {
-                parts.push(bytes, Timestamp::from_ns((piece * size) as i64));
-                while let Some(part) = parts.pop() {
-                    found.push(StampedJpeg { arrival: Timestamp::default(), ..part });
-                }
+    /// Pictures and the number of broken ones in a stream that arrives in chunks of these lengths, repeated.
+    pub(super) fn split(stream: &[u8], lengths: &[usize]) -> (Vec<StampedJpeg>, u64) {
+        let (mut parts, mut found, mut at) = (JpegSplitter::default(), Vec::new(), 0);
+        for length in lengths.iter().cycle() {
+            let end = (at + length).min(stream.len());
+            parts.push(&stream[at..end], Timestamp::from_ns(at as i64));
+            while let Some(part) = parts.pop() {
+                // The chunk in which a picture begins depends on the lengths.
+                found.push(StampedJpeg { arrival: Timestamp::default(), ..part });
             }
-            (found, parts.take_broken())
-        });
-        for other in &all[1..] {
-            assert_eq!(other, &all[0], "it depends on how the stream is cut");
+            at = end;
+            if at == stream.len() {
+                break;
+            }
         }
-        std::mem::take(&mut all[0])
+        (found, parts.take_broken())
+    }
+
+    /// The same for several lengths of the chunks.
+    fn found(stream: &[u8]) -> (Vec<StampedJpeg>, u64) {
+        let whole = split(stream, &[stream.len()]);
+        for length in [1, 3, 64] {
+            assert_eq!(split(stream, &[length]), whole, "chunks of {length} bytes");
+        }
+        whole
     }
 
     fn header(text: &str) -> Vec<u8> {
@@ -284,24 +290,18 @@ mod tests {
 
     #[test]
     fn stamps_are_taken_to_the_nanosecond() {
-        let stamp = |text: &str| {
-            let (parts, _) = found(&[header(text), jpeg(0)].concat());
-            parts[0].stamp_ns
-        };
-        assert_eq!(stamp("--b\nX-Timestamp: 12.345678\n\n"), Some(12_345_678_000));
-        assert_eq!(
-            stamp("--b\nx-timestamp:1700000000.1234567891\n\n"),
-            Some(1_700_000_000_123_456_789)
-        );
-        assert_eq!(stamp("--b\nX-Timestamp: 3\n\n"), Some(3_000_000_000));
-        for none in [
-            "X-Timestamp: -3.1\n",
-            "X-Timestamp: soon\n",
-            "X-Timestamp: 1e9\n",
-            "--b\n",
-            "X-Timestamp: 99999999999999999999\n",
+        for (text, expected) in [
+            ("--b\nX-Timestamp: 12.345678\n\n", Some(12_345_678_000)),
+            ("--b\nx-timestamp:1700000000.1234567891\n\n", Some(1_700_000_000_123_456_789)),
+            ("--b\nX-Timestamp: 3\n\n", Some(3_000_000_000)),
+            ("X-Timestamp: -3.1\n", None),
+            ("X-Timestamp: soon\n", None),
+            ("X-Timestamp: 1e9\n", None),
+            ("--b\n", None),
+            ("X-Timestamp: 99999999999999999999\n", None),
         ] {
-            assert_eq!(stamp(none), None, "{none}");
+            let (parts, _) = found(&[header(text), jpeg(0)].concat());
+            assert_eq!(parts[0].stamp_ns, expected, "{text}");
         }
     }
 

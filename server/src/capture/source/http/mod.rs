@@ -1,20 +1,25 @@
 //! `http://…` – network cameras that send JPEGs: a stream (multipart/x-mixed-replace), or one JPEG for each request.
 //!
 //! A thread with its own single-threaded runtime receives and keeps the newest picture; the worker decodes its luma.
-//! The capture time is the arrival, or, where the camera stamps its pictures (X-Timestamp), the camera's counter mapped
-//! to the server's clock. Any error ends the connection and the source, and the worker's supervisor opens both again.
+//! The capture time is the arrival, or, if the camera stamps its pictures (X-Timestamp), the camera's counter mapped to
+//! the server's clock. Any error ends the connection and the source, and the worker's supervisor opens both again.
 
 mod connection;
 mod jpeg_splitter;
 
-use std::time::{Duration, Instant};
+use std::{
+    convert::Infallible,
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
-use http_body_util::BodyExt;
+use http_body_util::{BodyExt, Limited};
 use hyper::body::Incoming;
+use roundel_core::time::Timestamp;
 use tokio::{runtime::Builder, time::timeout};
 
 use self::{
-    connection::{Connection, RESPONSE_TIMEOUT, ResponseKind, describe},
+    connection::{RESPONSE_TIMEOUT, ResponseKind, describe, request},
     jpeg_splitter::{JpegSplitter, StampedJpeg},
 };
 use super::{
@@ -23,10 +28,11 @@ use super::{
     mailbox::{Mailbox, MailboxSender},
     timing::CameraTimeline,
 };
-use crate::model::{address::HttpAddress, capture_clock::CaptureClock};
-use crate::model::{clock::Clock, stop::StopSignal};
+use crate::model::{
+    address::HttpAddress, capture_clock::CaptureClock, clock::Clock, source_rules::SourceRules,
+};
 
-/// Time for the connection, the answer and the first picture, in addition to the stall timeout.
+/// Timeout of the connection, the answer and the first picture, in addition to the stall timeout.
 const FIRST_PICTURE: Duration = Duration::from_secs(9);
 /// Longest single picture, bytes.
 const MAX_SNAPSHOT: usize = 16 << 20;
@@ -41,21 +47,21 @@ pub(super) struct HttpSource {
 }
 
 impl HttpSource {
+    /// `rules`: those that bind the source, if it is not one of the configuration file.
     pub(super) fn open(
         address: &HttpAddress,
+        rules: Option<Arc<SourceRules>>,
         parts: SourceParts,
-        stop: StopSignal,
     ) -> Result<Self, SourceError> {
-        let asked = address.clone();
-        let clock = parts.clock;
+        let (requested, clock) = (address.clone(), parts.clock);
         let receive = move |sink: &MailboxSender<StampedJpeg>| {
-            SourceError::Failed(receive(&asked, clock, sink))
+            SourceError::Failed(receive(&requested, rules.as_deref(), clock, sink))
         };
         // The stall timeout must exceed the interval between snapshots.
         let interval = Duration::from_secs_f64(1.0 / address.snapshot_hz);
         let stall = address.stall.max(interval.mul_f64(2.0).min(Duration::from_secs(3600)));
         Ok(Self {
-            mailbox: Mailbox::start("http camera", stop, receive)?,
+            mailbox: Mailbox::start("http camera", parts.stop, receive)?,
             decoder: LumaDecoder::new(parts.size),
             timeline: CameraTimeline::default(),
             name: address.to_string(),
@@ -67,9 +73,7 @@ impl HttpSource {
 
 impl FrameSource for HttpSource {
     fn next_frame(&mut self) -> Result<LentFrame<'_>, SourceError> {
-        let mut skipped = 0;
-        let mut broken = 0;
-        let begun = Instant::now();
+        let (begun, mut skipped, mut broken) = (Instant::now(), 0, 0);
         loop {
             // A broken picture does not restart the timeout.
             let taken = self.mailbox.next(begun, self.patience)?;
@@ -95,15 +99,20 @@ impl FrameSource for HttpSource {
     }
 }
 
-/// Receives until it fails or the source is dropped, and returns the reason.
-fn receive(address: &HttpAddress, clock: Clock, sink: &MailboxSender<StampedJpeg>) -> String {
+/// Receives until an error or until the source is dropped, and returns the reason.
+fn receive(
+    address: &HttpAddress,
+    rules: Option<&SourceRules>,
+    clock: Clock,
+    sink: &MailboxSender<StampedJpeg>,
+) -> String {
     let runtime = match Builder::new_current_thread().enable_all().build() {
         Ok(runtime) => runtime,
         Err(error) => return format!("cannot receive from {address}: {error}"),
     };
     let why = runtime.block_on(async {
         tokio::select! {
-            why = run_connection(address, clock, sink) => why,
+            Err(why) = run_connection(address, rules, clock, sink) => why,
             () = sink.cancelled() => "the source was closed".to_owned(),
         }
     });
@@ -114,25 +123,19 @@ fn receive(address: &HttpAddress, clock: Clock, sink: &MailboxSender<StampedJpeg
 
 async fn run_connection(
     address: &HttpAddress,
+    rules: Option<&SourceRules>,
     clock: Clock,
     sink: &MailboxSender<StampedJpeg>,
-) -> String {
+) -> Result<Infallible, String> {
     let interval = Duration::from_secs_f64(1.0 / address.snapshot_hz);
     loop {
         let due = tokio::time::Instant::now() + interval;
         // One connection per picture: many cameras close it after one, some without announcing it.
-        let outcome = match Connection::open(address).await {
-            Ok(connection) => connection.send_request(address).await,
-            Err(why) => Err(why),
-        };
-        let part = match outcome {
-            Ok(ResponseKind::Stream(body)) => return stream(address, body, clock, sink).await,
-            Ok(ResponseKind::Snapshot(body)) => snapshot(address, body, clock.now()).await,
-            Err(why) => Err(why),
-        };
-        match part {
-            Ok(part) => sink.send(part),
-            Err(why) => return why,
+        match request(address, rules).await? {
+            ResponseKind::Stream(body) => return stream(address, body, clock, sink).await,
+            ResponseKind::Snapshot(body) => {
+                sink.send(snapshot(address, body, clock.now()).await?);
+            }
         }
         tokio::time::sleep_until(due).await;
     }
@@ -143,14 +146,11 @@ async fn stream(
     mut body: Incoming,
     clock: Clock,
     sink: &MailboxSender<StampedJpeg>,
-) -> String {
+) -> Result<Infallible, String> {
     let mut parts = JpegSplitter::default();
-    sink.hint("the camera took the request and sends nothing");
+    sink.hint("the camera accepted the request but sends nothing");
     while let Some(frame) = body.frame().await {
-        let frame = match frame {
-            Ok(frame) => frame,
-            Err(error) => return describe(address, &error),
-        };
+        let frame = frame.map_err(|error| describe(address, &error))?;
         let Some(bytes) = frame.data_ref() else { continue };
         parts.push(bytes, clock.now());
         let mut is_picture = false;
@@ -158,43 +158,30 @@ async fn stream(
             sink.send(part);
             is_picture = true;
         }
-        match parts.take_broken() {
-            0 => {}
-            broken => sink.count_broken(broken),
-        }
-        if is_picture {
-            sink.hint("the connection stands and nothing comes (a slow camera: `#stall=SECONDS` behind its address)");
+        sink.count_broken(parts.take_broken());
+        sink.hint(if is_picture {
+            "the connection is open but nothing arrives (for a slow camera append `#stall=SECONDS` to its address)"
         } else {
-            sink.hint("what comes holds no JPEG, or not its end");
-        }
+            "the received data contain no complete JPEG"
+        });
     }
-    format!("{} ended the stream", address.authority())
+    Err(format!("{} ended the stream", address.authority()))
 }
 
 async fn snapshot(
     address: &HttpAddress,
-    mut body: Incoming,
-    arrival: roundel_core::time::Timestamp,
+    body: Incoming,
+    arrival: Timestamp,
 ) -> Result<StampedJpeg, String> {
-    let mut jpeg = Vec::new();
-    let read = async {
-        while let Some(frame) = body.frame().await {
-            let frame = frame.map_err(|error| describe(address, &error))?;
-            jpeg.extend_from_slice(frame.data_ref().map_or(&[], |bytes| bytes));
-            if jpeg.len() > MAX_SNAPSHOT {
-                return Err(format!("{address}: a picture of more than {MAX_SNAPSHOT} bytes"));
-            }
-        }
-        Ok(())
-    };
-    match timeout(RESPONSE_TIMEOUT, read).await {
-        Ok(outcome) => outcome?,
-        Err(_) => {
-            return Err(format!(
-                "{address}: its picture was not there after {} s",
-                RESPONSE_TIMEOUT.as_secs()
-            ));
-        }
+    match timeout(RESPONSE_TIMEOUT, Limited::new(body, MAX_SNAPSHOT).collect()).await {
+        Ok(Ok(body)) => Ok(StampedJpeg { jpeg: body.to_bytes().into(), arrival, stamp_ns: None }),
+        Ok(Err(error)) => Err(match error.downcast_ref() {
+            Some(error) => describe(address, error),
+            None => format!("{address}: a picture of more than {MAX_SNAPSHOT} bytes"),
+        }),
+        Err(_) => Err(format!(
+            "{address}: its picture did not arrive within {} s",
+            RESPONSE_TIMEOUT.as_secs()
+        )),
     }
-    Ok(StampedJpeg { jpeg, arrival, stamp_ns: None })
 }

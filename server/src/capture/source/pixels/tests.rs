@@ -21,15 +21,15 @@ fn luma_planes_are_used_in_place() {
 }
 
 #[test]
-fn packed_luma_is_gathered_from_its_side() {
+fn packed_luma_is_every_second_byte() {
     let bytes = [10, 200, 11, 201, 0, 12, 202, 13, 203, 0];
-    let yuyv = PixelFormat::from_fourcc(*b"YUYV").unwrap();
-    assert_eq!(grey(yuyv, &bytes, (2, 2), 5), [10, 11, 12, 13]);
-    let uyvy = PixelFormat::from_fourcc(*b"UYVY").unwrap();
-    assert_eq!(grey(uyvy, &bytes, (2, 2), 5), [200, 201, 202, 203]);
+    for (code, expected) in [(b"YUYV", [10, 11, 12, 13]), (b"UYVY", [200, 201, 202, 203])] {
+        let format = PixelFormat::from_fourcc(*code).unwrap();
+        assert_eq!(grey(format, &bytes, (2, 2), 5), expected);
+    }
 }
 
-/// Each layout holds 0, the least and the largest sample, one that is rounded up, and a fifth in a group that is cut.
+/// The least and the largest sample, two beside the rounding threshold, and a fifth in an incomplete group.
 #[test]
 fn deep_samples_are_rounded_in_every_layout() {
     for (samples, bits) in [
@@ -86,9 +86,9 @@ fn pack(samples: SampleFormat, values: &[u32]) -> Vec<u8> {
     }
 }
 
-/// A lens that fades from left to right over a coloured scene: the mosaic's pattern goes, and places stay.
+/// A coloured scene with a horizontal gradient.
 #[test]
-fn mosaics_leave_no_pattern_and_move_nothing() {
+fn mosaics_leave_no_pattern_and_shift_nothing() {
     let (width, height) = (12, 8);
     let colours = [40u32, 100, 160]; // red, green, blue
     for order in [[0, 1, 1, 2], [1, 0, 2, 1], [1, 2, 0, 1], [2, 1, 1, 0]] {
@@ -100,7 +100,7 @@ fn mosaics_leave_no_pattern_and_move_nothing() {
             for u in 1..width - 1 {
                 assert_eq!(found[v * width + u], (100 + 4 * u) as u8, "{order:?} ({u}, {v})");
             }
-            // Mirrored: the neighbour's slope once more.
+            // The mirrored border.
             assert_eq!(found[v * width], 102);
             assert_eq!(found[v * width + width - 1], (100 + 4 * (width - 1) - 2) as u8);
         }
@@ -113,21 +113,18 @@ fn mosaics_leave_no_pattern_and_move_nothing() {
 
 #[test]
 fn wrong_pictures_say_what_was_expected() {
-    let error = |format, bytes: &[u8], (width, height): (usize, usize), stride| {
-        let raw = RawImage { format, bytes, width, height, stride };
-        GreyConverter::default().grey(&raw).unwrap_err().to_string()
-    };
     let yuyv = PixelFormat::Packed { chroma_first: false };
-    assert_eq!(
-        error(yuyv, &[0; 15], (4, 2), 8),
-        "expected at least 16 bytes for 4 x 2 pixels, found 15"
-    );
-    assert_eq!(error(yuyv, &[0; 99], (4, 2), 7), "expected rows of at least 8 bytes, found 7");
     let bayer = PixelFormat::Bayer(SampleFormat::Eight);
-    assert!(
-        error(bayer, &[0; 9], (9, 1), 9).contains("a mosaic of at least 2 x 2 pixels, found 9 x 1")
-    );
-    assert!(error(bayer, &[0; 9], (0, 1), 9).contains("found 0 x 1"));
-    assert!(error(PixelFormat::GREY8, &[0; 9], (70_000, 1), 70_000).contains("70000 x 1"));
+    for (format, length, (width, height), stride, expected) in [
+        (yuyv, 15, (4, 2), 8, "expected at least 16 bytes for 4 x 2 pixels, found 15"),
+        (yuyv, 99, (4, 2), 7, "expected rows of at least 8 bytes, found 7"),
+        (bayer, 9, (9, 1), 9, "a mosaic of at least 2 x 2 pixels, found 9 x 1"),
+        (bayer, 9, (0, 1), 9, "found 0 x 1"),
+        (PixelFormat::GREY8, 9, (70_000, 1), 70_000, "70000 x 1"),
+    ] {
+        let raw = RawImage { format, bytes: &vec![0; length], width, height, stride };
+        let error = GreyConverter::default().grey(&raw).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error} lacks {expected}");
+    }
     assert_eq!(PixelFormat::from_fourcc(*b"H264"), None);
 }

@@ -1,58 +1,65 @@
-//! Where a remote program's frames and detections arrive: a bounded queue with a memory of who has sent what.
+//! Bounded queue of one `push:` camera.
 //!
-//! Of frames the newest waits; one that it replaces is counted. Of detections each counts, so a sender is made to
-//! wait while the queue is full, which it never is for long: handing detections on takes microseconds. Sequence
-//! numbers tell what came twice (it counts once) and what never came.
+//! Only the newest frame is queued; replaced frames are counted. Detections are never replaced: the sender waits while the
+//! queue is full, which is brief, since a worker takes detections within microseconds. The queue is bounded in frames and in
+//! bytes. Sequence numbers reveal repeated items, which are ignored, and missing ones.
 
 use std::{
-    collections::VecDeque,
-    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
+    collections::{BTreeMap, VecDeque},
+    sync::{
+        Arc, Condvar, Mutex, MutexGuard, PoisonError, RwLock,
+        atomic::{AtomicUsize, Ordering},
+    },
     time::{Duration, Instant},
 };
 
+use roundel_core::id::CameraId;
 use thiserror::Error;
 use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 
 use super::{Payload, PushedItem, SenderClock};
-use crate::model::hub::SenderLink;
-use crate::{capture::source::SourceError, model::stop::StopSignal};
+use crate::{
+    capture::source::SourceError,
+    model::{hub::SenderLink, stop::StopSignal, untrusted_text::sanitized},
+};
 
-/// Detections that wait at most, frames.
+/// Capacity for detections, frames.
 const QUEUE: usize = 64;
-/// How often a wait looks whether the server goes down.
+/// Capacity for detections, bytes; a single frame always fits.
+const QUEUE_BYTES: usize = 8 * 1024 * 1024;
+/// Shortest time between two failures of a sender, each of which is an event.
+const FAILURE_INTERVAL: Duration = Duration::from_millis(100);
+/// How often a wait checks the stop signal.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
-/// A sender that says nothing for so long may be replaced by another one.
+/// Another sender may replace one that has been silent for this long.
 const REPLACEABLE_AFTER: Duration = Duration::from_secs(3);
 
-/// What a sender says first.
+/// First message of a sender.
 #[derive(Clone, Debug, Default)]
 pub struct SenderHello {
     pub sender: String,
     pub address: String,
-    /// Tells this run of it from every other.
+    /// Unique for each run of the sender.
     pub run_id: String,
     pub times: SenderClock,
-    /// The least sequence that is still to come.
+    /// The next sequence number that can arrive.
     pub next_sequence: u64,
-    /// Those of this run before it that will never come.
+    /// Items of this run before that number that will never come.
     pub dropped: u64,
 }
 
-/// Why something is not taken.
+/// Why an endpoint rejects a sender or its item.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum PushError {
     #[error(
         "{sender} ({address}) is feeding this camera; end it first, or give each its own camera"
     )]
     Taken { sender: String, address: String },
-    /// The same sender has come back over another connection.
-    #[error("the same run of this sender has connected anew")]
+    #[error("the same run of this sender has opened another connection")]
     Superseded,
-    /// There is no camera to be fed any more.
-    #[error("this camera was removed, or takes its frames from elsewhere now")]
+    #[error("this camera was removed, or has another source now")]
     Closed,
-    /// Numbers begin at 1.
     #[error("sequence: expected a number from 1, found 0")]
     Sequence,
 }
@@ -60,49 +67,65 @@ pub enum PushError {
 #[derive(Default)]
 struct EndpointState {
     queue: VecDeque<PushedItem>,
-    /// Number of the connection that feeds it now.
-    active_session: Option<u64>,
-    session_count: u64,
+    /// Number of the newest session; it feeds the camera while `link.connected`.
+    session: u64,
     last_heard: Option<Instant>,
     run_id: String,
-    /// Newest sequence of that run that was taken or given up.
+    /// Newest sequence number of that run that was taken or given up.
     newest: u64,
     /// Why the sender has no frames.
     failure: String,
     link: SenderLink,
-    /// Frames that gave way or never came since the worker asked.
+    /// Frames replaced or missing that the worker has not counted yet.
     skipped: u64,
-    /// Grows with each change of what is to be told of the connection.
+    /// Incremented when the reason of [`Self::failed`] changes.
     changes: u64,
-    /// `changes` when the worker was last told that it has to wait.
+    /// `changes` when the worker last got a reason.
     reported_changes: Option<u64>,
-    /// Its camera is fed no more.
-    closed: bool,
 }
 
 impl EndpointState {
-    /// What lies before `next` and was not taken will never come.
+    /// Counts the items before `next` that were not taken as missing.
     fn skip_to(&mut self, next: u64) {
-        let gap = next.saturating_sub(self.newest + 1);
-        self.link.missing += gap;
-        self.skipped += gap;
-        self.newest += gap;
+        // Senders choose their numbers.
+        let gap = next.saturating_sub(self.newest.saturating_add(1));
+        self.count_missing(gap);
+        self.newest = self.newest.saturating_add(gap);
     }
 
-    fn failure_reason(&self) -> String {
-        let SenderLink { sender, address, connected, .. } = &self.link;
-        match (connected, sender.as_str()) {
-            (true, _) if !self.failure.is_empty() => format!("at {sender}: {}", self.failure),
-            (true, _) => format!("{sender} ({address}) has connected and sent nothing yet"),
-            (false, "") => {
-                "no program feeds it yet: start `roundel node` with a camera of this name, or send \
-                            frames or detections yourself (client/README.md)"
-                    .to_owned()
-            }
-            (false, _) => {
-                format!("{sender} ({address}) has gone; it goes on when it connects again")
-            }
-        }
+    fn count_missing(&mut self, count: u64) {
+        self.link.missing = self.link.missing.saturating_add(count);
+        self.skipped = self.skipped.saturating_add(count);
+    }
+
+    fn has_space(&self, item: &PushedItem) -> bool {
+        let queued: usize = self.queue.iter().map(PushedItem::bytes).sum();
+        self.queue.is_empty()
+            || (self.queue.len() < QUEUE && queued.saturating_add(item.bytes()) <= QUEUE_BYTES)
+    }
+
+    fn sender_label(&self) -> String {
+        format!("{} ({})", self.link.sender, self.link.address)
+    }
+
+    /// Whether a sender is connected that has frames.
+    fn is_fed(&self) -> bool {
+        self.link.connected && self.failure.is_empty()
+    }
+
+    /// The error of a worker that gets no item, with the reason.
+    fn failed(&mut self) -> SourceError {
+        self.reported_changes = Some(self.changes);
+        let sender = &self.link.sender;
+        SourceError::Failed(if self.link.connected {
+            format!("at {sender}: {}", self.failure)
+        } else if sender.is_empty() {
+            "no program feeds it yet: start `roundel node` with a camera of this name, or send frames or detections \
+             yourself (client/README.md)"
+                .to_owned()
+        } else {
+            format!("{} has disconnected; frames resume when it reconnects", self.sender_label())
+        })
     }
 }
 
@@ -119,35 +142,32 @@ impl PushEndpoint {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Sends away who feeds it, for good.
-    pub(super) fn close(&self) {
+    /// Disconnects the sender and rejects all others.
+    fn close(&self) {
         let mut state = self.lock();
-        state.closed = true;
         state.queue.clear();
-        drop(state);
         self.closing.cancel();
+        drop(state);
         self.changed.notify_one();
         self.space.notify_waiters();
     }
 
-    /// Ends when its camera is fed no more.
+    /// Resolves when the endpoint is closed.
     pub async fn closed(&self) {
         self.closing.cancelled().await;
     }
 
-    /// Who feeds it, and how that goes.
     pub fn link(&self) -> SenderLink {
         self.lock().link.clone()
     }
 
-    /// Lets a sender in. The same run of a sender takes its own place over; another one only where nothing was
-    /// heard for a while.
+    /// Opens a session. The same run of a sender replaces its own session; another one only a silent one.
     pub fn connect(self: &Arc<Self>, greeting: &SenderHello) -> Result<SenderSession, PushError> {
         let mut state = self.lock();
-        if state.closed {
+        if self.closing.is_cancelled() {
             return Err(PushError::Closed);
         }
-        let is_live = state.active_session.is_some()
+        let is_live = state.link.connected
             && state.last_heard.is_some_and(|heard| heard.elapsed() < REPLACEABLE_AFTER);
         if is_live && state.run_id != greeting.run_id {
             let SenderLink { sender, address, .. } = state.link.clone();
@@ -158,14 +178,12 @@ impl PushEndpoint {
         } else {
             state.run_id.clone_from(&greeting.run_id);
             state.newest = greeting.next_sequence.saturating_sub(1);
-            // It cannot have dropped more than it had.
+            // Guards against a count that exceeds the items there were.
             let dropped = greeting.dropped.min(state.newest);
-            state.link.missing += dropped;
-            state.skipped += dropped;
+            state.count_missing(dropped);
             0
         };
-        state.session_count += 1;
-        state.active_session = Some(state.session_count);
+        state.session += 1;
         state.last_heard = Some(Instant::now());
         state.failure.clear();
         state.link.sender.clone_from(&greeting.sender);
@@ -173,24 +191,20 @@ impl PushEndpoint {
         state.link.connected = true;
         (state.link.round_trip_ms, state.link.clock_deviation_ms) = (0.0, 0.0);
         state.changes += 1;
-        let number = state.session_count;
+        let number = state.session;
         drop(state);
         self.changed.notify_one();
         self.space.notify_waiters();
         Ok(SenderSession { endpoint: self.clone(), number, newest_sequence: newest })
     }
 
-    /// Whether there is something to wait for; if not, why.
+    /// An error if no item can be expected, with the reason.
     pub(super) fn ready(&self) -> Result<(), SourceError> {
         let mut state = self.lock();
-        if !state.queue.is_empty() || (state.link.connected && state.failure.is_empty()) {
-            return Ok(());
-        }
-        state.reported_changes = Some(state.changes);
-        Err(SourceError::Failed(state.failure_reason()))
+        if state.queue.is_empty() && !state.is_fed() { Err(state.failed()) } else { Ok(()) }
     }
 
-    /// Waits for what was not taken yet, and counts what was left out before it.
+    /// Waits for the next item, and returns it with the number of frames skipped before it.
     pub(super) fn next(
         &self,
         since: Instant,
@@ -209,42 +223,43 @@ impl PushEndpoint {
                 self.space.notify_one();
                 return Ok((pushed, skipped));
             }
+            if !state.is_fed() {
+                return Err(state.failed());
+            }
             let rest = patience.saturating_sub(since.elapsed());
-            let is_gone = !state.link.connected || !state.failure.is_empty();
-            if is_gone || rest.is_zero() {
+            if rest.is_zero() {
                 state.reported_changes = Some(state.changes);
-                let why = if is_gone {
-                    state.failure_reason()
-                } else {
-                    format!(
-                        "nothing from {} ({}) for {:.1} s: its camera stands still, or the network between is cut \
-                         (a slow camera: `push:?stall=SECONDS`)",
-                        state.link.sender,
-                        state.link.address,
-                        patience.as_secs_f64()
-                    )
-                };
-                return Err(SourceError::Failed(why));
+                return Err(SourceError::Failed(format!(
+                    "nothing from {} for {:.1} s: its camera has stopped, or the network is interrupted (a slow camera: \
+                     `push:?stall=SECONDS`)",
+                    state.sender_label(),
+                    patience.as_secs_f64()
+                )));
             }
             let wait = self.changed.wait_timeout(state, rest.min(POLL_INTERVAL));
             state = wait.unwrap_or_else(PoisonError::into_inner).0;
         }
     }
 
-    /// What was left out before anything that is still to come.
+    /// Frames skipped that no item has reported.
     pub(in crate::capture::source) fn take_skipped(&self) -> u64 {
         std::mem::take(&mut self.lock().skipped)
     }
 
-    /// The pause before another attempt: after a failure of what was sent, so long; while nobody sends, until
-    /// somebody does, or there is something else to tell. Whether the server goes down.
+    /// Waits before the source is opened again, and returns whether the stop signal came. If the worker got a
+    /// reason, the wait lasts until an item arrives or the reason changes; otherwise for `pause`.
     pub(in crate::capture::source) fn pause(&self, pause: Duration, stop: &StopSignal) -> bool {
         let mut state = self.lock();
-        let Some(told) = state.reported_changes else {
+        let Some(reported) = state.reported_changes else {
             drop(state);
             return stop.wait(pause);
         };
-        while state.queue.is_empty() && state.changes == told {
+        drop(state);
+        if stop.wait(FAILURE_INTERVAL) {
+            return true;
+        }
+        state = self.lock();
+        while state.queue.is_empty() && state.changes == reported {
             if stop.is_stopped() {
                 return true;
             }
@@ -255,48 +270,47 @@ impl PushEndpoint {
     }
 
     pub(super) fn sender_label(&self) -> String {
-        let state = self.lock();
-        format!("{} ({})", state.link.sender, state.link.address)
+        self.lock().sender_label()
     }
 }
 
-/// A sender's hold on a camera, until it is dropped.
+/// A sender's exclusive connection to an endpoint, until it is dropped.
 pub struct SenderSession {
     endpoint: Arc<PushEndpoint>,
     number: u64,
-    /// Newest sequence that was taken of this run before; 0: none.
+    /// Newest sequence number that was taken in an earlier session of this run; 0: none.
     pub newest_sequence: u64,
 }
 
 impl SenderSession {
-    /// The state, while it is this connection that feeds the camera.
+    /// The state, if this session still feeds the camera.
     fn state(&self) -> Result<MutexGuard<'_, EndpointState>, PushError> {
         let mut state = self.endpoint.lock();
-        if state.closed {
+        if self.endpoint.closing.is_cancelled() {
             return Err(PushError::Closed);
         }
-        if state.active_session != Some(self.number) {
+        if !state.link.connected || state.session != self.number {
             return Err(PushError::Superseded);
         }
         state.last_heard = Some(Instant::now());
         Ok(state)
     }
 
-    /// Puts in what came with that number. Detections wait for room.
+    /// Queues an item; detections wait until the queue has space.
     pub async fn put(&self, sequence: u64, pushed: PushedItem) -> Result<(), PushError> {
         if sequence == 0 {
             return Err(PushError::Sequence);
         }
         let is_frame = !matches!(pushed.what, Payload::Detections(..));
         loop {
-            let room = self.endpoint.space.notified();
+            let space = self.endpoint.space.notified();
             {
                 let mut state = self.state()?;
                 if sequence <= state.newest {
                     state.link.repeated += 1;
                     return Ok(());
                 }
-                if is_frame || state.queue.len() < QUEUE {
+                if is_frame || state.has_space(&pushed) {
                     state.skip_to(sequence);
                     state.newest = sequence;
                     state.link.received += 1;
@@ -304,20 +318,21 @@ impl SenderSession {
                     if is_frame {
                         let before = state.queue.len();
                         state.queue.retain(|it| matches!(it.what, Payload::Detections(..)));
-                        state.skipped += (before - state.queue.len()) as u64;
+                        let replaced = (before - state.queue.len()) as u64;
+                        state.skipped = state.skipped.saturating_add(replaced);
                     }
                     state.queue.push_back(pushed);
                     break;
                 }
             }
-            // A look now and then too: the worker may take between the look above and this wait.
-            let _ = tokio::time::timeout(POLL_INTERVAL, room).await;
+            // With a timeout, because the worker may take an item before this wait begins.
+            let _ = tokio::time::timeout(POLL_INTERVAL, space).await;
         }
         self.endpoint.changed.notify_one();
         Ok(())
     }
 
-    /// The sender lives, and says what will never come, and how well it knows the time.
+    /// Records a sign of life: the next sequence number, and how well the sender knows the server's clock.
     pub fn keep_alive(
         &self,
         next_sequence: u64,
@@ -325,20 +340,21 @@ impl SenderSession {
     ) -> Result<(), PushError> {
         let mut state = self.state()?;
         state.skip_to(next_sequence);
-        state.link.round_trip_ms = round_trip_ms;
-        state.link.clock_deviation_ms = clock_deviation_ms;
+        (state.link.round_trip_ms, state.link.clock_deviation_ms) =
+            (round_trip_ms, clock_deviation_ms);
         Ok(())
     }
 
-    /// The sender has given a picture, or says why it cannot.
+    /// Records why the sender sent no picture; empty if it sent one.
     pub fn picture_answered(&self, no_picture: String) -> Result<(), PushError> {
         self.state()?.link.no_picture = no_picture;
         Ok(())
     }
 
-    /// The sender has no frames, and says why.
-    pub fn report_failure(&self, error: String) -> Result<(), PushError> {
+    /// Records why the sender has no frames.
+    pub fn report_failure(&self, error: &str) -> Result<(), PushError> {
         let mut state = self.state()?;
+        let error = sanitized(error);
         if state.failure != error {
             state.failure = error;
             state.changes += 1;
@@ -352,12 +368,44 @@ impl SenderSession {
 impl Drop for SenderSession {
     fn drop(&mut self) {
         let mut state = self.endpoint.lock();
-        if state.active_session == Some(self.number) {
-            state.active_session = None;
+        if state.session == self.number {
             state.link.connected = false;
             state.changes += 1;
             drop(state);
             self.endpoint.changed.notify_one();
+        }
+    }
+}
+
+/// The endpoints of all `push:` cameras.
+#[derive(Default)]
+pub struct PushEndpoints {
+    endpoints: RwLock<BTreeMap<CameraId, Arc<PushEndpoint>>>,
+    max_detections: AtomicUsize,
+}
+
+impl PushEndpoints {
+    /// The camera's endpoint; `None` if its source is not `push:`.
+    pub fn get(&self, camera: CameraId) -> Option<Arc<PushEndpoint>> {
+        self.endpoints.read().unwrap_or_else(PoisonError::into_inner).get(&camera).cloned()
+    }
+
+    /// Opens an endpoint for a camera, unless it has one. `max_detections` per frame applies to all of them.
+    pub fn open(&self, camera: CameraId, max_detections: usize) {
+        self.max_detections.store(max_detections, Ordering::Relaxed);
+        self.endpoints.write().unwrap_or_else(PoisonError::into_inner).entry(camera).or_default();
+    }
+
+    /// Largest number of detections in a frame.
+    pub fn max_detections(&self) -> usize {
+        self.max_detections.load(Ordering::Relaxed)
+    }
+
+    /// Closes a camera's endpoint and disconnects its sender.
+    pub fn close(&self, camera: CameraId) {
+        let mut endpoints = self.endpoints.write().unwrap_or_else(PoisonError::into_inner);
+        if let Some(endpoint) = endpoints.remove(&camera) {
+            endpoint.close();
         }
     }
 }

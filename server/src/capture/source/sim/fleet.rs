@@ -1,9 +1,11 @@
 //! The simulated robots that clients drive: one world for all its cameras.
 //!
-//! In: objects, as fusion follows them, and what they are to do. Out: scenarios in which the robots do it. What a robot
-//! is told counts from 50 ms later on ([`ACTUATION_S`]): by then no camera has rendered a frame, so all of them show the
-//! same world. A robot is known by where its object is, since objects are all that clients know of it; by where that was
-//! when it was last seen, if nobody sees it, for while it is expected to go on as it went, its robot may turn.
+//! Input: commands for tracked objects. Output: scenarios in which the robots carry them out. A command takes effect
+//! after [`ACTUATION_S`]: no camera has rendered a later frame by then, so all cameras show the same world.
+//!
+//! Clients know only objects, so a robot is identified by the position of its object. The position of an object that is
+//! not tracked now is extrapolated, while its robot may have turned; such a robot is identified by the position at the
+//! newest observation.
 
 use std::{
     borrow::Cow,
@@ -20,56 +22,42 @@ use roundel_core::{
 };
 use thiserror::Error;
 
-use crate::model::address::SimAddress;
-use crate::model::simulated::simulated_scenario;
+use crate::model::{address::SimAddress, simulated::simulated_scenario};
 
-/// From the request until robots do it, seconds; a camera renders a frame less than this before it is taken, since at
-/// 30 Hz it begins when the one before has arrived, 15 ms after that was taken.
+/// Delay from a command to its effect, seconds. A camera renders a frame less than this before its capture: at 30 Hz it
+/// begins when the previous frame has arrived, 15 ms after that one's capture.
 pub const ACTUATION_S: f64 = 0.05;
-/// A robot that hears nothing for so long stops.
+/// A robot without a new command for this long stops.
 pub const COMMAND_TIMEOUT_S: f64 = 0.5;
-/// Fastest that a robot may be told to move, m/s.
 pub const MAX_SPEED_M_S: f64 = 1.0;
-/// Fastest that it may be pushed, m/s.
 pub const MAX_PUSH_M_S: f64 = 2.0;
-/// Longest that it may be pushed, milliseconds.
 pub const MAX_PUSH_MS: f64 = 5000.0;
-/// An object farther than this from a robot is not taken for it, metres.
+/// Greatest distance between an object and its robot, metres.
 const MATCH_RADIUS_M: f64 = 0.15;
 
-/// Why robots are not driven.
+/// Why a command is rejected.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum FleetError {
     /// There are no simulated robots.
     #[error(
-        "nothing is simulated here, and real robots are not driven by this server: `roundel demo`, or cameras with \
-         `source = \"sim:…\"`, have robots that accept velocities"
+        "nothing is simulated here, and this server does not drive real robots: use `roundel demo`, or cameras with \
+         `source = \"sim:…\"`"
     )]
     NothingSimulated,
-    /// The object is not followed.
-    #[error("object {object} is not followed now; {known}")]
+    #[error("object {object} is not tracked now; {known}")]
     NoObject { object: u64, known: String },
-    /// No robot is where the object is.
     #[error(
-        "object {object} is at no simulated robot: the nearest one is {distance_m:.2} m from it, and within {MATCH_RADIUS_M} m \
-         was expected"
+        "object {object} is not at a simulated robot: expected one within {MATCH_RADIUS_M} m, the nearest is \
+         {distance_m:.2} m away"
     )]
-    NoRobot {
-        object: u64,
-        /// From the nearest robot, metres.
-        distance_m: f64,
-    },
-    #[error(
-        "object {object} is parked as a reference of the arena, by which cameras are calibrated: it stays there"
-    )]
+    NoRobot { object: u64, distance_m: f64 },
+    #[error("object {object} is a reference for calibrating cameras, and stays parked")]
     Reference { object: u64 },
 }
 
-/// All simulated worlds of one server: those of its sources, each once.
+/// All simulated worlds of one server.
 #[derive(Default)]
-pub struct Fleets {
-    fleets: Mutex<Vec<Arc<Fleet>>>,
-}
+pub struct Fleets(Mutex<Vec<Arc<Fleet>>>);
 
 /// The robots of one world.
 pub struct Fleet {
@@ -80,7 +68,7 @@ pub struct Fleet {
 
 struct State {
     scenario: Arc<Scenario>,
-    /// Which robot an object was last, for when it is not seen.
+    /// The robot that an object was last matched to.
     robots: BTreeMap<ObjectId, usize>,
 }
 
@@ -93,10 +81,10 @@ pub struct DriveCommand {
 }
 
 impl Fleets {
-    /// The fleet of a source's world, whose time begins at `origin`; made if no source has asked before.
+    /// The fleet of a source's world, whose time begins at `origin`; created on first use.
     pub fn of(&self, address: &SimAddress, origin: Timestamp) -> Result<Arc<Fleet>, ScenarioError> {
         let world = SimAddress { camera: 0, ..address.clone() };
-        let mut fleets = lock(&self.fleets);
+        let mut fleets = lock(&self.0);
         if let Some(fleet) = fleets.iter().find(|fleet| fleet.world == world) {
             return Ok(fleet.clone());
         }
@@ -107,20 +95,17 @@ impl Fleets {
         Ok(fleet)
     }
 
-    /// Tells the robots of these objects how to move, all or none of them; from when on they do.
+    /// Sets the velocities of these objects' robots, of all or of none; returns when they take effect.
     pub fn drive(
         &self,
         commands: &[DriveCommand],
         snapshot: &Snapshot,
         now: Timestamp,
     ) -> Result<Timestamp, FleetError> {
-        self.change(commands, snapshot, now, |scenario, robot, command, begin_s| {
-            let span_s = [begin_s, begin_s + COMMAND_TIMEOUT_S];
-            scenario.drive(robot, Drive { velocity_m_s: command.velocity_m_s, span_s });
-        })
+        self.change(commands, COMMAND_TIMEOUT_S, snapshot, now, Scenario::drive)
     }
 
-    /// Pushes the robot of an object for a while; from when on.
+    /// Pushes the robot of an object for a while; returns when it begins.
     pub fn push(
         &self,
         command: DriveCommand,
@@ -128,31 +113,31 @@ impl Fleets {
         snapshot: &Snapshot,
         now: Timestamp,
     ) -> Result<Timestamp, FleetError> {
-        self.change(&[command], snapshot, now, |scenario, robot, command, begin_s| {
-            let span_s = [begin_s, begin_s + duration_s];
-            scenario.push(robot, Drive { velocity_m_s: command.velocity_m_s, span_s });
-        })
+        self.change(&[command], duration_s, snapshot, now, Scenario::push)
     }
 
     fn change(
         &self,
         commands: &[DriveCommand],
+        duration_s: f64,
         snapshot: &Snapshot,
         now: Timestamp,
-        change: impl Fn(&mut Scenario, usize, &DriveCommand, f64),
+        change: fn(&mut Scenario, usize, Drive),
     ) -> Result<Timestamp, FleetError> {
+        let begin = now.plus_seconds(ACTUATION_S);
         // An installation has one world; of several, the one that has all these robots.
-        let fleets = lock(&self.fleets).clone();
+        let fleets = lock(&self.0).clone();
         let mut refused = FleetError::NothingSimulated;
         for fleet in fleets {
             let mut state = lock(&fleet.state);
             match fleet.robots(&mut state, commands, snapshot) {
                 Ok(robots) => {
-                    let begin = now.plus_seconds(ACTUATION_S);
                     let begin_s = begin.seconds_since(fleet.origin);
+                    let span_s = [begin_s, begin_s + duration_s];
                     let scenario = Arc::make_mut(&mut state.scenario);
                     for (robot, command) in robots.into_iter().zip(commands) {
-                        change(scenario, robot, command, begin_s);
+                        let velocity_m_s = command.velocity_m_s;
+                        change(scenario, robot, Drive { velocity_m_s, span_s });
                     }
                     return Ok(begin);
                 }
@@ -164,12 +149,11 @@ impl Fleets {
 }
 
 impl Fleet {
-    /// The world as its robots move by now.
+    /// The world with all commands so far.
     pub fn scenario(&self) -> Arc<Scenario> {
         lock(&self.state).scenario.clone()
     }
 
-    /// The robots that these objects are.
     fn robots(
         &self,
         state: &mut State,
@@ -192,7 +176,7 @@ impl Fleet {
         let Some(found) = snapshot.objects.iter().find(|found| found.id == command.object) else {
             let ids: Vec<String> = snapshot.objects.iter().map(|o| o.id.0.to_string()).collect();
             let known = match ids.as_slice() {
-                [] => "nor is any other".to_owned(),
+                [] => "there are none".to_owned(),
                 ids => format!("there are: {}", ids.join(", ")),
             };
             return Err(FleetError::NoObject { object, known });
@@ -202,7 +186,7 @@ impl Fleet {
             _ => {
                 let seen_s = found.newest_observation.seconds_since(self.origin);
                 let age_s = snapshot.pose_time.seconds_since(found.newest_observation);
-                // It has been expected to keep its velocity since.
+                // The snapshot extrapolates with constant velocity.
                 let at_m = found.position_m - found.velocity_m_s * age_s;
                 (at_m, Cow::Owned(state.scenario.truth(seen_s)))
             }
@@ -213,7 +197,6 @@ impl Fleet {
         let nearest = nearest.map(|robot| (robot.index, off_m(robot)));
         let robot = match (nearest, state.robots.get(&command.object)) {
             (Some((robot, distance_m)), _) if distance_m <= MATCH_RADIUS_M => robot,
-            // Nobody has seen it for long.
             (_, Some(&robot)) if found.stage != LifeStage::Tracked => robot,
             (nearest, _) => {
                 let distance_m = nearest.map_or(f64::INFINITY, |(_, distance_m)| distance_m);
@@ -228,7 +211,7 @@ impl Fleet {
     }
 }
 
-/// Plain values that a panic elsewhere cannot leave half written: go on.
+/// Locks a mutex whose value a panic elsewhere cannot leave inconsistent.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,7 +1,7 @@
 //! Chooses the format of a device, and sets its controls.
 
 use super::{
-    device::{ControlListing, Device, Driver, FormatListing, code_text},
+    device::{ControlListing, Driver, FormatListing, code_text},
     pixels,
 };
 use crate::{
@@ -54,8 +54,8 @@ pub(super) fn choose(
         let wish =
             address.format.map(|code| format!(" as {}", code_text(code))).unwrap_or_default();
         format!(
-            "gives no {} x {} pixels{wish} that can be used; it has {}; ask for one of these: by the camera file, or \
-             where there is none yet by a size (--size; Size on the dashboard)",
+            "has no usable format for {} x {} pixels{wish}; it has {}; choose one of these: in the camera file, or, \
+             without one, as the size (--size; Size on the dashboard)",
             size.0,
             size.1,
             listed(formats)
@@ -86,8 +86,8 @@ fn listed(formats: &[FormatListing]) -> String {
 }
 
 /// Sets controls in the order of the address and checks the values that the device took.
-pub(super) fn set_controls<D: Driver>(
-    device: &mut Device<D>,
+pub(super) fn set_controls(
+    device: &mut impl Driver,
     address: &DeviceAddress,
 ) -> Result<(), String> {
     for (name, value) in &address.controls {
@@ -99,7 +99,7 @@ pub(super) fn set_controls<D: Driver>(
         let set = device.set_control(control.id, *value);
         let set = set.map_err(|error| format!("cannot set `{name}` to {value}: {error}"))?;
         if set != *value {
-            tracing::warn!(camera = %address, "`{name}` was set to {value}, and the device took {set}");
+            tracing::warn!(camera = %address, "requested `{name}` = {value}, but the device uses {set}");
         }
     }
     Ok(())
@@ -121,11 +121,11 @@ fn find<'c>(controls: &'c [ControlListing], name: &str) -> Result<&'c ControlLis
 fn check(control: &ControlListing, value: i32) -> Result<(), String> {
     let ControlListing { name, least, most, step, .. } = control;
     if control.read_only {
-        return Err(format!("`{name}` can only be read"));
+        return Err(format!("`{name}` is read-only"));
     }
     if !control.is_settable {
         return Err(format!(
-            "`{name}` is decided by another control: switch its automatic off first, such as auto_exposure=1 or \
+            "`{name}` is set by another control: switch that one off first, such as by auto_exposure=1 or \
              focus_automatic_continuous=0 before it"
         ));
     }

@@ -1,4 +1,4 @@
-//! A video device: capabilities, formats, controls and frames, over a [`Driver`] that tests replace.
+//! A video device: capabilities, formats, controls and frames. Tests replace its [`Driver`].
 
 use std::{io, time::Duration};
 
@@ -15,24 +15,10 @@ use super::{
     pixels,
 };
 
-/// Longest list that is read, for drivers whose lists do not end.
+/// Limit of a list, for drivers whose lists do not end.
 const MAX_LIST: u32 = 256;
 /// `V4L2_CTRL_TYPE_` INTEGER, BOOLEAN, MENU, BITMASK and INTEGER_MENU: the types whose value is a number.
 const NUMERIC: [u32; 5] = [1, 2, 3, 8, 9];
-
-/// What a [`Device`] needs of the operating system.
-pub(super) trait Driver: Send {
-    /// Makes a request; the answer replaces its argument.
-    fn call(&mut self, request: Request<'_>) -> io::Result<()>;
-    /// Maps a buffer of the device; buffers are numbered in the order of the calls.
-    fn map(&mut self, offset: u64, length: usize) -> io::Result<()>;
-    /// The bytes of a mapped buffer.
-    fn mapped(&self, index: usize) -> &[u8];
-    /// Waits for a frame; false after a timeout.
-    fn wait(&mut self, longest: Duration) -> io::Result<bool>;
-    /// The machine's monotonic clock.
-    fn monotonic_ns(&self) -> i64;
-}
 
 /// A format in one size.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -49,7 +35,7 @@ pub struct FormatListing {
     pub rates_hz: Vec<f64>,
     #[serde(skip)]
     pub(crate) code: [u8; 4],
-    /// Converted from another format by a library.
+    /// A library converts it from another format.
     #[serde(skip)]
     pub(crate) emulated: bool,
 }
@@ -99,20 +85,27 @@ impl Buffer {
     }
 }
 
-#[derive(Debug)]
-pub(super) struct Device<D> {
-    pub(super) driver: D,
-}
+/// A video device: the required methods are those of the operating system.
+pub(super) trait Driver: Send {
+    /// Makes a request; the answer replaces its argument.
+    fn call(&mut self, request: Request<'_>) -> io::Result<()>;
+    /// Maps a buffer of the device; buffers are numbered in the order of the calls.
+    fn map(&mut self, offset: u64, length: usize) -> io::Result<()>;
+    /// The bytes of a mapped buffer.
+    fn mapped(&self, index: usize) -> &[u8];
+    /// Waits for a frame; false after a timeout.
+    fn wait(&mut self, longest: Duration) -> io::Result<bool>;
+    /// The machine's monotonic clock.
+    fn monotonic_ns(&self) -> i64;
 
-impl<D: Driver> Device<D> {
-    pub(super) fn capability(&mut self) -> io::Result<Capability> {
+    fn capability(&mut self) -> io::Result<Capability> {
         let mut capability = Capability::default();
-        self.driver.call(Request::QueryCapability(&mut capability))?;
+        self.call(Request::QueryCapability(&mut capability))?;
         Ok(capability)
     }
 
     /// Formats in each of their sizes.
-    pub(super) fn formats(&mut self) -> io::Result<Vec<FormatListing>> {
+    fn formats(&mut self) -> io::Result<Vec<FormatListing>> {
         let mut formats = Vec::new();
         for index in 0..MAX_LIST {
             let mut found =
@@ -129,12 +122,8 @@ impl<D: Driver> Device<D> {
                 emulated: found.flags & FORMAT_EMULATED != 0,
                 ..FormatListing::default()
             };
-            let sizes = self.sizes(found.code)?;
-            if sizes.is_empty() {
-                formats.push(format);
-                continue;
-            }
-            formats.extend(sizes.into_iter().map(|(width, height, rates_hz)| FormatListing {
+            let sizes = self.sizes(found.code)?.into_iter();
+            formats.extend(sizes.map(|(width, height, rates_hz)| FormatListing {
                 width,
                 height,
                 rates_hz,
@@ -144,7 +133,7 @@ impl<D: Driver> Device<D> {
         Ok(formats)
     }
 
-    /// Discrete sizes with their rates; empty for a device that gives ranges.
+    /// Discrete sizes with their rates; one of 0 x 0 for a device that lists ranges.
     fn sizes(&mut self, code: u32) -> io::Result<Vec<(u32, u32, Vec<f64>)>> {
         let mut sizes = Vec::new();
         for index in 0..MAX_LIST {
@@ -153,6 +142,9 @@ impl<D: Driver> Device<D> {
                 break;
             }
             sizes.push((size.width, size.height, self.rates(&size)?));
+        }
+        if sizes.is_empty() {
+            sizes.push((0, 0, Vec::new()));
         }
         Ok(sizes)
     }
@@ -174,17 +166,15 @@ impl<D: Driver> Device<D> {
 
     /// Makes a request that a driver need not support. EINVAL also ends a list.
     fn supports(&mut self, request: Request<'_>) -> io::Result<bool> {
-        match self.driver.call(request) {
-            Ok(()) => Ok(true),
-            Err(error) => match Errno::from_io_error(&error) {
-                Some(Errno::INVAL | Errno::NOTTY) => Ok(false),
-                _ => Err(error),
-            },
+        let outcome = self.call(request);
+        match outcome.as_ref().map_err(Errno::from_io_error) {
+            Err(Some(Errno::INVAL | Errno::NOTTY)) => Ok(false),
+            _ => outcome.map(|()| true),
         }
     }
 
     /// All controls whose value is a number.
-    pub(super) fn controls(&mut self) -> io::Result<Vec<ControlListing>> {
+    fn controls(&mut self) -> io::Result<Vec<ControlListing>> {
         let (mut controls, mut last) = (Vec::new(), 0);
         for _ in 0..MAX_LIST {
             let mut found =
@@ -216,22 +206,18 @@ impl<D: Driver> Device<D> {
 
     fn control(&mut self, id: u32) -> io::Result<i32> {
         let mut control = abi::Control { id, value: 0 };
-        self.driver.call(Request::GetControl(&mut control))?;
+        self.call(Request::GetControl(&mut control))?;
         Ok(control.value)
     }
 
     /// Sets a control and returns the value that the device took.
-    pub(super) fn set_control(&mut self, id: u32, value: i32) -> io::Result<i32> {
-        self.driver.call(Request::SetControl(&mut abi::Control { id, value }))?;
+    fn set_control(&mut self, id: u32, value: i32) -> io::Result<i32> {
+        self.call(Request::SetControl(&mut abi::Control { id, value }))?;
         self.control(id)
     }
 
     /// Sets size and format and returns what the device took.
-    pub(super) fn set_format(
-        &mut self,
-        size: (u32, u32),
-        code: [u8; 4],
-    ) -> io::Result<abi::Format> {
+    fn set_format(&mut self, size: (u32, u32), code: [u8; 4]) -> io::Result<abi::Format> {
         let mut format = abi::Format {
             buffer_type: CAPTURE,
             width: size.0,
@@ -239,12 +225,12 @@ impl<D: Driver> Device<D> {
             code: u32::from_ne_bytes(code),
             ..Default::default()
         };
-        self.driver.call(Request::SetFormat(&mut format))?;
+        self.call(Request::SetFormat(&mut format))?;
         Ok(format)
     }
 
     /// Sets the rate and returns the one that the device took; `None` where it cannot be set.
-    pub(super) fn set_rate(&mut self, wanted_hz: f64) -> io::Result<Option<f64>> {
+    fn set_rate(&mut self, wanted_hz: f64) -> io::Result<Option<f64>> {
         let mut parameters = Parameters {
             buffer_type: CAPTURE,
             numerator: 1000,
@@ -257,41 +243,40 @@ impl<D: Driver> Device<D> {
     }
 
     /// Maps and queues the buffers that the device grants, up to `count`, and starts streaming.
-    pub(super) fn start(&mut self, count: u32) -> io::Result<()> {
+    fn start(&mut self, count: u32) -> io::Result<()> {
         let mut buffers =
             BufferRequest { count, buffer_type: CAPTURE, memory: MAPPED, ..Default::default() };
-        self.driver.call(Request::AllocateBuffers(&mut buffers))?;
+        self.call(Request::AllocateBuffers(&mut buffers))?;
         for index in 0..buffers.count {
             let mut buffer = Buffer::numbered(index);
-            self.driver.call(Request::QueryBuffer(&mut buffer))?;
-            self.driver.map(u64::from(buffer.offset), buffer.length as usize)?;
+            self.call(Request::QueryBuffer(&mut buffer))?;
+            self.map(u64::from(buffer.offset), buffer.length as usize)?;
             self.queue(index)?;
         }
-        self.driver.call(Request::StreamOn(&mut { CAPTURE }))
+        self.call(Request::StreamOn(&mut { CAPTURE }))
     }
 
-    pub(super) fn stop(&mut self) -> io::Result<()> {
-        self.driver.call(Request::StreamOff(&mut { CAPTURE }))
+    fn stop(&mut self) -> io::Result<()> {
+        self.call(Request::StreamOff(&mut { CAPTURE }))
     }
 
     /// Gives a buffer to the device to fill.
-    pub(super) fn queue(&mut self, index: u32) -> io::Result<()> {
-        self.driver.call(Request::QueueBuffer(&mut Buffer::numbered(index)))
+    fn queue(&mut self, index: u32) -> io::Result<()> {
+        self.call(Request::QueueBuffer(&mut Buffer::numbered(index)))
     }
 
     /// Takes a filled buffer; `None` if there is none.
-    pub(super) fn dequeue(&mut self) -> io::Result<Option<Buffer>> {
+    fn dequeue(&mut self) -> io::Result<Option<Buffer>> {
         let mut buffer = Buffer::numbered(0);
-        match self.driver.call(Request::DequeueBuffer(&mut buffer)) {
-            Ok(()) => Ok(Some(buffer)),
+        match self.call(Request::DequeueBuffer(&mut buffer)) {
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(None),
-            Err(error) => Err(error),
+            outcome => outcome.map(|()| Some(buffer)),
         }
     }
 
     /// The content of a dequeued buffer.
-    pub(super) fn content(&self, buffer: &Buffer) -> &[u8] {
-        let bytes = self.driver.mapped(buffer.index as usize);
+    fn content(&self, buffer: &Buffer) -> &[u8] {
+        let bytes = self.mapped(buffer.index as usize);
         &bytes[..(buffer.bytes as usize).min(bytes.len())]
     }
 }

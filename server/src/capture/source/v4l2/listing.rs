@@ -5,7 +5,7 @@ use std::{fs, io, path::PathBuf};
 use serde::Serialize;
 
 use super::{
-    device::{ControlListing, Device, Driver, FormatListing, text},
+    device::{ControlListing, Driver, FormatListing, text},
     kernel::Kernel,
 };
 
@@ -29,21 +29,18 @@ pub fn devices() -> io::Result<Vec<DeviceListing>> {
         .map(|entry| entry.path())
         .collect();
     alphanumeric_sort::sort_path_slice(&mut paths);
+    let listing = |path: PathBuf| {
+        let listing = Kernel::open(&path).and_then(|mut device| query(&mut device));
+        let listing = listing.unwrap_or_else(|error| {
+            Some(DeviceListing { error: error.to_string(), ..DeviceListing::default() })
+        });
+        Some(DeviceListing { path, ..listing? })
+    };
     Ok(paths.into_iter().filter_map(listing).collect())
 }
 
-/// `None` for a device file that gives no frames, such as a camera's metadata.
-fn listing(path: PathBuf) -> Option<DeviceListing> {
-    match Kernel::open(&path).and_then(|driver| query(&mut Device { driver })) {
-        Ok(found) => found.map(|listing| DeviceListing { path, ..listing }),
-        Err(error) => {
-            Some(DeviceListing { path, error: error.to_string(), ..DeviceListing::default() })
-        }
-    }
-}
-
-/// Describes a device; `None` if it gives no frames.
-pub(super) fn query<D: Driver>(device: &mut Device<D>) -> io::Result<Option<DeviceListing>> {
+/// Describes a device; `None` if it gives no frames, such as the device file of a camera's metadata.
+pub(super) fn query(device: &mut impl Driver) -> io::Result<Option<DeviceListing>> {
     let capability = device.capability()?;
     if !capability.captures() {
         return Ok(None);

@@ -3,7 +3,7 @@
 //! | module | purpose |
 //! | --- | --- |
 //! | `abi` | ioctls and their arguments |
-//! | `device` | formats, controls and frames, over the trait `Driver` |
+//! | `device` | the trait `Driver`: formats, controls and frames of a device |
 //! | `kernel` | the `Driver` of real devices; all `unsafe` code |
 //! | `choice` | chooses the format and sets the controls |
 //! | `listing` | lists devices for `roundel cameras` |
@@ -22,7 +22,8 @@ mod kernel;
 mod listing;
 
 use std::{
-    io,
+    fs, io,
+    os::unix::fs::{FileTypeExt, MetadataExt},
     time::{Duration, Instant},
 };
 
@@ -31,34 +32,30 @@ use rustix::io::Errno;
 pub use device::{ControlListing, FormatListing};
 pub use listing::{DeviceListing, devices};
 
-use self::{
-    abi::Buffer,
-    choice::Choice,
-    device::{Device, Driver},
-    kernel::Kernel,
-};
+use self::{abi::Buffer, choice::Choice, device::Driver, kernel::Kernel};
 use super::{
     FrameInfo, FrameSource, LentFrame, SourceError, SourceParts, bad_frame,
     jpeg::LumaDecoder,
+    mailbox::stalled,
     pixels::{GreyConverter, PixelFormat, RawImage},
     wrong_size,
 };
-use crate::model::stop::StopSignal;
 use crate::model::{address::DeviceAddress, capture_clock::CaptureClock};
 
 /// One is lent, one waits, and the device fills the others.
 const BUFFERS: u32 = 4;
 /// How often a wait checks the stop signal.
-const POLL_EVERY: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Timeout of the first frame, which takes longer than the others.
 const FIRST_FRAME: Duration = Duration::from_secs(5);
 const STALL: Duration = Duration::from_secs(1);
+/// The kernel's number of Video4Linux.
+const VIDEO_MAJOR: u32 = 81;
 
 struct V4l2Source<D: Driver> {
-    device: Device<D>,
+    device: D,
     name: String,
     parts: SourceParts,
-    stop: StopSignal,
     promised_hz: Option<f64>,
     choice: Choice,
     stride: usize,
@@ -74,78 +71,79 @@ struct V4l2Source<D: Driver> {
 pub(super) fn open(
     address: &DeviceAddress,
     parts: SourceParts,
-    stop: StopSignal,
 ) -> Result<Box<dyn FrameSource>, SourceError> {
-    let driver = Kernel::open(&address.path).map_err(|error| {
+    // Opening another device may have effects: a watchdog starts.
+    if fs::metadata(&address.path).is_ok_and(|found| !is_video_device(&found)) {
+        return Err(SourceError::Failed(format!(
+            "{address} is no video device; `roundel cameras` lists devices"
+        )));
+    }
+    let device = Kernel::open(&address.path).map_err(|error| {
         let remedy = match error.kind() {
             io::ErrorKind::NotFound => {
-                "no such device: is it plugged in? `roundel cameras` lists what is"
+                "no such device: is it plugged in? `roundel cameras` lists devices"
             }
             io::ErrorKind::PermissionDenied => "the user needs to be in the group `video`",
             _ => "see `roundel cameras`",
         };
         SourceError::Failed(format!("{address}: {error}; {remedy}"))
     })?;
-    Ok(Box::new(V4l2Source::start(Device { driver }, address, parts, stop)?))
+    Ok(Box::new(V4l2Source::start(device, address, parts)?))
+}
+
+fn is_video_device(found: &fs::Metadata) -> bool {
+    found.file_type().is_char_device() && rustix::fs::major(found.rdev()) == VIDEO_MAJOR
 }
 
 impl<D: Driver> V4l2Source<D> {
     /// Sets the device up and starts streaming.
     fn start(
-        mut device: Device<D>,
+        mut device: D,
         address: &DeviceAddress,
         parts: SourceParts,
-        stop: StopSignal,
     ) -> Result<Self, SourceError> {
         let name = address.to_string();
-        let failed = |what: &str, error: io::Error| {
-            SourceError::Failed(format!("{name}: {what}: {error}{}", remedy(&error)))
-        };
-        let capability =
-            device.capability().map_err(|error| failed("is no video device", error))?;
+        let unusable = |why| SourceError::Failed(format!("{name}: {why}"));
+        let failed =
+            |what| move |error: io::Error| unusable(format!("{what}: {error}{}", remedy(&error)));
+        let capability = device.capability().map_err(failed("is no video device"))?;
         if !capability.captures() {
             let card = device::text(&capability.card);
-            return Err(SourceError::Failed(format!(
-                "{name}: `{card}` gives no frames by this device file; `roundel cameras` lists those that do"
+            return Err(unusable(format!(
+                "`{card}` delivers no frames through this device file; `roundel cameras` lists those that do"
             )));
         }
-        let formats = device.formats().map_err(|error| failed("cannot list its formats", error))?;
-        let choice = choice::choose(&formats, parts.size, address)
-            .map_err(|why| SourceError::Failed(format!("{name}: {why}")))?;
+        let formats = device.formats().map_err(failed("cannot list its formats"))?;
+        let choice = choice::choose(&formats, parts.size, address).map_err(unusable)?;
         let size = (parts.size.0 as u32, parts.size.1 as u32);
-        let set = device
-            .set_format(size, choice.code)
-            .map_err(|error| failed("cannot set size and format", error))?;
+        let set =
+            device.set_format(size, choice.code).map_err(failed("cannot set size and format"))?;
         if (set.width, set.height) != size {
             return Err(wrong_size(&name, parts.size, (set.width as usize, set.height as usize)));
         }
         if set.code.to_ne_bytes() != choice.code {
-            return Err(SourceError::Failed(format!(
-                "{name}: asked for {}, and the device took {}: write format=",
+            return Err(unusable(format!(
+                "requested {}, but the device uses {}: set format=",
                 device::code_text(choice.code),
                 device::code_text(set.code.to_ne_bytes())
             )));
         }
         let mut promised_hz = choice.rate_hz;
         if let Some(rate_hz) = choice.rate_hz {
-            let taken =
-                device.set_rate(rate_hz).map_err(|error| failed("cannot set the rate", error))?;
+            let taken = device.set_rate(rate_hz).map_err(failed("cannot set the rate"))?;
             if let Some(taken) = taken.filter(|taken| (taken / rate_hz - 1.0).abs() > 0.05) {
                 tracing::warn!(
                     camera = name,
-                    "asked for {rate_hz} Hz, and the device took {taken:.1} Hz"
+                    "requested {rate_hz} Hz, but the device uses {taken:.1} Hz"
                 );
             }
             promised_hz = taken.or(promised_hz);
         }
-        choice::set_controls(&mut device, address)
-            .map_err(|why| SourceError::Failed(format!("{name}: {why}")))?;
-        device.start(BUFFERS).map_err(|error| failed("cannot start", error))?;
+        choice::set_controls(&mut device, address).map_err(unusable)?;
+        device.start(BUFFERS).map_err(failed("cannot start"))?;
         Ok(Self {
             device,
             name,
-            parts,
-            stop,
             choice,
             promised_hz,
             stride: set.stride as usize,
@@ -153,6 +151,7 @@ impl<D: Driver> V4l2Source<D> {
             newest: None,
             converter: GreyConverter::default(),
             decoder: LumaDecoder::new(parts.size),
+            parts,
             patience: FIRST_FRAME,
         })
     }
@@ -160,33 +159,28 @@ impl<D: Driver> V4l2Source<D> {
     /// Waits for frames and returns the newest; counts broken ones.
     fn newest(&mut self, broken: &mut u64, begun: Instant) -> Result<Buffer, SourceError> {
         loop {
-            if self.stop.is_stopped() {
+            if self.parts.stop.is_stopped() {
                 return Err(SourceError::Stopped);
             }
             let mut newest: Option<Buffer> = None;
-            if self.device.driver.wait(POLL_EVERY).map_err(|error| self.lost(&error))? {
+            if self.device.wait(POLL_INTERVAL).map_err(|error| self.lost(&error))? {
                 while let Some(filled) = self.device.dequeue().map_err(|error| self.lost(&error))? {
                     if let Some(older) = newest.replace(filled) {
                         self.queue(older.index)?;
                     }
                 }
             }
-            match newest {
-                Some(filled) if !filled.is_broken() => return Ok(filled),
-                Some(filled) => {
-                    *broken += 1;
-                    self.queue(filled.index)?;
+            if let Some(filled) = newest {
+                if !filled.is_broken() {
+                    return Ok(filled);
                 }
-                None => {}
+                *broken += 1;
+                self.queue(filled.index)?;
             }
             if begun.elapsed() >= self.patience {
-                let seconds = self.patience.as_secs_f64();
-                let broken = if *broken > 0 { format!(", {broken} broken") } else { String::new() };
-                return Err(SourceError::Failed(format!(
-                    "{}: stalled: no picture for {seconds:.1} s{broken}; another program may use the camera, or its \
-                     port gives too little power or bandwidth",
-                    self.name
-                )));
+                let hint = "another program may use the camera, or its port gives too little power or bandwidth";
+                let stalled = stalled(self.patience, hint, *broken);
+                return Err(SourceError::Failed(format!("{}: {stalled}", self.name)));
             }
         }
     }
@@ -198,27 +192,14 @@ impl<D: Driver> V4l2Source<D> {
     fn lost(&self, error: &io::Error) -> SourceError {
         SourceError::Failed(format!("{}: {error}{}", self.name, remedy(error)))
     }
-
-    /// Capture time of a frame, without the counts.
-    fn info(&self, filled: &Buffer) -> FrameInfo {
-        let now = self.parts.clock.now();
-        match filled.monotonic_ns() {
-            Some(ns) => {
-                let age_ns = self.device.driver.monotonic_ns() - ns;
-                let clock = CaptureClock::DRIVER;
-                FrameInfo { clock, ..FrameInfo::at(now.plus_ns(-age_ns.max(0))) }
-            }
-            None => FrameInfo { clock: CaptureClock::ARRIVAL, ..FrameInfo::at(now) },
-        }
-    }
 }
 
 fn remedy(error: &io::Error) -> &'static str {
     match Errno::from_io_error(error) {
-        Some(Errno::NODEV) => "; it was unplugged, and is tried again",
+        Some(Errno::NODEV) => "; it was unplugged; the server retries",
         Some(Errno::BUSY) => "; another program uses it",
         Some(Errno::NOSPC) => {
-            "; its USB bus has not the bandwidth: use another port, or format=MJPG"
+            "; its USB bus has too little bandwidth: use another port, or format=MJPG"
         }
         _ => "",
     }
@@ -242,7 +223,15 @@ impl<D: Driver> FrameSource for V4l2Source<D> {
             // A larger gap means that the counter was reset.
             skipped += if gap < 1000 { u64::from(gap) } else { 0 };
             self.newest = Some(filled.sequence);
-            let info = self.info(&filled);
+            let now = self.parts.clock.now();
+            let (capture_time, clock) = match filled.monotonic_ns() {
+                Some(ns) => {
+                    let age_ns = self.device.monotonic_ns() - ns;
+                    (now.plus_ns(-age_ns.max(0)), CaptureClock::DRIVER)
+                }
+                None => (now, CaptureClock::ARRIVAL),
+            };
+            let info = FrameInfo { clock, ..FrameInfo::at(capture_time) };
             if self.choice.pixels.is_some() {
                 break (filled, info);
             }

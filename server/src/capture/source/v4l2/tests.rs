@@ -14,7 +14,7 @@ use super::{
     listing::query,
     *,
 };
-use crate::model::{address::SourceAddress, clock::Clock};
+use crate::model::{address::SourceAddress, clock::Clock, stop::StopSignal};
 
 const WIDTH: u32 = 8;
 const HEIGHT: u32 = 4;
@@ -36,7 +36,7 @@ struct Camera {
     controls: BTreeMap<u32, (&'static str, i32, i32, i32)>,
     coming: VecDeque<Coming>,
     buffers: Vec<Vec<u8>>,
-    /// Those that the camera may fill.
+    /// Buffers that the camera may fill.
     queued: VecDeque<u32>,
     filled: VecDeque<(u32, Coming)>,
     set: Option<([u8; 4], u32, u32)>,
@@ -100,7 +100,7 @@ impl Camera {
             }
             Request::AllocateBuffers(buffers) => {
                 assert_eq!(buffers.memory, MAPPED);
-                // It grants fewer than requested.
+                // Grants fewer than requested.
                 buffers.count = buffers.count.min(3);
             }
             Request::QueryBuffer(buffer) => {
@@ -178,9 +178,9 @@ fn start(camera: Camera, options: &str) -> Result<V4l2Source<Camera>, String> {
         panic!("{url}")
     };
     let clock = Clock::anchored(Instant::now(), Timestamp::from_ns(1_700_000_000_000_000_000));
-    let parts = SourceParts { size: (WIDTH as usize, HEIGHT as usize), clock };
-    let source =
-        V4l2Source::start(Device { driver: camera }, &address, parts, StopSignal::default());
+    let size = (WIDTH as usize, HEIGHT as usize);
+    let parts = SourceParts { size, clock, stop: StopSignal::default() };
+    let source = V4l2Source::start(camera, &address, parts);
     source.map_err(|error| error.to_string())
 }
 
@@ -190,8 +190,8 @@ fn packed(level: u8) -> Vec<u8> {
 }
 
 #[test]
-fn what_is_connected_is_listed() {
-    let mut device = Device { driver: camera(&[b"MJPG", b"H264"]) };
+fn formats_and_controls_are_listed() {
+    let mut device = camera(&[b"MJPG", b"H264"]);
     let listing = query(&mut device).unwrap().unwrap();
     assert_eq!(
         (listing.card.as_str(), listing.bus.as_str()),
@@ -212,7 +212,7 @@ fn what_is_connected_is_listed() {
 fn the_cheapest_format_that_is_fast_enough_is_taken() {
     let taken = |camera: Camera, options: &str| {
         let source = start(camera, options).unwrap();
-        (source.device.driver.set.unwrap().0, source.choice.rate_hz)
+        (source.device.set.unwrap().0, source.choice.rate_hz)
     };
     assert_eq!(taken(camera(&[b"MJPG", b"YUYV", b"NV12"]), ""), (*b"NV12", Some(30.0)));
     assert_eq!(taken(camera(&[b"MJPG", b"YUYV"]), "fps=50"), (*b"YUYV", Some(60.0)));
@@ -227,37 +227,28 @@ fn the_cheapest_format_that_is_fast_enough_is_taken() {
 fn controls_are_set_in_their_order() {
     let options = "auto_exposure=1&exposure_time_absolute=40";
     let source = start(camera(&[b"NV12"]), options).unwrap();
-    let controls = &source.device.driver.controls;
+    let controls = &source.device.controls;
     assert_eq!((controls[&AUTO_EXPOSURE].3, controls[&EXPOSURE].3), (1, 40));
 }
 
 #[test]
-fn wrong_wishes_are_told_with_what_there_is() {
-    let error = |camera: Camera, options: &str| match start(camera, options) {
-        Err(message) => message,
-        Ok(_) => panic!("{options} was taken"),
-    };
-    for (options, expected) in [
-        ("exposure_time_absolute=40", "`exposure_time_absolute` is decided by another control"),
-        ("auto_exposure=9", "`auto_exposure` must be from 0 to 3 in steps of 1, found 9"),
-        ("exposure=40", "has no control `exposure`"),
-        ("format=GREY", "gives no 8 x 4 pixels as GREY that can be used; it has NV12 640x480 8x4"),
-        (
-            "format=GREY",
-            "ask for one of these: by the camera file, or where there is none yet by a size (--size",
-        ),
+fn wrong_options_are_rejected_with_the_valid_ones() {
+    let nv12 = || camera(&[b"NV12"]);
+    for (camera, options, expected) in [
+        (nv12(), "exposure_time_absolute=40", "`exposure_time_absolute` is set by another control"),
+        (nv12(), "auto_exposure=9", "`auto_exposure` must be from 0 to 3 in steps of 1, found 9"),
+        (nv12(), "exposure=40", "has no control `exposure`"),
+        (nv12(), "format=GREY", "for 8 x 4 pixels as GREY; it has NV12 640x480 8x4; choose one"),
+        (camera(&[b"H264"]), "", "it has H264 (not read) 640x480 8x4"),
+        (Camera { fails: Some(Errno::BUSY), ..nv12() }, "", "another program uses it"),
     ] {
-        let message = error(camera(&[b"NV12"]), options);
+        let Err(message) = start(camera, options) else { panic!("{options} was accepted") };
         assert!(message.starts_with("/dev/video0: ") && message.contains(expected), "{message}");
     }
-    let message = error(camera(&[b"H264"]), "");
-    assert!(message.contains("it has H264 (not read) 640x480 8x4"), "{message}");
-    let busy = Camera { fails: Some(Errno::BUSY), ..camera(&[b"NV12"]) };
-    assert!(error(busy, "").contains("another program uses it"));
 }
 
 #[test]
-fn frames_come_with_the_drivers_time_and_the_newest_wins() {
+fn frames_have_the_drivers_time_and_the_newest_wins() {
     let mut camera = camera(&[b"YUYV"]);
     // Monotonic stamps.
     let frame = |sequence, age_ms, level| (sequence, 0x2000, age_ms, packed(level));
@@ -270,15 +261,15 @@ fn frames_come_with_the_drivers_time_and_the_newest_wins() {
     assert_eq!((lent.info.clock, lent.info.broken), (CaptureClock::DRIVER, 0));
     let age_s = clock.now().seconds_since(lent.info.capture_time);
     assert!((0.012..1.0).contains(&age_s), "{age_s}");
-    // The one that is lent is not the camera's, the others are.
-    assert_eq!(source.device.driver.queued.len(), 2);
+    // All buffers but the lent one are queued.
+    assert_eq!(source.device.queued.len(), 2);
 
-    // One that the device says is damaged, then a whole one; two found no buffer.
+    // A damaged frame and a whole one; the two before it found no buffer.
     let damaged = (12, 0x2040, 5, packed(40));
-    source.device.driver.coming = [damaged, frame(15, 0, 50)].into();
+    source.device.coming = [damaged, frame(15, 0, 50)].into();
     let lent = source.next_frame().unwrap();
     assert_eq!(lent.frame.row(0), [50; 8]);
-    assert_eq!(source.device.driver.queued.len(), 2);
+    assert_eq!(source.device.queued.len(), 2);
 }
 
 #[test]
@@ -293,15 +284,15 @@ fn luma_planes_are_lent_where_the_driver_put_them() {
         assert_eq!(lent.info.clock, CaptureClock::ARRIVAL, "it does not say which clock it has");
         (lent.frame.row(0).as_ptr(), source.lent.unwrap() as usize)
     };
-    assert!(std::ptr::eq(lent, source.device.driver.buffers[at].as_ptr()), "copied");
+    assert!(std::ptr::eq(lent, source.device.buffers[at].as_ptr()), "copied");
 }
 
 #[test]
-fn a_camera_that_is_unplugged_says_so() {
+fn an_unplugged_camera_is_reported() {
     let mut source = start(camera(&[b"NV12"]), "").unwrap();
-    source.device.driver.coming = [(1, 0x2000, 0, vec![9; 48])].into();
+    source.device.coming = [(1, 0x2000, 0, vec![9; 48])].into();
     source.next_frame().unwrap();
-    source.device.driver.fails = Some(Errno::NODEV);
+    source.device.fails = Some(Errno::NODEV);
     let message = source.next_frame().unwrap_err().to_string();
     assert!(message.starts_with("/dev/video0: "), "{message}");
     assert!(message.contains("it was unplugged"), "{message}");

@@ -1,5 +1,4 @@
-//! One camera of a calibration file: numbers as they stand there, read and written, and held against what the
-//! configuration says by now.
+//! One camera of a calibration file, and its comparison with the configuration.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use roundel_core::{
@@ -11,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::model::config::{CameraConfig, Config, PoseConfig};
 
-/// Numbers that were written and read back differ by less, relative to 1 or to themselves.
+/// Tolerance for numbers that were written and read back, relative to themselves plus 1.
 const SAME: f64 = 1e-9;
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -21,7 +20,7 @@ pub struct StoredCamera {
     /// 6x6 over (position m, rotation rad), world frame, left perturbation: upper triangle.
     pub covariance: Vec<f64>,
     pub pose: StoredPose,
-    /// What the pose was found with.
+    /// The lens that the pose was estimated with.
     pub lens: StoredLens,
     pub configured: StoredConfig,
 }
@@ -44,18 +43,17 @@ pub struct StoredLens {
     distortion: Vec<f64>,
 }
 
-/// What the configuration says of a camera.
+/// The configuration that the result belongs to.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StoredConfig {
-    /// None: unknown.
+    /// `None`: unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pose: Option<StoredPose>,
     pub lens: StoredLens,
 }
 
 impl StoredCamera {
-    /// A result, with what the configuration says of the camera.
     pub fn new(
         name: String,
         placement: &CameraPlacement,
@@ -81,8 +79,8 @@ impl StoredCamera {
         })?;
         if let Some(what) = StoredConfig::of(camera).difference(&self.configured) {
             return Err(format!(
-                "The calibration of camera {name} is dropped: the configuration gives it another {what} than \
-                 it did then. The configuration's is used; calibrate the arena anew."
+                "The calibration of camera {name} is dropped: the configuration has another {what} for it than it had \
+                 then. The configuration's is used; calibrate the arena again."
             ));
         }
         let (placement, lens) = self.read()?;
@@ -123,13 +121,16 @@ impl StoredPose {
             return Err(expected());
         };
         let (place_m, quaternion) = (Vector3::new(x, y, z), Quaternion::new(w, i, j, k));
-        // What is not a number is not within either.
         let is_unit = (quaternion.norm() - 1.0).abs() < 1e-6;
         if !(is_unit && place_m.iter().all(|it| it.is_finite())) {
             return Err(expected());
         }
         let turn = UnitQuaternion::from_quaternion(quaternion);
         Ok(Rigid::from_parts(place_m.into(), turn))
+    }
+
+    fn numbers(&self) -> Vec<f64> {
+        [&self.position_m[..], &self.orientation_xyzw].concat()
     }
 }
 
@@ -159,15 +160,14 @@ impl StoredLens {
         Camera::new(intrinsics).map_err(|error| format!("`lens`: {error}"))
     }
 
-    fn numbers(&self) -> impl Iterator<Item = f64> {
-        let size = self.size_px.map(|it| it as f64);
-        let head = size.into_iter().chain(self.focal_px).chain(self.center_px);
-        head.chain(self.distortion.iter().copied())
+    fn numbers(&self) -> Vec<f64> {
+        let size_px = self.size_px.map(|it| it as f64);
+        [&size_px[..], &self.focal_px, &self.center_px, &self.distortion].concat()
     }
 }
 
 impl StoredConfig {
-    /// As it is before a calibration is merged.
+    /// `camera`: before a calibration was merged.
     pub fn of(camera: &CameraConfig) -> Self {
         let pose = match &camera.pose {
             PoseConfig::Known(pose) => Some(StoredPose::of(pose)),
@@ -177,24 +177,16 @@ impl StoredConfig {
     }
 
     fn difference(&self, other: &Self) -> Option<&'static str> {
-        let same = |one: f64, other: f64| (one - other).abs() <= SAME * (1.0 + one.abs());
-        let are_same = |(one, other): (&StoredPose, &StoredPose)| {
-            let numbers = |it: &StoredPose| [&it.position_m[..], &it.orientation_xyzw[..]].concat();
-            std::iter::zip(numbers(one), numbers(other)).all(|(one, other)| same(one, other))
+        let are_same = |these: Vec<f64>, others: Vec<f64>| {
+            let is_same = |(a, b): (&f64, &f64)| (a - b).abs() <= SAME * (1.0 + a.abs());
+            these.len() == others.len() && these.iter().zip(&others).all(is_same)
         };
-        let is_same_pose = match (&self.pose, &other.pose) {
-            (Some(one), Some(other)) => are_same((one, other)),
-            (None, None) => true,
-            _ => false,
-        };
-        let (one, other) = (&self.lens, &other.lens);
-        let is_same_lens = one.model == other.model
-            && one.distortion.len() == other.distortion.len()
-            && one.numbers().zip(other.numbers()).all(|(one, other)| same(one, other));
-        match (is_same_lens, is_same_pose) {
-            (false, _) => Some("lens"),
-            (_, false) => Some("pose"),
-            _ => None,
+        let pose =
+            |config: &Self| config.pose.as_ref().map(StoredPose::numbers).unwrap_or_default();
+        let (lens, other_lens) = (&self.lens, &other.lens);
+        if lens.model != other_lens.model || !are_same(lens.numbers(), other_lens.numbers()) {
+            return Some("lens");
         }
+        (!are_same(pose(self), pose(other))).then_some("pose")
     }
 }

@@ -1,8 +1,8 @@
 //! TOML forms of the messages: `[[camera]]` is a `v1::CameraSetup`, `[[object]]` a `v1::ObjectSetup`.
 //!
 //! Keys and fields have the same names, and serde converts between them. Points, vectors and quaternions are messages of
-//! coordinates there and lists of numbers here: serde reads a message from a list of its fields, so only writing needs
-//! a step of its own. The keys with another form are `pose` and `mask` of a camera, and `roundel` of an object.
+//! coordinates, and lists of numbers in TOML: serde reads a message from a list of its fields, so only writing needs a
+//! conversion. `pose` and `mask` of a camera and `roundel` of an object have different forms.
 
 use roundel_proto::v1;
 use serde::{Serialize, de::DeserializeOwned, de::IntoDeserializer};
@@ -13,17 +13,17 @@ use crate::model::config::{camera::CAMERA_KEYS, object::OBJECT_KEYS};
 
 /// Fields of messages that are lists in TOML.
 const COORDINATES: [&str; 6] = ["u", "v", "x", "y", "z", "w"];
-/// Keys that are written even if they are empty, so that the error names them.
+/// Keys that are written even if empty, so that the error names them.
 const REQUIRED: [&str; 2] = ["name", "source"];
 
-/// A message that is one table of a list of tables.
+/// A message that is a table of a list.
 pub trait Message: Serialize + DeserializeOwned {
     const SECTION: &'static str;
     const KEYS: &'static [&'static str];
 
-    /// Replaces fields by the keys that have another form.
+    /// Converts fields to keys of a different form.
     fn to_keys(&self, table: &mut InlineTable) -> Result<(), EditError>;
-    /// Replaces the keys that have another form by fields.
+    /// Converts keys of a different form to fields.
     fn to_fields(table: &mut InlineTable);
 }
 
@@ -77,7 +77,7 @@ impl Message for v1::ObjectSetup {
     const KEYS: &'static [&'static str] = &OBJECT_KEYS;
 
     fn to_keys(&self, table: &mut InlineTable) -> Result<(), EditError> {
-        // If there are both, the list wins: it is more work to write again.
+        // The list takes precedence.
         let roundels = table.remove("roundels").filter(|_| !self.roundels.is_empty());
         if let Some(roundels) = roundels {
             table.insert("roundel", roundels);
@@ -93,7 +93,7 @@ impl Message for v1::ObjectSetup {
     }
 }
 
-/// The keys of a message, without those that are absent or empty.
+/// Without absent and empty keys.
 pub(super) fn to_table<M: Message>(message: &M) -> Result<InlineTable, EditError> {
     let Value::InlineTable(mut table) = value(message)? else {
         return Err(EditError::Text(format!("`{}` is no table", M::SECTION)));

@@ -55,7 +55,7 @@ fn polygon(corners: [[f64; 2]; 3]) -> v1::MaskPolygon {
 }
 
 #[test]
-fn what_is_written_is_read() {
+fn cameras_are_read() {
     let north = read(TEXT, "north").unwrap();
     let expected = CameraSetup {
         name: "north".into(),
@@ -72,7 +72,7 @@ fn what_is_written_is_read() {
 }
 
 #[test]
-fn one_that_is_added_stands_behind_the_last_and_nothing_else_moves() {
+fn an_added_camera_follows_the_last_one() {
     let camera = CameraSetup {
         name: "ea\"st".into(),
         source: "sim:r4_lite?camera=2".into(),
@@ -94,11 +94,11 @@ fn one_that_is_added_stands_behind_the_last_and_nothing_else_moves() {
         TEXT.replace("\n# What robots carry.", &format!("{added}\n# What robots carry."))
     );
     assert_eq!(read(&text, "ea\"st").unwrap(), camera);
-    assert_eq!(remove(&text, "ea\"st").unwrap(), TEXT, "gone without a trace");
+    assert_eq!(remove(&text, "ea\"st").unwrap(), TEXT);
 }
 
 #[test]
-fn what_changes_keeps_its_comments_and_what_does_not_its_form() {
+fn changes_keep_comments_and_the_notation_of_equal_values() {
     let camera = CameraSetup {
         name: "door".into(),
         rate_hz: Some(30.0),
@@ -114,7 +114,7 @@ fn what_changes_keeps_its_comments_and_what_does_not_its_form() {
             "pose = { position_m = [0.0, 1.0, 2.0], orientation_xyzw = [1.0, 0.0, 0.0, 0.0] }\nmode = \"fast\"\n",
         );
     assert_eq!(text, expected);
-    // A table under its own header stays one, and a key that is to be no more goes.
+    // A table with a header stays one, and an absent key is removed.
     let camera = CameraSetup { pose: Some(pose(0.0, 1.5, 2.0)), ..CameraSetup::default() };
     let text = change(TEXT, "south", &camera, &["pose", "mask"]).unwrap();
     let expected = TEXT
@@ -127,7 +127,7 @@ fn what_changes_keeps_its_comments_and_what_does_not_its_form() {
 }
 
 #[test]
-fn one_that_goes_takes_its_own_comment_and_no_other() {
+fn a_removed_camera_takes_only_its_own_comment() {
     let text = remove(TEXT, "north").unwrap();
     let (begin, end) = (TEXT.find("# The one").unwrap(), TEXT.find("[[camera]]\nsource").unwrap());
     assert_eq!(text, [&TEXT[..begin], &TEXT[end..]].concat());
@@ -139,7 +139,7 @@ fn one_that_goes_takes_its_own_comment_and_no_other() {
 }
 
 #[test]
-fn cameras_in_one_line_are_changed_as_well() {
+fn inline_tables_are_edited() {
     let text =
         "camera = [{ name = \"a\", source = \"sim:\" }, { name = \"b\", source = \"sim:\" }]\n";
     let camera = CameraSetup { source: "push:".into(), ..CameraSetup::default() };
@@ -152,7 +152,7 @@ fn cameras_in_one_line_are_changed_as_well() {
 }
 
 #[test]
-fn the_key_at_a_place_is_found_with_its_camera() {
+fn keys_are_found_by_location_and_by_name() {
     let at = |words: &str| key_at::<CameraSetup>(TEXT, TEXT.find(words).unwrap());
     assert_eq!(at("name = \"north\""), Some((0, "name")));
     assert_eq!(at("30 # by"), Some((0, "rate_hz")));
@@ -196,7 +196,7 @@ object = "cart"
 "#;
 
 #[test]
-fn objects_are_read_in_both_their_forms() {
+fn objects_are_read_in_both_forms() {
     let all: Vec<ObjectSetup> = read_all(OBJECTS).unwrap();
     let [cart, drone] = &all[..] else { panic!("{all:?}") };
     assert_eq!(cart.roundel, "robot");
@@ -206,12 +206,12 @@ fn objects_are_read_in_both_their_forms() {
     assert_eq!((mounts[1].code, mounts[1].yaw_deg), (Some(5), Some(90.0)));
     let added = add(OBJECTS, &ObjectSetup { name: "other".into(), ..drone.clone() }).unwrap();
     let back: ObjectSetup = super::read(&added, "other").unwrap();
-    assert_eq!(back.roundels, drone.roundels, "in one line: {added}");
+    assert_eq!(back.roundels, drone.roundels);
     assert_eq!(super::remove::<ObjectSetup>(&added, "other").unwrap(), OBJECTS);
 }
 
 #[test]
-fn what_is_the_same_of_an_object_stays_as_it_was_written() {
+fn equal_values_of_an_object_keep_their_notation() {
     let mut drone: ObjectSetup = super::read(OBJECTS, "drone").unwrap();
     assert_eq!(change(OBJECTS, "drone", &drone, ObjectSetup::KEYS).unwrap(), OBJECTS);
     drone.roundels[1].position_m = Some(vector(-0.3, 0.0, 0.0));
@@ -225,9 +225,9 @@ fn what_is_the_same_of_an_object_stays_as_it_was_written() {
 }
 
 #[test]
-fn a_list_of_roundels_becomes_one_kind() {
+fn a_list_of_roundels_is_replaced_by_a_kind() {
     let drone = ObjectSetup { roundel: "robot".into(), code: Some(6), ..ObjectSetup::default() };
-    // The fields `roundel` and `roundels` of a message are both the key `roundel`.
+    // The fields `roundel` and `roundels` correspond to the key `roundel`.
     let text = change(OBJECTS, "drone", &drone, &["roundel", "roundel", "code"]).unwrap();
     let read: ObjectSetup = super::read(&text, "drone").unwrap();
     assert_eq!((read.roundel.as_str(), read.code), ("robot", Some(6)), "{text}");
@@ -235,7 +235,7 @@ fn a_list_of_roundels_becomes_one_kind() {
 }
 
 #[test]
-fn cameras_ride_on_by_the_new_name() {
+fn mounted_cameras_follow_a_renamed_object() {
     let text = rename_carrier(OBJECTS, "drone", "bee").unwrap();
     assert_eq!(text, OBJECTS.replace("object = \"drone\" }", "object = \"bee\" }"));
     let text = rename_carrier(OBJECTS, "cart", "wagon").unwrap();

@@ -1,37 +1,9 @@
-//! Streams that are cut and damaged at random.
+//! Streams with random damage, in chunks of random lengths.
 
-use jpeg_encoder::{ColorType, Encoder};
 use proptest::{collection::vec, prelude::*, sample::Index};
-use roundel_core::time::Timestamp;
 
-use super::{JpegSplitter, StampedJpeg};
+use super::tests::{jpeg, split};
 
-fn jpeg(level: u8) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    let pixels: Vec<u8> = (0..32 * 24u32).map(|i| (i * 7 % 97) as u8 ^ level).collect();
-    Encoder::new(&mut bytes, 90).encode(&pixels, 32, 24, ColorType::Luma).unwrap();
-    bytes
-}
-
-/// What is found in a stream that arrives in pieces of these lengths, over and over.
-fn found(stream: &[u8], lengths: &[usize]) -> (Vec<StampedJpeg>, u64) {
-    let (mut parts, mut found, mut at) = (JpegSplitter::default(), Vec::new(), 0);
-    for length in lengths.iter().cycle() {
-        let end = (at + length).min(stream.len());
-        parts.push(&stream[at..end], Timestamp::from_ns(at as i64));
-        while let Some(part) = parts.pop() {
-            // Which piece a picture begins in depends on the cuts.
-            found.push(StampedJpeg { arrival: Timestamp::default(), ..part });
-        }
-        at = end;
-        if at == stream.len() {
-            break;
-        }
-    }
-    (found, parts.take_broken())
-}
-
-/// What happens to bytes on their way.
 #[derive(Clone, Debug)]
 enum Damage {
     Set(Index, u8),
@@ -74,7 +46,7 @@ fn stream(pictures: &[Vec<u8>], between: &str) -> Vec<u8> {
 
 proptest! {
     #[test]
-    fn what_is_found_does_not_depend_on_how_the_stream_is_cut(
+    fn pictures_do_not_depend_on_the_chunks(
         levels in vec(any::<u8>(), 1..5),
         between in "(\r\n--[a-z]{0,8}\r\n(Content-Length: [0-9]{1,5}\r\n)?\r\n)?",
         faults in vec(damage(), 0..4),
@@ -82,19 +54,19 @@ proptest! {
     ) {
         let pictures: Vec<Vec<u8>> = levels.iter().map(|level| jpeg(*level)).collect();
         let whole = stream(&pictures, &between);
-        let as_sent: Vec<Vec<u8>> = found(&whole, &lengths).0.into_iter().map(|it| it.jpeg).collect();
+        let as_sent: Vec<Vec<u8>> = split(&whole, &lengths).0.into_iter().map(|it| it.jpeg).collect();
         prop_assert_eq!(as_sent, pictures);
         let bytes = damaged(whole, &faults);
-        prop_assert_eq!(found(&bytes, &lengths), found(&bytes, &[bytes.len().max(1)]));
+        prop_assert_eq!(split(&bytes, &lengths), split(&bytes, &[bytes.len().max(1)]));
     }
 
-    /// A damaged picture may say that a segment of it is 64 kB long, and take what follows with it; but no more.
+    /// A damaged picture may claim a segment of 64 kB and consume as many bytes behind it, but no more.
     #[test]
-    fn damage_ends(faults in vec(damage(), 1..6), lengths in vec(1..2000_usize, 1..10)) {
+    fn damage_is_limited(faults in vec(damage(), 1..6), lengths in vec(1..2000_usize, 1..10)) {
         let good = jpeg(3);
         let many = vec![good.clone(); 2 * 65_536 / good.len() + 3];
         let bytes = [damaged(jpeg(1), &faults), stream(&many, "\r\n--frame\r\n\r\n")].concat();
-        let (parts, broken) = found(&bytes, &lengths);
+        let (parts, broken) = split(&bytes, &lengths);
         prop_assert_eq!(&parts.last().unwrap().jpeg, &good);
         prop_assert!(parts.len() >= many.len() / 3, "{} of {}", parts.len(), many.len());
         prop_assert!(broken <= 1 + many.len() as u64);

@@ -1,0 +1,16 @@
+//! Tests of the algorithms' public interface. One program, so that the crate is linked once;
+//! `cargo test -p roundel-core --test main fusion::` runs those of one module.
+
+mod code;
+mod coded;
+mod conventions;
+mod detect;
+mod drawing;
+mod fusion;
+mod golden;
+mod photo;
+mod picture;
+mod pixels;
+mod precision;
+mod rim_error;
+mod shared;
