@@ -1,4 +1,4 @@
-/** The page of the API in headless Chromium, against the real server at ROUNDEL_URL. */
+/** The API page in headless Chromium, with the real server at ROUNDEL_URL. */
 
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
@@ -6,7 +6,7 @@ import { after, before, test } from "node:test";
 import { launch } from "./harness.mjs";
 
 const url = process.env.ROUNDEL_URL;
-const skip = url ? false : "ROUNDEL_URL names no server";
+const skip = url ? false : "ROUNDEL_URL is not set";
 let browser;
 
 before(async () => {
@@ -16,7 +16,7 @@ after(async () => {
   await browser?.close();
 });
 
-test("every described call is on the page, and can be tried", { skip }, async () => {
+test("shows every call of the description, and sends trial requests", { skip }, async () => {
   const context = await browser.newContext();
   const page = await context.newPage();
   const complaints = [];
@@ -44,7 +44,7 @@ test("every described call is on the page, and can be tried", { skip }, async ()
 
   await call.getByRole("link", { name: "Snapshot" }).click();
   await page.locator("#shape-Snapshot[open] code", { hasText: /^missed$/ }).waitFor();
-  // The refused try is what the browser itself complains about; a policy that was broken would be more.
+  // The browser logs the provoked error 400. A violated security policy would be another entry.
   assert.ok(complaints.every((text) => text.includes("400")), complaints.join("\n"));
   await context.close();
 });

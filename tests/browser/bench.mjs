@@ -1,18 +1,18 @@
 /**
- * What the page takes of a browser with 400 objects at 60 Hz and 16 cameras: `npm run bench`, by Chromium's own trace.
+ * Measures the browser's load with 400 objects at 60 Hz and 16 cameras, from Chromium's trace: `npm run bench`.
  *
- *     npm run bench                  # 10 s of each view, and two minutes in which views change
+ *     npm run bench                  # 10 s of each view, and two minutes with changing views
  *     MINUTES=10 ROBOTS=400 CAMERAS=16 npm run bench
- *     ROUNDEL_URL=http://127.0.0.1:7670 npm run bench   # whatever this server has
- *     TRACE_FILE=/tmp/trace npm run bench               # keeps what was traced
+ *     ROUNDEL_URL=http://127.0.0.1:7670 npm run bench   # another server
+ *     TRACE_FILE=/tmp/trace npm run bench               # keeps the traces
  *
- * The server is the real one with an invented crowd (`cargo build --release -p roundel-tests --bin crowd`; ROUNDEL_CROWD
- * names another file of it), and where that has not been built, the mock.
+ * The server is the real one with simulated objects (`cargo build --release -p roundel-tests --bin crowd`; ROUNDEL_CROWD
+ * names another binary), or the mock server if that has not been built.
  *
- * A frame is what lies between two animation frames of the page; its time is that of all tasks of the page's main thread
- * in it, by the thread's own clock and by the wall's. Where the machine does other work, only the first is the page's.
- * The page itself asks for few of them, since it draws in a worker; the bench asks for every one, so that each frame of
- * the screen counts. It also prints how often the worker draws and the time of its thread.
+ * The time of a frame is that of all tasks of the page's main thread between two animation frames, by the thread's CPU
+ * clock and by the wall clock; on a busy machine only the first belongs to the page. The page itself requests few
+ * animation frames, since it draws in a worker; the benchmark requests every one. It also prints the worker's frame rate
+ * and CPU time.
  */
 
 import { fork, spawn } from "node:child_process";
@@ -30,13 +30,13 @@ const MINUTES = Number(process.env.MINUTES ?? 2);
 const TRACE_MS = 10_000;
 /** Traced part of each minute of the long run. */
 const SAMPLE_MS = 5000;
-/** Trails have to grow first. */
+/** Time for trails to grow. */
 const WARM_UP_MS = 8000;
-/** How many snapshots cameras of an object are kept for: whom sixteen cameras see is dear to work out sixty times a second. */
+/** Snapshots for which an object's cameras are cached, since visibility in sixteen cameras is slow to compute. */
 const KEPT = 30;
 
 class Busy extends World {
-  /** Made once: a picture is as dear to show as ever, but not to make. */
+  /** Encoded once, since only the cost of displaying it is measured. */
   picture(name) {
     this.pictures ??= new Map();
     if (!this.pictures.has(name)) this.pictures.set(name, super.picture(name));
@@ -79,7 +79,7 @@ async function startServer() {
     const mock = fork(fileURLToPath(import.meta.url), ["serve"]);
     return { url: await new Promise((resolve) => mock.once("message", resolve)), what: "the mock", stop: () => mock.kill() };
   }
-  // It ends with its standard input.
+  // The server stops when its standard input closes.
   const server = spawn(binary, [String(ROBOTS), String(CAMERAS)], { stdio: ["pipe", "pipe", "inherit"] });
   const url = await new Promise((resolve, reject) => {
     server.stdout.once("data", (chunk) => resolve(String(chunk).trim()));
@@ -98,7 +98,7 @@ async function measureFrames(browser, url, mode) {
   await context.close();
 }
 
-/** The page with an object selected, taking part in every frame of the screen. */
+/** Opens the page with an object selected, and requests every animation frame. */
 async function openBusy(browser, url) {
   const opened = await openDashboard(browser, url);
   await opened.page.locator("#object-rows button").nth(6).click();
@@ -139,7 +139,7 @@ async function traced(browser, body) {
   return events;
 }
 
-/** What a thread of this name takes between one of its animation frames and the next; of several, the busiest. */
+/** Times between consecutive animation frames of the busiest thread of this name. */
 function framesOf(events, wanted) {
   const thread = ({ pid, tid }) => `${pid} ${tid}`;
   const named = new Set(events.filter(({ name, args }) => name === "thread_name" && args.name === wanted).map(thread));
@@ -150,15 +150,15 @@ function framesOf(events, wanted) {
   if (!main) return [];
   const isTask = ({ name, ph }) => ph === "X" && (name === "RunTask" || name === "ThreadControllerImpl::RunTask");
   let tasks = events.filter((event) => isTask(event) && thread(event) === main);
-  // Both names tell of the same tasks.
+  // Both names are used for the same tasks.
   if (tasks.some(({ name }) => name === "RunTask")) tasks = tasks.filter(({ name }) => name === "RunTask");
-  // Each callback is an event of its own: those of one task belong to one frame.
+  // Each callback is an event; those in one task belong to one frame.
   tasks.sort((a, b) => a.ts - b.ts);
   const taskAt = (ts) => tasks.findLast((task) => task.ts <= ts);
   const bounds = [...new Set(starts.filter((event) => thread(event) === main).map(({ ts }) => taskAt(ts)?.ts ?? ts))].sort((a, b) => a - b);
   const frames = bounds.slice(1).map(() => ({ threadMs: 0, wallMs: 0 }));
   for (const { ts, dur, tdur } of tasks) {
-    // That of the animation frame is the first of its own.
+    // The task with the animation frame is the first of its frame.
     const at = bounds.findLastIndex((bound) => bound <= ts);
     if (at < 0 || at >= frames.length) continue;
     frames[at].threadMs += (tdur ?? dur) / 1000;
@@ -172,7 +172,7 @@ function quantile(values, part) {
   return sorted[Math.min(sorted.length - 1, Math.floor(part * sorted.length))] ?? 0;
 }
 
-/** Memory each minute, of the page and of its worker, with what a frame takes then; the view is another each minute. */
+/** Memory of page and worker and frame times, once a minute; the view changes every minute. */
 async function measureMinutes(browser, url) {
   const { page, context } = await openBusy(browser, url);
   const session = await context.newCDPSession(page);
@@ -200,7 +200,7 @@ async function heapText(send) {
   return `${(usedSize / 1e6).toFixed(1)} MB of objects and ${(backingStorageSize / 1e6).toFixed(1)} MB of arrays`;
 }
 
-/** Asks the page's worker by Chromium's own protocol. */
+/** Evaluates in the page's worker with the DevTools protocol. */
 async function workerSession(session) {
   const attached = new Promise((resolve) => session.once("Target.attachedToTarget", resolve));
   await session.send("Target.setAutoAttach", { autoAttach: true, waitForDebuggerOnStart: false, flatten: false });

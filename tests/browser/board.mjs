@@ -1,4 +1,4 @@
-/** Pictures of the printed calibration board as a camera sees it that it is moved before: the page that `roundel print` writes, under a pinhole. */
+/** Renders the page of `roundel print --board` as a pinhole camera sees it while it is moved. */
 
 import { execFileSync } from "node:child_process";
 import { mkdir, readFile, writeFile } from "node:fs/promises";
@@ -7,10 +7,10 @@ import { inflateSync } from "node:zlib";
 
 export const [WIDTH, HEIGHT, FOCAL_PX] = [640, 480, 600];
 const DPI = 150;
-/** Middle of the board on its page of A4, mm: the part of the page that prints may take is lopsided. */
+/** Centre of the board on its A4 page, mm; the printable area is not symmetric. */
 const MIDDLE_MM = [145.5, 98.5];
 
-/** Writes each view several times over, since a board that is held still is what is wanted. @param {string} binary @param {string} folder */
+/** Writes each view several times, since views are only taken while the board is still. @param {string} binary @param {string} folder */
 export async function writeViews(binary, folder, { views = 26, held = 5 } = {}) {
   const sheet = join(folder, "board.png");
   execFileSync(binary, ["print", "--board", "7x5", "--dpi", String(DPI), sheet], { stdio: "ignore" });
@@ -24,17 +24,17 @@ export async function writeViews(binary, folder, { views = 26, held = 5 } = {}) 
   }
 }
 
-/** All over the picture, tilted to each side in turn. @param {number} view */
+/** Poses that cover the picture, with varying tilts. @param {number} view */
 function pose(view) {
   const [x, y] = [(view % 3) - 1, (Math.floor(view / 3) % 3) - 1];
   const lean = [0.5 * Math.cos(2.4 * view), 0.5 * Math.sin(2.4 * view)];
   return { at: [85 * x, 60 * y, 340 + 60 * (view % 2)], lean };
 }
 
-/** As PGM. @param {{width: number, height: number, pixels: Buffer}} page @param {{at: number[], lean: number[]}} pose */
+/** Renders one view as PGM. @param {{width: number, height: number, pixels: Buffer}} page @param {{at: number[], lean: number[]}} pose */
 function photograph(page, { at, lean: [a, b] }) {
   const [ca, sa, cb, sb] = [Math.cos(a), Math.sin(a), Math.cos(b), Math.sin(b)];
-  // The page's right and its down in the camera's frame: turned about y by a, then about x by b.
+  // The page's right and down vectors in the camera frame, rotated about y by a, then about x by b.
   const right = [ca, sa * sb, -sa * cb];
   const down = [0, cb, sb];
   const toPage = inverse([right[0], down[0], at[0], right[1], down[1], at[1], right[2], down[2], at[2]]);
@@ -62,14 +62,14 @@ function photograph(page, { at, lean: [a, b] }) {
   return Buffer.concat([Buffer.from(`P5 ${WIDTH} ${HEIGHT} 255\n`), pixels]);
 }
 
-/** For a 3x3 matrix, row by row. @param {number[]} m */
+/** Inverse of a 3x3 matrix, row by row. @param {number[]} m */
 function inverse([a, b, c, d, e, f, g, h, i]) {
   const [A, B, C] = [e * i - f * h, f * g - d * i, d * h - e * g];
   const determinant = a * A + b * B + c * C;
   return [A, c * h - b * i, b * f - c * e, B, a * i - c * g, c * d - a * f, C, b * g - a * h, a * e - b * d].map((it) => it / determinant);
 }
 
-/** A grey PNG of 8 bits, not interlaced. @param {Buffer} file */
+/** Decodes an 8-bit grey PNG that is not interlaced. @param {Buffer} file */
 export function decode(file) {
   let [width, height] = [0, 0];
   const parts = [];
@@ -78,7 +78,7 @@ export function decode(file) {
     const kind = file.toString("latin1", at + 4, at + 8);
     const body = file.subarray(at + 8, at + 8 + length);
     if (kind === "IHDR") [width, height] = [body.readUInt32BE(0), body.readUInt32BE(4)];
-    if (kind === "IHDR" && (body[8] !== 8 || body[9] !== 0)) throw new Error("expected a grey PNG of 8 bits");
+    if (kind === "IHDR" && (body[8] !== 8 || body[9] !== 0)) throw new Error("expected an 8-bit grey PNG");
     if (kind === "IDAT") parts.push(body);
     at += length + 12;
   }

@@ -1,4 +1,4 @@
-/** The arena calibrated by click, on an invented server that goes one step further with each look. */
+/** Dialog of the arena calibration, with a mock server that advances by one step with each poll. */
 
 import assert from "node:assert/strict";
 import { after, before, describe, test } from "node:test";
@@ -14,7 +14,7 @@ before(async () => {
 });
 after(() => browser?.close());
 
-/** The page with its calibration open. */
+/** Opens the page and the dialog. */
 async function withCalibrator(options, body, context = {}) {
   const world = new World();
   const calibrator = new Calibrator(world.cameras().map((camera) => camera.name), options);
@@ -32,46 +32,46 @@ async function withCalibrator(options, body, context = {}) {
 
 const words = (page, text) => page.locator("#calibration-words", { hasText: text }).waitFor();
 
-describe("calibration of the arena", () => {
-  test("records, shows what is missing, solves, and is in use", async () => {
+describe("the arena calibration", () => {
+  test("records, shows missing overlaps, solves, and is applied", async () => {
     await withCalibrator({}, async (page, calibrator) => {
-      await words(page, "The cameras stand as configured.");
+      await words(page, "The cameras use their configured poses.");
       await page.locator("#calibration-seconds").fill("30");
-      await page.getByLabel("Refine lenses, too").check();
+      await page.getByLabel("Also refine lenses").check();
       calibrator.isHeld = true;
       await page.locator("#calibration-start").click();
       await words(page, "Recording, 0 of 30 s");
       assert.equal(await page.locator("#calibration-form").isVisible(), false);
       await page.locator("#calibration-results tr.bad", { hasText: "none yet" }).waitFor();
       calibrator.stage = "solving";
-      await words(page, "Working it out");
+      await words(page, "Calculating");
       calibrator.isHeld = false;
-      await words(page, "Done. The cameras use it as version 1.");
+      await words(page, "Finished. Applied as version 1.");
       const { method, body } = calibrator.asked.find((asked) => asked.method === "POST");
       assert.deepEqual([method, body], ["POST", { seconds: 30, refine_lenses: true }]);
       const rows = await page.locator("#calibration-results tbody tr").allTextContents();
       assert.equal(rows.length, 4);
       assert.match(rows[0], /was unknown/);
       assert.match(rows[1], /12\.3 mm, 0\.0573°.*0\.42 mm/);
-      await page.locator(".findings li", { hasText: "weakly tied" }).waitFor();
+      await page.locator(".findings li", { hasText: "weakly constrained" }).waitFor();
       assert.equal(await page.locator("#calibration-apply").isVisible(), false);
       assert.equal(await page.locator("#calibration-start").textContent(), "Calibrate again");
     });
   });
 
-  test("a grave finding waits for a person's word", async () => {
+  test("is applied only on request if there is a severe finding", async () => {
     await withCalibrator({ isSevere: true }, async (page, calibrator) => {
       await page.locator("#calibration-start").click();
-      await words(page, "The cameras have not taken it over");
-      await page.locator(".findings .grave", { hasText: "Grave: Reference 2 appears 50.1 mm" }).waitFor();
+      await words(page, "Finished, but not applied");
+      await page.locator(".findings .grave", { hasText: "Severe: Reference 2 appears 50.1 mm" }).waitFor();
       assert.equal(calibrator.version, 0);
       await page.locator("#calibration-apply").click();
-      await words(page, "The cameras use it as version 1.");
+      await words(page, "Applied as version 1.");
       assert.equal(await page.locator("#calibration-apply").isVisible(), false);
     });
   });
 
-  test("can be cancelled, and looked at again later", async () => {
+  test("can be cancelled, and its result is shown later", async () => {
     await withCalibrator({}, async (page, calibrator) => {
       calibrator.isHeld = true;
       await page.locator("#calibration-start").click();
@@ -87,7 +87,7 @@ describe("calibration of the arena", () => {
     });
   });
 
-  test("what the server refuses is said in its words", async () => {
+  test("shows the server's message if it refuses", async () => {
     const refuses = "the configuration has 0 reference roundels";
     await withCalibrator({ refuses }, async (page) => {
       await page.locator("#calibration-start").click();
@@ -96,12 +96,12 @@ describe("calibration of the arena", () => {
     });
   });
 
-  test("a lost server is said, too", async () => {
+  test("says if the server does not respond", async () => {
     await withCalibrator({}, async (page, _, server) => {
-      await words(page, "The cameras stand as configured.");
+      await words(page, "The cameras use their configured poses.");
       await server.close();
       await page.locator("#calibration-start").click();
-      await page.locator("#calibration-trouble", { hasText: "No answer from the server" }).waitFor();
+      await page.locator("#calibration-trouble", { hasText: "No response from the server" }).waitFor();
     });
   });
 

@@ -1,4 +1,4 @@
-/** An invented calibration of an arena, in the JSON of `proto/roundel/v1/calibration.proto`, for mock.mjs. */
+/** Arena calibration of the mock server, in the JSON form of `proto/roundel/v1/calibration.proto`. */
 
 const LOOKS_OF_RECORDING = 3;
 const LOOKS_OF_SOLVING = 2;
@@ -11,7 +11,7 @@ export class Calibrator {
     this.isSevere = isSevere;
     this.version = 0;
     this.asked = [];
-    /** While true, stages do not advance, so that a slow page misses no step. */
+    /** While true, stages do not advance, so that a slow page sees every step. */
     this.isHeld = false;
     this.reset("idle");
   }
@@ -20,7 +20,7 @@ export class Calibrator {
     Object.assign(this, { stage, looks: 0, seconds: 0, error: "", report: null, applied: 0 });
   }
 
-  /** Status and body of an answer. */
+  /** Status and body of a response. */
   answer(method, path, body) {
     this.asked.push({ method, path, body });
     const refuse = (message) => [409, { error: { code: "failed_precondition", message } }];
@@ -44,14 +44,14 @@ export class Calibrator {
     return [200, this.message()];
   }
 
-  /** Each look brings it further, so that no case depends on time. */
+  /** Advances with each poll, so that tests do not depend on time. */
   goOn() {
     if (this.isHeld) return;
     this.looks += 1;
     if (this.looks > LOOKS_OF_RECORDING) this.stage = "solving";
     if (this.looks <= LOOKS_OF_RECORDING + LOOKS_OF_SOLVING) return;
     this.stage = "done";
-    const findings = [{ message: "camera south-east is weakly tied: let robots drive longer there", grave: false }];
+    const findings = [{ message: "camera south-east is weakly constrained: let robots drive longer there", grave: false }];
     if (this.isSevere) {
       findings.unshift({ message: "reference 2 appears 50.1 mm from where it was said to be", grave: true });
     } else {
@@ -85,7 +85,7 @@ export class Calibrator {
       frames: 100 * this.looks,
       codes: 12,
       coverage: 0.2 * this.looks,
-      // The last one shares nothing at first.
+      // The last camera shares no codes at first.
       together: i + 1 < this.cameras.length || this.looks > 1 ? [{ camera: this.cameras[0], sightings: 9 }] : [],
     }));
     return {

@@ -1,4 +1,4 @@
-/** Encodes messages as the server does, from their JSON form and the .proto files, for mock.mjs. */
+/** Encodes messages of the mock server in protobuf, from their JSON form and the .proto files. */
 
 import { fileURLToPath } from "node:url";
 
@@ -20,7 +20,7 @@ function enumFields(type) {
   return fields;
 }
 
-/** Replaces the lower-case words of enumerations by their numbers. */
+/** Replaces lower-case names of enumeration values by their numbers. */
 function withNumbers(type, json) {
   const fields = enumFields(type);
   if (fields.length === 0) return json;
@@ -34,7 +34,7 @@ function withNumbers(type, json) {
   return made;
 }
 
-/** LIFE_STAGE_TRACKED for "tracked"; 0 for an unknown word. */
+/** Number of LIFE_STAGE_TRACKED for "tracked"; 0 for an unknown name. */
 function numberOf(enumeration, word) {
   const prefix = enumeration.valuesById[0].slice(0, -"UNSPECIFIED".length);
   return enumeration.values[prefix + word.toUpperCase()] ?? 0;

@@ -1,4 +1,4 @@
-/** What only invented servers do on demand: cameras that fail, empty arenas, messages of another version. */
+/** Faults that only the mock server can produce: failing cameras, empty arenas, messages of another version. */
 
 import assert from "node:assert/strict";
 import { after, before, describe, test } from "node:test";
@@ -13,7 +13,7 @@ before(async () => {
 });
 after(() => browser?.close());
 
-/** A mock server of this case's own, and the page on it. */
+/** Runs a test with its own mock server. */
 async function withWorld(world, body, mock = {}) {
   const server = await startMock({ world, ...mock });
   try {
@@ -23,8 +23,8 @@ async function withWorld(world, body, mock = {}) {
   }
 }
 
-describe("trouble with cameras", () => {
-  test("a failed one says why and that it is retried, and shows when it is back", async () => {
+describe("a camera with a problem", () => {
+  test("shows why it failed and that it is retried, until it is back", async () => {
     const world = new World();
     await withWorld(world, async (page) => {
       const card = page.locator('[data-camera-card="north-west"]');
@@ -33,7 +33,7 @@ describe("trouble with cameras", () => {
       await page.locator('[data-camera-card="north-west"][data-status="failed"]').waitFor();
       const words = await card.textContent();
       assert.match(words, /Failed/);
-      assert.match(words, /No images in frames\/north-west\. It is retried automatically\./);
+      assert.match(words, /No images in frames\/north-west\. Retrying automatically\./);
       await page.locator("#cameras-summary", { hasText: "1 of 4 failed" }).waitFor();
       await page.locator(".event.sign-failed", { hasText: "north-west" }).waitFor();
       world.restoreCamera("north-west");
@@ -43,7 +43,7 @@ describe("trouble with cameras", () => {
     });
   });
 
-  test("one without a pose says that it is not used", async () => {
+  test("shows that it is not used without a pose", async () => {
     class Unplaced extends World {
       cameras() {
         return super.cameras().map((camera) => ({ ...camera, pose: null, intrinsics: null }));
@@ -56,9 +56,9 @@ describe("trouble with cameras", () => {
   });
 });
 
-describe("a camera that rides", () => {
-  /** One more camera, under the forklift, which the server places twice a second and less. */
-  class Riding extends World {
+describe("a mounted camera", () => {
+  /** One more camera, under the forklift, whose pose from the server does not change. */
+  class Mounted extends World {
     state(robot, t) {
       const state = super.state(robot, t);
       return robot.name === "Forklift" ? { ...state, yaw_observed: true } : state;
@@ -73,19 +73,19 @@ describe("a camera that rides", () => {
     }
   }
 
-  test("goes where its object goes, and says why it is nowhere", async () => {
-    const world = new Riding({ robots: 7 });
+  test("follows its carrier, and shows why its pose is unknown", async () => {
+    const world = new Mounted({ robots: 7 });
     await withWorld(world, async (page, { complaints }) => {
       const place = page.locator('[data-camera-card="aboard"] .place');
       await page.waitForFunction(() => /on Forklift, at/.test(document.querySelector('[data-camera-card="aboard"] .place').textContent));
       const first = await place.textContent();
-      // The server's word for it is always the same place; the page moves it with the forklift.
+      // The server's pose is constant; the page moves the camera with the forklift.
       await page.waitForFunction(
         (before) => document.querySelector('[data-camera-card="aboard"] .place').textContent !== before,
         first,
       );
       world.away = true;
-      await page.locator(".trouble", { hasText: 'Its place is not known: "Forklift" is not followed now.' }).waitFor();
+      await page.locator(".trouble", { hasText: 'Pose unknown: "Forklift" is not followed now.' }).waitFor();
       assert.equal(await place.textContent(), "on Forklift");
       world.tell({ kind: "camera_unplaced", camera: "aboard", message: "Camera aboard has no place." });
       await page.locator(".event.sign-predicted", { hasText: "aboard has no place" }).waitFor();
@@ -94,7 +94,7 @@ describe("a camera that rides", () => {
   });
 });
 
-describe("a page that came only in part", () => {
+describe("a page without its worker", () => {
   test("says so, and can be reloaded", async () => {
     await withWorld(new World(), async (page) => {
       await page.context().route("**/js/worker.js", (route) => route.abort());
@@ -107,8 +107,8 @@ describe("a page that came only in part", () => {
   });
 });
 
-describe("nothing but a robot's own camera", () => {
-  test("the view goes along with a robot that would leave it", async () => {
+describe("an arena without fixed cameras", () => {
+  test("has a view that follows a robot that would leave it", async () => {
     class Leaving extends World {
       cameras() {
         return [];
@@ -122,7 +122,7 @@ describe("nothing but a robot's own camera", () => {
     const world = new Leaving({ robots: 1, cameras: 0 });
     await withWorld(world, async (page) => {
       await page.locator("#object-rows tr").waitFor();
-      // A trail would still show where it went.
+      // A trail would still be in view.
       await page.locator("#trails").uncheck();
       world.away = true;
       await page.locator("#object-rows td", { hasText: "40.000" }).waitFor();
@@ -137,16 +137,16 @@ describe("nothing but a robot's own camera", () => {
   });
 });
 
-describe("little to show", () => {
-  test("no objects", async () => {
+describe("an empty arena", () => {
+  test("says that there are no objects", async () => {
     await withWorld(new World({ robots: 0 }), async (page, { complaints }) => {
-      await page.locator("#arena-note", { hasText: "No object is in view" }).waitFor();
+      await page.locator("#arena-note", { hasText: "No objects in view" }).waitFor();
       assert.ok(await page.locator("#objects-empty").isVisible());
       assert.deepEqual(complaints, []);
     });
   });
 
-  test("no cameras", async () => {
+  test("says that there are no cameras", async () => {
     await withWorld(new World({ robots: 0, cameras: 0 }), async (page, { complaints }) => {
       await page.locator("#arena-note", { hasText: "No cameras are configured" }).waitFor();
       assert.ok(await page.locator("#cameras-empty").isVisible());
@@ -155,8 +155,8 @@ describe("little to show", () => {
   });
 });
 
-describe("what a page meets over months", () => {
-  test("an object that is given up is marked, then goes; the panel keeps its last values", async () => {
+describe("a page that stays open", () => {
+  test("marks a lost object, then removes it, and keeps its last values in the panel", async () => {
     class Leaving extends World {
       state(robot, t) {
         const state = super.state(robot, t);
@@ -176,12 +176,12 @@ describe("what a page meets over months", () => {
       world.leaving = true;
       await page.locator('#object-rows tr[data-object-id="2"][data-stage="lost"]').waitFor();
       await page.locator('#object-rows tr[data-object-id="2"]').waitFor({ state: "detached" });
-      assert.match(await page.locator(".stage-words").textContent(), /given up; these are its last values/);
+      assert.match(await page.locator(".stage-words").textContent(), /last known values/);
       assert.equal(await page.locator("#object-rows tr").count(), 2);
     });
   });
 
-  test("messages of another version, and broken ones, disturb nothing", async () => {
+  test("ignores unknown and broken values in messages", async () => {
     class Odd extends World {
       snapshot() {
         const snapshot = super.snapshot();
@@ -209,22 +209,22 @@ describe("what a page meets over months", () => {
       }
       assert.doesNotMatch(await page.locator("main").textContent(), /NaN|undefined/);
       assert.deepEqual(complaints, []);
-      // Only JSON has words that a page does not know; protobuf has numbers.
+      // Only JSON can have unknown names; protobuf has numbers.
     }, { protocols: ["roundel.v1.json"] });
   });
 
-  test("a kind of event that this page does not know is shown as what it says", async () => {
+  test("shows the message of an event of an unknown kind", async () => {
     const world = new World({ robots: 1 });
     await withWorld(world, async (page) => {
       await page.locator("#object-rows tr").waitFor();
       world.tell({ kind: "moon_rose", message: "The moon rose." });
       world.tell({ kind: "moon_set", message: "" });
       await page.locator(".event", { hasText: "The moon rose." }).waitFor();
-      await page.locator(".event", { hasText: /Something happened/ }).waitFor();
+      await page.locator(".event", { hasText: /Unknown event/ }).waitFor();
     });
   });
 
-  test("another run of the server begins with a clean sheet", async () => {
+  test("drops all objects and events of an earlier run of the server", async () => {
     const first = await startMock({ world: new World({ robots: 3 }) });
     const line = await startLine(first.url);
     const second = await startMock({ world: new World({ robots: 2 }) });
@@ -236,7 +236,7 @@ describe("what a page meets over months", () => {
       await page.locator(".event", { hasText: "Object 8" }).waitFor();
       line.cut();
       await page.locator("#banner").waitFor();
-      // Its first event has the number of one that the page knows from the first run.
+      // The first event has the number of an event of the first run.
       second.world.tell({ kind: "camera_running", camera: "south-west", message: "Camera south-west is running." });
       line.mend(second.url);
       await page.locator('#object-rows tr[data-object-id="3"]').waitFor({ state: "detached" });

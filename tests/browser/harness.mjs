@@ -1,4 +1,4 @@
-/** What every browser test needs: a server, a browser, and a page that has been watched from its start. */
+/** Starts server, browser and page for the tests, and records console messages and requests of the page. */
 
 import assert from "node:assert/strict";
 import { readFile } from "node:fs/promises";
@@ -9,7 +9,7 @@ import { chromium } from "playwright-core";
 
 import { startMock } from "./mock.mjs";
 
-/** How long a case waits for what has to come, ms. */
+/** Timeout of waits, ms. */
 export const PATIENCE_MS = 30_000;
 
 const EXECUTABLE = process.env.CHROMIUM ?? "/usr/bin/chromium";
@@ -23,14 +23,14 @@ const FLAGS = [
   "--disable-sync",
 ];
 
-/** The server under test: the one at ROUNDEL_URL, or a mock of its own, which then has a `world`. */
+/** The server under test: that at ROUNDEL_URL, or a mock server, which has a `world`. */
 export async function target() {
   const url = process.env.ROUNDEL_URL;
   if (!url) return startMock();
   return { url: new URL("/", url).href, world: null, close: async () => {} };
 }
 
-/** Without a card nothing is drawn in 3D, unless the processor does it, as in browsers of machines that have none. */
+/** WebGL is either off, or rendered in software, as on machines without a GPU. */
 const PLAIN = ["--disable-gpu"];
 const SPACE = ["--use-angle=swiftshader-webgl", "--enable-unsafe-swiftshader"];
 
@@ -40,7 +40,7 @@ export function launch({ space = false } = {}) {
 }
 
 /**
- * Opens the page and waits until it lives.
+ * Opens the page and waits until it is connected.
  * @param {import("playwright-core").Browser} browser
  * @param {string} url
  * @param {import("playwright-core").BrowserContextOptions} [options]
@@ -67,7 +67,7 @@ export async function openDashboard(browser, url, options = {}) {
 }
 
 /**
- * Opens the page, runs the case, and closes the page whatever happens.
+ * Opens the page, runs `body`, and closes the page.
  * @param {import("playwright-core").Browser} browser
  * @param {string} url
  * @param {import("playwright-core").BrowserContextOptions} options
@@ -83,7 +83,7 @@ export async function visit(browser, url, options, body) {
   }
 }
 
-/** The same on a page that lists its objects. @type {typeof visit} */
+/** Like `visit`, and waits until objects are listed. @type {typeof visit} */
 export function visitObjects(browser, url, options, body) {
   return visit(browser, url, options, async (page, opened) => {
     await page.locator("#object-rows tr").first().waitFor();
@@ -91,7 +91,7 @@ export function visitObjects(browser, url, options, body) {
   });
 }
 
-/** A number that changes with the canvas' picture, which a worker has drawn. */
+/** Checksum of a canvas. */
 export function canvasSum(page, id) {
   return page.evaluate((name) => {
     const canvas = document.getElementById(name);
@@ -106,7 +106,7 @@ export function canvasSum(page, id) {
   }, id);
 }
 
-/** Waits until a canvas' picture is as wanted. */
+/** Waits until a canvas's checksum meets a condition. */
 export async function assertPicture(page, id, wanted, complaint) {
   const until = Date.now() + PATIENCE_MS;
   while (!wanted(await canvasSum(page, id))) {
@@ -118,27 +118,27 @@ export async function assertPicture(page, id, wanted, complaint) {
 export const assertChanges = (page, id, before) =>
   assertPicture(page, id, (sum) => sum !== before, "shows the same picture");
 export const assertReturns = (page, id, before) =>
-  assertPicture(page, id, (sum) => sum === before, "does not show what it did");
+  assertPicture(page, id, (sum) => sum === before, "does not return to its picture");
 
-/** That axe finds nothing serious. @param {import("playwright-core").Page} page @param {string} [part] of it alone */
+/** Asserts that axe finds no serious violations. @param {import("playwright-core").Page} page @param {string} [part] selector */
 export async function assertAccessible(page, part = "html") {
   const axe = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
   await page.evaluate(axe);
   const { violations, passes } = await page.evaluate((selector) => globalThis.axe.run(selector), part);
-  assert.ok(passes.length > 0, `${part} is there`);
+  assert.ok(passes.length > 0, `${part} exists`);
   const grave = violations.filter(({ impact }) => impact === "serious" || impact === "critical");
   assert.deepEqual(grave.map(({ help, nodes }) => [help, nodes.map((node) => node.html)]), []);
 }
 
-/** Where the page draws. @param {import("playwright-core").Page} page */
+/** The worker that draws. @param {import("playwright-core").Page} page */
 export async function drawingWorker(page) {
   return page.workers()[0] ?? page.waitForEvent("worker");
 }
 
 /**
- * Counts draws of WebGL in the worker that makes them.
+ * Counts WebGL draw calls in the worker.
  * @param {import("playwright-core").Page} page
- * @returns {Promise<() => Promise<number>>} the most that any of the next frames takes
+ * @returns {Promise<() => Promise<number>>} returns the largest number in one of the next frames
  */
 export async function countDraws(page) {
   const worker = await drawingWorker(page);
@@ -156,7 +156,7 @@ export async function countDraws(page) {
     worker.evaluate(async (patience) => {
       const until = Date.now() + patience;
       let [most, drawn] = [0, 0];
-      // Frames in which nothing is new are not drawn; on a machine with other work these are many.
+      // Frames without changes are not drawn.
       for (let frame = 0; frame < 30 || (drawn < 3 && Date.now() < until); frame += 1) {
         globalThis.draws = 0;
         await new Promise(requestAnimationFrame);
@@ -168,7 +168,7 @@ export async function countDraws(page) {
 }
 
 /**
- * The table of objects as numbers, by id.
+ * Reads the table of objects as numbers, by id.
  * @param {import("playwright-core").Page} page
  * @returns {Promise<Map<number, {stage: string, x: number, y: number, z: number}>>}
  */
@@ -187,7 +187,7 @@ export async function readObjects(page) {
 }
 
 /**
- * A line between browser and server that can be cut, frozen and mended, whatever the server is.
+ * A TCP proxy between browser and server that can be cut, frozen and mended.
  * @param {string} url
  */
 export async function startLine(url) {
@@ -221,12 +221,12 @@ export async function startLine(url) {
       state = "cut";
       destroyAll();
     },
-    /** Connections stay and new ones are taken, but nothing passes: a network that has gone away. */
+    /** Connections stay open and new ones are accepted, but no data passes, as with a broken network. */
     freeze() {
       state = "frozen";
       for (const socket of sockets) socket.unpipe().pause();
     },
-    /** New connections pass again, to another server if one is named; what was frozen stays dead. */
+    /** New connections pass again, to another server if one is given; frozen ones stay dead. */
     mend(other = end.href) {
       end = new URL(other);
       state = "whole";

@@ -1,6 +1,6 @@
 /**
- * The real server on a laboratory of its own: one camera that plays pictures of a ring going round, objects that can be
- * set up, recordings and a history, all in a folder that is gone afterwards. It takes next to nothing of a processor.
+ * Starts the real server with one camera that plays pictures of a moving ring, objects, recordings and a history, in a
+ * temporary folder. It needs little CPU time.
  */
 
 import { spawn } from "node:child_process";
@@ -12,7 +12,7 @@ import { fileURLToPath } from "node:url";
 
 const TARGET = process.env.CARGO_TARGET_DIR ?? fileURLToPath(new URL("../../target", import.meta.url));
 export const BINARY = process.env.ROUNDEL_BINARY ?? join(TARGET, "debug/roundel");
-/** Why cases that need the server are left out; false where there is one, or where there has to be. */
+/** Why tests that need the server are skipped; false if it is built, or if ROUNDEL_BINARY requires it. */
 export const lacking = !process.env.ROUNDEL_BINARY && !existsSync(BINARY) && `${BINARY} has not been built (cargo build -p roundel-server)`;
 
 const [WIDTH, HEIGHT] = [160, 120];
@@ -20,8 +20,8 @@ const [WIDTH, HEIGHT] = [160, 120];
 const FOCAL_PX = 750;
 const FRAMES = 50;
 
-/** What each laboratory's file says: where it is reached, what it keeps, and its robots' roundel. */
-export const KEEPING = `
+/** Common part of the configurations: address, recordings, history and the robots' roundel. */
+export const COMMON_CONFIG = `
 [server]
 listen = "127.0.0.1:0"
 
@@ -38,9 +38,9 @@ outer_mm = 160.0
 inner_mm = 64.0
 `;
 
-export const CONFIG = `# The lab's own words.
+export const CONFIG = `# Ring lab.
 name = "Ring lab"
-${KEEPING}
+${COMMON_CONFIG}
 [[roundel]]
 name = "coded"
 outer_mm = 122.0
@@ -68,7 +68,7 @@ distortion_model: plumb_bob
 distortion_coefficients: {rows: 1, cols: 5, data: [0.0, 0.0, 0.0, 0.0, 0.0]}
 `;
 
-/** White, with a black ring round a white disc. */
+/** PGM picture of a black ring on white. */
 function picture(frame) {
   const turn = (2 * Math.PI * frame) / FRAMES;
   const [u0, v0] = [79.5 + 34 * Math.cos(turn), 59.5 + 22 * Math.sin(turn)];
@@ -85,8 +85,8 @@ function picture(frame) {
 
 /**
  * @param {string} [config]
- * @param {{prepare?: (folder: string) => Promise<void>} & Record<string, any>} [more] files beside it by name, and what else
- * is to be there before the server starts
+ * @param {{prepare?: (folder: string) => Promise<void>} & Record<string, any>} [more] further files by name; `prepare` runs
+ * before the server starts
  */
 export async function startLab(config = CONFIG, { prepare, ...files } = {}) {
   const folder = await mkdtemp(join(tmpdir(), "roundel-lab-"));
@@ -109,26 +109,26 @@ export async function startLab(config = CONFIG, { prepare, ...files } = {}) {
   };
 }
 
-/** The server that plays this recording. @param {string} file @param {string[]} [options] */
+/** Starts `roundel replay`. @param {string} file @param {string[]} [options] */
 export function startReplay(file, options = []) {
   return start(["replay", file, "--listen", "127.0.0.1:0", ...options]);
 }
 
-/** @param {string[]} words of the command line @param {string} [cwd] */
+/** @param {string[]} words command line @param {string} [cwd] */
 async function start(words, cwd) {
   const child = spawn(BINARY, words, { cwd, stdio: ["ignore", "pipe", "pipe"] });
   const ended = new Promise((resolve) => child.once("exit", resolve));
-  let said = "";
+  let output = "";
   const url = await new Promise((resolve, reject) => {
     const listen = (chunk) => {
-      said += chunk;
-      const address = /http:\/\/127\.0\.0\.1:\d+/.exec(said)?.[0];
+      output += chunk;
+      const address = /http:\/\/127\.0\.0\.1:\d+/.exec(output)?.[0];
       if (address) resolve(`${address}/`);
     };
     child.stdout.on("data", listen);
     child.stderr.on("data", listen);
     child.once("error", reject);
-    void ended.then(() => reject(new Error(`roundel ${words.join(" ")} ended: ${said}`)));
+    void ended.then(() => reject(new Error(`roundel ${words.join(" ")} ended: ${output}`)));
   });
   return {
     url,
@@ -139,7 +139,7 @@ async function start(words, cwd) {
   };
 }
 
-/** A call of its API. @param {{url: string}} server @param {string} method @param {string} path @param {object} [body] */
+/** Calls the server's API. @param {{url: string}} server @param {string} method @param {string} path @param {object} [body] */
 export async function call({ url }, method, path, body) {
   const headers = body && { "content-type": "application/json" };
   const response = await fetch(new URL(`api/v1/${path}`, url), { method, headers, body: body && JSON.stringify(body) });

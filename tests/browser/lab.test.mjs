@@ -1,4 +1,4 @@
-/** Recordings, replay, history, print and objects by click, on the real server (lab.mjs). */
+/** Recordings, replay, history, printing and objects, with the real server (lab.mjs). */
 
 import assert from "node:assert/strict";
 import { readFile } from "node:fs/promises";
@@ -8,7 +8,7 @@ import { after, before, describe, test } from "node:test";
 import { assertAccessible, assertChanges, canvasSum, launch, visitObjects } from "./harness.mjs";
 import { call, lacking, startLab, startReplay } from "./lab.mjs";
 
-/** The room at which a phone is held to. */
+/** A phone. */
 const PHONE = { viewport: { width: 390, height: 844 }, hasTouch: true };
 
 let browser;
@@ -27,7 +27,7 @@ after(async () => {
 function withPage(url, body, options = {}) {
   return visitObjects(browser, url, options, async (page, opened) => {
     await body(page, opened);
-    // Nothing is wrong but what was refused, or was not there, on purpose.
+    // Expected: responses that the tests provoke.
     const grave = opened.complaints.filter((text) => !/status of (400|404|409|503)/.test(text));
     assert.deepEqual(grave, []);
     assert.deepEqual(opened.foreign, []);
@@ -37,21 +37,21 @@ function withPage(url, body, options = {}) {
 const holds = (page, selector, text) => page.locator(selector, { hasText: text }).waitFor();
 const closed = (page, dialog) => page.locator(`${dialog}:not([open])`).waitFor({ state: "attached" });
 
-/** Until the server says so. */
+/** Polls the API until a condition holds. */
 async function until(wanted, path = "recording", server = lab) {
   for (let turn = 0; turn < 300; turn += 1) {
     const { answer } = await call(server, "GET", path);
     if (wanted(answer)) return answer;
     await new Promise((resolve) => setTimeout(resolve, 100));
   }
-  assert.fail(`GET ${path} never was as wanted`);
+  assert.fail(`GET ${path} never met the condition`);
 }
 
 describe("recordings", { skip: lacking }, () => {
-  test("are begun and ended by click, seen from everywhere, and listed", async () => {
+  test("are started and stopped, shown on every page, and listed", async () => {
     await withPage(lab.url, async (page) => {
       await page.locator("#record").click();
-      await holds(page, "#recording-where", "There are no recordings");
+      await holds(page, "#recording-where", "No recordings in");
       await page.locator("#recording-name").fill("a/b");
       await page.locator("#recording-start").click();
       await holds(page, "#recording-name-trouble", "expected a name of letters");
@@ -64,13 +64,13 @@ describe("recordings", { skip: lacking }, () => {
       await page.locator("#recording-frames_every").fill("5");
       await page.locator("#recording-start").click();
       await holds(page, "#recording-words", /Recording into trial-.*mcap, one in 5 frames as a picture\./);
-      await holds(page, "#recording-words", /a second; .* of the disk are free, enough for \d/);
+      await holds(page, "#recording-words", /\/s; .* free on the disk, enough for \d/);
       await holds(page, "#recording-rows", "being written");
       assert.equal((await until((it) => it.messages > 50)).frames_every, 5);
       await page.keyboard.press("Escape");
       await holds(page, "#record", /Recording 0:\d\d/);
-      await holds(page, "#event-rows", "What happens is recorded");
-      // Another page sees it, too, and ends it.
+      await holds(page, "#event-rows", /Recording into \S*trial-/);
+      // Another page shows it and stops it.
       await withPage(lab.url, async (other) => {
         await holds(other, "#record", /Recording \d/);
         await other.locator("#record").click();
@@ -85,7 +85,7 @@ describe("recordings", { skip: lacking }, () => {
     });
   });
 
-  test("end by themselves after a time, which the page notices", async () => {
+  test("stop automatically after the given time", async () => {
     await withPage(lab.url, async (page) => {
       await page.locator("#record").click();
       await page.locator("#recording-seconds").fill("1.5");
@@ -96,7 +96,7 @@ describe("recordings", { skip: lacking }, () => {
   });
 });
 
-describe("a recording that is played", { skip: lacking }, () => {
+describe("a replay", { skip: lacking }, () => {
   let play;
   before(async () => {
     await call(lab, "POST", "recording", { name: "played", frames_every: 5 });
@@ -106,11 +106,11 @@ describe("a recording that is played", { skip: lacking }, () => {
   });
   after(() => play?.close());
 
-  test("is announced, pauses, seeks, changes its speed, and loops", async () => {
+  test("is marked as a recording, pauses, seeks, changes speed, and loops", async () => {
     await withPage(play.url, async (page) => {
-      await holds(page, "#replay", "A recording, not live");
+      await holds(page, "#replay", "Recording, not live");
       await holds(page, "#replay-file", "played-");
-      await holds(page, "#link-text", /^(Playing a recording|Recording, )/);
+      await holds(page, "#link-text", /^Replay/);
       for (const control of ["#record", "#add-camera", "#calibrate", "#add-object", "#history-open"]) {
         assert.equal(await page.locator(control).isVisible(), false, control);
       }
@@ -119,18 +119,18 @@ describe("a recording that is played", { skip: lacking }, () => {
       await page.locator("#arena-stage").focus();
       await page.keyboard.press("Space");
       await until((it) => it.paused, "replay", play);
-      await holds(page, "#link-text", "Recording, paused");
+      await holds(page, "#link-text", "Replay paused");
       await page.locator("#replay-position").fill("1");
       const there = await until((it) => Math.abs(it.position_s - 1) < 0.2, "replay", play);
       assert.equal(there.paused, true);
-      // The time between its capture and now says nothing.
+      // The age of replayed data has no meaning.
       assert.equal(await page.locator("#age").textContent(), "–");
       await holds(page, "#replay-time", "0:01 of");
       await page.locator("#replay-speed").selectOption("5");
       await until((it) => it.speed === 5, "replay", play);
       await page.locator("#replay-pause").click();
       await until((it) => !it.paused, "replay", play);
-      // It comes round: its objects go on all the same, though their times go back.
+      // After the loop, objects continue although their times have gone back.
       const wrapped = await page.evaluate(async () => {
         const slider = document.querySelector("#replay-position");
         for (let last = 0, turn = 0; turn < 300; turn += 1) {
@@ -147,10 +147,10 @@ describe("a recording that is played", { skip: lacking }, () => {
     });
   });
 
-  test("waits at its end, and is played again", async () => {
+  test("stops at its end, and can be played again", async () => {
     await call(play, "PATCH", "replay", { looping: false, speed: 100, paused: false });
     await withPage(play.url, async (page) => {
-      await holds(page, "#link-text", "Recording, at its end");
+      await holds(page, "#link-text", "Replay ended");
       // A speed that is not in the list is shown as well.
       assert.equal(await page.locator("#replay-speed").inputValue(), "100");
       await page.locator("#replay-speed").selectOption("0.5");
@@ -160,68 +160,68 @@ describe("a recording that is played", { skip: lacking }, () => {
   });
 });
 
-describe("where objects were", { skip: lacking }, () => {
-  test("is drawn as courses and as a map of heat, for whom and when one wants", async () => {
+describe("the history", { skip: lacking }, () => {
+  test("is drawn as trajectories and as a heat map, for chosen objects and times", async () => {
     await until((it) => it.points > 20, "history");
     await withPage(lab.url, async (page) => {
       const bare = await canvasSum(page, "arena-backdrop");
       await page.locator("#history-open").click();
-      await holds(page, "#history-words", /^(\d+|\d+ objects), \d.*places, one each \d+.*Kept are/);
+      await holds(page, "#history-words", /^(\d+|\d+ objects), \d.*points, one every \d+.*Stored:/);
       await assertChanges(page, "arena-backdrop", bare);
-      const courses = await canvasSum(page, "arena-backdrop");
+      const trajectories = await canvasSum(page, "arena-backdrop");
       await page.locator("label:has(#history-heat)").click();
       await holds(page, "#history-words", /Darkest: .* in a square of 0\.\d+ m/);
-      await assertChanges(page, "arena-backdrop", courses);
+      await assertChanges(page, "arena-backdrop", trajectories);
       const row = page.locator("#object-rows tr").first();
       const id = await row.getAttribute("data-object-id");
       await row.locator("button").click();
       await page.waitForFunction((wanted) => document.querySelector("#history-objects").value === wanted, id);
       await page.locator("#history-objects").fill("unknown");
       await page.locator("#history-show").click();
-      await holds(page, "#history-words", "No such object was there then.");
+      await holds(page, "#history-words", "No matching object in this period.");
       await page.locator("#history-objects").fill(id);
       await page.locator("#history-from").fill("2020-01-01T00:00:00");
       await page.locator("#history-until").fill("2020-01-01T01:00:00");
       await page.locator("#history-show").click();
-      await holds(page, "#history-words", "No such object was there then. Kept are");
+      await holds(page, "#history-words", "No matching object in this period. Stored:");
       await page.locator("#history-from").fill("2021-01-01T00:00:00");
       await page.locator("#history-show").click();
       await holds(page, "#history-from-trouble", "expected a time before");
       await page.locator("#history-from").fill("");
       await page.locator("#history-show").click();
-      await holds(page, "#history-from-trouble", "Fill in a day and a time.");
+      await holds(page, "#history-from-trouble", "Enter a date and time.");
       await page.getByRole("button", { name: "hour", exact: true }).click();
       await holds(page, "#history-words", /Darkest/);
-      // The course is left of what is in view then.
+      // The trajectory is now outside the view.
       await page.locator("#arena-stage").focus();
       for (let turn = 0; turn < 12; turn += 1) await page.keyboard.press("ArrowRight");
       await page.locator("#history-within").check();
       await page.locator("#history-show").click();
-      await holds(page, "#history-words", "No such object was there then.");
+      await holds(page, "#history-words", "No matching object in this period.");
       await page.locator("#history-close").click();
       assert.equal(await page.locator("#history").isVisible(), false);
       await page.locator("#fit").click();
     });
   });
 
-  test("says who passed a place, and when", async () => {
+  test("shows which object passed the pointer, and when", async () => {
     await until((it) => it.points > 20, "history");
     await withPage(lab.url, async (page) => {
       await page.locator("#history-open").click();
-      await holds(page, "#history-words", "places, one each");
-      // Some column of the arena crosses the course; where, depends on how it is fitted.
+      await holds(page, "#history-words", "points, one every");
+      // The middle column of the arena crosses the trajectory at a height that depends on the fit.
       const { x, y, width, height } = await page.locator("#arena-stage").boundingBox();
       for (let row = 1; row < 60; row += 1) {
         await page.mouse.move(x + width / 2, y + (height * row) / 60);
         if (/\d+ was here at \d\d:\d\d:\d\d/.test((await page.locator("#arena-caption").textContent()) ?? "")) return;
       }
-      assert.fail("no place of the course was found");
+      assert.fail("no point of the trajectory was found");
     });
   });
 });
 
-describe("prints", { skip: lacking }, () => {
-  test("are previewed and saved, with errors at their fields", async () => {
+describe("printing", { skip: lacking }, () => {
+  test("has a preview, saves files, and shows errors at their fields", async () => {
     await withPage(lab.url, async (page) => {
       await page.locator("#print-open").click();
       await page.waitForFunction(() => document.querySelector("#print-picture").naturalWidth > 0);
@@ -253,12 +253,12 @@ describe("prints", { skip: lacking }, () => {
 });
 
 describe("objects", { skip: lacking }, () => {
-  test("are named, added, changed and removed, and the configuration with them", async () => {
+  test("are named, added, changed and removed, also in the configuration", async () => {
     await withPage(lab.url, async (page) => {
       await page.locator('#object-rows tr[data-stage="tracked"] button').first().click();
       await page.locator("#name-object", { hasText: "Name…" }).click();
       await page.locator("#object-save").click();
-      await holds(page, "#object-name-trouble", "Give it a name.");
+      await holds(page, "#object-name-trouble", "Enter a name.");
       await page.locator("#object-name").fill("cart");
       await page.locator("#object-save").click();
       await closed(page, "#object");
@@ -280,7 +280,7 @@ describe("objects", { skip: lacking }, () => {
       await page.locator("#object-code").fill("3");
       await page.locator("#object-offset-z").fill("-0.2");
       await page.locator("#object-save").click();
-      await holds(page, "#object-offset_m-trouble", "Fill in all three");
+      await holds(page, "#object-offset_m-trouble", "Enter all three");
       await page.locator("#object-offset-x").fill("0");
       await page.locator("#object-offset-y").fill("0.1");
       await page.locator("#object-save").click();
@@ -315,17 +315,17 @@ describe("objects", { skip: lacking }, () => {
 });
 
 describe("objects that carry several roundels", { skip: lacking }, () => {
-  /** A field of a row of the form. */
+  /** A field in a row of the form. */
   const field = (page, row, name) => page.locator("#object-mounts li").nth(row).getByLabel(name, { exact: true });
 
-  test("are made, edited and removed, each error at its field", async () => {
+  test("are added, changed and removed, with errors at their fields", async () => {
     await withPage(lab.url, async (page) => {
       await page.locator("#add-object").click();
       await page.locator("#object-roundel option", { hasText: "coded" }).waitFor({ state: "attached" });
       await page.locator("#object-name").fill("tall");
       await page.locator("#object-carries").selectOption("several");
       const rows = page.locator("#object-mounts li");
-      assert.equal(await rows.count(), 2, "one would not be several");
+      assert.equal(await rows.count(), 2, "the form starts with two rows");
       for (const [row, x] of [[0, "0.2"], [1, ""]]) {
         await rows.nth(row).locator("select").selectOption("coded");
         await field(page, row, "code").fill("3");
@@ -334,7 +334,7 @@ describe("objects that carry several roundels", { skip: lacking }, () => {
         await field(page, row, "z").fill("0.1");
       }
       await page.locator("#object-save").click();
-      await rows.nth(1).locator(".trouble", { hasText: "Say where the print's centre is" }).waitFor();
+      await rows.nth(1).locator(".trouble", { hasText: "Enter the print's centre" }).waitFor();
       assert.equal(await rows.nth(0).locator(".trouble").isVisible(), false);
       assert.equal(await field(page, 1, "x").getAttribute("aria-invalid"), "true");
       await field(page, 1, "x").fill("-0.2");
@@ -387,10 +387,10 @@ describe("objects that carry several roundels", { skip: lacking }, () => {
   });
 });
 
-describe("all of these for everybody", { skip: lacking }, () => {
+describe("accessibility", { skip: lacking }, () => {
   const openers = { record: "#recording", "print-open": "#print", "add-object": "#object", "history-open": "#history" };
   for (const [words, options] of Object.entries({ light: { colorScheme: "light" }, dark: { colorScheme: "dark" }, "a phone": PHONE })) {
-    test(`axe finds nothing serious, and nothing is wider than the screen: ${words}`, async () => {
+    test(`axe finds nothing serious, and nothing is wider than the screen (${words})`, async () => {
       await withPage(
         lab.url,
         async (page) => {

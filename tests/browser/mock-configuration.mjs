@@ -1,10 +1,10 @@
-/** Invented cameras that can be tried, added, changed and removed, in the JSON of `proto/roundel/v1/setup.proto`, for mock.mjs. */
+/** Configuration of the mock server: cameras that can be tested, added, changed and removed, in the JSON form of `proto/roundel/v1/setup.proto`. */
 
 const KEYS = ["name", "source", "calibration", "pose", "line_time_us", "clock_uncertainty_ms", "rate_hz", "mode", "mask"];
-const KEPT = "it is kept in lab.toml";
+const KEPT = "saved in lab.toml";
 
 export class MockConfiguration {
-  /** @param {import("./world.mjs").World} world @param {{refuses?: string}} [options] refuses all with these words */
+  /** @param {import("./world.mjs").World} world @param {{refuses?: string}} [options] refuses: error message for every change */
   constructor(world, { refuses = "" } = {}) {
     this.world = world;
     this.refuses = refuses;
@@ -23,7 +23,7 @@ export class MockConfiguration {
     );
   }
 
-  /** Status and body of an answer; null if this is none of its paths. */
+  /** Status and body of a response; null for other paths. */
   answer(method, path, body) {
     const camera = /^\/cameras\/([^/]+)(\/setup)?$/.exec(path);
     const name = camera && decodeURIComponent(camera[1]);
@@ -48,7 +48,7 @@ export class MockConfiguration {
     return [200, { ...nothing, width: 640, height: 480, frames: 50, rate_hz: 25, promised_rate_hz: 30, roundels: 3, decode_ms: 2.5, detect_ms: 0.3 }];
   }
 
-  /** What is wrong with a setup. */
+  /** Error of a setup, if it has one. */
   fault(setup, others) {
     const known = others.some((other) => other === setup.name);
     if (!setup.name) return "name: missing key `name` in [[camera]]; add `name = \"north\"`";

@@ -1,9 +1,9 @@
 /**
- * A server with Roundel's HTTP surface and invented robots, for developing and testing the
+ * Mock server with Roundel's HTTP interface and simulated robots, for developing and testing the
  * dashboard without cameras: `node mock.mjs [port]`.
  *
- * It speaks the messages of `proto/roundel/v1` in their JSON form and sends the policy that the page
- * has to live under, so that what violates it shows in the browser's console.
+ * It sends the same content security policy as the real server, so that violations appear in the
+ * browser's console.
  */
 
 import { readFile } from "node:fs/promises";
@@ -16,12 +16,13 @@ import { WebSocketServer } from "ws";
 import { Calibrator } from "./calibrator.mjs";
 import { MockConfiguration } from "./mock-configuration.mjs";
 import { encode } from "./encode.mjs";
+import { MockAccess } from "./mock-access.mjs";
 import { World } from "./world.mjs";
 
 const DASHBOARD = join(dirname(fileURLToPath(import.meta.url)), "../../client/dashboard");
 const POLICY =
   "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; worker-src 'self'; form-action 'self'; frame-ancestors 'none'; base-uri 'none'";
-/** What the page asks a server's description for. */
+/** Calls in the mock server's OpenAPI description. */
 const OFFERED = {
   "/api/v1/cameras": { get: {}, post: {} },
   "/api/v1/cameras/{name}": { get: {}, patch: {}, delete: {} },
@@ -36,26 +37,31 @@ const TYPES = {
 };
 
 /**
- * @param {{port?: number, world?: World, calibrator?: Calibrator, configuration?: MockConfiguration, protocols?: string[], mostHz?: number}} [options] port 0 takes a free one
- * @returns {Promise<{url: string, world: World, close: () => Promise<void>}>}
+ * @param {{port?: number, world?: World, calibrator?: Calibrator, configuration?: MockConfiguration, access?: MockAccess | null, protocols?: string[], mostHz?: number}} [options] port 0 takes a free one; access null: an older server without sessions
+ * @returns {Promise<{url: string, world: World, closeStreams: () => void, close: () => Promise<void>}>}
  */
 export async function startMock({
   port = 0,
   world = new World(),
   calibrator,
   configuration = new MockConfiguration(world),
+  access = new MockAccess(),
   protocols = ["roundel.v1.json", "roundel.v1.protobuf"],
   mostHz = 60,
 } = {}) {
   calibrator ??= new Calibrator(world.cameras().map((camera) => camera.name));
   const server = createServer((request, response) => {
-    answer({ world, calibrator, configuration }, request, response).catch((error) => {
+    answer({ world, calibrator, configuration, access }, request, response).catch((error) => {
       response.writeHead(500).end(String(error));
     });
   });
-  // As the real one chooses: the client's first that is known, and JSON for a client that names none.
+  // Like the real server: the client's first known subprotocol, or JSON if it names none.
   const handleProtocols = (offered) => [...offered].find((one) => protocols.includes(one)) ?? false;
-  const sockets = new WebSocketServer({ server, path: "/api/v1/stream", handleProtocols });
+  const verifyClient = ({ req }, done) => {
+    const refusal = access?.refusal(req);
+    done(!refusal, refusal?.[0]);
+  };
+  const sockets = new WebSocketServer({ server, path: "/api/v1/stream", handleProtocols, verifyClient });
   sockets.on("connection", (socket, request) => {
     const query = new URL(request.url, "http://mock").searchParams;
     const rateHz = Math.min(mostHz, Number(query.get("max_rate_hz") ?? mostHz));
@@ -77,6 +83,9 @@ export async function startMock({
   return {
     url: `http://127.0.0.1:${server.address().port}/`,
     world,
+    closeStreams: () => {
+      for (const socket of sockets.clients) socket.terminate();
+    },
     close: async () => {
       for (const socket of sockets.clients) socket.terminate();
       server.closeAllConnections();
@@ -91,11 +100,14 @@ async function bodyOf(request) {
   return chunks.length > 0 ? JSON.parse(Buffer.concat(chunks).toString()) : null;
 }
 
-async function answer({ world, calibrator, configuration }, request, response) {
+async function answer({ world, calibrator, configuration, access }, request, response) {
   const { pathname } = new URL(request.url, "http://mock");
-  const say = ([status, message]) => {
-    response.writeHead(status, { "content-type": "application/json" }).end(JSON.stringify(message));
+  const say = ([status, message, headers]) => {
+    response.writeHead(status, { "content-type": "application/json", ...headers }).end(JSON.stringify(message));
   };
+  const refusal = access?.refusal(request);
+  if (refusal) return say(refusal);
+  if (access && pathname === "/api/v1/session") return say(access.answer(request, await bodyOf(request)));
   if (pathname.startsWith("/api/v1/calibration")) {
     return say(calibrator.answer(request.method, pathname.slice("/api/v1/calibration".length), await bodyOf(request)));
   }
@@ -128,5 +140,5 @@ async function answer({ world, calibrator, configuration }, request, response) {
 
 if (process.argv[1] && import.meta.url === pathToFileURL(process.argv[1]).href) {
   const { url } = await startMock({ port: Number(process.argv[2] ?? 7671) });
-  console.log(`dashboard with invented robots: ${url}`);
+  console.log(`dashboard with simulated robots: ${url}`);
 }

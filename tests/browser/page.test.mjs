@@ -1,6 +1,6 @@
 /**
- * The dashboard in headless Chromium: against the real server at ROUNDEL_URL, where that is given,
- * and else against the mock. No case depends on how fast either is; each waits for what it wants.
+ * The dashboard in headless Chromium, with the real server at ROUNDEL_URL if it is set, else with
+ * the mock server. Tests wait for conditions and do not depend on timing.
  */
 
 import assert from "node:assert/strict";
@@ -39,7 +39,7 @@ describe("the page", () => {
       await page.waitForFunction(() => document.querySelector("#installation").textContent !== "–");
       const info = await (await fetch(new URL("api/v1/info", server.url))).json();
       assert.equal(await page.locator("h1").textContent(), info.name || "Unnamed installation");
-      // For a moment no snapshot may come where the machine does other work.
+      // On a busy machine, snapshots may pause for a moment.
       await page.locator("#link-text", { hasText: /^Live$/ }).waitFor();
       await page.waitForFunction(() => Number(document.querySelector("#rate").textContent) > 0);
       assert.deepEqual(complaints, []);
@@ -47,7 +47,7 @@ describe("the page", () => {
     });
   });
 
-  test("shows the server's objects, moving", async () => {
+  test("shows the server's objects as they move", async () => {
     await withPage({}, async (page) => {
       const first = await readObjects(page);
       const truth = await (await fetch(new URL("api/v1/snapshot", server.url))).json();
@@ -55,9 +55,9 @@ describe("the page", () => {
       assert.ok(known.length >= truth.objects.length / 2, `${known.length} of ${truth.objects.length} are listed`);
       for (const { object_id: id, position } of known) {
         const shown = first.get(id);
-        // The two were read one after the other, and robots move: a wide bound, but no chance hit.
+        // Robots move between the two reads, so the bound is wide.
         const distance = Math.hypot(shown.x - position.x, shown.y - position.y, shown.z - position.z);
-        assert.ok(distance < 3, `object ${id} is shown ${distance.toFixed(2)} m from where it is`);
+        assert.ok(distance < 3, `object ${id} is shown ${distance.toFixed(2)} m from its position`);
       }
       await page.waitForFunction(
         (before) => {
@@ -86,7 +86,7 @@ describe("the page", () => {
     });
   });
 
-  test("draws the arena, and redraws it as things move", async () => {
+  test("draws the arena, and redraws it as objects move", async () => {
     await withPage({}, async (page) => {
       await assertPicture(page, "arena-tracks", (sum) => sum !== 0, "stays empty");
       const before = await canvasSum(page, "arena-tracks");
@@ -94,7 +94,7 @@ describe("the page", () => {
     });
   });
 
-  test("draws it in the page where the browser cannot draw elsewhere", async () => {
+  test("draws the arena in the page if the browser cannot draw in a worker", async () => {
     const context = await browser.newContext();
     const page = await context.newPage();
     try {
@@ -140,7 +140,7 @@ describe("the page", () => {
     });
   });
 
-  test("asks for one picture of a camera at a time, and for none that is out of view", async () => {
+  test("requests one picture of a camera at a time, and none out of view", async () => {
     await withPage({ viewport: { width: 390, height: 500 } }, async (page) => {
       const open = new Map();
       let most = 0;
@@ -169,7 +169,7 @@ describe("the page", () => {
 
   test("enlarges a picture and keeps it live", async () => {
     await withPage({}, async (page) => {
-      // The first camera's picture need not be the first to come.
+      // The first camera's picture need not arrive first.
       await page.locator(".frame:has(img.loaded)").first().click();
       const picture = page.locator("#viewer-picture");
       await picture.waitFor();
@@ -181,7 +181,7 @@ describe("the page", () => {
   });
 });
 
-/** Id of the object that moves most; stages change between two looks, ids do not. */
+/** Id of the fastest object. */
 async function fastest(page) {
   const speeds = await page.locator("#object-rows tr").evaluateAll((rows) =>
     rows.map((row) => ({ id: row.dataset.objectId, speed: Number(row.children[4].textContent) || 0 })),
@@ -191,8 +191,8 @@ async function fastest(page) {
 
 const rowOf = (page, id) => page.locator(`#object-rows tr[data-object-id="${id}"]`);
 
-describe("selecting", () => {
-  test("an object from the list shows all its values, as they change", async () => {
+describe("selection", () => {
+  test("from the list shows all values of an object as they change", async () => {
     await withPage({}, async (page) => {
       const id = await fastest(page);
       await rowOf(page, id).locator("button").click();
@@ -224,13 +224,13 @@ describe("selecting", () => {
     });
   });
 
-  test("a coded roundel's object shows its code, and a plain one's none", async () => {
+  test("of an object with a coded roundel shows its code", async () => {
     await withPage({}, async (page) => {
       const { objects } = await (await fetch(new URL("api/v1/snapshot", server.url))).json();
       const coded = objects.filter((each) => each.code);
       for (const { object_id: id, code } of objects) {
         const row = rowOf(page, id);
-        // A life may have ended meanwhile.
+        // The object may have been lost meanwhile.
         if ((await row.count()) === 0) continue;
         assert.equal(await row.locator(".code").textContent(), code ? `#${code.number}` : "", `object ${id}`);
       }
@@ -242,7 +242,7 @@ describe("selecting", () => {
     });
   });
 
-  test("an object by a click in the arena, and nothing by a click beside it", async () => {
+  test("works by a click in the arena, and a click beside an object clears it", async () => {
     const line = await startLine(server.url);
     try {
       await withPage(
@@ -252,9 +252,9 @@ describe("selecting", () => {
           await rowOf(page, id).locator("button").click();
           await page.locator("#follow").click();
           assert.equal(await page.locator("#follow").getAttribute("aria-pressed"), "true");
-          // Close enough that no other object lies within the click's reach.
+          // Zoomed in, so that no other object is within reach of the click.
           for (let i = 0; i < 6; i += 1) await page.locator("#zoom-in").click();
-          // What is followed lies in the middle; with the line frozen it stays there.
+          // The followed object is at the centre; with the connection frozen it stays there.
           line.freeze();
           await page.locator('body[data-phase="lost"]').waitFor();
           const panel = page.locator("#selection");
@@ -276,7 +276,7 @@ describe("selecting", () => {
     }
   });
 
-  test("works from the keyboard alone", async () => {
+  test("works with the keyboard only", async () => {
     await withPage({}, async (page) => {
       await page.locator("#arena-stage").focus();
       await page.keyboard.press("n");
@@ -288,7 +288,7 @@ describe("selecting", () => {
       assert.equal(await page.locator("#object-rows tr.selected").getAttribute("data-object-id"), first);
       await page.keyboard.press("f");
       assert.equal(await page.locator("#follow").getAttribute("aria-pressed"), "true");
-      // Moving the view by hand lets go of the object.
+      // Panning stops following.
       await page.keyboard.press("ArrowLeft");
       await page.waitForFunction(() => document.querySelector("#follow").getAttribute("aria-pressed") === "false");
       await page.keyboard.press("Escape");
@@ -300,10 +300,10 @@ describe("selecting", () => {
 describe("the view", () => {
   const grid = async (page) => /Grid ([\d.]+) m/.exec(await page.locator("#arena-caption").textContent())[1];
 
-  test("zooms by wheel and keys, pans by dragging, and fits again", async () => {
+  test("zooms with the wheel, pans by dragging, and fits with a key", async () => {
     await withPage({}, async (page) => {
       const box = await page.locator("#arena-stage").boundingBox();
-      // Cameras may come after the objects, and the view fits itself to them.
+      // The view fits itself to the cameras, which may arrive after the objects.
       await page.locator("[data-camera-card]").first().waitFor();
       await page.locator("#fit").click();
       await page.waitForTimeout(500);
@@ -328,7 +328,7 @@ describe("the view", () => {
     });
   });
 
-  test("measures between objects by keys, and between clicks", async () => {
+  test("measures between objects and between clicks", async () => {
     await withPage({}, async (page) => {
       await page.locator("#object-rows button").first().click();
       await page.keyboard.press("m");
@@ -343,11 +343,11 @@ describe("the view", () => {
       await page.keyboard.press("Escape");
       assert.equal(await page.locator("#tape").getAttribute("aria-pressed"), "false");
       await caption.filter({ hasText: /^Grid/ }).waitFor();
-      assert.ok(await page.locator("#selection").isVisible(), "only the tape is put away");
+      assert.ok(await page.locator("#selection").isVisible(), "the selection stays");
     });
   });
 
-  test("says how far the uncertainty is exaggerated", async () => {
+  test("shows the exaggeration of the error ellipses", async () => {
     await withPage({}, async (page) => {
       for (const [value, words] of [
         ["100", "95 % ellipses drawn 100× larger"],
@@ -364,7 +364,7 @@ describe("the view", () => {
 });
 
 describe("a lost connection", () => {
-  /** Opens the page over a line, breaks the line, and sees the page through loss and return. */
+  /** Opens the page over a proxied connection, breaks it, and checks the loss and the recovery. */
   async function seeThroughLoss(breakLine) {
     const line = await startLine(server.url);
     try {
@@ -377,7 +377,7 @@ describe("a lost connection", () => {
           await banner.waitFor();
           assert.match(await banner.textContent(), /Connection lost\..* ago\./);
           assert.equal(await page.locator("body").getAttribute("data-phase"), "lost");
-          assert.ok((await page.locator("#object-rows tr").count()) > 0, "what was known stays in view");
+          assert.ok((await page.locator("#object-rows tr").count()) > 0, "objects stay in view");
           const greyed = await page.locator("#arena-tracks").evaluate((canvas) => getComputedStyle(canvas).filter);
           assert.match(greyed, /grayscale/);
           line.mend();
@@ -394,11 +394,11 @@ describe("a lost connection", () => {
     }
   }
 
-  test("that breaks is shown, and is reopened automatically", () => seeThroughLoss((line) => line.cut()));
+  test("is shown and reopened automatically", () => seeThroughLoss((line) => line.cut()));
 
-  test("that falls silent is noticed too", () => seeThroughLoss((line) => line.freeze()));
+  test("is detected when the network is silent", () => seeThroughLoss((line) => line.freeze()));
 
-  test("can be tried again by hand", async () => {
+  test("is reopened at once by the button", async () => {
     const line = await startLine(server.url);
     try {
       await withPage(
@@ -406,7 +406,7 @@ describe("a lost connection", () => {
         async (page) => {
           line.cut();
           await page.locator("#banner").waitFor();
-          // With so long to go until the next attempt it is the button that brings it back.
+          // The next automatic attempt is far enough away that the button causes the reconnection.
           await page.waitForFunction(() =>
             /Next attempt in ([4-9]|\d\d) s/.test(document.querySelector("#banner").textContent),
           );
@@ -434,11 +434,11 @@ describe("accessibility", () => {
   }
 });
 
-describe("light and dark", () => {
+describe("the theme", () => {
   const ground = (page) => page.evaluate(() => getComputedStyle(document.body).backgroundColor);
   const luma = (color) => color.match(/\d+/g).slice(0, 3).reduce((sum, part) => sum + Number(part), 0) / 3;
 
-  test("follow the system", async () => {
+  test("follows the system", async () => {
     await withPage({ colorScheme: "light" }, async (page) => assert.ok(luma(await ground(page)) > 200));
     await withPage({ colorScheme: "dark" }, async (page) => {
       assert.ok(luma(await ground(page)) < 50);
@@ -447,7 +447,7 @@ describe("light and dark", () => {
     });
   });
 
-  test("can be chosen, which holds after a reload, in the arena too", async () => {
+  test("can be chosen, survives a reload, and applies to the arena", async () => {
     await withPage({ colorScheme: "light" }, async (page) => {
       const before = await canvasSum(page, "arena-backdrop");
       await page.locator("#theme").click();
@@ -463,13 +463,13 @@ describe("light and dark", () => {
 
 describe("a phone", () => {
   for (const width of [320, 390]) {
-    test(`${width} px wide has everything without scrolling sideways`, async () => {
+    test(`${width} px wide has everything without horizontal scrolling`, async () => {
       await withPage({ viewport: { width, height: 800 }, hasTouch: true, isMobile: true }, async (page) => {
         await page.locator("#object-rows button").first().tap();
         for (const section of ["#arena-stage", "#selection", "#objects", ".cameras", ".events"]) {
           const box = await page.locator(section).boundingBox();
-          assert.ok(box && box.width > 0 && box.height > 0, `${section} is there`);
-          assert.ok(box.x >= 0 && box.x + box.width <= width, `${section} keeps within the width`);
+          assert.ok(box && box.width > 0 && box.height > 0, `${section} is visible`);
+          assert.ok(box.x >= 0 && box.x + box.width <= width, `${section} fits into the width`);
         }
         const [name, link] = await Promise.all(["#installation", "#link"].map((it) => page.locator(it).boundingBox()));
         assert.ok(name && link && name.width >= 24 && name.x + name.width <= link.x, "the installation's name is beside the lamp");

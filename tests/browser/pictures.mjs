@@ -1,7 +1,7 @@
 /**
- * Pictures of each view for the documentation: `npm run pictures`, of the real server (ROUNDEL_BINARY, or the debug
- * build) with four simulated cameras, one that fails, a history, and a recording that is played. Each view is taken
- * light and dark, wide and on a phone, into `client/pictures`; words limit it to some: `npm run pictures -- top health`.
+ * Takes the pictures of all views for the documentation: `npm run pictures`. It uses the real server (ROUNDEL_BINARY, or
+ * the debug build) with four simulated cameras, one that fails, a history, and a replay. Each view is taken light and
+ * dark, wide and on a phone, into `client/pictures`; arguments select views: `npm run pictures -- top health`.
  */
 
 import { mkdir, readdir, writeFile } from "node:fs/promises";
@@ -10,14 +10,14 @@ import { fileURLToPath } from "node:url";
 
 import { FOCAL_PX, HEIGHT, WIDTH, writeViews } from "./board.mjs";
 import { launch, openDashboard } from "./harness.mjs";
-import { BINARY, KEEPING, call, cameraFile, startLab, startReplay } from "./lab.mjs";
+import { BINARY, COMMON_CONFIG, call, cameraFile, startLab, startReplay } from "./lab.mjs";
 
 const FOLDER = fileURLToPath(new URL("../../client/pictures", import.meta.url));
 const SCREENS = {
   wide: { viewport: { width: 1440, height: 900 } },
   phone: { viewport: { width: 390, height: 844 }, hasTouch: true, deviceScaleFactor: 1.5 },
 };
-/** Long enough for trails, plots, looking back ten seconds, and something to play. */
+/** Long enough for trails, plots, the position ten seconds ago, and a recording. */
 const WARM_UP_MS = 25_000;
 
 const camera = (place) => `
@@ -26,7 +26,7 @@ name = "${["south-west", "south-east", "north-west", "north-east"][place]}"
 source = "sim:?seed=1&robots=12&camera=${place}"
 `;
 const CONFIG = `name = "Lab 2"
-${KEEPING}${[0, 1, 2, 3].map(camera).join("")}
+${COMMON_CONFIG}${[0, 1, 2, 3].map(camera).join("")}
 [[camera]]
 name = "gate"
 source = "images:gate/*.png?fps=10&loop=true"
@@ -42,7 +42,7 @@ pose = { position_m = [4.5, 0.0, 3.0], orientation_xyzw = [1.0, 0.0, 0.0, 0.0] }
 
 /** @typedef {import("playwright-core").Page} Page */
 
-/** How each view is brought about. @type {Record<string, (page: Page) => Promise<unknown>>} */
+/** Opens each view. @type {Record<string, (page: Page) => Promise<unknown>>} */
 const VIEWS = {
   top: (page) => select(page),
   space: async (page) => {
@@ -71,7 +71,7 @@ const VIEWS = {
   },
   lens: async (page) => {
     await call(lab, "DELETE", "lens");
-    await page.getByRole("button", { name: "Find the lens of camera bench" }).click();
+    await page.getByRole("button", { name: "Calibrate the lens of camera bench" }).click();
     await page.locator("#lens-start").click();
     await page.waitForTimeout(4000);
   },
@@ -87,7 +87,7 @@ async function select(page) {
 
 const mode = (page, value) => page.locator(`input[name=mode][value=${value}]`).check();
 
-/** Keeps what the page shows, as WebP: a tenth of a PNG. @param {Page} page @param {string} name */
+/** Saves a screenshot as WebP, a tenth of the size of a PNG. @param {Page} page @param {string} name */
 async function keep(page, name) {
   const png = (await page.screenshot()).toString("base64");
   const blank = await page.context().newPage();
@@ -107,7 +107,7 @@ async function keep(page, name) {
 async function take(url, view, bring) {
   for (const [screen, options] of Object.entries(SCREENS)) {
     const { page, context } = await openDashboard(browser, url, options);
-    // Its own memory of the last seconds: looking back needs it.
+    // The page's own history must be long enough for the time line.
     await page.waitForTimeout(view === "past" ? 13_000 : 4_000);
     await bring(page);
     for (const colorScheme of /** @type {const} */ (["light", "dark"])) {

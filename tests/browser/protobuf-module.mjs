@@ -1,6 +1,6 @@
 /**
- * The messages of the stream, from the .proto files. `node protobuf-module.mjs PROTO_FOLDER` writes their decoder, static
- * code without `eval`, for vendor.sh.
+ * Loads the messages of the stream from the .proto files. `node protobuf-module.mjs PROTO_FOLDER` writes their decoder,
+ * static code without `eval`, for vendor.sh.
  */
 
 import { createRequire } from "node:module";

@@ -1,4 +1,4 @@
-/** Cameras tried, added, changed and removed by click, on an invented server. */
+/** Form that tests, adds, changes and removes cameras, with the mock server. */
 
 import assert from "node:assert/strict";
 import { after, before, describe, test } from "node:test";
@@ -41,15 +41,15 @@ const closed = (page) => page.locator("#setup:not([open])").waitFor({ state: "at
 const trouble = (page, field, text) => page.locator(`#setup-${field}-trouble`, { hasText: text }).waitFor();
 const answered = (configuration, method) => configuration.asked.filter((asked) => asked.method === method).at(-1);
 
-describe("the setup of cameras", () => {
-  test("tries a source, and says what it gives or why it does not", async () => {
+describe("the camera form", () => {
+  test("tests a source, and shows the result or the error", async () => {
     await withConfiguration({}, async (page, configuration) => {
       await openNew(page);
       await page.locator("#setup-try").click();
-      await trouble(page, "source", "Fill in the source first.");
+      await trouble(page, "source", "Enter the source first.");
       await page.locator("#setup-source").fill("http://10.0.0.2/stream");
       await page.locator("#setup-try").click();
-      await page.locator("#setup-words", { hasText: "640 × 480 pixels, 25.0 frames a second (30.0 promised); 3 roundels" }).waitFor();
+      await page.locator("#setup-words", { hasText: "640 × 480 pixels, 25.0 frames per second (30.0 promised); 3 roundels" }).waitFor();
       assert.equal(await page.locator("#setup-source-trouble").isVisible(), false);
       await page.locator("#setup-source").fill("http://closed/stream");
       await page.locator("#setup-try").click();
@@ -62,7 +62,7 @@ describe("the setup of cameras", () => {
     });
   });
 
-  test("adds a camera that finds its place, once every error at its field is mended", async () => {
+  test("adds a camera with an unknown pose, after errors at its fields are corrected", async () => {
     await withConfiguration({}, async (page, configuration) => {
       await openNew(page);
       await page.locator("#setup-save").click();
@@ -74,7 +74,7 @@ describe("the setup of cameras", () => {
       await page.locator("#setup-name").fill("door");
       await page.locator("#setup-save").click();
       await trouble(page, "calibration", "missing key");
-      assert.equal(await page.locator("#setup-name-trouble").isVisible(), false, "what is mended is blamed no more");
+      assert.equal(await page.locator("#setup-name-trouble").isVisible(), false, "a corrected field has no error");
       await page.locator("#setup-calibration").fill("door.yaml");
       await page.locator("#setup summary").click();
       await page.locator("#setup-rate_hz").fill("-1");
@@ -91,11 +91,11 @@ describe("the setup of cameras", () => {
         rate_hz: 30,
       });
       await page.locator('[data-camera-card="door"]').waitFor();
-      await page.locator("#event-rows", { hasText: "Camera door was added; it is kept in lab.toml." }).waitFor();
+      await page.locator("#event-rows", { hasText: "Camera door was added; saved in lab.toml." }).waitFor();
     });
   });
 
-  test("adds one where it was measured to stand", async () => {
+  test("adds a camera with a measured pose", async () => {
     await withConfiguration({}, async (page, configuration) => {
       await openNew(page);
       await page.locator("#setup-name").fill("top");
@@ -103,12 +103,12 @@ describe("the setup of cameras", () => {
       await page.locator("#setup-calibration").fill("top.yaml");
       await page.getByLabel("As measured").check();
       await page.locator("#setup-save").click();
-      await trouble(page, "pose", "Fill in all numbers");
+      await trouble(page, "pose", "Enter all numbers");
       for (const [axis, value] of [["at-x", "1"], ["at-y", "2"], ["at-z", "4"], ["to-x", "1"], ["to-y", "2"], ["to-z", "4"]]) {
         await page.locator(`#setup-${axis}`).fill(value);
       }
       await page.locator("#setup-save").click();
-      await trouble(page, "pose", "another place than where it stands");
+      await trouble(page, "pose", "a point other than its own position");
       await page.locator("#setup-to-z").fill("0");
       await page.locator("#setup-save").click();
       await closed(page);
@@ -118,7 +118,7 @@ describe("the setup of cameras", () => {
     });
   });
 
-  test("changes only what was changed", async () => {
+  test("sends only changed fields", async () => {
     await withConfiguration({}, async (page, configuration) => {
       await openOf(page, "north-west");
       assert.equal(await page.locator("#setup-source").inputValue(), "sim:?seed=1&camera=2");
@@ -142,7 +142,7 @@ describe("the setup of cameras", () => {
     });
   });
 
-  test("removes a camera when asked twice, and asks again the next time", async () => {
+  test("removes a camera after a second click, and asks again the next time", async () => {
     await withConfiguration({}, async (page, configuration) => {
       await openOf(page, "south-east");
       await page.locator("#setup-remove").click();
@@ -160,7 +160,7 @@ describe("the setup of cameras", () => {
     });
   });
 
-  test("says why a server allows no setup", async () => {
+  test("shows why the server refuses changes", async () => {
     await withConfiguration({ refuses: "this server is open to a network: `setup = true` under [server] allows it" }, async (page) => {
       await openNew(page);
       await page.locator("#setup-name").fill("door");
@@ -179,7 +179,7 @@ describe("the setup of cameras", () => {
           await page.getByLabel("As measured").check();
           await page.locator("#setup summary").click();
           await page.locator("#setup-save").click();
-          await trouble(page, "pose", "Fill in");
+          await trouble(page, "pose", "Enter all");
           await assertAccessible(page, "#setup");
           const { width } = await page.locator("#setup").boundingBox();
           assert.ok(width <= page.viewportSize().width, `${width} px wide`);

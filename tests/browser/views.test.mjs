@@ -1,4 +1,4 @@
-/** 3D, health, looking back, finding, keys: on the real server at ROUNDEL_URL where that is given, and else on the mock. */
+/** 3D, health, time line, search and keys, with the real server at ROUNDEL_URL if it is set, else with the mock server. */
 
 import assert from "node:assert/strict";
 import { after, before, describe, test } from "node:test";
@@ -23,7 +23,7 @@ after(async () => {
 
 const withPage = (options, body, url = server.url, within = browser) => visitObjects(within, url, options, body);
 
-/** A mock of this case's own. */
+/** Runs a test with its own mock server. */
 async function withWorld(world, options, body, within = browser, mock = {}) {
   const own = await startMock({ world, ...mock });
   try {
@@ -38,13 +38,13 @@ const shows = (page, mode) => page.locator(`.arena[data-shows="${mode}"]`).waitF
 const value = (page, key) => page.locator(`#selection [data-value="${key}"]`).textContent();
 
 describe("the view in 3D", () => {
-  test("draws the arena, turns by mouse and keys, and zooms", async () => {
+  test("draws the arena, rotates with mouse and keys, and zooms", async () => {
     await withPage({}, async (page, { complaints, foreign }) => {
       await choose(page, "space");
       await page.locator('#arena-stage[data-mode="space"]').waitFor();
       const stage = page.locator("#arena-stage");
-      await page.locator("#arena-caption", { hasText: "drag turns" }).waitFor();
-      // What moves is frozen, so that only what the hand does changes the picture.
+      await page.locator("#arena-caption", { hasText: "drag to rotate" }).waitFor();
+      // Objects are frozen, so that only user input changes the picture.
       await page.waitForTimeout(1500);
       await page.keyboard.press(",");
       const look = async () => (await stage.screenshot()).toString("base64");
@@ -80,7 +80,7 @@ describe("the view in 3D", () => {
     }, server.url, spaceBrowser);
   });
 
-  test("selects what is clicked", async () => {
+  test("selects the clicked object", async () => {
     const line = await startLine(server.url);
     try {
       await withPage({}, async (page) => {
@@ -89,7 +89,7 @@ describe("the view in 3D", () => {
         await page.locator("#object-rows button").first().click();
         const id = await page.locator("#object-rows tr.selected").getAttribute("data-object-id");
         await page.locator("#follow").click();
-        // What is followed lies in the middle; with the line frozen it stays there.
+        // The followed object is at the centre; with the connection frozen it stays there.
         await page.waitForTimeout(1000);
         line.freeze();
         await page.locator('body[data-phase="lost"]').waitFor();
@@ -108,7 +108,7 @@ describe("the view in 3D", () => {
 
   test("takes at most 50 draws for 400 objects and 16 cameras", async () => {
     class Unpictured extends World {
-      // The page's pictures are of no matter here, and sixteen of them would keep this process from all else.
+      // Encoding sixteen pictures would take too much of this process.
       picture() {
         return null;
       }
@@ -120,11 +120,11 @@ describe("the view in 3D", () => {
       await page.waitForTimeout(2000);
       const draws = await drawsOfAFrame();
       assert.ok(draws > 5 && draws <= 50, `${draws} draws a frame`);
-      // Draws are counted and not timed: few snapshots are enough.
+      // Draws are counted and not timed, so few snapshots are enough.
     }, spaceBrowser, { mostHz: 4 });
   });
 
-  test("is the view from above where there is no WebGL, and says so", async () => {
+  test("falls back to the view from above without WebGL, and says so", async () => {
     await withPage({}, async (page, { complaints }) => {
       const worker = await drawingWorker(page);
       await worker.evaluate(() => {
@@ -134,7 +134,7 @@ describe("the view in 3D", () => {
         };
       });
       await page.keyboard.press("2");
-      await page.locator("#arena-caption", { hasText: "This browser draws no 3D" }).waitFor();
+      await page.locator("#arena-caption", { hasText: "3D is not available" }).waitFor();
       assert.equal(await page.locator("#arena-stage").getAttribute("data-mode"), "top");
       assert.equal(await page.locator("input[name=mode][value=top]").isChecked(), true);
       assert.deepEqual(complaints, []);
@@ -151,10 +151,10 @@ describe("the view in 3D", () => {
 });
 
 describe("health", () => {
-  test("has all cameras with their figures, and how late snapshots are", async () => {
+  test("shows the figures of all cameras, and the latency of snapshots", async () => {
     const { cameras } = await (await fetch(new URL("api/v1/cameras", server.url))).json();
     await withPage({}, async (page, { complaints }) => {
-      await page.locator("#verdict", { hasText: "cameras" }).click();
+      await page.locator("#verdict", { hasText: "camera" }).click();
       await shows(page, "health");
       await page.waitForFunction((count) => document.querySelectorAll("#health-rows tr").length === count, cameras.length);
       const names = await page.locator("#health-rows th").allTextContents();
@@ -166,33 +166,33 @@ describe("health", () => {
     });
   });
 
-  test("names the unwell camera and why, before all others, until it is well", async () => {
+  test("names the camera with a problem first, until it has recovered", async () => {
     const world = new World();
     await withWorld(world, {}, async (page) => {
-      await page.locator("#verdict-text", { hasText: "All 4 cameras well" }).waitFor();
+      await page.locator("#verdict-text", { hasText: "All 4 cameras OK" }).waitFor();
       assert.equal(await page.locator("#unwell").isVisible(), false);
       world.failCamera("north-west", "no images in frames/north-west");
-      await page.locator("#verdict-text", { hasText: "1 of 4 cameras unwell" }).waitFor();
+      await page.locator("#verdict-text", { hasText: "1 camera failed" }).waitFor();
       assert.equal(await page.locator("#verdict").getAttribute("data-health"), "grave");
       const item = page.locator("#unwell li");
-      assert.match(await item.textContent(), /^north-west No images in frames\/north-west\. It is retried automatically\.$/);
+      assert.match(await item.textContent(), /^north-west No images in frames\/north-west\. Retrying automatically\.$/);
       await item.getByRole("button").click();
       await page.waitForFunction(() => document.activeElement?.closest("[data-camera-card]")?.dataset.cameraCard === "north-west");
       await page.keyboard.press("3");
       await shows(page, "health");
       await page.locator('#health-rows tr:first-child[data-name="north-west"][data-health="grave"]').waitFor();
-      // What ails two of them is said once.
+      // A problem of two cameras is listed once.
       world.failCamera("north-east", "no images in frames/north-west");
-      await page.locator("#verdict-text", { hasText: "2 of 4 cameras unwell" }).waitFor();
+      await page.locator("#verdict-text", { hasText: "2 cameras failed" }).waitFor();
       await page.waitForFunction(() => document.querySelectorAll("#unwell li").length === 1 && document.querySelectorAll("#unwell button").length === 2);
       world.restoreCamera("north-east");
       world.restoreCamera("north-west");
-      await page.locator("#verdict-text", { hasText: "All 4 cameras well" }).waitFor();
+      await page.locator("#verdict-text", { hasText: "All 4 cameras OK" }).waitFor();
       await page.locator("#unwell").waitFor({ state: "hidden" });
     });
   });
 
-  test("shows each camera's reprojection error, and that of the newest calibration", async () => {
+  test("shows reprojection errors, now and at the newest calibration", async () => {
     await withWorld(new World(), {}, async (page) => {
       await page.route("**/api/v1/calibration", (route) =>
         route.fulfill({ json: { stage: "done", recorded: [], report: { cameras: [{ camera: "north-east", reprojection_px: 0.37 }] } } }),
@@ -206,12 +206,12 @@ describe("health", () => {
     });
   });
 
-  test("a server that answers nothing of its calibrations leaves the rest as it is", async () => {
+  test("works if the request for the calibration fails", async () => {
     await withWorld(new World(), {}, async (page) => {
       await page.route("**/api/v1/calibration", (route) => route.abort());
       await page.keyboard.press("3");
       await page.locator('#health-rows tr[data-name="north-east"] [data-figure=reprojection]', { hasText: /^(0\.2\d|–)$/ }).waitFor();
-      await page.locator('#health-rows tr[data-name="north-east"] .why', { hasText: "Well" }).waitFor();
+      await page.locator('#health-rows tr[data-name="north-east"] .why', { hasText: "OK" }).waitFor();
     });
   });
 
@@ -228,8 +228,8 @@ describe("health", () => {
   }
 });
 
-describe("looking back", () => {
-  test("shows an instant of the last minute by slider and keys, and comes back to now", async () => {
+describe("the time line", () => {
+  test("shows past instants with slider and keys, and returns to now", async () => {
     await withPage({}, async (page) => {
       const moving = await page.locator("#object-rows tr").evaluateAll((rows) =>
         rows.map((row) => ({ id: row.dataset.objectId, speed: Number(row.children[4].textContent) || 0 })).sort((a, b) => b.speed - a.speed),
@@ -241,7 +241,7 @@ describe("looking back", () => {
       assert.match(await page.locator("#past-words").textContent(), /^\d+\.\d s ago, /);
       const then = [await value(page, "x"), await value(page, "y")];
       await page.waitForTimeout(800);
-      assert.deepEqual([await value(page, "x"), await value(page, "y")], then, "the past does not move");
+      assert.deepEqual([await value(page, "x"), await value(page, "y")], then, "past values do not change");
       await page.keyboard.press(",");
       await page.waitForFunction(([x, y]) => ["x", "y"].map((key) => document.querySelector(`[data-value="${key}"]`).textContent).join() !== `${x},${y}`, then);
       await page.keyboard.press("l");
@@ -250,13 +250,13 @@ describe("looking back", () => {
       await page.locator("#past-words", { hasText: "s ago" }).waitFor();
       await page.locator("#live").click();
       await page.locator("#past-words", { hasText: "Now" }).waitFor();
-      // The table beside it tells the same of ten seconds before, once there were ten.
+      // The panel shows the position ten seconds earlier once the history is long enough.
       await page.waitForFunction(() => document.querySelector('[data-value="before-x"]').textContent !== "–");
       await page.waitForFunction(() => document.querySelectorAll(".plot small").length === 4 && [...document.querySelectorAll(".plot small")].every((range) => / to /.test(range.textContent)));
     });
   });
 
-  test("by a click in a plot", async () => {
+  test("shows the instant of a click in a plot", async () => {
     await withWorld(new World(), {}, async (page) => {
       await page.locator('#object-rows tr[data-object-id="7"] button').click();
       await page.waitForTimeout(4000);
@@ -268,7 +268,7 @@ describe("looking back", () => {
     });
   });
 
-  test("at who was not there says so, and another run of the server ends it", async () => {
+  test("says if the object was not in view, and ends with another run of the server", async () => {
     const world = new World({ robots: 3 });
     const first = await startMock({ world });
     const line = await startLine(first.url);
@@ -295,29 +295,29 @@ describe("looking back", () => {
   });
 });
 
-describe("finding", () => {
-  test("an object by number or name, or no object", async () => {
+describe("search", () => {
+  test("finds objects by number and name", async () => {
     await withWorld(new World(), {}, async (page) => {
       await page.keyboard.press("/");
       await page.keyboard.type("fork");
       await page.waitForFunction(() => document.querySelectorAll("#object-rows tr").length === 1);
       await page.keyboard.press("Enter");
       await page.locator("#selection h2", { hasText: "Forklift" }).waitFor();
-      assert.match(await value(page, "precision"), /^Known to [\d.]+ mm \(95 %\), seen by (one camera|\d cameras), \d+ ms ago$/);
+      assert.match(await value(page, "precision"), /^Accuracy [\d.]+ mm \(95 %\), seen by (one camera|\d cameras), \d+ ms ago$/);
       await page.locator("#search").fill("2");
       await page.keyboard.press("Enter");
       await page.locator("#selection h2", { hasText: "Object 2" }).waitFor();
-      assert.ok((await page.locator("#object-rows tr").count()) > 1, "20 to 24 begin with it, too");
+      assert.ok((await page.locator("#object-rows tr").count()) > 1, "20 to 24 match, too");
       await page.locator("#search").fill("unknown");
-      await page.locator("#objects-empty", { hasText: "No object fits" }).waitFor();
+      await page.locator("#objects-empty", { hasText: "No matching objects" }).waitFor();
       await page.keyboard.press("Escape");
       await page.waitForFunction(() => document.querySelectorAll("#object-rows tr").length === 24);
     });
   });
 });
 
-describe("what the cameras cover", () => {
-  test("is shown as the server predicts it, with errors at their fields", async () => {
+describe("the coverage map", () => {
+  test("is requested from the server, with errors at their fields", async () => {
     await withWorld(new World(), {}, async (page) => {
       const asked = [];
       await page.route("**/openapi.json", (route) => route.fulfill({ json: { paths: { "/api/v1/plan": { get: {} } } } }));
@@ -326,7 +326,7 @@ describe("what the cameras cover", () => {
         const query = new URL(route.request().url()).searchParams;
         asked.push(Object.fromEntries(query));
         if (query.get("roundel") === "cart") {
-          return route.fulfill({ status: 400, json: { error: { code: "invalid_argument", message: "roundel: the kinds here are robot" } } });
+          return route.fulfill({ status: 400, json: { error: { code: "invalid_argument", message: "roundel: the configured kinds are robot" } } });
         }
         return route.fulfill({ contentType: "image/svg+xml", body: '<svg xmlns="http://www.w3.org/2000/svg" width="40" height="30"><rect width="40" height="30"/></svg>' });
       });
@@ -337,7 +337,7 @@ describe("what the cameras cover", () => {
       assert.deepEqual(asked[0], { format: "svg", show: "precision", roundel: "robot" });
       assert.deepEqual(await page.locator("#plan-roundel option").allInnerTexts(), ["robot", "cart"]);
       await page.locator("#plan-roundel").selectOption("cart");
-      await page.locator("#plan-roundel-trouble", { hasText: "the kinds here are robot" }).waitFor();
+      await page.locator("#plan-roundel-trouble", { hasText: "the configured kinds are robot" }).waitFor();
       assert.equal(await page.locator("#plan-picture").isVisible(), false);
       await page.locator("#plan-roundel").selectOption("robot");
       await page.locator("#plan-height").fill("1.5");
@@ -352,13 +352,13 @@ describe("what the cameras cover", () => {
   });
 });
 
-describe("a list of hundreds", () => {
-  test("has rows only for objects in view, and for those scrolled to or searched", async () => {
+describe("a list of hundreds of objects", () => {
+  test("has rows only for objects in view, scrolled to, or found", async () => {
     await withWorld(new World({ robots: 400, cameras: 1 }), {}, async (page) => {
       await page.locator('[data-object-id="1"]').waitFor();
       const rows = page.locator("#object-rows tr");
       assert.ok((await rows.count()) < 100, `${await rows.count()} rows`);
-      // The list is as long as if all were there.
+      // The list is as long as with all rows.
       const scroller = page.locator(".objects .scroll");
       const { long, rowHeight } = await scroller.evaluate((it) => ({ long: it.scrollHeight, rowHeight: it.querySelector("#object-rows tr").offsetHeight }));
       assert.ok(Math.abs(long - 400 * rowHeight) < 4 * rowHeight, `${long} px for rows of ${rowHeight}`);
@@ -369,7 +369,7 @@ describe("a list of hundreds", () => {
       await page.keyboard.press("Enter");
       await page.locator('[data-object-id="200"].selected').waitFor();
       assert.equal(await rows.count(), 1);
-      // The field is emptied; what is selected stays so.
+      // The search is cleared; the selection stays.
       await page.keyboard.press("Escape");
       await page.locator("#arena-stage").focus();
       await page.keyboard.press("n");
@@ -384,14 +384,14 @@ describe("a list of hundreds", () => {
   });
 });
 
-describe("keys", () => {
-  test("tell themselves, and work from anywhere but a field", async () => {
+describe("keyboard shortcuts", () => {
+  test("are listed, and work everywhere except in text fields and dialogs", async () => {
     await withPage({}, async (page) => {
       await page.keyboard.press("?");
       await page.locator("#help[open]").waitFor();
       await assertAccessible(page);
       await page.keyboard.press("3");
-      assert.equal(await page.locator('.arena[data-shows="health"]').count(), 0, "a dialog has its own keys");
+      assert.equal(await page.locator('.arena[data-shows="health"]').count(), 0, "no shortcuts while a dialog is open");
       await page.keyboard.press("Escape");
       await page.locator("#help:not([open])").waitFor({ state: "attached" });
       await page.keyboard.press("3");
@@ -410,8 +410,8 @@ describe("keys", () => {
   });
 });
 
-describe("what a server does not offer", () => {
-  test("is not on the page, and all of it is where a server says nothing", async () => {
+describe("a control of a feature that the server does not offer", () => {
+  test("is hidden, and is shown if the server has no description", async () => {
     await withWorld(new World(), {}, async (page) => {
       await page.locator("#add-camera").waitFor();
       await page.locator("#calibrate").waitFor();
@@ -429,13 +429,13 @@ describe("what a server does not offer", () => {
       await page.route("**/openapi.json", (route) => route.fulfill({ status: 500, body: "no" }));
       await page.reload();
       await page.locator("#calibrate").waitFor();
-      // What it says that it does not do is left out all the same.
+      // Features that its info excludes stay hidden.
       await page.locator("#print-open").waitFor();
       assert.equal(await page.locator("#record").isVisible(), false);
     });
   });
 
-  test("is not on the page either where the server has the call and refuses it", async () => {
+  test("is hidden if the server has the call but refuses it", async () => {
     class Closed extends World {
       info() {
         return { ...super.info(), allows_setup: false };
@@ -449,8 +449,8 @@ describe("what a server does not offer", () => {
   });
 });
 
-describe("what the page is made of", () => {
-  test("weighs less than 1.5 MB with everything opened, under a policy without exceptions", async () => {
+describe("the page's files", () => {
+  test("take less than 1.5 MB with everything opened, under a policy without exceptions", async () => {
     const opened = await spaceBrowser.newContext({ viewport: { width: 1440, height: 900 } });
     const page = await opened.newPage();
     const sizes = new Map();

@@ -1,4 +1,4 @@
-/** Invented robots and cameras for the mock server, laid out as the reference installation R4. */
+/** Simulated robots and cameras of the mock server, with the layout of the reference installation R4. */
 
 import jpeg from "jpeg-js";
 
@@ -8,7 +8,7 @@ const ROBOTS = 24;
 const PICTURE = { width: 400, height: 225 };
 const IMAGE = { width: 1280, height: 720 };
 const FOCAL_PX = 735;
-/** The pictures' ground, painted once: pictures are asked for ten times a second. */
+/** Background of the pictures, painted once. */
 const FLOOR = Buffer.alloc(PICTURE.width * PICTURE.height * 4, 255);
 for (let y = 0; y < PICTURE.height; y += 1) {
   for (let x = 0; x < PICTURE.width; x += 1) {
@@ -16,7 +16,7 @@ for (let y = 0; y < PICTURE.height; y += 1) {
     FLOOR.fill(120 + 50 * Math.sin((x + y) / 160) + 8 * Math.random(), at, at + 3);
   }
 }
-/** Places of the diagonal in the upper triangle of a 6x6. */
+/** Indices of the diagonal in the upper triangle of a 6x6 matrix. */
 const DIAGONAL = [0, 6, 11, 15, 18, 20];
 
 export class World {
@@ -28,7 +28,7 @@ export class World {
     this.robots = Array.from({ length: robots }, (_, i) => makeRobot(i, robots > ROBOTS));
     this.mounts = Array.from({ length: cameras }, (_, i) => makeMount(i, cameras > 4));
     this.listeners = new Set();
-    /** All that has happened, oldest first. */
+    /** Events, oldest first. */
     this.events = [];
     this.stages = new Map();
   }
@@ -42,7 +42,7 @@ export class World {
     return () => this.listeners.delete(listener);
   }
 
-  /** @param {object} event kind, message, and what it is about */
+  /** @param {object} event kind, message, and the object or camera */
   tell(event) {
     const whole = { sequence: this.events.length + 1, time_ns: nowNs(0), object_id: 0, camera: "", ...event };
     this.events.push(whole);
@@ -189,12 +189,12 @@ export class World {
   }
 }
 
-/** Now and some milliseconds, as the wire has it. */
+/** Now plus some milliseconds, as decimal nanoseconds. */
 function nowNs(offsetMs) {
   return String(BigInt(Math.round((performance.timeOrigin + performance.now() + offsetMs) * 1000)) * 1000n);
 }
 
-/** Few of them in the arena of R4, many in that of R16. */
+/** Few robots are in the arena of R4, many in that of R16. */
 function makeRobot(i, isMany) {
   const flying = i % 3 === 2;
   const [columns, gapX, gapY, left, low] = isMany ? [25, 0.95, 1.1, -11.4, -8.2] : [6, 1.45, 1.8, -3.6, -2.7];
@@ -220,7 +220,7 @@ function place(robot, t) {
   };
 }
 
-/** Robots 5 and 17 are hidden now and then, robot 24 is never trusted. */
+/** Robots 5 and 17 are hidden at times, robot 24 stays tentative. */
 function stageOf(robot, t) {
   if (robot.id === 24) return "tentative";
   if ((robot.id === 5 || robot.id === 17) && (t + robot.id) % 12 < 4) return "predicted";
@@ -273,7 +273,7 @@ function lookAt(from, to) {
   return { x: q[0], y: q[1], z: q[2], w: q[3] };
 }
 
-/** Pixel in the small picture and radius of a roundel of 160 mm, or null where it is not seen. */
+/** Pixel position and radius of a 160 mm roundel in the small picture, or null if it is not visible. */
 function project(mount, point) {
   const { x, y, z, w } = mount.orientation;
   const seen = rotate(

@@ -1,46 +1,46 @@
-/** The API as /openapi.json describes it, to be read and tried. Everything on the page comes from there. */
+/** The API page: describes every call in /openapi.json, and sends trial requests. */
 
 import { element, find, setText } from "./base/dom.js";
 
 /** @typedef {Record<string, any>} Json */
 
-/** Answers longer than this are cut, characters. */
-const LONGEST_ANSWER = 20_000;
+/** Longer responses are truncated, characters. */
+const MAX_RESPONSE_LENGTH = 20_000;
 
 /**
- * The type of a value in words, with a link to its shape if it has a name.
+ * Describes the type of a value, with a link to its schema if it has a name.
  * @param {Json | undefined} schema
  * @returns {Node[]}
  */
 function typed(schema) {
-  if (!schema) return [document.createTextNode("anything")];
+  if (!schema) return [document.createTextNode("any")];
   if (schema.$ref) {
     const name = schema.$ref.split("/").at(-1);
     return [element("a", { href: `#shape-${name}` }, [name])];
   }
   const either = schema.oneOf ?? schema.anyOf ?? schema.allOf;
   if (either) return either.flatMap((/** @type {Json} */ one, /** @type {number} */ place) => (place ? [" or ", ...typed(one)] : typed(one)));
-  const kind = [schema.type].flat().filter(Boolean).join(" or ") || "anything";
+  const kind = [schema.type].flat().filter(Boolean).join(" or ") || "any";
   return kind.startsWith("array") ? ["list of ", ...typed(schema.items)] : [kind];
 }
 
 /**
- * A table of names, types and what they mean.
+ * A table of names, types and descriptions.
  * @param {[string, Node[], string][]} rows
  */
 function table(rows) {
-  const cells = rows.map(([name, type, said]) =>
+  const cells = rows.map(([name, type, text]) =>
     element("tr", {}, [
       element("td", {}, [element("code", {}, [name])]),
       element("td", {}, type),
-      element("td", { class: "said" }, [said]),
+      element("td", { class: "description" }, [text]),
     ]),
   );
   return element("table", {}, [element("tbody", {}, cells)]);
 }
 
 /**
- * A form that sends the call and shows what comes.
+ * A form that sends the request and shows the response.
  * @param {string} method
  * @param {string} path
  * @param {Json[]} parameters
@@ -62,7 +62,7 @@ function trial(method, path, parameters, hasBody) {
     try {
       setText(answer, await sent(method, path, parameters, form, hasBody ? body : null));
     } catch (error) {
-      setText(answer, `No answer: ${error}`);
+      setText(answer, `Request failed: ${error}`);
     }
   });
   return form;
@@ -92,11 +92,10 @@ async function sent(method, path, parameters, form, body) {
   if (kind.startsWith("image/")) return `${response.status} ${kind}, ${(await response.blob()).size} bytes`;
   const came = await response.text();
   const shown = kind.startsWith("application/json") ? JSON.stringify(JSON.parse(came), null, 2) : came;
-  return `${response.status} ${response.statusText}\n${shown.slice(0, LONGEST_ANSWER)}`;
+  return `${response.status} ${response.statusText}\n${shown.slice(0, MAX_RESPONSE_LENGTH)}`;
 }
 
 /**
- * One call of the API.
  * @param {string} path
  * @param {string} method
  * @param {Json} call
@@ -114,14 +113,14 @@ function callPanel(path, method, call) {
     const content = Object.values(one.content ?? {})[0];
     return /** @type {[string, Node[], string]} */ ([status, content?.schema ? typed(content.schema) : [""], one.description ?? ""]);
   });
-  parts.push(element("h3", {}, ["Answers"]), table(answers));
-  // A stream is no single answer: what it takes is shown, and a page of its own would show what comes.
+  parts.push(element("h3", {}, ["Responses"]), table(answers));
+  // A WebSocket stream has no single response to show.
   if (!call.responses?.["101"]) parts.push(trial(method.toUpperCase(), path, parameters, Boolean(takes)));
   return element("details", { "data-path": path, "data-method": method }, [
     element("summary", {}, [
       element("span", { class: "method" }, [method.toUpperCase()]),
       element("code", {}, [path]),
-      element("span", { class: "said" }, [` ${call.summary ?? ""}`]),
+      element("span", { class: "description" }, [` ${call.summary ?? ""}`]),
     ]),
     element("div", {}, parts),
   ]);
@@ -136,12 +135,12 @@ function shapePanel(name, schema) {
     /** @type {[string, Node[], string]} */ ([field, typed(one), one.description ?? ""]),
   );
   return element("details", { id: `shape-${name}` }, [
-    element("summary", {}, [element("code", {}, [name]), element("span", { class: "said" }, [` ${schema.description ?? ""}`])]),
+    element("summary", {}, [element("code", {}, [name]), element("span", { class: "description" }, [` ${schema.description ?? ""}`])]),
     element("div", {}, [fields.length ? table(fields) : element("p", {}, typed(schema))]),
   ]);
 }
 
-/** Opens the shape that a link leads to. */
+/** Opens the schema that the URL's fragment names. */
 function openTarget() {
   const target = location.hash && document.getElementById(location.hash.slice(1));
   if (target instanceof HTMLDetailsElement) {
@@ -171,4 +170,4 @@ async function show() {
   openTarget();
 }
 
-show().catch((error) => setText(find("#about"), `The description cannot be read: ${error.message}. Load the page again.`));
+show().catch((error) => setText(find("#about"), `Cannot load the API description: ${error.message}. Reload the page.`));

@@ -1,4 +1,4 @@
-/** Starts the page: one store, the views that read it, the line to the worker that fills it and draws the arena. */
+/** Starts the page: the store, its views, and the worker that fills the store and draws the arena. */
 
 import { Arena } from "./arena/arena.js";
 import { showArenaCalibration } from "./panels/calibration/arena-calibration.js";
@@ -25,11 +25,18 @@ import { showCameraForm } from "./panels/cameras/camera-form.js";
 import { Store } from "./state/store.js";
 import { showTimeline } from "./panels/history/timeline.js";
 import { showViewSwitch } from "./panels/page/view-switch.js";
+import { SignIn } from "./panels/page/sign-in.js";
+import { request } from "./wire/api-client.js";
 
-/** Snapshots asked for each second: a screen's rate, and half of it where a finger says that it is a phone's. */
+/** Requested snapshot rate: that of a screen, or half of it on touch devices. */
 const MAX_RATE_HZ = matchMedia("(pointer: coarse)").matches ? 30 : 60;
 
 const store = new Store();
+const signIn = new SignIn(store, () => {
+  worker.send("retry");
+  void loadInfo();
+});
+await signIn.begin();
 const worker = new WorkerClient(showWorkerFailure);
 const arena = new Arena(store, worker, streamAddress());
 const list = showObjectList(store);
@@ -59,7 +66,7 @@ listenForKeys({
   selectNext: (step) => store.selectNext(step),
   follow: () => store.follow(!store.following),
   measure: () => arena.mode === "top" && arena.measure(!arena.measures),
-  // One thing after the other: the tape, what is searched for, the object.
+  // Each press undoes one thing: the tape measure, the search, the selection.
   deselect: () => {
     if (arena.measures) arena.measure(false);
     else if (!clearSearch()) store.select(null);
@@ -70,7 +77,7 @@ listenForKeys({
 for (const input of document.querySelectorAll("input[name=exaggeration]")) {
   if (!(input instanceof HTMLInputElement)) continue;
   input.addEventListener("change", () => arena.setExaggeration(Number(input.value)));
-  // A reloaded page keeps what was chosen, in browsers that restore forms.
+  // Some browsers restore form values after a reload.
   if (input.checked) arena.setExaggeration(Number(input.value));
 }
 const trails = /** @type {HTMLInputElement} */ (find("#trails"));
@@ -87,22 +94,24 @@ worker.on("connection", ({ phase, sinceMs, retryAtMs }) => {
   const here = (/** @type {number} */ ms) => ms - performance.timeOrigin;
   const before = store.connection.phase;
   store.setConnection({ phase, sinceMs: here(sinceMs), retryAtMs: retryAtMs && here(retryAtMs) });
-  // With each connection: it may be another server, or another version of it.
-  if (phase === "live" && before !== "live") void loadInfo();
+  // The new connection may be to another server or version.
+  if (phase === "live" && before !== "live") void signIn.check().then(loadInfo);
+  // A browser does not say whether the server has refused the connection for want of credentials.
+  if (phase === "lost" && retryAtMs !== null) void signIn.check();
 });
 showPageHeader(store, () => worker.send("retry"));
 
-/** Without its worker the page can do nothing but say so. */
+/** Shows that the worker could not be loaded or has failed. */
 function showWorkerFailure() {
   find("#banner").hidden = false;
-  setText(find("#banner-title"), "A part of this page could not be loaded, or broke.");
-  setText(find("#banner-text"), "What you see does not change any more.");
+  setText(find("#banner-title"), "Part of this page could not be loaded or has failed.");
+  setText(find("#banner-text"), "The display is no longer updated.");
   const button = find("#retry");
   setText(button, "Reload the page");
   button.addEventListener("click", () => location.reload());
 }
 
-/** Relative to the page, so that it also works behind a proxy that adds a path. */
+/** Relative to the page's URL, so that it works behind a proxy that adds a path. */
 function streamAddress() {
   const address = new URL("api/v1/stream", location.href);
   address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
@@ -112,12 +121,12 @@ function streamAddress() {
 
 async function loadInfo() {
   try {
-    const response = await fetch("api/v1/info", { cache: "no-store" });
+    const response = await request("info");
     if (!response.ok) return;
     const info = readInfo(await response.json());
     store.setInfo(info);
-    await showCapabilities(info);
+    await showCapabilities(info, store.session);
   } catch {
-    // The stream tells of the loss; the name comes with the next connection.
+    // The stream reports the lost connection; the next connection loads the info again.
   }
 }

@@ -1,15 +1,15 @@
 /**
- * Light or dark: the system's choice, until the person makes one.
+ * Light or dark theme: that of the system until the user chooses one.
  *
- * A plain script in the head and not a module: modules run after the first paint, and a page that
- * flashes white before it turns dark is a nuisance in a dim lab.
+ * This is a plain script and not a module, since modules run after the first paint: a dark page
+ * would flash white.
  */
 (() => {
   const KEY = "roundel-theme";
   const root = document.documentElement;
   const system = matchMedia("(prefers-color-scheme: dark)");
 
-  // Storage can be forbidden; the choice then lasts as long as the page.
+  // If storage is forbidden, the choice lasts as long as the page.
   const read = () => {
     try {
       return localStorage.getItem(KEY);
@@ -23,7 +23,7 @@
       if (theme === null) localStorage.removeItem(KEY);
       else localStorage.setItem(KEY, theme);
     } catch {
-      // Nothing is lost but the memory of it.
+      // The choice is not stored.
     }
   };
   let chosen = read();
@@ -42,7 +42,7 @@
   document.addEventListener("DOMContentLoaded", () => {
     document.getElementById("theme")?.addEventListener("click", () => {
       const wanted = root.dataset.theme === "dark" ? "light" : "dark";
-      // Back at the system's own choice, the page follows the system again.
+      // With the system's theme chosen, the page follows the system again.
       chosen = wanted === systemTheme() ? null : wanted;
       write(chosen);
       apply();

@@ -4,7 +4,7 @@
 /** @typedef {import("./worker-runtime.js").Notifications} Notifications */
 
 export class WorkerClient {
-  /** @param {() => void} onFailure is called if the worker's program cannot be loaded, or ends */
+  /** @param {() => void} onFailure called if the worker cannot be loaded or fails */
   constructor(onFailure) {
     /** @type {Partial<{[Name in keyof Notifications]: (value: Notifications[Name]) => void}>} */
     this.listeners = {};
@@ -26,19 +26,19 @@ export class WorkerClient {
    * @template {keyof Commands} Name
    * @param {Name} name
    * @param {Parameters<Commands[Name]>[0]} [value]
-   * @param {Transferable[]} [transfer] goes over and is gone here
+   * @param {Transferable[]} [transfer] objects whose ownership moves to the worker
    */
   send(name, value, transfer = []) {
     this.port.postMessage([name, value], transfer);
   }
 
-  /** A canvas as the other side can draw on it. @param {HTMLCanvasElement} canvas */
+  /** Transfers a canvas for drawing by the worker. @param {HTMLCanvasElement} canvas */
   hand(canvas) {
     return this.port instanceof Worker ? canvas.transferControlToOffscreen() : canvas;
   }
 }
 
-/** Browsers older than 2023 draw 3D in the page alone. */
+/** Browsers older than 2023 cannot draw in a worker. */
 function canDrawElsewhere() {
   return "transferControlToOffscreen" in HTMLCanvasElement.prototype && typeof OffscreenCanvas !== "undefined";
 }
@@ -47,7 +47,7 @@ function startWorker() {
   return new Worker(new URL("./worker.js", import.meta.url), { type: "module", name: "arena" });
 }
 
-/** The same in the page. Messages stay in order, though the program comes later; they are not copied, so that a canvas can be one. */
+/** Runs the worker's code in the page. Messages wait until it is loaded, stay in order and are not copied. */
 function startHere() {
   /** @type {import("./worker-runtime.js").Port} */
   const there = { postMessage: (data) => queueMicrotask(() => here.onmessage?.(/** @type {MessageEvent} */ ({ data }))), onmessage: null };

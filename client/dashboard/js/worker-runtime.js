@@ -1,8 +1,8 @@
 /**
- * Receives and decodes the stream and draws the arena. Runs in a worker (worker.js), so that 400 objects at 60 Hz do not
+ * Receives and decodes the stream, and draws the arena. Runs in a worker (worker.js), so that 400 objects at 60 Hz do not
  * block the page, or in the page itself in browsers without OffscreenCanvas (worker-client.js).
  *
- * The page receives what it shows as text: ten decoded snapshots a second, and every other message undecoded. Messages in
+ * The page receives ten decoded snapshots a second, and every other message undecoded. Messages in
  * both directions are `[name, value]`, with the names of `Notifications` and `Commands`.
  */
 
@@ -11,14 +11,14 @@ import { StreamStatistics } from "./state/stream-statistics.js";
 import { Stage } from "./arena/stage.js";
 import { Store } from "./state/store.js";
 
-/** Between two reports of how the stream fares, ms. */
+/** Interval between two statistics reports, ms. */
 const REPORT_MS = 100;
 
 /**
  * Messages from the page.
  * @typedef {object} Commands
- * @property {(value: {url: string, canvases: import("./arena/stage.js").Canvases, palette: import("./arena/palette.js").Palette}) => void} open comes first
- * @property {(size: {width: number, height: number, ratio: number}) => void} size of the arena, CSS pixels; none: it is hidden
+ * @property {(value: {url: string, canvases: import("./arena/stage.js").Canvases, palette: import("./arena/palette.js").Palette}) => void} open must be the first message
+ * @property {(size: {width: number, height: number, ratio: number}) => void} size of the arena, CSS pixels; 0 while it is hidden
  * @property {(palette: import("./arena/palette.js").Palette) => void} palette
  * @property {(mode: import("./arena/stage.js").StageMode) => void} show answered by `shown`
  * @property {(look: {exaggeration: number, trails: boolean}) => void} look
@@ -29,19 +29,19 @@ const REPORT_MS = 100;
  * @property {(at: {px: number, py: number, coarse: boolean}) => void} pick answered by `picked`
  * @property {(isOut: boolean) => void} tape
  * @property {(at: {px: number, py: number, coarse: boolean}) => void} measure a click while the tape is out
- * @property {(at: [number, number] | null) => void} point answered by `hovered`, if that is another
+ * @property {(at: [number, number] | null) => void} point answered by `hovered` if the object under the pointer changes
  * @property {(value: {id: number | null, following: boolean}) => void} select
- * @property {(timeMs: number | null) => void} past what instant is looked at
+ * @property {(timeMs: number | null) => void} past instant to show; null: now
  * @property {() => void} retry
  */
 
 /**
  * Messages to the page.
  * @typedef {object} Notifications
- * @property {import("./wire/connection.js").ConnectionState} connection its times count from the Unix epoch
- * @property {string | ArrayBuffer} data a message that holds no snapshot
+ * @property {import("./wire/connection.js").ConnectionState} connection times are since the Unix epoch
+ * @property {string | ArrayBuffer} data a message without a snapshot
  * @property {import("./state/store.js").PackedSnapshot} snapshot
- * @property {import("./state/stream-statistics.js").Report} report
+ * @property {import("./state/stream-statistics.js").StreamReport} report
  * @property {import("./arena/stage.js").VisibleArea} sight
  * @property {import("./arena/stage.js").StageMode} shown
  * @property {number | null} picked
@@ -70,18 +70,18 @@ export function runWorker(port) {
     store.take(message);
     if (!message.snapshot) return notify("data", data);
     statistics.take(message.snapshot, performance.now());
-    // The page needs no more than what the last minute keeps.
-    if (store.history.newestMs === message.snapshot.poseTimeMs) tellSnapshot(message.snapshot);
+    // The page receives only the snapshots that the history keeps.
+    if (store.history.newestMs === message.snapshot.poseTimeMs) notifySnapshot(message.snapshot);
   };
 
   /** @param {import("./wire/messages.js").Snapshot} snapshot */
-  const tellSnapshot = ({ sourceId, poseTimeMs, objects }) => {
+  const notifySnapshot = ({ sourceId, poseTimeMs, objects }) => {
     const { history } = store;
     const byId = (/** @type {import("./state/object-state.js").ObjectState[]} */ states) => states.sort((a, b) => a.id - b.id);
     const there = new Set(objects.map(({ id }) => id));
     const lost = [...store.live.values()].filter(({ id }) => !there.has(id)).map(({ state }) => state);
     const [frame, gone] = [history.pack(poseTimeMs, byId([...objects])), history.pack(poseTimeMs, byId(lost))];
-    // After a new begin the page has forgotten all as well.
+    // After the history was cleared, the page needs all identities again.
     const known = history.count > 1 ? identified : new Map();
     identified = new Map([...objects, ...lost].map((state) => [state.id, identityKey(state)]));
     const identities = [...history.identities].filter(([id]) => identified.has(id) && identified.get(id) !== known.get(id));

@@ -17,18 +17,18 @@ test("a level camera has its right side level and its lower side down", () => {
   nearVector(rotate(turn, { x: 0, y: 1, z: 0 }), { x: 0, y: 0, z: -1 }, "down");
 });
 
-test("one that is turned has its right side further down", () => {
+test("a positive roll lowers the camera's right side", () => {
   const turn = orientationOf({ position: { x: 0, y: 0, z: 2 }, target: { x: 5, y: 0, z: 2 }, turnedDeg: 90 });
   nearVector(rotate(turn, { x: 1, y: 0, z: 0 }), { x: 0, y: 0, z: -1 }, "right");
 });
 
-test("straight down, the world's x is to the right", () => {
+test("a camera that looks straight down has the world's x to its right", () => {
   const turn = orientationOf({ position: { x: 1, y: 2, z: 3 }, target: { x: 1, y: 2, z: 0 }, turnedDeg: 0 });
   nearVector(rotate(turn, { x: 1, y: 0, z: 0 }), { x: 1, y: 0, z: 0 }, "right");
   nearVector(rotate(turn, { x: 0, y: 1, z: 0 }), { x: 0, y: -1, z: 0 }, "down");
 });
 
-test("what a camera looks at comes back, on the floor or a metre ahead", () => {
+test("position, target and roll survive the conversion to a quaternion and back", () => {
   for (const [position, target, turnedDeg] of [
     [{ x: 2.5, y: 2, z: 5 }, { x: 1.25, y: 1, z: 0 }, 0],
     [{ x: -2.5, y: 2, z: 5 }, { x: 4, y: -3, z: 0 }, 37],

@@ -1,4 +1,4 @@
-/** Every text colour of both themes against every ground it stands on: WCAG AA, 4.5 to 1. */
+/** Contrast of all text colours with their backgrounds in both themes: WCAG AA, 4.5 to 1. */
 
 import assert from "node:assert/strict";
 import { readFile } from "node:fs/promises";
@@ -40,7 +40,7 @@ for (const selector of [":root", ':root[data-theme="dark"]']) {
       const ratio = contrast(theme[text], theme[ground]);
       assert.ok(ratio >= 4.5, `${text} on ${ground}: ${ratio.toFixed(2)}`);
     }
-    // What marks the edge of a control needs 3 to 1.
+    // Borders of controls need 3 to 1.
     assert.ok(contrast(theme["line-strong"], theme.raised) >= 3);
   });
 }

@@ -24,7 +24,7 @@ function positionCovariance({ xx, xy = 0, xz = 0, yy, yz = 0, zz = 0 }) {
   return entries;
 }
 
-/** A turn about a unit axis. */
+/** Rotation about a unit axis. */
 function turn(axis, rad) {
   const s = Math.sin(rad / 2);
   return { x: axis.x * s, y: axis.y * s, z: axis.z * s, w: Math.cos(rad / 2) };
@@ -38,21 +38,21 @@ function area(points) {
   }, 0);
 }
 
-test("a quarter turn about z takes x to y", () => {
+test("a rotation by 90° about z maps x to y", () => {
   const turned = rotate(turn({ x: 0, y: 0, z: 1 }, Math.PI / 2), { x: 1, y: 0, z: 0 });
   near(turned.x, 0, 1e-15);
   near(turned.y, 1);
   near(turned.z, 0);
 });
 
-test("heading and tilt are those of the turn", () => {
+test("heading and tilt follow from the rotation", () => {
   near(headingRad(turn({ x: 0, y: 0, z: 1 }, 2.5)), 2.5);
   near(headingRad(turn({ x: 0, y: 0, z: 1 }, -0.5)), -0.5);
   near(tiltRad(turn({ x: 1, y: 0, z: 0 }, 0.3)), 0.3, 1e-9);
   near(tiltRad(turn({ x: 0, y: 0, z: 1 }, 1.9)), 0);
 });
 
-test("an ellipse along the axes has the axes' deviations", () => {
+test("semi-axes of an axis-aligned ellipse follow from the standard deviations", () => {
   const ellipse = errorEllipse(positionCovariance({ xx: 4e-6, yy: 1e-6 }));
   near(ellipse.majorM, Math.sqrt(CHI2_95_2D) * 2e-3);
   near(ellipse.minorM, Math.sqrt(CHI2_95_2D) * 1e-3);
@@ -60,7 +60,7 @@ test("an ellipse along the axes has the axes' deviations", () => {
   near(Math.abs(errorEllipse(positionCovariance({ xx: 1e-6, yy: 4e-6 })).angleRad), Math.PI / 2);
 });
 
-test("a turned ellipse is found again from its covariance", () => {
+test("a rotated ellipse is recovered from its covariance", () => {
   const angle = 0.7;
   const [major, minor] = [9e-6, 1e-6];
   const [c, s] = [Math.cos(angle), Math.sin(angle)];
@@ -76,7 +76,7 @@ test("a turned ellipse is found again from its covariance", () => {
   near(ellipse.minorM, Math.sqrt(CHI2_95_2D * minor));
 });
 
-test("95 of 100 drawn points lie inside the ellipse", () => {
+test("the ellipse contains 95 % of random points", () => {
   // Deterministic normal numbers: a linear congruential generator and Box-Muller.
   let seed = 12345;
   const uniform = () => (seed = (seed * 1664525 + 1013904223) % 2 ** 32) / 2 ** 32;
@@ -95,7 +95,7 @@ test("95 of 100 drawn points lie inside the ellipse", () => {
   near(inside / 20_000, 0.95, 0.01);
 });
 
-test("a broken covariance draws nothing rather than NaN", () => {
+test("an invalid covariance gives an ellipse of size 0 and not NaN", () => {
   const ellipse = errorEllipse(positionCovariance({ xx: -1, yy: -2 }));
   assert.equal(ellipse.majorM, 0);
   assert.equal(ellipse.minorM, 0);
@@ -116,7 +116,7 @@ test("a camera that looks straight down sees a rectangle below it", () => {
   near(area(outline), 32, 1e-9);
 });
 
-test("a higher floor is seen smaller", () => {
+test("the footprint on a higher floor is smaller", () => {
   near(area(footprint(DOWN, PINHOLE, IMAGE, 2)), 8, 1e-9);
 });
 
@@ -141,13 +141,13 @@ test("a camera that looks up sees no floor", () => {
   assert.deepEqual(footprint(up, PINHOLE, IMAGE), []);
 });
 
-test("a fisheye's view is wider than a pinhole's of the same focal length", () => {
+test("a fisheye lens sees more than a pinhole of the same focal length", () => {
   const pinhole = area(footprint(DOWN, PINHOLE, IMAGE));
   const fisheye = area(footprint(DOWN, { ...PINHOLE, lens: "equidistant" }, IMAGE));
   assert.ok(fisheye > 1.5 * pinhole, `${fisheye} against ${pinhole}`);
 });
 
-test("steps of a grid are 1, 2, 5 times a power of ten", () => {
+test("grid steps are 1, 2 or 5 times a power of ten", () => {
   const pairs = [[1, 1], [1.9, 1], [2, 2], [4.99, 2], [5, 5], [99, 50], [0.2, 0.2], [0.07, 0.05]];
   for (const [limit, step] of pairs) near(roundStep(limit), step);
 });

@@ -1,4 +1,4 @@
-/** What the page remembers of the last minute. */
+/** History of the last minute. */
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
@@ -8,7 +8,7 @@ import { ObjectState } from "../../../client/dashboard/js/state/object-state.js"
 
 const START_MS = 1_700_000_000_000;
 
-/** A robot that turns on a circle of 1 m at 1 m/s, at a time in seconds. */
+/** State at a time in seconds of a robot that drives on a circle with a radius of 1 m at 1 m/s. */
 function circling(id, seconds, more = {}) {
   const [s, c] = [Math.sin(seconds), Math.cos(seconds)];
   return new ObjectState({
@@ -30,7 +30,7 @@ function circling(id, seconds, more = {}) {
   });
 }
 
-/** Snapshots at 60 Hz. */
+/** A history filled with snapshots at 60 Hz. */
 function filled(seconds, ids = [3, 7]) {
   const history = new History();
   for (let i = 0; i <= seconds * 60; i += 1) {
@@ -39,7 +39,7 @@ function filled(seconds, ids = [3, 7]) {
   return history;
 }
 
-test("an instant between two frames is where the object was then, with all its values", () => {
+test("positions between two frames are interpolated, with all other values", () => {
   const history = filled(12);
   for (const second of [2.03, 5.47, 11.96]) {
     const states = history.at(START_MS + second * 1000);
@@ -56,18 +56,18 @@ test("an instant between two frames is where the object was then, with all its v
   }
 });
 
-test("it holds a minute and no more, whatever the objects do", () => {
+test("the history holds one minute, also if objects come and go", () => {
   const history = filled(75);
   assert.ok(Math.abs(history.newestMs - history.oldestMs - HISTORY_MS) <= FRAME_MS);
   assert.deepEqual(history.at(history.oldestMs - 1), []);
-  // Each object lives for a moment only; nothing of the earlier ones stays.
+  // Each object exists in one frame only; earlier identities are removed.
   let now = history.newestMs;
   for (let id = 100; id < 3000; id += 1) history.take((now += FRAME_MS), [circling(id, 0)]);
-  assert.ok(history.identities.size < 1000, `${history.identities.size} names are kept`);
+  assert.ok(history.identities.size < 1000, `${history.identities.size} names are stored`);
   assert.equal(history.at(now)[0].id, 2999);
 });
 
-test("what was not known then is not known now, and there is nothing in a long gap", () => {
+test("unknown values stay unknown, and a long gap has no objects", () => {
   const history = new History();
   const unknown = { positionM: null, velocityMS: null, orientation: null, covariance: null, ageMs: null, residual: null, stage: "lost" };
   history.take(START_MS, [circling(9, 0), circling(2, 0, unknown)]);
@@ -76,14 +76,14 @@ test("what was not known then is not known now, and there is nothing in a long g
   for (const [key, value] of Object.entries(unknown)) assert.equal(two[key], value, key);
   assert.ok(Math.abs(nine.positionM.y - Math.sin(0.1) / 2) < 1e-6, "a straight line without both velocities");
   history.take(START_MS + 10_000, [circling(9, 10)]);
-  assert.equal(history.at(START_MS + 2000).length, 1, "what was last known counts for a while");
+  assert.equal(history.at(START_MS + 2000).length, 1, "the last frame is valid for a while");
   assert.deepEqual(history.at(START_MS + 5000), []);
   assert.equal(history.one(9, START_MS + 5000), null);
   assert.ok(Math.abs(history.one(9, START_MS + 50).positionM.y - Math.sin(0.1) / 2) < 1e-6);
   assert.equal(history.at(START_MS + 10_000).length, 1);
 });
 
-test("a trail has the same places from frame to frame, from old to new", () => {
+test("consecutive trails visit the same frames, from old to new", () => {
   const history = filled(10);
   const trail = (stride) => {
     const times = [];
@@ -103,7 +103,7 @@ test("a trail has the same places from frame to frame, from old to new", () => {
   assert.ok(third.every((timeMs) => all.includes(timeMs)));
 });
 
-test("tells of an object what is newer than a time", () => {
+test("states of an object can be limited to those after a time", () => {
   const history = new History();
   for (let i = 0; i < 20; i += 1) history.take(START_MS + i * FRAME_MS, [circling(7, i / 10)]);
   const newer = history.of(7, START_MS + 16 * FRAME_MS);

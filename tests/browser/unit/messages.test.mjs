@@ -1,4 +1,4 @@
-/** What the page makes of the wire's JSON, also of what it does not expect. */
+/** Conversion of the server's JSON, valid and invalid, and formatting of values. */
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
@@ -33,7 +33,7 @@ const SNAPSHOT = {
   ],
 };
 
-test("a camera says where its times come from, and one of an older server does not", () => {
+test("the capture clock of a camera is null if the server does not send it", () => {
   const [camera, older] = readCameras([
     { name: "north", broken: 3, capture_clock: { base: "arrival", deviation_ms: 50 } },
     { name: "south" },
@@ -44,46 +44,46 @@ test("a camera says where its times come from, and one of an older server does n
   assert.equal(older.broken, 0);
 });
 
-test("a snapshot's times are taken exactly", () => {
+test("a snapshot's times are exact to a microsecond", () => {
   const snapshot = readSnapshot(SNAPSHOT);
   assert.equal(snapshot.poseTimeMs, 1700000000123.456);
   assert.equal(snapshot.latencyMs, 25.5);
   assert.equal(snapshot.missed, 2);
 });
 
-test("an object's values come out in the page's units", () => {
+test("an object's values are converted to the page's units", () => {
   const [state] = readSnapshot(SNAPSHOT).objects;
   assert.equal(state.label, "3");
   assert.equal(state.ageMs, 31.5);
   assert.equal(state.speedMS, 0.5);
-  assert.equal(state.headingRad, null, "a yaw that is not observed is no heading");
+  assert.equal(state.headingRad, null, "no heading without an observed yaw");
   assert.equal(state.tiltRad, 0, "the quaternion is normalized first");
   assert.deepEqual(state.sigmaM, { x: 0.001, y: 0.001, z: 0.001 });
 });
 
-test("a heading is given where the yaw is observed", () => {
+test("an object has a heading if its yaw is observed", () => {
   const object = { ...SNAPSHOT.objects[0], yaw_observed: true, orientation: { x: 0, y: 0, z: 1, w: 1 } };
   const [state] = readSnapshot({ ...SNAPSHOT, objects: [object] }).objects;
   assert.ok(Math.abs(state.headingRad - Math.PI / 2) < 1e-12);
   assert.equal(state.isHeadingAmbiguous, false);
 });
 
-test("a heading whose opposite looks the same says so", () => {
+test("a yaw symmetry of 2 makes the heading ambiguous", () => {
   const object = { ...SNAPSHOT.objects[0], yaw_observed: true, yaw_symmetry: 2 };
   assert.equal(readSnapshot({ ...SNAPSHOT, objects: [object] }).objects[0].isHeadingAmbiguous, true);
 });
 
-test("a code is given once it is read", () => {
+test("an object has a code once it is read", () => {
   const read = (code) => readSnapshot({ ...SNAPSHOT, objects: [{ ...SNAPSHOT.objects[0], code }] }).objects[0].code;
   assert.deepEqual(read({ bits: 8, number: 12 }), { bits: 8, number: 12 });
   for (const none of [null, undefined, {}, { bits: 0, number: 0 }, "12"]) assert.equal(read(none), null);
 });
 
-test("nothing is latency before the first observation", () => {
+test("there is no latency before the first observation", () => {
   assert.equal(readSnapshot({ ...SNAPSHOT, capture_time_ns: "0" }).latencyMs, null);
 });
 
-test("missing and foreign values become null or empty, never NaN", () => {
+test("missing and invalid values become null or empty, never NaN", () => {
   const odd = [
     {},
     null,
@@ -104,7 +104,7 @@ test("missing and foreign values become null or empty, never NaN", () => {
   assert.deepEqual(readCameras("none"), []);
 });
 
-test("who feeds a camera is known where a program does", () => {
+test("a camera has a link if a program feeds it", () => {
   const link = { sender: "node robot7", address: "10.0.0.3:4711", connected: true, received: 5, missing: 2, round_trip_ms: 0.8 };
   const links = readCameras([{ link }, { link: null }, {}]).map((camera) => camera.link);
   assert.deepEqual(links, [
@@ -114,16 +114,16 @@ test("who feeds a camera is known where a program does", () => {
   ]);
 });
 
-test("what a tried source gave is said in a sentence", () => {
+test("the result of a source test is described in a sentence", () => {
   const trial = { error: "", width: 1280, height: 720, frames: 60, broken: 2, rate_hz: 29.97, promised_rate_hz: 30, roundels: 1, decode_ms: 3.1, detect_ms: 0.4 };
   assert.equal(
     sourceTestText(trial),
-    "1\u2009280 × 720 pixels, 30.0 frames a second (30.0 promised); one roundel in the newest frame. 2 came broken. Decoding takes 3.1 ms, searching 0.4 ms.",
+    "1\u2009280 × 720 pixels, 30.0 frames per second (30.0 promised); one roundel in the newest frame. 2 arrived broken. Decoding takes 3.1 ms, detection 0.4 ms.",
   );
   assert.equal(sourceTestText({ ...trial, frames: 0 }), "");
 });
 
-test("cameras without place or lens are cameras all the same", () => {
+test("a camera without pose and lens is accepted", () => {
   const [camera] = readCameras([{ name: "north", status: "dreaming", pose: null, intrinsics: { fx_px: 0 } }]);
   assert.equal(camera.status, "unspecified");
   assert.equal(camera.pose, null);
@@ -131,13 +131,13 @@ test("cameras without place or lens are cameras all the same", () => {
   assert.equal(camera.rateHz, 0);
 });
 
-test("a clock that is trusted says nothing", () => {
+test("a clock with exact time stamps is null", () => {
   const clocks = [{ offset_ms: -1.5, skew_ppm: 20, deviation_ms: 0.05 }, { offset_ms: 0, deviation_ms: 0 }, null];
   const read = readCameras(clocks.map((clock) => ({ clock }))).map((camera) => camera.clock);
   assert.deepEqual(read, [{ offsetMs: -1.5, skewPpm: 20, deviationMs: 0.05 }, null, null]);
 });
 
-test("a blur that was not fitted is not known", () => {
+test("a blur of 0 is unknown", () => {
   const blurs = readCameras([{ blur_px: 0.72 }, { blur_px: 0 }, {}]).map((camera) => camera.blurPx);
   assert.deepEqual(blurs, [0.72, null, null]);
 });
@@ -147,13 +147,13 @@ test("a reprojection error of 0 is unknown", () => {
   assert.deepEqual(errors, [0.21, null, null]);
 });
 
-test("events and the server's own words are read", () => {
+test("events and server info are converted", () => {
   const event = readEvent({ sequence: 4, time_ns: "1700000000000000000", kind: "object_lost", object_id: 9, message: "gone" });
   assert.deepEqual(event, { sequence: 4, timeMs: 1.7e12, kind: "object_lost", objectId: 9, camera: "", message: "gone" });
   assert.equal(readInfo({ name: "lab", started_time_ns: "1700000000000000000" }).startedTimeMs, 1.7e12);
 });
 
-test("numbers are written for people", () => {
+test("numbers are formatted for display", () => {
   assert.equal(fixed(-1.25, 1), "\u22121.3");
   assert.equal(fixed(-0.0001, 2), "0.00");
   assert.equal(fixed(null, 2), "–");

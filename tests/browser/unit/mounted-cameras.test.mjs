@@ -1,4 +1,4 @@
-/** Mounted cameras: their poses follow their carriers in every snapshot. */
+/** Poses of mounted cameras follow their carriers in every snapshot. */
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
@@ -8,7 +8,7 @@ import { readCameras, readSnapshot } from "../../../client/dashboard/js/wire/mes
 import { moveWithCarrier } from "../../../client/dashboard/js/state/mounted-cameras.js";
 
 const HALF = Math.SQRT1_2;
-/** A quarter turn about z. */
+/** Rotation by 90° about z. */
 const LEFT = { x: 0, y: 0, z: HALF, w: HALF };
 
 const [CAMERA] = readCameras([
@@ -34,7 +34,7 @@ function near(a, b) {
   for (const key of Object.keys(b)) assert.ok(Math.abs(a[key] - b[key]) < 1e-12, `${key}: ${a[key]}, not ${b[key]}`);
 }
 
-test("rotations in a row are their product", () => {
+test("the product of two rotations applies them in sequence", () => {
   const v = { x: 0.3, y: -1.2, z: 0.7 };
   const tilt = { x: 0.6, y: 0, z: 0, w: 0.8 };
   near(rotate(multiply(LEFT, tilt), v), rotate(LEFT, rotate(tilt, v)));
@@ -42,14 +42,14 @@ test("rotations in a row are their product", () => {
   near(there.position, { x: 0.3, y: -0.2, z: 0.7 });
 });
 
-test("a camera is where its object has carried it", () => {
+test("a camera's pose follows from its carrier", () => {
   const { pose } = moveWithCarrier(CAMERA, drones({}));
   near(pose.position, { x: 1, y: 2.5, z: 2.9 });
   near(rotate(pose.orientation, { x: 0, y: 0, z: 1 }), { x: 0, y: 0, z: -1 });
   near(rotate(pose.orientation, { x: 1, y: 0, z: 0 }), { x: 0, y: 1, z: 0 });
 });
 
-test("without such an object it is where the server says, or nowhere", () => {
+test("without a carrier a camera keeps the server's pose, or none", () => {
   for (const objects of [
     drones(),
     drones({ name: "another" }),

@@ -1,4 +1,4 @@
-/** The page's decoder of protobuf: against the .proto files, the golden messages and the JSON form. */
+/** The page's protobuf decoder, compared with the .proto files, the golden messages and the JSON form. */
 
 import assert from "node:assert/strict";
 import { readFile } from "node:fs/promises";
@@ -15,7 +15,7 @@ import { World } from "../world.mjs";
 
 const PROTO = new URL("../../../proto/", import.meta.url);
 
-/** A message with every field set; values differ from field to field. */
+/** A message with every field set to a different value. */
 function filled(type) {
   const value = (field) => {
     if (field.resolvedType instanceof protobuf.Enum) return Object.values(field.resolvedType.values).at(-1);
@@ -26,9 +26,9 @@ function filled(type) {
   return Object.fromEntries(type.fieldsArray.map((field) => [field.name, field.repeated ? [value(field), value(field)] : value(field)]));
 }
 
-/** Without prototypes. */
+/** Removes prototypes. */
 const plain = (value) => JSON.parse(JSON.stringify(value));
-/** Evaluates what an ObjectState computes when it is asked. */
+/** Evaluates the values that an ObjectState computes on demand. */
 const withCovariances = (snapshot) => ({
   ...snapshot,
   objects: snapshot.objects.map((state) => ({ ...state, covarianceSource: null, covariance: state.covariance, ellipse: state.ellipse, sigmas: state.sigmaM })),
@@ -36,7 +36,7 @@ const withCovariances = (snapshot) => ({
 /** @param {Uint8Array} bytes */
 const decode = (bytes) => decodeMessage(Uint8Array.from(bytes).buffer);
 
-test("the decoder has every field and value of the .proto files (npm run vendor generates it)", () => {
+test("the decoder has every field and value of the .proto files; `npm run vendor` generates it", () => {
   const messages = loadUsedMessages(fileURLToPath(PROTO)).lookup("roundel.v1");
   for (const type of messages.nestedArray) {
     const generated = roundel.v1[type.name];
@@ -54,7 +54,7 @@ test("the decoder has every field and value of the .proto files (npm run vendor 
   }
 });
 
-test("the golden messages are the same in protobuf and in JSON", async () => {
+test("the golden messages are equal in protobuf and JSON", async () => {
   const { Camera, Event, Snapshot } = roundel.v1;
   for (const [name, type, read] of [
     ["camera", Camera, (raw) => readCameras([raw])],
@@ -96,7 +96,7 @@ test("truncated and invalid messages are rejected", () => {
   for (const bytes of [[0x1a, 12, 0x08, ...Array(10).fill(255), 1], [0x1a, 1, 0x7f]]) assert.equal(decode(Uint8Array.from(bytes)), null, String(bytes));
 });
 
-test("a snapshot is the same in protobuf and in JSON, invalid values too", () => {
+test("a snapshot is equal in protobuf and JSON, also with invalid values", () => {
   const raw = new World({ robots: 8 }).snapshot();
   Object.assign(raw.objects[1], { position: null, orientation: null, covariance: [], code: { bits: 8, number: 77 }, yaw_symmetry: 2 });
   Object.assign(raw.objects[2], { covariance: Array(21).fill(NaN), velocity: null, cameras: [], residual: NaN, name: "Gerät" });

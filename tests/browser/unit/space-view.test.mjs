@@ -1,4 +1,4 @@
-/** The geometry of the view in 3D, and finding. */
+/** Geometry of the 3D view, and matching of searches. */
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
@@ -11,7 +11,7 @@ import { Matrix4, PerspectiveCamera, Vector3 } from "../../../client/dashboard/v
 
 const ENTRIES = { xx: 0, xy: 1, xz: 2, yy: 6, yz: 7, zz: 11 };
 
-/** R diag(λ) Rᵀ as 21 numbers, R turned about all three axes. */
+/** R diag(λ) Rᵀ as 21 numbers, with R a rotation by three angles. */
 function turned(lambdas, [a, b, c]) {
   const axes = [new Vector3(1, 0, 0), new Vector3(0, 1, 0), new Vector3(0, 0, 1)].map((axis) =>
     axis.applyMatrix4(new Matrix4().makeRotationX(a)).applyMatrix4(new Matrix4().makeRotationY(b)).applyMatrix4(new Matrix4().makeRotationZ(c)),
@@ -22,7 +22,7 @@ function turned(lambdas, [a, b, c]) {
   return covariance;
 }
 
-test("the longest semiaxis is the root of the largest eigenvalue, however it is turned", () => {
+test("the longest semi-axis is the root of the largest eigenvalue in all orientations", () => {
   for (const angles of [[0, 0, 0], [0.3, 1.1, -2], [1.5, 0.2, 0.7]]) {
     for (const lambdas of [[9e-6, 1e-6, 4e-6], [1, 1, 1], [1e-9, 5e-2, 5e-2], [0, 0, 0]]) {
       const expected = Math.sqrt(Math.max(...lambdas));
@@ -31,7 +31,7 @@ test("the longest semiaxis is the root of the largest eigenvalue, however it is 
   }
 });
 
-test("the lower triangle makes the covariance", () => {
+test("the Cholesky factor reproduces the covariance", () => {
   const covariance = turned([9e-6, 1e-6, 4e-6], [0.3, 1.1, -2]);
   const [xx, yx, yy, zx, zy, zz] = cholesky(covariance);
   const made = { xx: xx * xx, xy: xx * yx, xz: xx * zx, yy: yx * yx + yy * yy, yz: yx * zx + yy * zy, zz: zx * zx + zy * zy + zz * zz };
@@ -39,7 +39,7 @@ test("the lower triangle makes the covariance", () => {
   assert.ok(cholesky(Array(21).fill(0)).every(Number.isFinite));
 });
 
-test("points are projected to where three.js draws them", () => {
+test("points are projected as three.js does", () => {
   const orbit = new OrbitCamera();
   Object.assign(orbit, { target: { x: 1, y: -2, z: 0.5 }, distanceM: 9, azimuthRad: 0.7, elevationRad: 0.6, width: 700, height: 500 });
   const camera = new PerspectiveCamera(40, 700 / 500, 0.05, 2000);
@@ -56,7 +56,7 @@ test("points are projected to where three.js draws them", () => {
   assert.equal(orbit.project(behind), null);
 });
 
-test("what is in the middle goes with the hand, and everything fits", () => {
+test("panning follows the drag, and fitting shows the whole box", () => {
   const orbit = new OrbitCamera();
   Object.assign(orbit, { width: 700, height: 500, target: { x: 0, y: 0, z: 0 } });
   const before = { ...orbit.target };
@@ -74,7 +74,7 @@ test("what is in the middle goes with the hand, and everything fits", () => {
   assert.ok(orbit.elevationRad < Math.PI / 2);
 });
 
-test("an object is found by number, name and code", () => {
+test("a search matches number, name and code", () => {
   const state = (id, name = "", code = null) => new ObjectState({ id, name, code, stage: "tracked", cameras: [] });
   assert.equal(matchScore(state(7), "7"), 3);
   assert.equal(matchScore(state(7), " robot 7 "), 3);

@@ -7,22 +7,22 @@ import { StreamStatistics } from "../../../client/dashboard/js/state/stream-stat
 
 const snapshot = (more = {}) => ({ sequence: 1, sourceId: "a", poseTimeMs: 0, latencyMs: 20, objects: [], missed: 0, ...more });
 
-describe("the gauge", () => {
-  test("knows nothing before anything has come", () => {
+describe("the statistics", () => {
+  test("are unknown before the first snapshot", () => {
     const statistics = new StreamStatistics();
     statistics.begin(1000);
     assert.deepEqual(statistics.report(1200), { rateHz: null, ageMs: null, receivedAtMs: null, missed: 0, latenciesMs: [] });
   });
 
-  test("counts the snapshots of the last two seconds", () => {
+  test("have the rate of the last two seconds", () => {
     const statistics = new StreamStatistics();
     statistics.begin(0);
     for (let ms = 0; ms < 5000; ms += 20) statistics.take(snapshot(), ms);
     assert.ok(Math.abs(statistics.report(5000).rateHz - 50) < 1);
-    assert.equal(statistics.report(9000).rateHz, 0, "none have come for so long");
+    assert.equal(statistics.report(9000).rateHz, 0, "no snapshots in the last two seconds");
   });
 
-  test("restarts with a connection", () => {
+  test("restart the rate with a connection", () => {
     const statistics = new StreamStatistics();
     statistics.begin(0);
     for (let ms = 0; ms < 3000; ms += 20) statistics.take(snapshot(), ms);
@@ -31,14 +31,14 @@ describe("the gauge", () => {
     assert.equal(statistics.report(4000).rateHz, 0);
   });
 
-  test("adds what has passed since to how late the newest snapshot was", () => {
+  test("add the time since the arrival to the latency", () => {
     const statistics = new StreamStatistics();
     statistics.take(snapshot({ latencyMs: 25 }), 100);
     assert.equal(statistics.report(140).ageMs, 65);
     assert.equal(statistics.report(1140).ageMs, 1065);
   });
 
-  test("reports each lateness once, and none where the server gave none", () => {
+  test("report each known latency once", () => {
     const statistics = new StreamStatistics();
     statistics.take(snapshot({ latencyMs: 5 }), 0);
     statistics.take(snapshot({ latencyMs: null }), 10);
@@ -47,7 +47,7 @@ describe("the gauge", () => {
     assert.deepEqual(statistics.report(40).latenciesMs, []);
   });
 
-  test("adds up what was missed, of one run of the server", () => {
+  test("sum the missed snapshots of one run of the server", () => {
     const statistics = new StreamStatistics();
     statistics.take(snapshot({ missed: 2 }), 0);
     statistics.take(snapshot({ missed: 3 }), 10);

@@ -1,4 +1,4 @@
-/** The tape measure: its ends, and what it says. */
+/** The tape measure. */
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
@@ -16,7 +16,7 @@ const object = (id, x, y, z) =>
   );
 const tracks = () => new Map([[1, object(1, 0, 0, 0.3)], [2, object(2, 3, 4, 0.3)], [3, object(3, 3, 4, 1.3)]]);
 
-test("between two objects it goes with them", () => {
+test("a measurement between two objects moves with them", () => {
   const tape = new TapeMeasure();
   tape.take(true, 1);
   assert.equal(tape.words(tracks()), "Measure: from 1 to …");
@@ -25,13 +25,13 @@ test("between two objects it goes with them", () => {
   const moved = tracks().set(2, object(2, 0, 1, 0.3));
   assert.equal(tape.words(moved), "1 to lift: 1.000 m");
   tape.reach(3);
-  assert.match(tape.words(tracks()), /^1 to 3: 5\.099 m \(5\.000 m level\)$/);
+  assert.match(tape.words(tracks()), /^1 to 3: 5\.099 m \(5\.000 m horizontal\)$/);
 });
 
-test("clicks set its begin, its end, and another begin", () => {
+test("clicks set the start, the end, and a new start", () => {
   const tape = new TapeMeasure();
   tape.take(true, null);
-  assert.match(tape.words(tracks()), /click where to begin/);
+  assert.match(tape.words(tracks()), /click the start point/);
   tape.set({ id: null, x: 1, y: 1 });
   tape.pointer = [1, 2.5];
   assert.equal(tape.words(tracks()), "(1.00, 1.00) to pointer: 1.500 m");
@@ -41,7 +41,7 @@ test("clicks set its begin, its end, and another begin", () => {
   assert.equal(tape.ends.length, 1);
 });
 
-test("what has gone is named, and nothing is measured to it", () => {
+test("nothing is measured to an object that is gone", () => {
   const tape = new TapeMeasure();
   tape.take(true, 1);
   tape.reach(9);

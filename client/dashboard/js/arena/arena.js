@@ -12,7 +12,7 @@ import { readPalette } from "./palette.js";
 import { Viewport } from "./viewport.js";
 
 /** Shown by browsers without WebGL. */
-const NO_SPACE = "This browser draws no 3D (WebGL 2 is missing or switched off): here is the view from above.";
+const NO_SPACE = "3D is not available (WebGL 2 is missing or disabled); showing the view from above.";
 /** Largest distance between pointer and trajectory for its time to be shown, CSS pixels. */
 const PASSED_PX = 18;
 
@@ -37,11 +37,11 @@ export class Arena {
     /** Why the requested mode is not shown, for the caption. */
     this.excuse = "";
     this.look = { exaggeration: 10, trails: true };
-    /** @type {import("../state/trajectories.js").HistoryOverlay | null} of the history */
+    /** @type {import("../state/trajectories.js").HistoryOverlay | null} */
     this.overlay = null;
     /** @type {[number, number] | null} */
     this.pointer = null;
-    /** Whether clicks measure, and the measured distance in words. */
+    /** Whether clicks measure, and the measured distance as text. */
     this.measures = false;
     this.measured = "";
     this.tapeButton = find("#tape");
@@ -53,7 +53,7 @@ export class Arena {
     store.on("time", () => worker.send("past", store.pastMs));
     document.addEventListener("themechange", () => worker.send("palette", readPalette()));
     document.addEventListener("visibilitychange", () => {
-      // An attempt may succeed now where the last ones did not.
+      // The page is visible again: retry at once.
       if (document.visibilityState === "visible") worker.send("retry");
     });
     this.tapeButton.addEventListener("click", () => this.measure(!this.measures));
@@ -97,7 +97,7 @@ export class Arena {
     };
   }
 
-  /** Takes the tape measure out, or away. @param {boolean} measures */
+  /** Turns the tape measure on or off. @param {boolean} measures */
   measure(measures) {
     this.measures = measures;
     this.tapeButton.setAttribute("aria-pressed", String(measures));
@@ -111,9 +111,9 @@ export class Arena {
   }
 
   /**
-   * From above, or in 3D if this browser can.
+   * Switches the view. Falls back from 3D to the view from above if WebGL is missing.
    * @param {StageMode} wanted
-   * @returns {Promise<StageMode>} what it is now
+   * @returns {Promise<StageMode>} the mode shown
    */
   async show(wanted) {
     this.onResize();
@@ -125,7 +125,7 @@ export class Arena {
     return this.mode;
   }
 
-  /** Shows everything, and keeps showing it until the view is moved. */
+  /** Fits everything into the view, until the user moves it. */
   fit() {
     this.store.follow(false);
     this.worker.send("fit");
@@ -150,7 +150,7 @@ export class Arena {
     this.worker.send("overlay", overlay);
   }
 
-  /** What of the floor is seen from above; in 3D, what would be. @returns {import("./viewport.js").Bounds} metres */
+  /** Part of the floor that is visible from above, also in 3D mode. @returns {import("./viewport.js").Bounds} metres */
   inView() {
     const { view } = this;
     return { minX: view.worldX(RULER.left), maxX: view.worldX(view.width), minY: view.worldY(view.height - RULER.bottom), maxY: view.worldY(0) };
@@ -162,7 +162,7 @@ export class Arena {
     this.worker.send("size", { width, height, ratio: devicePixelRatio || 1 });
   }
 
-  /** Says the scale, how far the ellipses are exaggerated, and where the pointer is. */
+  /** Updates the caption: grid, exaggeration of the ellipses, position of the pointer. */
   describe() {
     const isSpace = this.mode === "space";
     const { exaggeration } = this.look;
@@ -170,8 +170,8 @@ export class Arena {
     const parts = [this.excuse, this.measured, `Grid ${this.stepM} m`];
     if (exaggeration === 1) parts.push(`95 % ${shapes} to scale`);
     if (exaggeration > 1) parts.push(`95 % ${shapes} drawn ${exaggeration}× larger`);
-    parts.push("lines reach 0.5 s ahead");
-    if (isSpace) parts.push("drag turns, Shift and drag moves");
+    parts.push("lines: motion in the next 0.5 s");
+    if (isSpace) parts.push("drag to rotate, Shift+drag to pan");
     else if (this.pointer) {
       const [px, py] = this.pointer;
       parts.push(`x ${fixed(this.view.worldX(px), 2)}  y ${fixed(this.view.worldY(py), 2)} m`, this.passedText(px, py));

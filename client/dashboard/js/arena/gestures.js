@@ -7,11 +7,11 @@ const ZOOM_STEP = 1.25;
 
 /**
  * @typedef {object} GestureHandlers
- * @property {(dx: number, dy: number, isSecond: boolean) => void} drag pixels by which the picture goes with the hand; second:
- *   with Shift, the right button or two fingers
+ * @property {(dx: number, dy: number, isSecond: boolean) => void} drag movement in pixels; isSecond: with Shift, the right
+ *   button or two fingers
  * @property {(px: number, py: number, factor: number) => void} zoom about a point
- * @property {(px: number, py: number, coarse: boolean) => void} pick coarse: by a finger
- * @property {(px: number | null, py: number | null) => void} hover null: left the arena
+ * @property {(px: number, py: number, coarse: boolean) => void} pick coarse: by touch
+ * @property {(px: number | null, py: number | null) => void} hover null outside the arena
  */
 
 /**
@@ -25,9 +25,9 @@ export function listenForGestures(target, handlers) {
     (event) => {
       event.preventDefault();
       const [px, py] = place(target, event);
-      // Lines (1) and pages (2) of mouse wheels against pixels of touch pads.
+      // Mouse wheels report lines (1) or pages (2), touch pads pixels (0).
       const pixels = event.deltaY * (event.deltaMode === 1 ? 16 : event.deltaMode === 2 ? 400 : 1);
-      // A pinch on a touch pad comes as a wheel with Ctrl and small steps.
+      // A pinch on a touch pad arrives as wheel events with Ctrl and small steps.
       handlers.zoom(px, py, Math.exp(-pixels * (event.ctrlKey ? 0.01 : 0.0016)));
     },
     { passive: false },
@@ -69,19 +69,19 @@ function keyAction(key, isSecond, target, handlers) {
  * @param {GestureHandlers} handlers
  */
 function listenForPointers(target, handlers) {
-  /** @type {Map<number, [number, number]>} pointers that are down, and where */
+  /** @type {Map<number, [number, number]>} positions of the pressed pointers */
   const down = new Map();
   let travelledPx = 0;
   let isSecond = false;
 
-  // The right button moves the arena; its menu would be in the way.
+  // The right button pans, so it must not open a menu.
   target.addEventListener("contextmenu", (event) => event.preventDefault());
   target.addEventListener("pointerdown", (event) => {
     if (event.button !== 0 && event.button !== 2) return;
     isSecond = event.shiftKey || event.button === 2;
     target.setPointerCapture(event.pointerId);
     if (down.size === 0) travelledPx = 0;
-    // A second finger makes it a pinch, never a click.
+    // With a second finger it is a pinch, not a click.
     else travelledPx = Infinity;
     down.set(event.pointerId, place(target, event));
   });
@@ -98,7 +98,7 @@ function listenForPointers(target, handlers) {
     const [dx, dy] = [now[0] - before[0], now[1] - before[1]];
     travelledPx += Math.hypot(dx, dy);
     if (travelledPx < CLICK_SLACK_PX) return;
-    // Each of two fingers moves the middle by half of its own way.
+    // Each of two fingers moves their midpoint by half of its own movement.
     handlers.drag(dx / down.size, dy / down.size, isSecond || down.size > 1);
     if (down.size === 2 && spanBefore > 0) {
       const [a, b] = [...down.values()];

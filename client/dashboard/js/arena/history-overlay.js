@@ -1,12 +1,12 @@
-/** Draws trajectories or a heat map of the history over the arena. Redrawn only when the view changes. */
+/** Draws trajectories or a heat map of the history over the arena. */
 
 import { heatOpacity, eachPoint } from "../state/trajectories.js";
 import { drawOutlinedText } from "./canvas/outlined-text.js";
 
-/** Trajectories are paler the older they are, from this on. */
+/** Opacity of the oldest part of a trajectory. */
 const OLDEST_ALPHA = 0.3;
 const BANDS = 5;
-/** Above the floor, where the heat map lies in 3D, metres. */
+/** Height of the heat map in 3D, metres. */
 const LIFT_M = 0.004;
 
 /** @typedef {import("../state/trajectories.js").HistoryOverlay} HistoryOverlay */
@@ -20,7 +20,7 @@ export function colorOf(trajectory, palette) {
 }
 
 /**
- * From above.
+ * Draws it from above.
  * @param {import("./canvas/canvas-layer.js").Context2D} context in CSS pixels
  * @param {Viewport} view
  * @param {Palette} palette
@@ -76,7 +76,7 @@ function drawTrajectory(context, view, palette, trajectory, stepS) {
     context.stroke(band);
   }
   context.globalAlpha = 1;
-  // A ring where it begins, a disc with its name where it ends.
+  // A ring at the start, a disc with the name at the end.
   context.beginPath();
   context.arc(view.screenX(places[0]), view.screenY(places[1]), 4, 0, 2 * Math.PI);
   context.fillStyle = palette.sheet;
@@ -93,7 +93,7 @@ function drawTrajectory(context, view, palette, trajectory, stepS) {
 }
 
 /**
- * In 3D.
+ * Draws it in 3D.
  * @param {import("./space/meshes.js").Lines} lines
  * @param {import("./space/meshes.js").Tiles} tiles
  * @param {(css: string) => [number, number, number]} rgb

@@ -13,7 +13,7 @@
  * @property {string} axisX
  * @property {string} axisY
  * @property {string} accent
- * @property {string} heat of places that were taken long
+ * @property {string} heat of cells that were occupied for long
  * @property {boolean} isDark
  * @property {Record<import("../state/object-state.js").Stage, string>} stage
  * @property {string} font

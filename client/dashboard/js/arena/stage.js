@@ -1,6 +1,6 @@
 /**
- * The arena from above or in 3D, drawn when something has changed and at most once per frame of the screen. From above
- * it is two canvases, what stands still below what moves; in 3D one of WebGL, with labels on another above it.
+ * The arena from above or in 3D, redrawn after changes and at most once per animation frame. The view from above has two
+ * canvases, the static backdrop below the moving objects; the 3D view has a WebGL canvas below one with labels.
  *
  * It runs in a worker (worker-runtime.js) without access to the page, and receives the user's input from arena.js.
  */
@@ -12,17 +12,17 @@ import { drawTracks } from "./top/tracks.js";
 import { drawTape, TapeMeasure } from "./top/tape-measure.js";
 import { boundsOf, Viewport } from "./viewport.js";
 
-/** Kept free round what is fitted, CSS pixels; the rulers come on top. */
+/** Margin around the fitted area, CSS pixels, in addition to the rulers. */
 const FIT_MARGIN_PX = 26;
-/** Kept in view round an object where no camera stands, metres: it will move. */
-const ROOM_M = 2;
-/** Reach of a click beyond the disc, CSS pixels; fingers are thicker. */
+/** Margin around an object if there are no fixed cameras, metres. */
+const OBJECT_MARGIN_M = 2;
+/** Distance from the disc at which a click or a touch still selects it, CSS pixels. */
 const REACH_PX = 6;
 const REACH_COARSE_PX = 18;
 /** Shortest interval between two reports of the visible area, ms. It changes each frame while an object is followed. */
 const REPORT_MS = 100;
 
-/** A picture that takes longer is followed by a rest, ms. */
+/** Drawing time after which drawing pauses, ms. */
 const LONG_MS = 25;
 
 /** @typedef {"top" | "space"} StageMode */
@@ -47,29 +47,29 @@ export class Stage {
       tracks: new CanvasLayer(canvases.tracks),
       labels: new CanvasLayer(canvases.labels),
     };
-    /** @type {import("./space/space-view.js").SpaceView | null} made when it is first wanted: half a megabyte that most phones never load */
+    /** @type {import("./space/space-view.js").SpaceView | null} created on demand, since three.js is half a megabyte */
     this.space = null;
     /** @type {StageMode} */
     this.mode = "top";
     this.palette = palette;
-    /** Whether it has a size. */
+    /** Whether the arena has a size. */
     this.isShown = true;
     this.exaggeration = 10;
     this.trails = true;
-    /** @type {import("../state/trajectories.js").HistoryOverlay | null} of the history */
+    /** @type {import("../state/trajectories.js").HistoryOverlay | null} */
     this.overlay = null;
     /** @type {number | null} */
     this.hovered = null;
-    /** True until the person moves the view: it then no longer fits itself to what there is. */
+    /** True until the user moves the view: the view fits itself to cameras and objects. */
     this.fitsItself = true;
-    /** What the backdrop's cameras look like, to see whether they have changed. */
+    /** Key of the backdrop's cameras, to detect changes. */
     this.camerasDrawn = "";
     this.boundsFitted = "";
     this.bounds = boundsOf([]);
     this.tape = new TapeMeasure();
     this.backdropStale = true;
     this.frameAsked = false;
-    /** Before this no other picture is drawn, `performance.now()`. */
+    /** Earliest time of the next redraw, `performance.now()`. */
     this.restUntilMs = 0;
     this.reportedSight = "";
     this.sightTimer = 0;
@@ -106,7 +106,7 @@ export class Stage {
    */
   zoom(px, py, factor) {
     this.fitsItself = false;
-    // While following, the object is what stays in place.
+    // While following, zooming keeps the object in place.
     if (this.mode === "space") this.space?.orbit.zoom(factor);
     else if (this.store.following) this.view.zoom(this.view.width / 2, this.view.height / 2, factor);
     else this.view.zoom(px, py, factor);
@@ -114,9 +114,9 @@ export class Stage {
   }
 
   /**
-   * From above, or in 3D if this browser can.
+   * Switches the view. Falls back from 3D to the view from above if WebGL is missing.
    * @param {StageMode} mode
-   * @returns {Promise<StageMode>} what it is now
+   * @returns {Promise<StageMode>} the mode shown
    */
   async show(mode) {
     if (mode === "space" && !this.space) this.space = await this.makeSpace();
@@ -130,7 +130,7 @@ export class Stage {
 
   async makeSpace() {
     const canvas = this.canvases.space;
-    // Smooth edges are for those who have a card: drawn by the processor, they would take most of its time.
+    // Antialiasing only with a GPU: in software it would take most of the time.
     const context = /** @type {WebGL2RenderingContext | null} */ (
       canvas.getContext("webgl2", { alpha: false, antialias: true, failIfMajorPerformanceCaveat: true }) ??
       canvas.getContext("webgl2", { alpha: false, antialias: false })
@@ -140,12 +140,12 @@ export class Stage {
       const { SpaceView } = await import("./space/space-view.js");
       return new SpaceView(canvas, context);
     } catch {
-      // The file could not be loaded, or the card gave up: the view from above is always there.
+      // three.js could not be loaded, or the GPU failed: fall back to the view from above.
       return null;
     }
   }
 
-  /** Shows everything, and keeps showing it until the view is moved. */
+  /** Fits everything into the view, until the user moves it. */
   fit() {
     this.fitsItself = true;
     this.boundsFitted = "";
@@ -175,7 +175,7 @@ export class Stage {
     this.askFrame();
   }
 
-  /** Whether an object has gone out of sight where no camera that stands says what there is to see. */
+  /** Whether an object has left the view, if no fixed camera determines the area to show. */
   isLeft() {
     if (this.standing().some((camera) => camera.pose)) return false;
     const { view } = this;
@@ -198,7 +198,7 @@ export class Stage {
     this.refresh();
   }
 
-  /** Cameras that stay where they are. */
+  /** Fixed cameras. */
   standing() {
     return this.store.cameras.filter((camera) => !camera.mount);
   }
@@ -218,7 +218,7 @@ export class Stage {
     if (this.mode === "space") this.space?.resize(width, height, ratio);
     this.boundsFitted = "";
     if (this.fitsItself) this.fitNow();
-    // Drawn at once: a resized canvas is empty, and would flash until the next frame.
+    // Redraw at once, since a resized canvas is empty and would flash.
     this.backdropStale = true;
     this.draw();
   }
@@ -234,7 +234,7 @@ export class Stage {
     this.backdropStale = true;
   }
 
-  /** Fits to the cameras that stand and what they see; to the objects where no such camera's place is known. */
+  /** Fits the view to the fixed cameras and their footprints, or to the objects if no fixed camera has a pose. */
   fitNow() {
     const { tracks } = this.store;
     const places = this.standing().flatMap((camera) =>
@@ -244,7 +244,7 @@ export class Stage {
       for (const { state } of tracks.values()) {
         if (!state.positionM) continue;
         const { x, y } = state.positionM;
-        places.push({ x: x - ROOM_M, y: y - ROOM_M }, { x: x + ROOM_M, y: y + ROOM_M });
+        places.push({ x: x - OBJECT_MARGIN_M, y: y - OBJECT_MARGIN_M }, { x: x + OBJECT_MARGIN_M, y: y + OBJECT_MARGIN_M });
       }
     }
     if (places.length === 0) this.boundsFitted = "";
@@ -323,12 +323,12 @@ export class Stage {
     else requestAnimationFrame(() => this.drawAndRest());
   }
 
-  /** Where a picture takes long, as in 3D without a card, as much time again is left to what comes over the stream. */
+  /** If drawing is slow, as in 3D without a GPU, leaves as much time again for the stream. */
   drawAndRest() {
     this.frameAsked = false;
     const begunMs = performance.now();
     this.draw();
-    // What the canvas has to do for it comes after this, and before the next task.
+    // The canvas does its work after this function and before the next task.
     setTimeout(() => {
       const tookMs = performance.now() - begunMs;
       this.restUntilMs = tookMs > LONG_MS ? begunMs + 2 * tookMs : 0;
@@ -337,7 +337,7 @@ export class Stage {
 
   draw() {
     const { view, palette, store } = this;
-    // Hidden behind the health table. The change of size when it is shown again triggers a redraw.
+    // Hidden behind the health table. The change of its size triggers a redraw when it is shown again.
     if (!this.isShown) return;
     const space = this.mode === "space" ? this.space : null;
     if (this.backdropStale) {

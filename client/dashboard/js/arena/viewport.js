@@ -1,9 +1,9 @@
 /**
- * Which part of the floor the arena shows: the map between world metres and CSS pixels.
- * World x points right and y up on the screen, as seen from above.
+ * Mapping between world metres and CSS pixels in the view from above.
+ * World x points right and y up on the screen.
  */
 
-/** Pixels per metre: from a whole airfield to a single roundel. */
+/** Smallest and largest scale, pixels per metre. */
 const MIN_SCALE = 1;
 const MAX_SCALE = 4000;
 
@@ -12,7 +12,7 @@ const MAX_SCALE = 4000;
 
 export class Viewport {
   constructor() {
-    /** World point in the middle of the canvas, metres. */
+    /** World point at the centre of the canvas, metres. */
     this.centerX = 0;
     this.centerY = 0;
     /** Pixels per metre. */
@@ -20,7 +20,7 @@ export class Viewport {
     /** Size of the canvas, CSS pixels. */
     this.width = 1;
     this.height = 1;
-    /** The screen's pixels in a CSS pixel. */
+    /** Device pixels per CSS pixel. */
     this.ratio = 1;
   }
 
@@ -83,7 +83,7 @@ export class Viewport {
 }
 
 /**
- * The smallest box round all points; one of 4 m about the origin where there are none.
+ * Bounding box of all points; without points, a box of 4 m about the origin.
  * @param {Iterable<{x: number, y: number}>} points
  * @returns {Bounds}
  */

@@ -1,4 +1,4 @@
-/** Small helpers for building and changing the page. */
+/** DOM helpers. */
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -16,7 +16,7 @@ export function element(tag, attributes = {}, children = []) {
 }
 
 /**
- * An element that the page cannot do without.
+ * Returns an element that index.html must have.
  * @param {string} selector
  * @returns {HTMLElement}
  */
@@ -27,7 +27,7 @@ export function find(selector) {
 }
 
 /**
- * Writes a text only where it differs: unchanged numbers then cost no layout.
+ * Sets a text only if it differs, so that unchanged numbers cause no layout.
  * @param {Element} target
  * @param {string} text
  */
@@ -45,7 +45,7 @@ export function setAttribute(target, name, value) {
 }
 
 /**
- * The sign of a life stage or of a camera's status, drawn in index.html once.
+ * Symbol of a life stage or camera status, defined in index.html.
  * @param {string} name
  * @returns {SVGElement}
  */
@@ -61,11 +61,11 @@ export function glyph(name) {
 }
 
 /**
- * Calls at most once per `intervalMs`, and always once more after the last request: tables need not
- * change with each of thirty snapshots a second, but have to end on the newest.
+ * Calls `action` at most once per `intervalMs`, and once more after the last request, so that a table ends on the newest
+ * values.
  * @param {number | (() => number)} intervalMs
  * @param {() => void} action
- * @param {{alone?: boolean}} [how] alone: it takes its time, and has a frame of the screen for itself
+ * @param {{alone?: boolean}} [how] alone: the action is slow and gets an animation frame to itself
  */
 export function throttle(intervalMs, action, { alone = false } = {}) {
   let lastMs = -Infinity;
@@ -85,32 +85,43 @@ export function throttle(intervalMs, action, { alone = false } = {}) {
   };
 }
 
-/** What is due: the quick ones together, each of the others in a frame of its own. @type {{quick: (() => void)[], slow: (() => void)[]}} */
-const turns = { quick: [], slow: [] };
-let isAsked = false;
+/** Due actions. Quick ones run together, each slow one in its own animation frame. */
+const turns = {
+  /** @type {(() => void)[]} */
+  quick: [],
+  /** @type {Set<() => void>} */
+  slow: new Set(),
+  wasQuick: false,
+};
+let isRequested = false;
 
-/** Calls in the next frame of the screen. @param {() => void} action */
+/** Runs in the next animation frame, or the one after it. @param {() => void} action */
 function soon(action) {
   turns.quick.push(action);
   requestTurn();
 }
 
-/** Calls in one of the next frames of the screen, which it has for itself. @param {() => void} action */
+/** Runs alone in one of the next animation frames; once if it is requested again before. @param {() => void} action */
 export function inOwnFrame(action) {
-  turns.slow.push(action);
+  turns.slow.add(action);
   requestTurn();
 }
 
 function requestTurn() {
-  if (isAsked) return;
-  isAsked = true;
+  if (isRequested) return;
+  isRequested = true;
   requestAnimationFrame(takeTurn);
 }
 
+/** Slow actions get every second frame at least: on a slow computer, each frame has quick ones. */
 function takeTurn() {
-  isAsked = false;
+  isRequested = false;
   const { quick, slow } = turns;
-  const actions = quick.length > 0 ? quick.splice(0) : slow.splice(0, 1);
-  if (slow.length > 0) requestTurn();
+  const [oldest] = slow;
+  const takesSlow = oldest !== undefined && (quick.length === 0 || turns.wasQuick);
+  const actions = takesSlow ? [oldest] : quick.splice(0);
+  if (takesSlow) slow.delete(oldest);
+  turns.wasQuick = !takesSlow;
+  if (quick.length > 0 || slow.size > 0) requestTurn();
   for (const action of actions) action();
 }

@@ -1,4 +1,4 @@
-/** Numbers and times as a person reads them. What is not known is an en dash. */
+/** Formats numbers and times. Unknown values are an en dash. */
 
 const UNKNOWN = "–";
 /** A true minus sign: as wide as a digit, so that columns of signed numbers stay aligned. */
@@ -38,7 +38,7 @@ export function fixed(value, decimals) {
   return value < 0 && Number(digits) !== 0 ? MINUS + digits : digits;
 }
 
-/** Three digits that matter, for values over many orders of size. @param {number | null} value */
+/** At most three significant digits from 1 up, else two decimals. @param {number | null} value */
 export function significant(value) {
   if (value === null || !Number.isFinite(value)) return UNKNOWN;
   const size = Math.abs(value);

@@ -1,7 +1,7 @@
 /**
- * Plane and space geometry of the arena: quaternions, error ellipses, viewing footprints.
+ * Geometry of the arena: quaternions, error ellipses, view footprints.
  *
- * Frames, signs and orders are those of `core/docs/conventions.md`: metres, radians, quaternions
+ * Frames, signs and orders follow `core/docs/conventions.md`: metres, radians, quaternions
  * Hamilton stored x y z w, covariances as the upper triangle of the 6x6 row by row. Pure functions
  * without DOM, so that they are tested in Node.
  */
@@ -16,14 +16,14 @@
  */
 export const CHI2_95_2D = -2 * Math.log(0.05);
 
-/** How far along its axis a camera's view is drawn where it does not end on the floor, metres. */
+/** Depth to which a view that does not end on the floor is drawn, along the optical axis, metres. */
 export const VIEW_DEPTH_M = 25;
 
-/** Places of xx, xy, xz, yy, yz, zz of the position in the 21 numbers of the upper triangle. */
+/** Indices of the position's variances and covariances in the 21 numbers of the upper triangle. */
 const POSITION_ENTRIES = { xx: 0, xy: 1, xz: 2, yy: 6, yz: 7, zz: 11 };
 
 /**
- * Turns a vector by a unit quaternion.
+ * Rotates a vector by a unit quaternion.
  * @param {Quaternion} q
  * @param {Vector3} v
  * @returns {Vector3}
@@ -56,7 +56,7 @@ export function multiply(a, b) {
 }
 
 /**
- * What is placed by b in a frame that is placed by a.
+ * Composes two poses: world_from_b = world_from_a · a_from_b.
  * @param {{position: Vector3, orientation: Quaternion}} a
  * @param {{position: Vector3, orientation: Quaternion}} b
  */
@@ -89,7 +89,7 @@ export function tiltRad(worldFromObject) {
 /**
  * Standard deviations of a position.
  * @param {ArrayLike<number>} covariance 21 numbers
- * @returns {Vector3} metres; a negative variance (which a broken sender may give) counts as 0
+ * @returns {Vector3} metres; a negative variance counts as 0
  */
 export function sigmasM(covariance) {
   const sigma = (/** @type {number} */ entry) => Math.sqrt(Math.max(0, covariance[entry]));
@@ -122,7 +122,7 @@ export function errorEllipse(covariance) {
 }
 
 /**
- * Root of the position covariance's largest eigenvalue, which of a symmetric 3x3 is m + 2 p cos(φ) with
+ * Root of the largest eigenvalue of the position covariance. For a symmetric 3x3 matrix it is m + 2 p cos(φ) with
  * m = tr/3, p² = tr((A - m)²)/6, cos 3φ = det((A - m)/p)/2 (O. K. Smith, 1961).
  * @param {ArrayLike<number>} covariance 21 numbers
  * @returns {number} metres
@@ -140,7 +140,7 @@ export function longestSemiaxis(covariance) {
 }
 
 /**
- * The lower triangle L of A = L Lᵀ for the position's covariance A: it takes the unit sphere to the one-sigma ellipsoid.
+ * Cholesky factor L of the position covariance A = L Lᵀ. It maps the unit sphere to the one-sigma ellipsoid.
  * @param {ArrayLike<number>} covariance 21 numbers
  * @returns {[number, number, number, number, number, number]} xx, yx, yy, zx, zy, zz; metres
  */
@@ -156,18 +156,18 @@ export function cholesky(covariance) {
 }
 
 /**
- * Where a camera's view meets the floor z = `floorM`, as a convex polygon in world x, y.
+ * Intersection of a camera's view with the floor z = `floorM`, as a convex polygon in world x, y.
  *
  * The view is the pyramid through the image's four corners, cut off at `depthM` along the optical
  * axis; the polygon's corners are where the pyramid's eight edges cross the floor. Distortion is
- * left out: the outline is for orientation, and a pinhole's is within a few per cent for ordinary
- * lenses. For an equidistant (fisheye) lens the image radius is an angle, so its tangent is taken.
+ * ignored, which changes the outline by a few per cent with ordinary lenses. For an equidistant
+ * (fisheye) lens the image radius is an angle, so its tangent is used.
  * @param {{position: Vector3, orientation: Quaternion}} worldFromCamera
  * @param {import("../wire/messages.js").Intrinsics} intrinsics
  * @param {{width: number, height: number}} image pixels
  * @param {number} [floorM]
  * @param {number} [depthM]
- * @returns {Point2[]} counter-clockwise; empty where the camera does not see the floor
+ * @returns {Point2[]} counter-clockwise; empty if the camera does not see the floor
  */
 export function footprint(worldFromCamera, intrinsics, image, floorM = 0, depthM = VIEW_DEPTH_M) {
   const apex = worldFromCamera.position;
@@ -189,8 +189,8 @@ export function footprint(worldFromCamera, intrinsics, image, floorM = 0, depthM
 }
 
 /**
- * The image's outline corners on the plane z = 1 of the camera frame. Pixel centres lie on
- * integers, so the image reaches from -0.5 to size - 0.5.
+ * Corners of the image on the plane z = 1 of the camera frame. Pixel centres lie on
+ * integers, so the image extends from -0.5 to size - 0.5.
  * @param {import("../wire/messages.js").Intrinsics} intrinsics
  * @param {{width: number, height: number}} image
  * @returns {Point2[]}
@@ -207,7 +207,7 @@ export function imageCorners(intrinsics, image) {
     const y = (v - intrinsics.cyPx) / intrinsics.fyPx;
     if (intrinsics.lens !== "equidistant") return { x, y };
     const angle = Math.hypot(x, y);
-    // A view of half a turn has no pyramid; 80° is drawn instead.
+    // A view of 180° has no pyramid; it is limited to 80° from the axis.
     const stretch = angle > 0 ? Math.tan(Math.min(angle, (80 * Math.PI) / 180)) / angle : 1;
     return { x: x * stretch, y: y * stretch };
   });
@@ -238,13 +238,13 @@ function aroundTheirMean(points) {
 }
 
 /**
- * The largest of 1, 2, 5 times a power of ten that is at most `limit`, for grids and scales.
+ * Largest 1, 2 or 5 times a power of ten that is at most `limit`, for grids and scales.
  * @param {number} limit above 0
  */
 export function roundStep(limit) {
   const power = 10 ** Math.floor(Math.log10(limit));
   const digit = limit / power;
-  // The small allowance keeps 0.2 / 0.1 = 1.9999… from falling to the step below.
+  // The tolerance keeps 0.2 / 0.1 = 1.9999… from falling to the step below.
   if (digit >= 5 - 1e-9) return 5 * power;
   if (digit >= 2 - 1e-9) return 2 * power;
   return power;

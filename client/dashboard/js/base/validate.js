@@ -1,5 +1,5 @@
 /**
- * Values of the wire, checked: what is missing or not finite becomes null, 0 or empty, as the reader says.
+ * Validates values received from the server. Missing and non-finite values become null, 0 or empty.
  */
 
 /** @typedef {import("./geometry.js").Vector3} Vector3 */
@@ -10,7 +10,7 @@ export function number(raw) {
   return Number.isFinite(raw) ? raw : null;
 }
 
-/** A number that counts or measures something; 0 where it is missing. @param {any} raw */
+/** A number; 0 if it is missing. @param {any} raw */
 export function count(raw) {
   return number(raw) ?? 0;
 }
@@ -46,8 +46,8 @@ export function quaternion(raw) {
 }
 
 /**
- * Nanoseconds as milliseconds. JSON sends them as a decimal string, since Unix time exceeds 2^53; protobuf's decoder gives
- * a number, which is exact to 256 ns.
+ * Converts nanoseconds to milliseconds. JSON has decimal strings, since Unix time in nanoseconds exceeds 2^53; the
+ * protobuf decoder returns numbers, exact to 256 ns.
  * @param {any} raw
  * @returns {number | null}
  */

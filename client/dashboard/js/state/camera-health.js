@@ -1,31 +1,31 @@
 /**
- * Which cameras are unwell, and why: judged from what the server tells of each twice a second. Pure, but for what it
- * remembers of the last seconds, since counts say nothing and their growth does.
+ * Detects problems of cameras from the states that the server sends twice a second. The server's counts are cumulative,
+ * so `FrameCounters` keeps those of the last seconds.
  */
 
 import { duration, fixed, whole } from "../base/format.js";
 
-/** Growth of counts is looked at over so long, ms. */
+/** Time over which the growth of counts is measured, ms. */
 const WINDOW_MS = 10_000;
-/** Growth over less says nothing, ms. */
+/** Shortest time over which it is measured, ms. */
 const LEAST_WINDOW_MS = 2000;
-/** Shares of frames above which it is said that they are lost. */
+/** Shares of dropped and broken frames above which they are a problem. */
 const DROPPED_SHARE = 0.2;
 const BROKEN_SHARE = 0.02;
-/** A camera whose frames are fused later than this after their capture, ms. */
+/** Latency from capture to fusion above which it is a problem, ms. */
 const LATE_MS = 250;
-/** Rims blurred more than this lose precision, px. */
+/** Blur above which edges are located less accurately, px. */
 const BLURRED_PX = 2.5;
-/** A clock that is not known better costs a robot at 1 m/s more than 2 mm, ms. */
+/** Clock uncertainty above which it is a problem, ms: a position error of 2 mm for a robot at 1 m/s. */
 const CLOCK_MS = 2;
 
-/** A number that stands for itself: those of addresses and names tell cameras apart. */
+/** A number that is not part of an address, file or name. */
 const NUMBER = /(?<![\w.:/\u2212-])\d+(?:\.\d+)?(?![\w.:/]*[\w:/])/g;
 
 /** @typedef {import("../wire/messages.js").Camera} Camera */
-/** @typedef {{isSevere: boolean, why: string}} Problem grave: nothing it sees is used */
+/** @typedef {{isSevere: boolean, why: string}} Problem severe: none of the camera's detections are used */
 /** @typedef {{timeMs: number, frames: number, dropped: number, broken: number, missing: number}} Counts */
-/** @typedef {{dropped: number, broken: number, missing: number}} Shares of the frames of the last seconds */
+/** @typedef {{dropped: number, broken: number, missing: number}} Shares of the frames in the last seconds */
 
 export class FrameCounters {
   constructor() {
@@ -48,7 +48,7 @@ export class FrameCounters {
     }
   }
 
-  /** @param {string} name @returns {Shares | null} null before there is enough to say */
+  /** @param {string} name @returns {Shares | null} null before the shortest time has passed */
   shares(name) {
     const held = this.counts.get(name) ?? [];
     const [first, last] = [held[0], held.at(-1)];
@@ -62,64 +62,64 @@ export class FrameCounters {
 }
 
 /**
- * What is the matter with a camera, the gravest first; empty while it is well.
+ * Returns a camera's problems. A severe one is returned alone.
  * @param {Camera} camera
  * @param {Shares | null} shares
  * @returns {Problem[]}
  */
 export function cameraProblems(camera, shares) {
-  const grave = reasonForNothing(camera);
-  if (grave) return [{ isSevere: true, why: grave }];
-  return [...ofPlace(camera), ...ofFrames(camera, shares), ...ofPicture(camera)].map((why) => ({ isSevere: false, why }));
+  const severe = severeProblem(camera);
+  if (severe) return [{ isSevere: true, why: severe }];
+  return [...poseProblems(camera), ...frameProblems(camera, shares), ...pictureProblems(camera)].map((why) => ({ isSevere: false, why }));
 }
 
-/** Why nothing of what it sees is used; empty if something is. @param {Camera} camera */
-function reasonForNothing(camera) {
+/** Why none of the camera's detections are used; empty if they are. @param {Camera} camera */
+function severeProblem(camera) {
   switch (camera.status) {
     case "failed":
-      return `${sentence(camera.error || "The source gave no reason")} It is retried automatically.`;
+      return `${sentence(camera.error || "The source failed without a message")} Retrying automatically.`;
     case "starting":
-      return sentence(camera.error || "The source is being opened");
+      return sentence(camera.error || "Opening the source");
     case "finished":
       return "The source has no more frames.";
     default:
   }
   if (!camera.pose) {
-    const why = camera.poseReason ? `: ${camera.poseReason}` : " yet";
-    return `${sentence(`Its place is not known${why}`)} What it sees is not used meanwhile.`;
+    const why = camera.poseReason ? `Pose unknown: ${camera.poseReason}` : "Pose not known yet";
+    return `${sentence(why)} Its detections are not used.`;
   }
-  if (camera.link && !camera.link.connected) return "The program that feeds it is not connected.";
-  if (camera.status === "running" && camera.frames > 0 && camera.rateHz === 0) return "No frames come.";
+  if (camera.link && !camera.link.connected) return "No sender is connected.";
+  if (camera.status === "running" && camera.frames > 0 && camera.rateHz === 0) return "No frames are arriving.";
   return "";
 }
 
 /** @param {Camera} camera */
-function ofPlace({ agreement, clock }) {
+function poseProblems({ agreement, clock }) {
   const found = [];
   const off = agreement && `${fixed(agreement.positionErrorM * 1000, 0)} mm and ${fixed((agreement.rotationErrorRad * 180) / Math.PI, 2)}°`;
-  if (agreement?.state === "quarantined") found.push("It was bumped and is left out until its new place is known.");
-  if (agreement?.state === "suspected") found.push(`Others see elsewhere what it sees, as if it had moved by ${off}: calibrate, or look whether it was bumped.`);
+  if (agreement?.state === "quarantined") found.push("The camera was bumped. It is excluded until its new pose is known.");
+  if (agreement?.state === "suspected") found.push(`Disagrees with the other cameras, as if it had moved by ${off}: calibrate, or check whether it was bumped.`);
   if (clock && clock.deviationMs > CLOCK_MS) {
-    found.push(`Its clock is known to ${fixed(clock.deviationMs, 1)} ms only: what moves is placed less well. It settles once others see the same robots move.`);
+    found.push(`Its clock is known only to ${fixed(clock.deviationMs, 1)} ms, which reduces the accuracy of moving objects. This improves when other cameras see the same robots move.`);
   }
   return found;
 }
 
 /** @param {Camera} camera @param {Shares | null} shares */
-function ofFrames(camera, shares) {
+function frameProblems(camera, shares) {
   const found = [];
   if (camera.rateReason) found.push(sentence(`It ${camera.rateReason}`));
-  const percent = (/** @type {number} */ share) => `${fixed(share * 100, 0)} % of its frames`;
-  if (shares && shares.dropped > DROPPED_SHARE) found.push(`${percent(shares.dropped)} are left out, since this machine does not keep up.`);
-  if (shares && shares.broken > BROKEN_SHARE) found.push(`${percent(shares.broken)} arrive broken: look at cable, network or power.`);
-  if (shares && shares.missing > BROKEN_SHARE) found.push(`${percent(shares.missing)} are lost on the way from the program that feeds it.`);
-  if (camera.latencyMs > LATE_MS) found.push(`What it sees comes ${duration(camera.latencyMs)} late.`);
+  const percent = (/** @type {number} */ share) => `${fixed(share * 100, 0)} % of frames`;
+  if (shares && shares.dropped > DROPPED_SHARE) found.push(`Dropping ${percent(shares.dropped)}: this computer is too slow.`);
+  if (shares && shares.broken > BROKEN_SHARE) found.push(`${percent(shares.broken)} arrive broken: check cable, network and power.`);
+  if (shares && shares.missing > BROKEN_SHARE) found.push(`${percent(shares.missing)} are lost between sender and server.`);
+  if (camera.latencyMs > LATE_MS) found.push(`Detections arrive ${duration(camera.latencyMs)} late.`);
   return found;
 }
 
 /** @param {Camera} camera */
-function ofPicture({ blurPx }) {
-  return blurPx !== null && blurPx > BLURRED_PX ? [`Its picture is blurred by ${fixed(blurPx, 1)} px: focus it, or shorten its exposure.`] : [];
+function pictureProblems({ blurPx }) {
+  return blurPx !== null && blurPx > BLURRED_PX ? [`The picture is blurred by ${fixed(blurPx, 1)} px: focus the lens or shorten the exposure.`] : [];
 }
 
 /** @param {string} words */
@@ -128,17 +128,25 @@ function sentence(words) {
 }
 
 /**
- * All cameras in a sentence.
- * @param {number} all
- * @param {number} ill
+ * Summarises all cameras: "1 camera failed, 3 degraded". A camera with a severe problem whose source has not failed is
+ * "not in use".
+ * @param {{camera: Camera, problems: Problem[]}[]} cameras
  */
-export function healthSummary(all, ill) {
-  if (all === 0) return "No cameras";
-  if (ill === 0) return all === 1 ? "Camera well" : `All ${whole(all)} cameras well`;
-  return `${whole(ill)} of ${whole(all)} ${all === 1 ? "camera" : "cameras"} unwell`;
+export function healthSummary(cameras) {
+  if (cameras.length === 0) return "No cameras";
+  const states = cameras.map(({ camera, problems }) => {
+    if (problems.length === 0) return "OK";
+    return camera.status === "failed" ? "failed" : problems[0].isSevere ? "not in use" : "degraded";
+  });
+  const counts = ["failed", "not in use", "degraded"]
+    .map((state) => ({ state, count: states.filter((one) => one === state).length }))
+    .filter(({ count }) => count > 0);
+  if (counts.length === 0) return cameras.length === 1 ? "Camera OK" : `All ${whole(cameras.length)} cameras OK`;
+  const unit = counts[0].count === 1 ? "camera" : "cameras";
+  return counts.map(({ state, count }, i) => `${whole(count)} ${i === 0 ? `${unit} ` : ""}${state}`).join(", ");
 }
 
-/** How late snapshots are, over the last minute. */
+/** Latencies of the snapshots in the last minute. */
 export class Latencies {
   constructor() {
     this.values = new Float32Array(3600);
@@ -158,14 +166,14 @@ export class Latencies {
     this.count = 0;
   }
 
-  /** So much of all are below. @param {number[]} shares @returns {(number | null)[]} ms */
+  /** Quantiles of the latencies. @param {number[]} shares @returns {(number | null)[]} ms */
   quantiles(shares) {
     const sorted = this.values.slice(0, this.count).sort();
     return shares.map((share) => (this.count > 0 ? sorted[Math.min(this.count - 1, Math.floor(share * this.count))] : null));
   }
 
   /**
-   * Shares by lateness, in even steps up to where nearly all lie; the last one holds what is beyond.
+   * Histogram with even steps that hold nearly all values; the last step also holds all larger ones.
    * @param {number} steps
    * @returns {{stepMs: number, shares: number[]}}
    */
@@ -179,10 +187,10 @@ export class Latencies {
 }
 
 /**
- * Groups cameras with the same problems. Numbers may differ: "39 % of its frames" and "35 % of its frames" are combined
- * as "35 to 39 %".
+ * Groups cameras with the same problems. Numbers may differ: "Dropping 39 % of frames" and "Dropping 35 % of frames"
+ * become "Dropping 35–39 % of frames".
  * @param {{name: string, problems: Problem[]}[]} cameras
- * @returns {{names: string[], why: string, isSevere: boolean}[]} in the order of the first of each
+ * @returns {{names: string[], why: string, isSevere: boolean}[]} ordered by each group's first camera
  */
 export function groupProblems(cameras) {
   /** @type {Map<string, {names: string[], words: string[], isSevere: boolean}>} */
@@ -198,7 +206,7 @@ export function groupProblems(cameras) {
   return [...groups.values()].map(({ names, words, isSevere }) => ({ names, why: spanned(words), isSevere }));
 }
 
-/** Texts that differ in their numbers alone, as one. @param {string[]} words */
+/** Merges texts that differ only in their numbers into one with ranges. @param {string[]} words */
 function spanned(words) {
   const numbers = words.map((text) => text.match(NUMBER) ?? []);
   let place = 0;
@@ -206,6 +214,6 @@ function spanned(words) {
     const here = numbers.map((all) => all[place]).sort((a, b) => Number(a) - Number(b));
     place += 1;
     const [least, most] = [here[0], here[here.length - 1]];
-    return least === most ? least : `${least} to ${most}`;
+    return least === most ? least : `${least}–${most}`;
   });
 }

@@ -1,26 +1,26 @@
 /**
- * The last minute of all objects, ten times a second: for trails, plots, and to look back.
+ * The last minute of all objects, ten frames a second, for trails, plots and the time line.
  *
- * Numbers lie in typed arrays that are used again, so that a page that stays open for months does not grow. Between two
- * frames a position is the cubic through both places with both velocities (Hermite), which at 10 Hz follows a robot
- * that accelerates at 2 m/s² to a hundredth of a millimetre.
+ * Values are stored in typed arrays that are reused, so that the memory of a page that stays open does not grow. Between
+ * two frames a position is interpolated by the cubic through both positions and velocities (Hermite); at 10 Hz its error
+ * for a robot that accelerates at 2 m/s² is a hundredth of a millimetre.
  */
 
 import { ObjectState, STAGES } from "./object-state.js";
 
-/** How far back one can look, ms. */
+/** Length of the history, ms. */
 export const HISTORY_MS = 60_000;
-/** Between two frames, ms. */
+/** Interval between two frames, ms. */
 export const FRAME_MS = 100;
 /** Frames further apart than this are not interpolated, ms. */
 export const GAP_MS = 500;
-/** For so long what was last known counts; further from any frame nothing is known: the page was not connected. */
+/** Time for which a frame is valid if no other follows, as after a lost connection, ms. */
 const HELD_MS = 2500;
-/** Numbers kept of an object: position, velocity, quaternion, upper triangle of the position's covariance, variances of
- * the rotation, age, residual. What is not known is NaN. */
+/** Numbers stored for an object: position, velocity, quaternion, upper triangle of the position's covariance, variances
+ * of the rotation, age, residual. Unknown values are NaN. */
 const WIDTH = 21;
 const [VELOCITY, TURN, COVARIANCE, ROTATION, AGE, RESIDUAL] = [3, 6, 10, 16, 19, 20];
-/** Places of what is kept of the 21 numbers of a covariance. */
+/** Indices of the stored values in the 21 numbers of a covariance. */
 const POSITION_ENTRIES = [0, 1, 2, 6, 7, 11];
 const ROTATION_ENTRIES = [15, 18, 20];
 /** 32-bit words of an object's camera bits. Further cameras are not stored. */
@@ -31,12 +31,12 @@ const CAMERA_WORDS = 4;
 
 export class History {
   constructor() {
-    /** @type {Frame[]} a ring of frames */
+    /** @type {Frame[]} ring buffer */
     this.frames = [];
-    /** Where the next one goes, and how many there are. */
+    /** Index of the next frame, and number of frames. */
     this.next = 0;
     this.count = 0;
-    /** @type {Map<number, Identity>} what does not change from frame to frame */
+    /** @type {Map<number, Identity>} values that do not change from frame to frame */
     this.identities = new Map();
     /** @type {string[]} by bit */
     this.cameraNames = [];
@@ -63,12 +63,12 @@ export class History {
   }
 
   /**
-   * Takes a snapshot, unless the last frame is too new.
+   * Stores a snapshot if the last frame is old enough.
    * @param {number} timeMs
    * @param {ObjectState[]} objects
    */
   take(timeMs, objects) {
-    // A little early counts: snapshots come at 60 Hz, and six of them are 100 ms but for rounding.
+    // The tolerance is for rounding: six snapshots at 60 Hz are 100 ms.
     if (this.newestMs !== null && timeMs - this.newestMs < FRAME_MS - 5) return;
     const frame = this.slot(objects.length);
     frame.timeMs = timeMs;
@@ -81,13 +81,13 @@ export class History {
     this.forgetGone();
   }
 
-  /** What lies at the next place is the newest. */
+  /** Makes the frame at `next` the newest. */
   advance() {
     this.next = (this.next + 1) % this.frames.length;
     this.count = Math.min(this.count + 1, this.frames.length);
   }
 
-  /** The frame to be written next, with capacity for the objects. @param {number} objects @returns {Frame} */
+  /** Returns the frame to write next, with capacity for the objects. @param {number} objects @returns {Frame} */
   slot(objects) {
     if (this.frames.length === 0) {
       const length = HISTORY_MS / FRAME_MS + 1;
@@ -136,7 +136,7 @@ export class History {
     }
   }
 
-  /** A frame of these alone, in as much room as they need; it is not remembered. @param {number} timeMs @param {ObjectState[]} objects by id @returns {Frame} */
+  /** Packs objects into a frame of exactly their size, without storing it. @param {number} timeMs @param {ObjectState[]} objects by id @returns {Frame} */
   pack(timeMs, objects) {
     const frame = makeFrame(objects.length);
     frame.timeMs = timeMs;
@@ -145,14 +145,14 @@ export class History {
     return frame;
   }
 
-  /** Takes a frame that another history has packed. @param {Frame} frame */
+  /** Stores a frame that another history has packed. @param {Frame} frame */
   adopt(frame) {
     this.slot(0);
     this.frames[this.next] = frame;
     this.advance();
   }
 
-  /** Who is who, of objects that are in no frame any more; not each time, since that takes its time. */
+  /** Removes identities of objects that are in no frame any more. Does nothing until there are many, since it is slow. */
   forgetGone() {
     if (this.identities.size <= 2 * this.frame(0).count + 100) return;
     const kept = new Set();
@@ -163,7 +163,7 @@ export class History {
     for (const id of this.identities.keys()) if (!kept.has(id)) this.identities.delete(id);
   }
 
-  /** How old the newest frame is that is no newer than this; `count` if there is none. @param {number} timeMs */
+  /** Age, in frames, of the newest frame that is not newer than `timeMs`; `count` if there is none. @param {number} timeMs */
   backTo(timeMs) {
     let [newer, older] = [0, this.count];
     while (newer < older) {
@@ -175,9 +175,9 @@ export class History {
   }
 
   /**
-   * All objects at a time within the history.
+   * All objects at a time in the history.
    * @param {number} timeMs
-   * @returns {ObjectState[]} by id; none before the first frame, and none within a gap
+   * @returns {ObjectState[]} by id; empty before the first frame and in a gap
    */
   at(timeMs) {
     const back = this.backTo(timeMs);
@@ -191,7 +191,7 @@ export class History {
     return states;
   }
 
-  /** One of them; null if it was not there. @param {number} id @param {number} timeMs @returns {ObjectState | null} */
+  /** One object at a time in the history; null if it was not there. @param {number} id @param {number} timeMs @returns {ObjectState | null} */
   one(id, timeMs) {
     const back = this.backTo(timeMs);
     if (back >= this.count || timeMs - this.frame(back).timeMs > HELD_MS) return null;
@@ -241,7 +241,7 @@ export class History {
   }
 
   /**
-   * Where an object was, from older to newer.
+   * Visits an object's positions from old to new.
    * @param {number} id
    * @param {number} fromMs
    * @param {number} toMs
@@ -251,7 +251,7 @@ export class History {
   trace(id, fromMs, toMs, stride, visit) {
     const newest = this.backTo(toMs);
     let hint = 0;
-    // Counted from the ring's own places, so that consecutive snapshots visit the same frames.
+    // Strides are counted in indices of the ring buffer, so that consecutive snapshots visit the same frames.
     for (let back = Math.min(this.backTo(fromMs), this.count - 1); back >= newest; back -= 1) {
       if (stride > 1 && (this.next - 1 - back + this.frames.length) % stride !== 0) continue;
       const frame = this.frame(back);
@@ -265,9 +265,9 @@ export class History {
   }
 
   /**
-   * An object's states, from older to newer, as they were received.
+   * An object's states as received, from old to new.
    * @param {number} id
-   * @param {number} [sinceMs] only those after this
+   * @param {number} [sinceMs] only states after this time
    * @returns {{timeMs: number, state: ObjectState}[]}
    */
   of(id, sinceMs = -Infinity) {
@@ -284,19 +284,19 @@ export class History {
   }
 }
 
-/** @param {number} room @returns {Frame} */
-function makeFrame(room) {
+/** @param {number} capacity in objects @returns {Frame} */
+function makeFrame(capacity) {
   return {
     timeMs: 0,
     count: 0,
-    ids: new Float64Array(room),
-    values: new Float32Array(room * WIDTH),
-    cameras: new Int32Array(room * CAMERA_WORDS),
-    flags: new Uint8Array(room),
+    ids: new Float64Array(capacity),
+    values: new Float32Array(capacity * WIDTH),
+    cameras: new Int32Array(capacity * CAMERA_WORDS),
+    flags: new Uint8Array(capacity),
   };
 }
 
-/** Where an object lies in a frame; -1 where it does not. @param {Frame} frame @param {number} id @param {number} hint */
+/** Index of an object in a frame, or -1. `hint` is tried first. @param {Frame} frame @param {number} id @param {number} hint */
 export function placeIn(frame, id, hint) {
   if (hint < frame.count && frame.ids[hint] === id) return hint;
   let [low, high] = [0, frame.count];
@@ -309,7 +309,7 @@ export function placeIn(frame, id, hint) {
 }
 
 /**
- * The cubic with the places and velocities of both ends; a straight line where a velocity is not known.
+ * Cubic Hermite interpolation; linear if a velocity is unknown.
  * @param {Float32Array} from
  * @param {number} a
  * @param {Float32Array} to
@@ -324,7 +324,7 @@ function hermite(from, a, to, b, t, spanS) {
   return (2 * t3 - 3 * t2 + 1) * p + (t3 - 2 * t2 + t) * u + (3 * t2 - 2 * t3) * q + (t3 - t2) * v;
 }
 
-/** The kept ones in their places of 21 numbers. @param {Float32Array} values @param {number} at */
+/** Expands the stored values to 21 numbers; the others are 0. @param {Float32Array} values @param {number} at */
 function covarianceOf(values, at) {
   if (Number.isNaN(values[at + COVARIANCE])) return null;
   const covariance = new Array(21).fill(0);

@@ -1,4 +1,4 @@
-/** One object at one instant: what the wire says of it, and what follows from that once somebody asks. */
+/** State of one object at one instant. Derived values are computed on demand. */
 
 import { errorEllipse, headingRad, longestSemiaxis, sigmasM, tiltRad } from "../base/geometry.js";
 
@@ -7,17 +7,17 @@ import { errorEllipse, headingRad, longestSemiaxis, sigmasM, tiltRad } from "../
 /** @typedef {"tentative" | "tracked" | "predicted" | "lost" | "unspecified"} Stage */
 /** @typedef {{majorM: number, minorM: number, angleRad: number}} ErrorEllipse */
 
-/** Stages by their number in the wire's enumeration. @type {Stage[]} */
+/** Life stages by their number in the protobuf enumeration. @type {Stage[]} */
 export const STAGES = ["unspecified", "tentative", "tracked", "predicted", "lost"];
 /** The 0.95 quantile of chi squared with three degrees of freedom. */
 export const CHI2_95_3D = 7.814727903;
-/** The 0.975 quantile of a normal distribution: what holds 95 % to both sides. */
+/** The 0.975 quantile of a normal distribution, for two-sided 95 % intervals. */
 const NORMAL_95 = 1.959963985;
-/** Places of the variances of rotation in the 21 numbers of the upper triangle. */
+/** Indices of the rotation's variances in the 21 numbers of the upper triangle. */
 const ROTATION_ENTRIES = [15, 18, 20];
 
 /**
- * 21 numbers, or what gives them once somebody asks: most objects' are never looked at.
+ * 21 numbers, or a function that returns them: most covariances are never read.
  * @typedef {ArrayLike<number> | (() => ArrayLike<number> | null)} Covariance
  */
 
@@ -31,12 +31,12 @@ const ROTATION_ENTRIES = [15, 18, 20];
  * @property {boolean} yawObserved
  * @property {boolean} isHeadingAmbiguous the opposite heading looks the same
  * @property {Vector3 | null} velocityMS
- * @property {Covariance | null} covariance null where it was left out
+ * @property {Covariance | null} covariance null if it was not sent
  * @property {string[]} cameras
  * @property {number | null} ageMs
  * @property {number | null} residual
  * @property {string} roundel
- * @property {{bits: number, number: number} | null} code what its teeth say, if it has any
+ * @property {{bits: number, number: number} | null} code null until one is read
  */
 
 export class ObjectState {
@@ -57,7 +57,7 @@ export class ObjectState {
     this.residual = values.residual;
     this.roundel = values.roundel;
     this.code = values.code;
-    /** @type {ErrorEllipse | null | undefined} not computed yet: most objects' is never asked for */
+    /** @type {ErrorEllipse | null | undefined} undefined until it is computed */
     this.cachedEllipse = undefined;
   }
 
@@ -67,7 +67,7 @@ export class ObjectState {
     return this.covarianceSource;
   }
 
-  /** What a person calls it. */
+  /** Name, or id without a name. */
   get label() {
     return this.name || String(this.id);
   }
@@ -99,18 +99,18 @@ export class ObjectState {
     return { x, y, z };
   }
 
-  /** 95 %, floor plane. */
+  /** 95 % error ellipse in the floor plane. */
   get ellipse() {
     if (this.cachedEllipse === undefined) this.cachedEllipse = this.covariance && errorEllipse(this.covariance);
     return this.cachedEllipse;
   }
 
-  /** How far off the position is at most, in 95 of 100 cases: the 95 % ellipsoid's longest semiaxis. */
+  /** Longest semi-axis of the position's 95 % ellipsoid. */
   get error95M() {
     return this.covariance && Math.sqrt(CHI2_95_3D) * longestSemiaxis(this.covariance);
   }
 
-  /** How far off the heading is at most, in 95 of 100 cases; null without a heading. */
+  /** Half the 95 % interval of the heading; null without a heading. */
   get headingError95Rad() {
     const sigma = this.yawObserved ? this.sigmaRad : null;
     return sigma && NORMAL_95 * sigma.z;

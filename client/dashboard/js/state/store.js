@@ -1,7 +1,7 @@
 /**
- * All that the page knows, in one place: the newest snapshot, the last minute, cameras, events, selection.
+ * State of the page: the newest snapshot, the last minute, cameras, events, selection.
  *
- * Views subscribe to a topic and read; only the functions here change anything.
+ * Views subscribe to topics and read the state; only the methods here change it.
  */
 
 import { Latencies, FrameCounters } from "./camera-health.js";
@@ -11,24 +11,24 @@ import { Track } from "./track.js";
 
 /** Length of a trail, ms. */
 export const TRAIL_MS = 5000;
-/** How long an object that was given up stays in view, ms of pose time. */
+/** Time for which a lost object stays in view, ms of pose time. */
 const LOST_SHOWN_MS = 4000;
-/** Events remembered. */
+/** Largest number of stored events. */
 const MAX_EVENTS = 200;
-/** Without a report for this time, the data's age grows with the clock, ms. */
+/** Time without a report after which the data's age grows with the clock, ms. */
 const SILENT_MS = 500;
-/** A pose time older than the previous one by this means that a replay went back, ms. */
+/** Decrease of the pose time that means a backward seek of a replay, ms. */
 const BACK_MS = 500;
 
 /** @typedef {import("./object-state.js").ObjectState} ObjectState */
 /** @typedef {import("./history.js").Frame} Frame */
 /**
- * What the page needs to know of a snapshot, as worker-runtime.js packs it.
+ * A snapshot as worker-runtime.js packs it for the page.
  * @typedef {object} PackedSnapshot
  * @property {string} sourceId
  * @property {Frame} frame
- * @property {Frame} lost those that were given up of late and are shown for a while
- * @property {[number, import("./history.js").Identity][]} identities that are new or have changed, by id
+ * @property {Frame} lost recently lost objects that are still shown
+ * @property {[number, import("./history.js").Identity][]} identities new or changed identities, by id
  * @property {string[]} cameraNames
  */
 /** @typedef {"snapshot" | "report" | "time" | "cameras" | "events" | "selection" | "connection" | "info"} Topic */
@@ -36,53 +36,55 @@ const BACK_MS = 500;
 
 export class Store {
   constructor() {
-    /** @type {{sourceId: string, poseTimeMs: number} | null} the newest */
+    /** @type {{sourceId: string, poseTimeMs: number} | null} the newest snapshot */
     this.snapshot = null;
-    /** @type {Map<number, Track>} by object id: as of the newest snapshot */
+    /** @type {Map<number, Track>} objects of the newest snapshot, by id */
     this.live = new Map();
-    /** The last minute of all of them. */
+    /** The last minute of all objects. */
     this.history = new History();
-    /** How cameras' counts have grown of late, and how late snapshots were. */
+    /** Recent frame counts of the cameras. */
     this.frameCounters = new FrameCounters();
     this.latencies = new Latencies();
-    /** @type {number | null} what instant is shown, in pose time; null: now */
+    /** @type {number | null} pose time of the instant shown; null: now */
     this.pastMs = null;
-    /** @type {Map<number, Track>} the objects of that instant */
+    /** @type {Map<number, Track>} objects at that instant, by id */
     this.past = new Map();
     /** @type {import("../wire/messages.js").Camera[]} */
     this.cameras = [];
-    /** True once the server has said which cameras there are, be it none. */
+    /** True once the server has sent its list of cameras, even an empty one. */
     this.camerasKnown = false;
     /** @type {(import("../wire/messages.js").Event & {connectionNumber: number})[]} newest first */
     this.events = [];
-    /** Counts the connections, to tell what came over an earlier one. */
+    /** Number of the current connection, to recognise events of earlier ones. */
     this.connectionNumber = 0;
     /** @type {import("../wire/messages.js").ServerInfo | null} */
     this.info = null;
-    /** @type {ReplayState | null} how a recording is played; null: what comes is live */
+    /** @type {import("./session.js").Session | null} null: the server has no sessions, or has not answered yet */
+    this.session = null;
+    /** @type {ReplayState | null} state of the replay; null: live */
     this.replay = null;
     /** @type {import("../wire/connection.js").ConnectionState} */
     this.connection = { phase: "connecting", sinceMs: performance.now(), retryAtMs: null };
-    /** @type {import("./stream-statistics.js").StreamReport} how the stream fares */
+    /** @type {import("./stream-statistics.js").StreamReport} */
     this.report = { rateHz: null, ageMs: null, receivedAtMs: null, missed: 0, latenciesMs: [] };
-    /** `performance.now()` of that. */
+    /** `performance.now()` of the last report. */
     this.reportedAtMs = 0;
     /** @type {number | null} id of the selected object */
     this.selected = null;
-    /** @type {ObjectState | null} last values of the selected object, also after it has gone */
+    /** @type {ObjectState | null} last values of the selected object, kept after it is gone */
     this.selectedState = null;
-    /** True while the arena keeps the selected object in its middle. */
+    /** True while the arena keeps the selected object centred. */
     this.following = false;
     /** @type {Map<Topic, Set<() => void>>} */
     this.listeners = new Map();
   }
 
-  /** What is shown: now, or the instant that is looked back at. */
+  /** Objects shown: now, or at the past instant. */
   get tracks() {
     return this.pastMs === null ? this.live : this.past;
   }
 
-  /** Pose time of what is shown, ms. */
+  /** Pose time shown, ms. */
   get shownMs() {
     return this.pastMs ?? this.snapshot?.poseTimeMs ?? 0;
   }
@@ -125,8 +127,8 @@ export class Store {
     }
     for (const [id, track] of this.live) {
       if (live.has(id)) continue;
-      // Given up objects are named once and then left out. They stay a while, so that an eye that
-      // was elsewhere still finds where one was last; what vanishes otherwise goes at once.
+      // The server sends a lost object once. It stays in view for a while; an object that vanishes
+      // otherwise is removed at once.
       const shownUntilMs = track.lostAtMs === null ? 0 : track.lostAtMs + LOST_SHOWN_MS;
       if (snapshot.poseTimeMs > shownUntilMs) this.live.delete(id);
     }
@@ -134,7 +136,7 @@ export class Store {
     this.finish();
   }
 
-  /** The same of a snapshot that was read elsewhere. @param {PackedSnapshot} packed */
+  /** Stores a snapshot that the worker has decoded and packed. @param {PackedSnapshot} packed */
   takePackedSnapshot({ sourceId, frame, lost, identities, cameraNames }) {
     this.begin({ sourceId, poseTimeMs: frame.timeMs });
     const { history, live } = this;
@@ -164,13 +166,13 @@ export class Store {
   }
 
   finish() {
-    // What is looked at must not fall out of memory under one's eyes without a word.
+    // If the instant shown leaves the history, show the oldest one.
     if (this.pastMs !== null && this.pastMs < (this.history.oldestMs ?? 0)) this.seekTo(this.history.oldestMs);
     this.carryCameras();
     this.emit("snapshot");
   }
 
-  /** Moves the cameras that ride to where their objects are in the newest snapshot. */
+  /** Updates the poses of mounted cameras from the newest snapshot. */
   carryCameras() {
     if (!this.cameras.some((camera) => camera.mount)) return;
     const objects = [...this.live.values()].map(({ state }) => state);
@@ -181,7 +183,7 @@ export class Store {
   takeReport(report) {
     this.report = report;
     this.reportedAtMs = performance.now();
-    // What is played was late then, not now.
+    // Latencies in a replay are not those of this server.
     if (!this.info?.replays) for (const latencyMs of report.latenciesMs) this.latencies.take(latencyMs);
     this.emit("report");
   }
@@ -203,7 +205,7 @@ export class Store {
   }
 
   /**
-   * Shows an instant of the last minute in place of now; null: now again.
+   * Shows an instant of the last minute; null returns to now.
    * @param {number | null} timeMs
    */
   seekTo(timeMs) {
@@ -220,7 +222,7 @@ export class Store {
 
   /** @param {import("../wire/messages.js").Event} event */
   takeEvent(event) {
-    // Each connection begins with events that the server remembers; those known are replaced.
+    // Each connection begins with the server's recent events; known ones are replaced.
     const others = this.events.filter((known) => known.sequence !== event.sequence);
     others.push({ ...event, connectionNumber: this.connectionNumber });
     others.sort((a, b) => b.sequence - a.sequence);
@@ -228,7 +230,7 @@ export class Store {
     this.emit("events");
   }
 
-  /** Drops how objects came to where they are; who they are stays. */
+  /** Clears tracks, history and latencies. */
   clearTracks() {
     this.live.clear();
     this.history.clear();
@@ -236,10 +238,10 @@ export class Store {
     if (this.pastMs !== null) this.seekTo(null);
   }
 
-  /** Drops what belongs to another run of the server. */
+  /** Clears everything that belongs to an earlier run of the server. */
   forget() {
     this.clearTracks();
-    // The new run's first events come before its first snapshot, which is what gave it away.
+    // The new run's first events arrive before its first snapshot, by which it is recognised.
     this.events = this.events.filter((event) => event.connectionNumber === this.connectionNumber);
     this.select(null);
     this.emit("events");
@@ -249,6 +251,11 @@ export class Store {
   setInfo(info) {
     this.info = info;
     this.emit("info");
+  }
+
+  /** @param {import("./session.js").Session | null} session */
+  setSession(session) {
+    this.session = session;
   }
 
   /** @param {ReplayState | null} replay */
@@ -294,7 +301,7 @@ export class Store {
     return [...this.tracks.values()].sort((a, b) => a.id - b.id);
   }
 
-  /** Age of the newest capture that the page shows, ms: as reported, unless no report has come since. */
+  /** Age of the newest capture shown, ms: as reported, plus the time since the last report if that is long. */
   dataAgeMs() {
     const { ageMs } = this.report;
     const silentMs = performance.now() - this.reportedAtMs;
@@ -302,7 +309,7 @@ export class Store {
   }
 }
 
-/** Whether a frame has an object, which may lie where it lay before. @param {Frame} frame @param {number} id @param {number} hint */
+/** Whether a frame has an object. @param {Frame} frame @param {number} id @param {number} hint */
 function isIn(frame, id, hint) {
   return placeIn(frame, id, hint) >= 0;
 }

@@ -1,19 +1,18 @@
-/** Rate, latency and age of the stream's snapshots. Pure: the time is an argument. */
+/** Rate, latency and age of the stream's snapshots. The time is an argument. */
 
-/** Window over which the snapshots are counted, ms. */
+/** Window of the snapshot rate, ms. */
 const RATE_WINDOW_MS = 2000;
-/** After less than this a rate says nothing, ms. */
+/** Shortest window for which a rate is reported, ms. */
 const LEAST_WINDOW_MS = 500;
 
 /**
  * @typedef {object} StreamReport
- * @property {number | null} rateHz snapshots a second over the last two; null before there is enough to say
- * @property {number | null} ageMs of the newest capture: what passed on the server until it was sent, by the server's
- *   clock, and what has passed here since it came, by this machine's. The way between is not in it, but no difference of
- *   two machines' clocks is either
- * @property {number | null} receivedAtMs when the newest snapshot came, since the Unix epoch
+ * @property {number | null} rateHz snapshots per second; null while the window is too short
+ * @property {number | null} ageMs age of the newest capture: from capture to sending by the server's clock, plus the time
+ *   since its arrival by this machine's clock. It does not include the network, and does not compare the two clocks
+ * @property {number | null} receivedAtMs arrival of the newest snapshot, since the Unix epoch
  * @property {number} missed snapshots that this page was too slow for
- * @property {number[]} latenciesMs of the snapshots since the report before: from the capture to the sending
+ * @property {number[]} latenciesMs from capture to sending, of the snapshots since the last report
  */
 
 export class StreamStatistics {
@@ -30,7 +29,7 @@ export class StreamStatistics {
     this.latencies = [];
   }
 
-  /** A connection begins, or ends. @param {number} nowMs */
+  /** Restarts the rate when a connection begins or ends. @param {number} nowMs */
   begin(nowMs) {
     this.beganMs = nowMs;
     this.arrivals = [];
@@ -38,7 +37,7 @@ export class StreamStatistics {
 
   /** @param {import("../wire/messages.js").Snapshot} snapshot @param {number} nowMs */
   take({ sourceId, latencyMs, missed }, nowMs) {
-    // A server that has started again has had us miss nothing yet.
+    // Counts start at zero with another run of the server.
     if (sourceId !== this.sourceId) this.missed = 0;
     this.sourceId = sourceId;
     this.missed += missed;

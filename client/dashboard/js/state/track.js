@@ -1,4 +1,4 @@
-/** An object as it is now: as it was read, or where it lies in a frame of the history, to be read once somebody asks. */
+/** Current state of an object: decoded, or its place in a packed frame, which is decoded on demand. */
 
 import { STAGES } from "./object-state.js";
 
@@ -9,7 +9,7 @@ export class Track {
   /** @param {number} id */
   constructor(id) {
     this.id = id;
-    /** @type {number | null} pose time of when it was given up, ms */
+    /** @type {number | null} pose time when it was lost, ms */
     this.lostAtMs = null;
     /** @type {ObjectState | null} */
     this.held = null;
@@ -24,7 +24,7 @@ export class Track {
     return track;
   }
 
-  /** It lies there from now on. @param {import("./history.js").History} history @param {Frame} frame @param {number} at */
+  /** Sets its place in a packed frame. @param {import("./history.js").History} history @param {Frame} frame @param {number} at */
   lie(history, frame, at) {
     this.held = null;
     this.place = { history, frame, at };

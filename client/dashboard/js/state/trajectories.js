@@ -1,31 +1,31 @@
 /**
- * Trajectories of the server's history, and a heat map of how long each place was occupied. Pure functions without DOM.
+ * Trajectories from the server's history, and a heat map of the time that each cell was occupied. Pure functions.
  */
 
 import { roundStep } from "../base/geometry.js";
 import { count, list, milliseconds, number, text, vector } from "../base/validate.js";
 
-/** Points further apart than this number of the history's steps are not joined. */
+/** Points that are more steps of the history apart than this are not joined. */
 const GAP_STEPS = 3.5;
-/** Cells of a heat map along the longer side, about. */
+/** Approximate number of cells along the longer side of a heat map. */
 const CELLS = 64;
 const LEAST_CELL_M = 0.02;
 
 /**
- * One object in one run of the server.
+ * Trajectory of one object in one run of the server.
  * @typedef {object} Trajectory
  * @property {number} id
- * @property {string} label what a person calls it
+ * @property {string} label name, code or id
  * @property {number} hue of its line, degrees
  * @property {number} count
  * @property {Float64Array} timesMs
- * @property {Float32Array} places x, y, z of each
+ * @property {Float32Array} places x, y, z of each point
  */
 /** @typedef {{trajectories: Trajectory[], points: number, stepS: number, oldestMs: number | null, newestMs: number | null}} Trajectories */
-/** Cells from the lower left one on, row by row; what each holds is seconds. @typedef {{minX: number, minY: number, cellM: number, columns: number, rows: number, seconds: Float32Array, mostS: number}} HeatMap */
-/** What is laid over the arena: the heat in place of the trajectories, where there is one. @typedef {{trajectories: Trajectories, heat: HeatMap | null}} HistoryOverlay */
+/** Seconds in each cell, row by row from the lower left one. @typedef {{minX: number, minY: number, cellM: number, columns: number, rows: number, seconds: Float32Array, mostS: number}} HeatMap */
+/** Drawn over the arena: the heat map if there is one, else the trajectories. @typedef {{trajectories: Trajectories, heat: HeatMap | null}} HistoryOverlay */
 
-/** @param {any} raw an answer of /api/v1/history @returns {Trajectories} */
+/** @param {any} raw response of /api/v1/history @returns {Trajectories} */
 export function readTrajectories(raw) {
   const stepS = count(raw?.step_s);
   const trajectories = list(raw?.objects).map((one, i) => readTrajectory(one, i));
@@ -47,12 +47,12 @@ function readTrajectory(raw, i) {
   }
   const code = number(raw?.code);
   const label = text(raw?.name) || (code ? `#${code}` : String(count(raw?.object_id)));
-  // By the golden angle: neighbours differ most.
+  // The golden angle makes neighbours differ most.
   return { id: count(raw?.object_id), label, hue: (312 + i * 137.5) % 360, count: kept, timesMs, places };
 }
 
 /**
- * A trajectory's lines, one call for each place; `joined` where a line leads there from the one before.
+ * Visits the points of a trajectory; `joined` if a line connects it to the previous one.
  * @param {Trajectory} trajectory
  * @param {number} stepS
  * @param {(i: number, joined: boolean) => void} visit
@@ -65,7 +65,7 @@ export function eachPoint(trajectory, stepS, visit) {
 }
 
 /**
- * How long each cell of the floor was taken; every point stands for the time until the next one.
+ * Computes how long each cell of the floor was occupied; every point counts for one step.
  * @param {Trajectories} trajectories
  * @returns {HeatMap | null} null without points
  */
@@ -81,7 +81,7 @@ export function computeHeatMap({ trajectories, stepS }) {
   }
   if (minX > maxX) return null;
   const cellM = Math.max(LEAST_CELL_M, roundStep(Math.max(LEAST_CELL_M, (Math.max(maxX - minX, maxY - minY) / CELLS) * 2)));
-  // Cells lie on round numbers, so that those of two maps are the same.
+  // Cell borders are multiples of the cell size, so that two maps have the same cells.
   const [left, low] = [Math.floor(minX / cellM), Math.floor(minY / cellM)];
   const columns = Math.floor(maxX / cellM) - left + 1;
   const rows = Math.floor(maxY / cellM) - low + 1;
@@ -97,13 +97,13 @@ export function computeHeatMap({ trajectories, stepS }) {
   return { minX: left * cellM, minY: low * cellM, cellM, columns, rows, seconds, mostS };
 }
 
-/** How dark a cell is drawn, 0 to 1: what was taken seldom is seen, too. @param {number} seconds @param {number} mostS */
+/** Opacity of a cell, 0 to 1; briefly occupied cells stay visible. @param {number} seconds @param {number} mostS */
 export function heatOpacity(seconds, mostS) {
   return seconds > 0 ? 0.12 + 0.68 * Math.sqrt(seconds / mostS) : 0;
 }
 
 /**
- * The place of all trajectories that is nearest to a point of the floor.
+ * Finds the trajectory point nearest to a point of the floor.
  * @param {Trajectories} trajectories
  * @param {number} x
  * @param {number} y

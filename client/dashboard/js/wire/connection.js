@@ -1,15 +1,15 @@
 /**
- * The stream from the server: opens it, notices when it has gone, and opens it again.
+ * The stream from the server, reopened with backoff after a loss.
  *
- * A broken network often leaves a socket open without a word, so silence counts as loss too: the
- * server sends the cameras twice a second, whatever the robots do.
+ * A broken network often leaves a socket open. A time without messages therefore counts as a loss:
+ * the server sends the cameras twice a second.
  */
 
 import { decodeMessage } from "./messages.js";
 
-/** How messages may be written, what is best first. A server that knows neither speaks JSON. */
+/** Subprotocols, the preferred one first. A server that supports neither sends JSON. */
 const PROTOCOLS = ["roundel.v1.protobuf", "roundel.v1.json"];
-/** Silence after which the connection counts as lost, ms. Six of the twice-a-second messages. */
+/** Time without messages after which the connection counts as lost, ms. */
 const SILENCE_MS = 3000;
 /** First and longest pause before another attempt, ms. */
 const FIRST_PAUSE_MS = 500;
@@ -72,7 +72,7 @@ export function connect(url, { onMessage, onState }) {
 
   function lose() {
     clearTimeout(silenceTimer);
-    // Taken away first, so that the close this causes is not counted as a second loss.
+    // Cleared first, so that the close event is not counted as a second loss.
     const old = socket;
     socket = null;
     old?.close();
@@ -89,7 +89,7 @@ export function connect(url, { onMessage, onState }) {
     if (state.phase === "lost" && socket === null) open();
   };
 
-  // An attempt may succeed now where the last ones did not.
+  // The network is back: retry at once.
   addEventListener("online", retryNow);
 
   onState(state);
@@ -98,8 +98,8 @@ export function connect(url, { onMessage, onState }) {
 }
 
 /**
- * Grows by doubling; the jitter keeps many pages from returning to a restarted server at once.
- * @param {number} attempts that have failed
+ * Exponential backoff with jitter, which keeps many pages from reconnecting at the same time.
+ * @param {number} attempts number of failed attempts
  */
 function pauseMs(attempts) {
   const pause = Math.min(FIRST_PAUSE_MS * 2 ** attempts, LONGEST_PAUSE_MS);

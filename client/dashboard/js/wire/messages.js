@@ -38,33 +38,33 @@ import { ObjectState, STAGES } from "../state/object-state.js";
  * @property {number} width
  * @property {number} height
  * @property {Pose | null} pose world_from_camera
- * @property {string} poseStatus how the pose is known, or why not
- * @property {string} poseReason why it is not known and what to do; empty while it is
- * @property {string} carrier name of the object that it rides on; empty of one that stands
- * @property {Pose | null} mount object_from_camera of one that rides
+ * @property {string} poseStatus origin of the pose, or why it is unknown
+ * @property {string} poseReason why the pose is unknown and what to do; empty while it is known
+ * @property {string} carrier name of the object that it is mounted on; empty for a fixed camera
+ * @property {Pose | null} mount object_from_camera of a mounted camera
  * @property {Intrinsics | null} intrinsics
  * @property {number} frames
  * @property {number} dropped
  * @property {number} broken frames that arrived broken
  * @property {number} restarts
  * @property {CaptureClock | null} captureClock null before its first frame
- * @property {Link | null} link null of a camera that no program feeds
+ * @property {Link | null} link sender of a `push:` camera
  * @property {number} rateHz
- * @property {string} rateReason how that is not what was promised; empty while it is
+ * @property {string} rateReason why the rate differs from the promised one; empty while it agrees
  * @property {number} detections
  * @property {number} detectMs
  * @property {number} latencyMs
- * @property {Clock | null} clock null while its stamps are trusted
+ * @property {Clock | null} clock null if its time stamps are exact
  * @property {number | null} blurPx null before it is known
- * @property {number | null} reprojectionPx how far from where the others have objects it sees them; null where no other camera sees them
+ * @property {number | null} reprojectionPx rms reprojection error against the other cameras; null if none shares its view
  * @property {number} promisedRateHz 0: none
- * @property {Agreement | null} agreement null while its place is not known, and of one that rides
+ * @property {Agreement | null} agreement null while its pose is unknown, and for a mounted camera
  */
 
 /** @typedef {{snapshot?: Snapshot, cameras?: Camera[], event?: Event}} Message at most one of them */
 /** @typedef {{position: Vector3, orientation: Quaternion}} Pose */
-/** @typedef {{base: string, deviationMs: number}} CaptureClock which clock its capture times come from */
-/** @typedef {{offsetMs: number, skewPpm: number, deviationMs: number}} Clock how late its stamps are */
+/** @typedef {{base: string, deviationMs: number}} CaptureClock source of the capture times */
+/** @typedef {{offsetMs: number, skewPpm: number, deviationMs: number}} Clock delay of its time stamps */
 /** @typedef {{state: string, positionErrorM: number, positionDeviationM: number, rotationErrorRad: number, seenErrorM: number}} Agreement with the other cameras */
 /** @typedef {{sequence: number, timeMs: number, kind: string, objectId: number, camera: string, message: string}} Event */
 /**
@@ -74,10 +74,10 @@ import { ObjectState, STAGES } from "../state/object-state.js";
  * @property {string} name
  * @property {number | null} startedTimeMs
  * @property {number} snapshotRateHz
- * @property {boolean} records recordings can be made
- * @property {boolean} replays it plays a recording: nothing here is of now
+ * @property {boolean} records can make recordings
+ * @property {boolean} replays plays a recording; its data is not live
  * @property {boolean} keepsHistory
- * @property {boolean} allowsSetup of cameras and objects, by this page
+ * @property {boolean} allowsSetup this page may change cameras and objects
  */
 
 const { AgreementState, CameraStatus, EventKind, PoseStatus, StreamMessage, TimeBase } = roundel.v1;
@@ -91,7 +91,7 @@ const WORDS = {
 const STATUSES = new Set(["starting", "running", "failed", "finished"]);
 
 /**
- * Values of an enumeration by number, in the words of JSON: CAMERA_STATUS_RUNNING is "running".
+ * Names of an enumeration's values by number, as in JSON: CAMERA_STATUS_RUNNING is "running".
  * @param {Record<string, number>} enumeration
  * @returns {Map<number, string>}
  */
@@ -141,7 +141,7 @@ export function readSnapshot(raw) {
     sequence: count(raw?.sequence),
     sourceId: text(raw?.source_id),
     poseTimeMs: milliseconds(raw?.pose_time_ns) ?? 0,
-    // Both times are by the server's clock. 0 means "before the first".
+    // Both times are by the server's clock. 0 means that there was no capture yet.
     latencyMs: captureMs && sentMs ? sentMs - captureMs : null,
     objects: list(raw?.objects).map(readObject),
     missed: count(raw?.missed),
@@ -222,9 +222,9 @@ function readCamera(raw) {
     detectMs: count(raw?.detect_ms),
     latencyMs: count(raw?.latency_ms),
     clock: readClock(raw?.clock),
-    // 0 is "not fitted".
+    // 0: not fitted.
     blurPx: number(raw?.blur_px) || null,
-    // 0 is "nothing to compare with".
+    // 0: no other camera to compare with.
     reprojectionPx: number(raw?.reprojection_px) || null,
     promisedRateHz: count(raw?.promised_rate_hz),
     agreement: readAgreement(raw?.agreement),
@@ -275,7 +275,7 @@ function readPose(raw) {
 }
 
 /**
- * Only of a camera whose clock is not simply trusted.
+ * Returns null for exact time stamps, whose deviation is 0.
  *
  * @param {any} raw
  * @returns {Clock | null}

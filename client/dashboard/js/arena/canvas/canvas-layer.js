@@ -2,12 +2,12 @@
 
 /** @typedef {OffscreenCanvasRenderingContext2D | CanvasRenderingContext2D} Context2D */
 
-/** A canvas as sharp as the screen, with a context that counts in CSS pixels. */
+/** A canvas with the screen's resolution, drawn in CSS pixels. */
 export class CanvasLayer {
   /** @param {OffscreenCanvas | HTMLCanvasElement} canvas */
   constructor(canvas) {
     const context = /** @type {Context2D | null} */ (canvas.getContext("2d"));
-    if (!context) throw new Error("this browser has no 2D canvas");
+    if (!context) throw new Error("this browser does not support 2D canvases");
     this.canvas = canvas;
     this.context = context;
   }
@@ -25,13 +25,13 @@ export class CanvasLayer {
 }
 
 /**
- * A canvas that is nowhere to be seen, to paint what is copied often.
+ * An offscreen canvas for content that is copied often.
  * @param {number} width pixels
  * @param {number} height
  * @returns {{canvas: OffscreenCanvas | HTMLCanvasElement, context: Context2D}}
  */
 export function makeCanvas(width, height) {
-  // Browsers that know no canvas outside the page draw in the page.
+  // Browsers without OffscreenCanvas run this code in the page.
   const canvas = typeof OffscreenCanvas === "undefined" ? document.createElement("canvas") : new OffscreenCanvas(width, height);
   canvas.width = width;
   canvas.height = height;

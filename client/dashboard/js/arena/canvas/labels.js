@@ -1,24 +1,24 @@
 /**
- * What objects are called, beside them. Each label is painted once and then copied, since outlined text is the dearest
- * thing on the page; where they would lie on one another, the selected one comes first and the others give way.
+ * Labels of objects. Each label is painted once and then copied, since outlined text is slow to draw. Among overlapping
+ * labels, the selected one has priority and the others are omitted.
  */
 
 import { fixed } from "../../base/format.js";
 import { makeCanvas } from "./canvas-layer.js";
 
-/** Objects higher than this carry their height, metres; a robot's roundel is mostly below. */
+/** Height from which a label includes the height, metres; roundels on robots are mostly lower. */
 const FLYING_M = 0.5;
-/** Up to this number of objects all labels are drawn, even where they overlap. */
+/** Up to this number of objects all labels are drawn, even if they overlap. */
 const ALWAYS_DRAWN = 40;
-/** Cells of the raster that tells whether a place is taken, CSS pixels. */
+/** Size of the cells that detect overlaps, CSS pixels. */
 const CELL_PX = 11;
-/** Cells of a screen of 5632 by 2816 CSS pixels. */
+/** Number of columns and rows of cells: enough for 5632 by 2816 CSS pixels. */
 const COLUMNS = 512;
 const ROWS = 256;
-/** Most labels drawn of many objects. */
+/** Largest number of labels drawn with many objects. */
 const MOST_DRAWN = 160;
 const PADDING_PX = 3;
-/** Labels kept painted; heights change all the time. */
+/** Size of the cache of painted labels; heights change often. */
 const MOST_KEPT = 4000;
 
 /** @typedef {import("../palette.js").Palette} Palette */
@@ -28,7 +28,7 @@ const MOST_KEPT = 4000;
 /** @type {Map<string, Painted>} */
 const painted = new Map();
 const taken = new Uint8Array(COLUMNS * ROWS);
-/** What the kept ones were painted for. */
+/** Colours and pixel ratio of the cached labels. */
 let paintedFor = "";
 
 /**
@@ -58,7 +58,7 @@ export function drawLabels(context, palette, labels, options, ratio) {
     const picture = paint(state.label, height, state.id === options.selected, palette, ratio);
     if (isCrowded && !claims(label, picture) && !isChosen) continue;
     drawn += 1;
-    // On whole pixels copying is quick, and text sharp.
+    // At whole pixels, copying is fast and text is sharp.
     const left = Math.round((label.px - PADDING_PX) * ratio) / ratio;
     const top = Math.round((label.py - 8 - PADDING_PX) * ratio) / ratio;
     context.drawImage(picture.canvas, left, top, picture.width, picture.height);

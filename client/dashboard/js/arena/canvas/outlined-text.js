@@ -1,5 +1,5 @@
 /**
- * Draws text with an outline in the background's colour, legible on any content.
+ * Draws text with an outline in the background's colour, legible over any content.
  * @param {import("./canvas-layer.js").Context2D} context with its font and alignment
  * @param {import("../palette.js").Palette} palette
  * @param {string} words

@@ -7,9 +7,9 @@ import {
 import { cameraFootprint } from "../top/backdrop.js";
 import { imageCorners, roundStep, rotate } from "../../base/geometry.js";
 
-/** How far ahead of a camera its picture's corners are drawn, metres. */
+/** Depth of a camera's frustum, metres. */
 const FRUSTUM_M = 0.6;
-/** The grid's lines each way at most. */
+/** Largest number of grid lines in each direction. */
 const MOST_LINES = 60;
 const LIFT_M = 0.002;
 
@@ -21,7 +21,7 @@ const LIFT_M = 0.002;
 /** @type {Map<string, Rgb>} */
 const mixed = new Map();
 
-/** The parts of a colour of the stylesheet, as three.js mixes them. @param {string} css @returns {Rgb} */
+/** Converts a CSS colour to three.js's linear components. @param {string} css @returns {Rgb} */
 export function rgb(css) {
   let parts = mixed.get(css);
   if (!parts) {
@@ -35,7 +35,7 @@ export function rgb(css) {
 /** Line segments with vertex colours in one draw call. The buffer is rewritten for each frame. */
 export class Lines {
   constructor() {
-    this.room = 0;
+    this.capacity = 0;
     this.count = 0;
     this.geometry = new BufferGeometry();
     const material = new LineBasicMaterial({ vertexColors: true, transparent: true, depthWrite: false });
@@ -46,13 +46,13 @@ export class Lines {
     this.grow(256);
   }
 
-  /** @param {number} room ends of lines */
-  grow(room) {
-    const [places, colors] = [new Float32Array(room * 3), new Float32Array(room * 4)];
+  /** @param {number} capacity in line ends */
+  grow(capacity) {
+    const [places, colors] = [new Float32Array(capacity * 3), new Float32Array(capacity * 4)];
     places.set(this.places);
     colors.set(this.colors);
-    [this.places, this.colors, this.room] = [places, colors, room];
-    // Buffers on the card have fixed sizes: larger ones are new ones.
+    [this.places, this.colors, this.capacity] = [places, colors, capacity];
+    // GPU buffers have fixed sizes, so growing replaces them.
     this.geometry.dispose();
     this.geometry.setAttribute("position", new BufferAttribute(places, 3).setUsage(DynamicDrawUsage));
     this.geometry.setAttribute("color", new BufferAttribute(colors, 4).setUsage(DynamicDrawUsage));
@@ -64,7 +64,7 @@ export class Lines {
 
   /** @param {number} x @param {number} y @param {number} z @param {Rgb} color @param {number} alpha */
   end(x, y, z, color, alpha) {
-    if (this.count === this.room) this.grow(this.room * 2);
+    if (this.count === this.capacity) this.grow(this.capacity * 2);
     const at = this.count;
     this.count += 1;
     this.places[at * 3] = x;
@@ -82,7 +82,7 @@ export class Lines {
     this.end(b.x, b.y, b.z, color, alpha);
   }
 
-  /** Hands the lines over to be drawn. */
+  /** Uploads the lines for drawing. */
   done() {
     this.geometry.setDrawRange(0, this.count);
     for (const name of ["position", "color"]) {
@@ -94,13 +94,13 @@ export class Lines {
   }
 }
 
-/** One shape drawn many times, with a place and a colour for each. */
+/** One shape drawn many times, with a matrix and a colour for each instance. */
 export class InstancedShapes {
   /**
    * @param {BufferGeometry} geometry
    * @param {number} opacity
-   * @param {number} order after which others it is drawn
-   * @param {BufferGeometry} [coarse] takes the place of the shape where there are many
+   * @param {number} order drawing order among transparent shapes
+   * @param {BufferGeometry} [coarse] replaces the shape if there are many
    */
   constructor(geometry, opacity, order, coarse = geometry) {
     const isClear = opacity < 1;
@@ -109,24 +109,24 @@ export class InstancedShapes {
     this.geometry = geometry;
     this.order = order;
     this.material = new MeshBasicMaterial({ opacity, transparent: isClear, depthWrite: !isClear, side: DoubleSide });
-    this.room = 64;
+    this.capacity = 64;
     this.count = 0;
     this.object = this.make();
   }
 
   make() {
-    const made = new InstancedMesh(this.geometry, this.material, this.room);
+    const made = new InstancedMesh(this.geometry, this.material, this.capacity);
     made.frustumCulled = false;
     made.renderOrder = this.order;
     made.instanceMatrix.setUsage(DynamicDrawUsage);
-    made.instanceColor = new InstancedBufferAttribute(new Float32Array(this.room * 3), 3).setUsage(DynamicDrawUsage);
+    made.instanceColor = new InstancedBufferAttribute(new Float32Array(this.capacity * 3), 3).setUsage(DynamicDrawUsage);
     return made;
   }
 
-  /** Buffers on the card have fixed sizes: a larger one takes the place of the one that is full. */
+  /** Replaces a full GPU buffer by a larger one. */
   grow() {
     const old = this.object;
-    this.room *= 2;
+    this.capacity *= 2;
     this.object = this.make();
     this.object.instanceMatrix.array.set(old.instanceMatrix.array);
     this.object.instanceColor.array.set(old.instanceColor.array);
@@ -135,7 +135,7 @@ export class InstancedShapes {
     old.dispose();
   }
 
-  /** @param {boolean} hasManyObjects whether there are many */
+  /** @param {boolean} hasManyObjects */
   clear(hasManyObjects) {
     this.count = 0;
     this.geometry = hasManyObjects ? this.coarse : this.fine;
@@ -144,7 +144,7 @@ export class InstancedShapes {
 
   /** @param {import("../../../vendor/three.js").Matrix4} matrix @param {Rgb} color */
   add(matrix, color) {
-    if (this.count === this.room) this.grow();
+    if (this.count === this.capacity) this.grow();
     matrix.toArray(this.object.instanceMatrix.array, this.count * 16);
     this.object.instanceColor.array.set(color, this.count * 3);
     this.count += 1;
@@ -162,7 +162,7 @@ export class InstancedShapes {
   }
 }
 
-/** Squares of the floor of one size each and of many colours. */
+/** Coloured squares on the floor, in one draw call. */
 export class Tiles {
   constructor() {
     this.geometry = new BufferGeometry();
@@ -179,7 +179,7 @@ export class Tiles {
     this.colors = [];
   }
 
-  /** @param {number} x of its corner with the smallest coordinates @param {number} y @param {number} z @param {number} sideM @param {Rgb} color @param {number} alpha */
+  /** @param {number} x of the corner with the smallest coordinates @param {number} y @param {number} z @param {number} sideM @param {Rgb} color @param {number} alpha */
   add(x, y, z, sideM, color, alpha) {
     const [right, top] = [x + sideM, y + sideM];
     this.places.push(x, y, z, right, y, z, right, top, z, x, y, z, right, top, z, x, top, z);
@@ -194,7 +194,7 @@ export class Tiles {
   }
 }
 
-/** The signs of the life stages, as index.html draws them, of radius 1 and lying on the floor. @param {number} fineness 1: of few corners */
+/** Symbols of the life stages as in index.html, with radius 1, in the floor plane. @param {number} fineness multiplies the number of corners; 1: few */
 export function stageShapes(fineness) {
   return {
     tracked: new RingGeometry(0.55, 1, 10 * fineness),
@@ -254,7 +254,7 @@ export function addFloor(lines, palette, bounds) {
 }
 
 /**
- * A camera's picture as a pyramid, and how it goes on to the floor.
+ * A camera's frustum, and its extension to the floor.
  * @param {Lines} lines
  * @param {Palette} palette
  * @param {Camera} camera
@@ -283,7 +283,7 @@ export function drawFrustum(lines, palette, camera) {
   }
 }
 
-/** What the cameras see of the floor; where views overlap it adds up. */
+/** Footprints of the cameras; overlaps are darker. */
 export class Coverage {
   constructor() {
     this.geometry = new BufferGeometry();

@@ -1,12 +1,13 @@
 /**
- * From where the arena is seen in 3D: an eye that goes round a point of the floor, and its picture's pixels.
+ * Viewpoint of the 3D view: an eye that orbits a target point, and its projection to pixels.
  *
- * World z is up. The azimuth is that of the eye from the point, from world x towards y; the elevation is above the floor.
+ * World z is up. The azimuth of the eye as seen from the target is measured from world x towards y, its elevation from the
+ * floor.
  */
 
-/** Angle of view from the picture's upper edge to its lower one. */
+/** Vertical field of view. */
 export const VIEW_RAD = (40 * Math.PI) / 180;
-/** Turning by a pixel, radians. */
+/** Rotation per pixel, radians. */
 const TURN_RAD = 0.006;
 const LOWEST_RAD = 0.03;
 const HIGHEST_RAD = Math.PI / 2 - 0.001;
@@ -17,7 +18,7 @@ const FARTHEST_M = 500;
 
 export class OrbitCamera {
   constructor() {
-    /** What lies in the middle of the picture, metres. @type {Vector3} */
+    /** Point at the centre of the picture, metres. @type {Vector3} */
     this.target = { x: 0, y: 0, z: 0 };
     this.distanceM = 12;
     this.azimuthRad = (-70 * Math.PI) / 180;
@@ -43,7 +44,7 @@ export class OrbitCamera {
   }
 
   /**
-   * @param {number} dx pixels by which a hand turns the arena
+   * @param {number} dx pixels of a drag that rotates the arena
    * @param {number} dy
    */
   turn(dx, dy) {
@@ -52,14 +53,14 @@ export class OrbitCamera {
   }
 
   /**
-   * Moves along the floor, so that what is in the middle goes with the hand.
+   * Pans along the floor, so that the point at the centre follows the drag.
    * @param {number} dx pixels
    * @param {number} dy
    */
   slide(dx, dy) {
     const step = this.pixelM(this.distanceM);
     const [sin, cos] = [Math.sin(this.azimuthRad), Math.cos(this.azimuthRad)];
-    // Seen flatly, a pixel up is a long way on the floor; the factor is limited to three.
+    // At a low elevation a pixel up is a long distance on the floor; the factor is limited to three.
     const ahead = (dy * step) / Math.max(0.33, Math.sin(this.elevationRad));
     this.target = {
       x: this.target.x + sin * dx * step - cos * ahead,
@@ -74,21 +75,21 @@ export class OrbitCamera {
   }
 
   /**
-   * Shows all of a box, from where the eye is.
+   * Fits a box into the picture without changing the viewing direction.
    * @param {{minX: number, minY: number, maxX: number, maxY: number}} bounds metres
-   * @param {number} heightM of what stands in it
+   * @param {number} heightM of the box
    */
   fit(bounds, heightM) {
     const [dx, dy] = [bounds.maxX - bounds.minX, bounds.maxY - bounds.minY];
     this.target = { x: bounds.minX + dx / 2, y: bounds.minY + dy / 2, z: heightM / 4 };
     const radius = Math.hypot(dx, dy, heightM) / 2;
     const across = 2 * Math.atan(Math.tan(VIEW_RAD / 2) * (this.width / this.height));
-    // The box is flatter than the ball round it; some of its corners may come close to the edge.
+    // The box is flatter than its bounding sphere, so the factor can be smaller.
     this.distanceM = (0.88 * Math.max(1, radius)) / Math.sin(Math.min(VIEW_RAD, across) / 2);
   }
 
   /**
-   * Where a point is seen.
+   * Projects a point.
    * @param {Vector3} point metres
    * @returns {{px: number, py: number, depthM: number} | null} null behind the eye
    */

@@ -1,8 +1,9 @@
 /**
- * The arena in 3D: objects where they are and how they are turned, their trails and uncertainty, cameras with what they
- * see. About fifteen draws a frame, whatever the number of objects: each kind is one buffer, rewritten for each frame.
+ * The arena in 3D: objects with orientations, trails and error ellipsoids, and cameras with their footprints. Each kind of
+ * shape is one buffer that is rewritten for each frame, so that a frame takes about fifteen draw calls for any number of
+ * objects.
  *
- * Signs, colours and words are those of the view from above (tracks.js); labels are painted on a canvas of their own.
+ * Symbols, colours and labels are those of the view from above (tracks.js); labels have their own canvas.
  */
 
 import { BoxGeometry, CircleGeometry, Color, Matrix4, PerspectiveCamera, Quaternion, RingGeometry, Scene, SphereGeometry, Vector3, WebGLRenderer } from "../../../vendor/three.js";
@@ -17,17 +18,17 @@ import { MANY_OBJECTS, trailPlan } from "../top/tracks.js";
 import { Coverage, drawFrustum, addFloor, Lines, rgb, stageShapes, InstancedShapes, Tiles } from "./meshes.js";
 import { CHI2_95_3D } from "../../state/object-state.js";
 
-/** Half a robot's width, metres; further away objects are drawn larger, to stay legible. */
+/** Radius of symbols, metres; distant ones are enlarged to stay legible. */
 const DISC_M = 0.13;
 const DISC_PX = 5.5;
 const CAMERA_M = 0.16;
-/** Ellipsoids are filled up to this part of the picture's height, in its middle. */
+/** Largest size of a filled ellipsoid at the centre of the picture, as part of its height. */
 const LARGEST_FILL = 0.1;
-/** Points of all trails together, about. */
+/** Approximate total number of trail points. */
 const TRAIL_POINTS = 1600;
-/** Sides of the polygon that stands for an ellipse. */
+/** Sides of the polygon that approximates an ellipse. */
 const OUTLINE = 48;
-/** Height of what is fitted if no camera stands higher, metres. */
+/** Smallest height of the fitted box, metres. */
 const LEAST_HEIGHT_M = 1;
 
 /** @typedef {import("../palette.js").Palette} Palette */
@@ -60,7 +61,7 @@ export class SpaceView {
     this.sheets = new InstancedShapes(new CircleGeometry(0.98, 24), 1, 0);
     this.ellipsoids = new InstancedShapes(new SphereGeometry(1, 20, 14), 0.2, 3, new SphereGeometry(1, 10, 7));
     this.marks = new InstancedShapes(new RingGeometry(1.35, 1.6, 40), 1, 0);
-    // Without a card each corner costs a microsecond, and many objects need less detail.
+    // Without a GPU each vertex takes about a microsecond: draw many objects with less detail.
     const [shapes, coarse] = [stageShapes(3), stageShapes(1)];
     /** @type {Record<import("../../state/object-state.js").Stage, InstancedShapes>} */
     this.stages = {
@@ -72,7 +73,7 @@ export class SpaceView {
     };
     const instanced = [this.bodies, this.sheets, this.marks, this.ellipsoids, ...Object.values(this.stages)];
     for (const { object } of [this.coverage, this.heat, this.still, this.trails, this.moving, ...instanced]) this.scene.add(object);
-    /** @type {Seen[]} what was drawn, to find the object under the pointer */
+    /** @type {Seen[]} drawn objects, to find the one under the pointer */
     this.seen = [];
     this.stepM = 1;
     /** Whether objects are drawn with less detail. */
@@ -93,7 +94,7 @@ export class SpaceView {
   }
 
   /**
-   * What stands still: the floor, the cameras that stand, what they see, what the history tells.
+   * Updates the static part: floor, fixed cameras with their footprints, history overlay.
    * @param {Palette} palette
    * @param {Camera[]} cameras
    * @param {import("../viewport.js").Bounds} bounds
@@ -119,7 +120,7 @@ export class SpaceView {
    * @param {import("../canvas/canvas-layer.js").Context2D} labels in CSS pixels
    * @param {Palette} palette
    * @param {Track[]} tracks
-   * @param {Camera[]} cameras all of them
+   * @param {Camera[]} cameras all cameras
    * @param {PlotOptions} options
    */
   draw(labels, palette, tracks, cameras, options) {
@@ -158,13 +159,13 @@ export class SpaceView {
     matrix.compose(place.set(p.x, p.y, p.z), turn, size.set(radiusM, radiusM, radiusM));
     this.stages[state.stage].add(matrix, color);
     if (state.id === options.selected || state.id === options.hovered) this.marks.add(matrix, rgb(palette.accent));
-    // A hair below its sign, so that the floor's lines do not shine through.
+    // Slightly below the symbol, so that grid lines do not show through.
     if (!this.hasManyObjects && (state.stage === "tracked" || state.stage === "predicted")) {
       this.sheets.add(matrix.setPosition(p.x, p.y, p.z - 0.004), rgb(palette.sheet));
     }
     this.seen.push({ state, px: seen.px, py: seen.py, radiusPx: radiusM / pixelM });
     const soft = rgb(palette.inkSoft);
-    // Where above the floor it is.
+    // Vertical line to the floor.
     if (p.z > 0.02) this.moving.line(p, { x: p.x, y: p.y, z: 0 }, soft, 0.45);
     if (state.stage === "lost") return;
     const v = state.velocityMS;
@@ -185,7 +186,7 @@ export class SpaceView {
     const by = Math.sqrt(CHI2_95_3D) * exaggeration;
     const [xx, yx, yy, zx, zy, zz] = cholesky(covariance);
     const longestM = by * Math.max(xx, Math.hypot(yx, yy), Math.hypot(zx, zy, zz));
-    // Smaller ones lie within the sign.
+    // Smaller ones are hidden by the symbol.
     if (longestM < radiusM * 0.9) return;
     if (longestM > LARGEST_FILL * this.orbit.pixelM(this.orbit.distanceM) * this.orbit.height) {
       this.addOutline(state, p, color, exaggeration);

@@ -1,7 +1,7 @@
 /**
- * What stands still in the arena: the grid with its rulers, the world's axes, the cameras and what
- * they see of the floor. Drawn on a canvas of its own, only when the view or a camera changes; cameras that
- * ride on objects are drawn as they are here, with what moves.
+ * Static part of the view from above: grid, rulers, world axes, fixed cameras and their footprints.
+ * It has its own canvas, which is redrawn only when the view or a camera changes. Mounted cameras
+ * are drawn by the same code, on the canvas of the objects.
  */
 
 import { footprint, roundStep, rotate } from "../../base/geometry.js";
@@ -35,7 +35,7 @@ export function drawBackdrop(context, view, palette, cameras, overlay) {
 }
 
 /**
- * Cameras that move, with what they see of the floor.
+ * Draws mounted cameras with their footprints.
  * @param {import("../canvas/canvas-layer.js").Context2D} context in CSS pixels
  * @param {Viewport} view
  * @param {Palette} palette
@@ -46,13 +46,13 @@ export function drawCameras(context, view, palette, cameras) {
   for (const camera of cameras) drawCamera(context, view, palette, camera);
 }
 
-/** Distance between the grid's lines: about 70 pixels or a little less. @param {Viewport} view */
+/** Distance between grid lines: at most about 70 pixels. @param {Viewport} view */
 export function gridStepM(view) {
   return roundStep(90 / view.scale);
 }
 
 /**
- * A camera's outline on the floor, or nothing while its pose or its lens are unknown.
+ * A camera's footprint; empty while its pose or lens is unknown.
  * @param {Camera} camera
  */
 export function cameraFootprint(camera) {
@@ -61,7 +61,7 @@ export function cameraFootprint(camera) {
 }
 
 /**
- * Calls with each multiple of the step in [from, to], computed from integers so that no error adds up.
+ * Visits each multiple of the step in [from, to], without accumulating rounding errors.
  * @param {number} from
  * @param {number} to
  * @param {number} step
@@ -102,7 +102,7 @@ function drawGrid(context, view, palette, stepM) {
 }
 
 /**
- * World x and y at the origin, one grid step long.
+ * Draws the world's x and y axes at the origin, one grid step long.
  * @param {import("../canvas/canvas-layer.js").Context2D} context
  * @param {Viewport} view
  * @param {Palette} palette
@@ -153,7 +153,7 @@ function drawFootprint(context, view, palette, camera) {
   context.closePath();
   const failed = camera.status === "failed";
   if (!failed) {
-    // Thin fills add up where views overlap: the overlap looks darker.
+    // Translucent fills make overlapping views darker.
     context.fillStyle = palette.viewFill;
     context.fill();
   }
@@ -165,7 +165,7 @@ function drawFootprint(context, view, palette, camera) {
 }
 
 /**
- * The camera itself: a body with its lens turned the way it looks.
+ * Draws a camera as a body with a lens in its viewing direction.
  * @param {import("../canvas/canvas-layer.js").Context2D} context
  * @param {Viewport} view
  * @param {Palette} palette
@@ -175,7 +175,7 @@ function drawCamera(context, view, palette, camera) {
   if (!camera.pose) return;
   const { position, orientation } = camera.pose;
   const forward = rotate(orientation, { x: 0, y: 0, z: 1 });
-  // One that looks straight down has no direction in the plan; its image's upper side stands in.
+  // A camera that looks straight down has no horizontal direction; the top of its image is used.
   const level = Math.hypot(forward.x, forward.y) > 0.05;
   const pointing = level ? forward : rotate(orientation, { x: 0, y: -1, z: 0 });
   const [px, py] = [view.screenX(position.x), view.screenY(position.y)];
@@ -204,7 +204,7 @@ function drawCamera(context, view, palette, camera) {
 }
 
 /**
- * Metres along the left and the lower edge, as on the sheet of a drawing.
+ * Draws rulers in metres along the left and the lower edge.
  * @param {import("../canvas/canvas-layer.js").Context2D} context
  * @param {Viewport} view
  * @param {Palette} palette

@@ -10,16 +10,16 @@ import { discRadius, drawSymbol, drawObject, VELOCITY_LINE_S } from "./object-sy
 /** @typedef {import("../palette.js").Palette} Palette */
 /** @typedef {import("../../state/store.js").Track} Track */
 
-/** @type {Map<string, OffscreenCanvas | HTMLCanvasElement>} signs by stage, size and colours */
+/** @type {Map<string, OffscreenCanvas | HTMLCanvasElement>} symbols by stage, size and colours */
 const stamps = new Map();
-/** Sizes change while one zooms. */
+/** Size of the cache; zooming changes the symbols' size. */
 const MOST_STAMPS = 100;
 
 /**
  * @param {import("../canvas/canvas-layer.js").Context2D} context in CSS pixels
  * @param {Viewport} view
  * @param {Palette} palette
- * @param {Track[]} tracks those in view
+ * @param {Track[]} tracks in view
  * @param {{selected: number | null, hovered: number | null}} options
  */
 export function drawManyObjects(context, view, palette, tracks, options) {
@@ -83,7 +83,7 @@ function drawLines(context, view, palette, tracks, radius) {
  * @param {import("../../state/object-state.js").Stage} stage
  * @param {number} radius CSS pixels
  * @param {Palette} palette
- * @param {number} ratio of the screen's pixels to CSS pixels
+ * @param {number} ratio device pixels per CSS pixel
  */
 function stampOf(stage, radius, palette, ratio) {
   const size = Math.round(radius * 4) / 4;

@@ -1,18 +1,18 @@
 /**
- * The sign of one object from above, with its velocity and heading.
+ * Symbol of an object from above, with velocity and heading.
  *
- * Life stages differ by shape as well as by colour: tracked is a closed ring, predicted a broken
- * one, tentative a diamond, lost a cross.
+ * Life stages differ in shape and colour: tracked is a closed ring, predicted a broken one,
+ * tentative a diamond, lost a cross.
  */
 
-/** The line of the velocity ends where the object will be after this time, s. */
+/** Time of travel that the velocity line shows, s. */
 export const VELOCITY_LINE_S = 0.5;
 
 /** @typedef {import("../viewport.js").Viewport} Viewport */
 /** @typedef {import("../palette.js").Palette} Palette */
 /** @typedef {import("../../state/store.js").Track} Track */
 
-/** Radius of an object's disc, CSS pixels: about 0.3 m wide in the world, but always legible. */
+/** Radius of an object's disc, CSS pixels: about 0.3 m in diameter, limited to legible sizes. */
 export function discRadius(/** @type {Viewport} */ view) {
   return Math.min(15, Math.max(6.5, 0.13 * view.scale));
 }
@@ -63,7 +63,7 @@ export function drawObject(context, view, palette, { state }, options) {
 }
 
 /**
- * The sign of a life stage; index.html draws the same ones for the lists.
+ * Draws the symbol of a life stage; index.html defines the same ones for the lists.
  * @param {import("../canvas/canvas-layer.js").Context2D} context
  * @param {number} px
  * @param {number} py

@@ -1,6 +1,6 @@
 /**
- * Measures the distance between two points of the floor or objects, or to the pointer while only the first end is set. Ends
- * that are objects move with them.
+ * Measures the distance between two floor points or objects, or to the pointer while only the start is set. Ends
+ * at objects move with them.
  */
 
 import { fixed } from "../../base/format.js";
@@ -8,7 +8,7 @@ import { drawOutlinedText } from "../canvas/outlined-text.js";
 
 /** @typedef {import("../viewport.js").Viewport} Viewport */
 /** @typedef {import("../../state/track.js").Track} Track */
-/** @typedef {{x: number, y: number, z: number | null}} Place metres; z is known of objects alone */
+/** @typedef {{x: number, y: number, z: number | null}} Place metres; z is known only for objects */
 /** @typedef {{id: number} | {id: null, x: number, y: number}} End */
 /** Smaller height differences are not shown, metres. */
 const LEVEL_M = 0.01;
@@ -24,25 +24,25 @@ export class TapeMeasure {
     this.pointer = null;
   }
 
-  /** Begins at the selected object, if one is. @param {boolean} isOut @param {number | null} selected */
+  /** Turns it on or off. It starts at the selected object, if there is one. @param {boolean} isOut @param {number | null} selected */
   take(isOut, selected) {
     this.isOut = isOut;
     this.ends = isOut && selected !== null ? [{ id: selected }] : [];
   }
 
-  /** A click: the begin, the end, and then the begin of another. @param {End} end */
+  /** Handles a click, which sets the start, the end, or a new start. @param {End} end */
   set(end) {
     this.ends = this.ends.length === 1 ? [this.ends[0], end] : [end];
   }
 
-  /** By keys one goes from object to object: it ends at the one that is selected now. @param {number | null} id */
+  /** Sets the end to the object that was just selected. @param {number | null} id */
   reach(id) {
     if (!this.isOut || id === null) return;
     const [begin] = this.ends;
     this.ends = begin && begin.id !== id ? [begin, { id }] : [{ id }];
   }
 
-  /** @param {Map<number, Track>} tracks @returns {[Place, Place] | null} null while there is nothing between */
+  /** @param {Map<number, Track>} tracks @returns {[Place, Place] | null} null unless both ends are known */
   places(tracks) {
     const [begin, end] = this.ends.map((one) => placeOf(one, tracks));
     const { pointer } = this;
@@ -50,10 +50,10 @@ export class TapeMeasure {
     return this.isOut && begin && until ? [begin, until] : null;
   }
 
-  /** What it says; empty while there is nothing to say. @param {Map<number, Track>} tracks */
+  /** Text for the caption; empty while it is off. @param {Map<number, Track>} tracks */
   words(tracks) {
     if (!this.isOut) return "";
-    if (this.ends.length === 0) return "Measure: click where to begin";
+    if (this.ends.length === 0) return "Measure: click the start point";
     const between = this.places(tracks);
     const [from, to] = [this.ends[0], this.ends[1]].map((end) => end && nameOf(end, tracks));
     if (!between) return `Measure: from ${from} to …`;
@@ -66,10 +66,10 @@ export function distanceText([from, to]) {
   const level = Math.hypot(to.x - from.x, to.y - from.y);
   const rise = from.z === null || to.z === null ? 0 : to.z - from.z;
   if (Math.abs(rise) < LEVEL_M) return `${fixed(level, 3)} m`;
-  return `${fixed(Math.hypot(level, rise), 3)} m (${fixed(level, 3)} m level)`;
+  return `${fixed(Math.hypot(level, rise), 3)} m (${fixed(level, 3)} m horizontal)`;
 }
 
-/** @param {End} end @param {Map<number, Track>} tracks @returns {Place | null} null of an object that has gone */
+/** @param {End} end @param {Map<number, Track>} tracks @returns {Place | null} null if the object is gone */
 function placeOf(end, tracks) {
   return end.id === null ? { x: end.x, y: end.y, z: null } : (tracks.get(end.id)?.state.positionM ?? null);
 }
@@ -77,7 +77,7 @@ function placeOf(end, tracks) {
 /** @param {End} end @param {Map<number, Track>} tracks */
 function nameOf(end, tracks) {
   if (end.id === null) return `(${fixed(end.x, 2)}, ${fixed(end.y, 2)})`;
-  return tracks.get(end.id)?.state.label ?? `object ${end.id}, which has gone`;
+  return tracks.get(end.id)?.state.label ?? `object ${end.id} (gone)`;
 }
 
 /**

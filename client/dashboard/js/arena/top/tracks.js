@@ -1,5 +1,5 @@
 /**
- * What moves in the arena: objects with their trails, velocities, headings, heights and uncertainty.
+ * Draws objects with their trails, velocities, headings, heights and error ellipses, and mounted cameras.
  */
 
 import { drawCameras, RULER } from "./backdrop.js";
@@ -9,13 +9,13 @@ import { drawLabels } from "../canvas/labels.js";
 import { discRadius, drawObject } from "./object-symbol.js";
 import { TRAIL_MS } from "../../state/store.js";
 
-/** Ellipses are filled up to this part of the arena's smaller side. */
+/** Largest size of a filled ellipse, as part of the arena's smaller side. */
 const LARGEST_FILL = 0.25;
 /** Steps in which trails fade. Each step is one stroke for all objects of a stage. */
 const TRAIL_BANDS = 4;
-/** Points of all trails together, about: with many objects each has fewer. */
+/** Approximate total number of trail points. */
 const TRAIL_POINTS = 3000;
-/** From this number of objects in view on they are drawn by many-objects.js: faster, with less detail. */
+/** From this number of objects in view on, many-objects.js draws them faster and with less detail. */
 export const MANY_OBJECTS = 120;
 const MANY_OBJECTS_TRAIL_MS = 2000;
 
@@ -26,13 +26,13 @@ const MANY_OBJECTS_TRAIL_MS = 2000;
 
 /**
  * @typedef {object} PlotOptions
- * @property {number} exaggeration of the ellipses; 0: none drawn
+ * @property {number} exaggeration of the ellipses; 0 hides them
  * @property {boolean} trails
  * @property {number | null} selected
  * @property {number | null} hovered
- * @property {number} timeMs pose time of what is shown
+ * @property {number} timeMs pose time shown
  * @property {History} history
- * @property {import("../../wire/messages.js").Camera[]} cameras those that move
+ * @property {import("../../wire/messages.js").Camera[]} cameras mounted cameras
  */
 
 /**
@@ -74,9 +74,9 @@ export function drawTracks(context, view, palette, tracks, options) {
 }
 
 /**
- * How long trails are, and of how many frames of the history one is drawn: many must take no longer than few.
+ * Length of the trails and stride in frames of the history, so that the total number of points is limited.
  * @param {number} objects
- * @param {number} points of all together, about
+ * @param {number} points approximate total
  */
 export function trailPlan(objects, points) {
   const spanMs = objects < MANY_OBJECTS ? TRAIL_MS : MANY_OBJECTS_TRAIL_MS;
@@ -92,7 +92,7 @@ export function trailPlan(objects, points) {
  */
 function drawTrails(context, view, palette, tracks, options) {
   const hasManyObjects = tracks.length >= MANY_OBJECTS;
-  // Lines of a pixel without joins are drawn by the quickest way there is.
+  // Thin lines without round joins are the fastest.
   context.lineWidth = hasManyObjects ? 1 : 1.75;
   context.lineJoin = hasManyObjects ? "bevel" : "round";
   context.lineCap = hasManyObjects ? "butt" : "round";
@@ -114,7 +114,7 @@ function drawTrails(context, view, palette, tracks, options) {
 }
 
 /**
- * Adds an object's trail to the paths of its bands, the oldest first.
+ * Adds an object's trail to the paths of the fading steps, the oldest first.
  * @param {Path2D[]} bands
  * @param {Viewport} view
  * @param {import("../../state/object-state.js").ObjectState} state
@@ -137,7 +137,7 @@ function traceTrail(bands, view, state, { spanMs, stride }, { history, timeMs })
     [px, py, lastMs] = [toX, toY, atMs];
   };
   history.trace(state.id, timeMs - spanMs, timeMs, stride, visit);
-  // The way from the last frame kept to where it is.
+  // From the last stored frame to the current position.
   if (state.positionM) visit(timeMs, state.positionM.x, state.positionM.y);
 }
 
@@ -152,7 +152,7 @@ function drawEllipse(context, view, palette, { state }, options) {
   const { ellipse, positionM } = state;
   if (!ellipse || !positionM || state.stage === "lost") return;
   const stretch = view.scale * options.exaggeration;
-  // Hidden by its disc.
+  // Hidden by the disc.
   if (ellipse.majorM * stretch < discRadius(view) - 1) return;
   context.beginPath();
   context.ellipse(
@@ -160,13 +160,13 @@ function drawEllipse(context, view, palette, { state }, options) {
     view.screenY(positionM.y),
     ellipse.majorM * stretch,
     ellipse.minorM * stretch,
-    // The canvas' y points down, so angles turn the other way.
+    // The canvas' y axis points down, which reverses angles.
     -ellipse.angleRad,
     0,
     2 * Math.PI,
   );
   const color = palette.stage[state.stage];
-  // A new object may be known to metres only; filled, it would tint the whole arena.
+  // The ellipse of a new object may be metres wide; filled, it would tint the whole arena.
   if (ellipse.majorM * stretch < LARGEST_FILL * Math.min(view.width, view.height)) {
     context.fillStyle = color;
     context.globalAlpha = 0.12;

@@ -1,9 +1,10 @@
-/** Calibrates the arena by click: what to do, how far it is, what came out. */
+/** Dialog of the arena calibration: instructions, progress and report. */
 
 import { element, find, setText } from "../../base/dom.js";
 import { fixed, whole } from "../../base/format.js";
+import { request } from "../../wire/api-client.js";
 
-/** Between two looks while something runs, ms. */
+/** Polling interval during a calibration, ms. */
 const LOOK_MS = 400;
 
 /** @typedef {{camera: string, frames: number, codes: number, coverage: number, together: {camera: string}[]}} Recorded */
@@ -14,7 +15,7 @@ const LOOK_MS = 400;
 /** @param {import("../../state/store.js").Store} store */
 export function showArenaCalibration(store) {
   const dialog = find("#calibration");
-  if (!(dialog instanceof HTMLDialogElement)) throw new Error("index.html's calibration is no dialog");
+  if (!(dialog instanceof HTMLDialogElement)) throw new Error("index.html's calibration is not a dialog");
   const form = /** @type {HTMLFormElement} */ (find("#calibration-form"));
   const seconds = /** @type {HTMLInputElement} */ (find("#calibration-seconds"));
   const lenses = /** @type {HTMLInputElement} */ (find("#calibration-lenses"));
@@ -41,7 +42,7 @@ export function showArenaCalibration(store) {
   });
   cancel.addEventListener("click", () => void callApi("DELETE"));
   apply.addEventListener("click", () => void callApi("PUT", "/applied"));
-  // Somebody else may have begun one.
+  // Another client may have started a calibration.
   store.on("events", () => {
     if (dialog.open && timer === 0) void look();
   });
@@ -58,12 +59,12 @@ export function showArenaCalibration(store) {
     timer = 0;
     try {
       const headers = body === undefined ? undefined : { "content-type": "application/json" };
-      const response = await fetch(`api/v1/calibration${path}`, { method, headers, body, cache: "no-store" });
+      const response = await request(`calibration${path}`, { method, headers, body });
       const answer = await response.json();
-      if (!response.ok) say(answer?.error?.message ?? `The server answers with ${response.status}.`);
+      if (!response.ok) say(answer?.error?.message ?? `The server responded with status ${response.status}.`);
       else show(answer);
     } catch {
-      say("No answer from the server. The page tries again.");
+      say("No response from the server. Retrying automatically.");
       timer = setTimeout(() => void look(), LOOK_MS * 5);
     }
   }
@@ -81,7 +82,7 @@ export function showArenaCalibration(store) {
     form.hidden = isRunning;
     bar.hidden = !isRunning;
     cancel.hidden = !isRunning;
-    // Without a value it moves without end.
+    // Without a value the bar is indeterminate.
     if (isRecording) bar.value = it.recorded_s / Math.max(it.seconds, 1e-3);
     else bar.removeAttribute("value");
     setText(words, stageText(it));
@@ -102,16 +103,16 @@ function sentence(text) {
 
 /** @param {Calibration} it */
 function stageText(it) {
-  const inUse = it.version > 0 ? `Version ${it.version} is in use.` : "The cameras stand as configured.";
+  const inUse = it.version > 0 ? `Version ${it.version} is in use.` : "The cameras use their configured poses.";
   switch (it.stage) {
     case "recording":
-      return `Recording, ${fixed(it.recorded_s, 0)} of ${fixed(it.seconds, 0)} s. Let robots drive where views overlap.`;
+      return `Recording, ${fixed(it.recorded_s, 0)} of ${fixed(it.seconds, 0)} s. Drive robots through the areas where views overlap.`;
     case "solving":
-      return `Working it out, step ${it.steps}. The robots may rest.`;
+      return `Calculating, step ${it.steps}. The robots can stop.`;
     case "done":
       return it.applied_version > 0
-        ? `Done. The cameras use it as version ${it.applied_version}.`
-        : "Done. The cameras have not taken it over: look at the findings first.";
+        ? `Finished. Applied as version ${it.applied_version}.`
+        : "Finished, but not applied. Check the findings first.";
     case "failed":
       return `No result. ${inUse}`;
     default:
@@ -131,7 +132,7 @@ function recordedTable(cameras) {
       camera.together.map((other) => other.camera).join(", ") || "none yet",
     ],
   }));
-  return table("What the cameras have seen so far", ["Camera", "Frames", "Codes", "Image covered", "Shares codes with"], rows);
+  return table("Recorded so far", ["Camera", "Frames", "Codes", "Image covered", "Shares codes with"], rows);
 }
 
 /** @param {Report} report */
@@ -149,16 +150,16 @@ function reportOf(report) {
       percent(camera.coverage),
     ],
   }));
-  const titles = ["Camera", "Moved by", "Known to (1 σ)", "Error px", "Ratio to stated", "Image covered"];
+  const titles = ["Camera", "Moved by", "Accuracy (1 σ)", "Error px", "Error ratio", "Image covered"];
   const findings = report.findings.map(({ message, grave }) =>
-    element("li", { class: grave ? "grave" : "" }, [grave ? element("strong", {}, ["Grave: "]) : "", sentence(message)]),
+    element("li", { class: grave ? "grave" : "" }, [grave ? element("strong", {}, ["Severe: "]) : "", sentence(message)]),
   );
   const summary = `${report.sightings} sightings of ${report.roundels} roundels, solved in ${fixed(report.solve_s, 1)} s.`;
-  const list = findings.length > 0 ? element("ul", { class: "findings" }, findings) : element("p", {}, ["Nothing is amiss."]);
+  const list = findings.length > 0 ? element("ul", { class: "findings" }, findings) : element("p", {}, ["No findings."]);
   return [table(summary, titles, rows), list];
 }
 
-/** Small ones. @param {number | null} rad */
+/** Formats a small angle. @param {number | null} rad */
 function angle(rad) {
   return `${fixed(((rad ?? 0) * 180) / Math.PI, 4)}°`;
 }

@@ -1,4 +1,4 @@
-/** Dialog that shows the predicted precision or coverage over the arena. */
+/** Dialog with a map of predicted accuracy or coverage. */
 
 import { fetchFile } from "../../wire/api-client.js";
 import { findDialog } from "../forms/dialog.js";
@@ -53,7 +53,7 @@ export function showCameraPlan(store) {
     const kinds = await fetchRoundelKinds(store);
     const before = roundel.value;
     const options = kinds.map(({ name }) => element("option", { value: name }, [name]));
-    roundel.replaceChildren(...(options.length > 0 ? options : [element("option", { value: "" }, ["the first one"])]));
+    roundel.replaceChildren(...(options.length > 0 ? options : [element("option", { value: "" }, ["first kind"])]));
     if (kinds.some(({ name }) => name === before)) roundel.value = before;
     if (dialog.open) await look();
   };

@@ -1,4 +1,4 @@
-/** Finds a camera's lens by click: the board is moved before the camera, the page shows where it has been and what is missing. */
+/** Dialog of the lens calibration: the user moves the board in front of the camera, and the page shows coverage and missing views. */
 
 import { callApi } from "../../wire/api-client.js";
 import { findDialog } from "../forms/dialog.js";
@@ -7,18 +7,18 @@ import { LensPreview } from "./lens-preview.js";
 import { canFinish, isRunning, missingText, parameterCells, progressOf, reportText, sentence, sizeOf, stageText, subjectOf } from "./lens-text.js";
 import { FormErrors } from "../forms/form-errors.js";
 
-/** Between two looks while it runs, ms: the server looks ten times a second. */
+/** Polling interval while it runs, ms. */
 const LOOK_MS = 300;
-/** After no answer came, ms. */
+/** Pause after a failed request, ms. */
 const RETRY_MS = 2000;
 
-/** Fields of the form, and how each goes into the request. @type {Record<string, (text: string) => string | number>} */
+/** Fields of the form, with their conversion for the request. @type {Record<string, (text: string) => string | number>} */
 const FIELDS = { board: String, marker: number, pitch: number, code: String, views: number, model: String };
 
 /** @typedef {import("./lens-text.js").Lens} Lens */
-/** @typedef {{camera: string, source: string, name: string}} Subject one of the first two is empty */
+/** @typedef {{camera: string, source: string, name: string}} Subject either camera or source is empty */
 
-/** What cannot be read as a number is sent as it stands: the server says what it expected. @param {string} text */
+/** Text that is not a number is sent unchanged, so that the server's error says what it expects. @param {string} text */
 function number(text) {
   const value = Number(text.replace(",", "."));
   return Number.isFinite(value) ? value : text;
@@ -69,7 +69,7 @@ class LensDialog {
     this.kept = kept;
     this.drawn = "";
     setText(find("#lens-title"), `Lens of ${subject.camera || subject.name || subject.source}`);
-    // A camera that is served has the size of its lens file.
+    // A configured camera has the size of its lens file.
     find("#lens-size-label").hidden = subject.source === "";
     this.dialog.showModal();
     void this.act("GET", "lens");
@@ -86,7 +86,7 @@ class LensDialog {
     await this.act("POST", "lens", { ...this.request(), ...size });
   }
 
-  /** What is filled in; what is empty is as usual. */
+  /** Request from the form. Empty fields use the server's defaults. */
   request() {
     /** @type {Record<string, unknown>} */
     const request = {};
@@ -107,7 +107,7 @@ class LensDialog {
     if (error) {
       const isOfSize = error.field === "width" || error.field === "height";
       this.errors.showApiError(isOfSize ? { ...error, field: "size" } : error);
-      // What runs goes on.
+      // A running calibration continues.
       if (method !== "GET" || error.status === 0) this.again(RETRY_MS);
       return;
     }
@@ -121,7 +121,7 @@ class LensDialog {
     this.timer = setTimeout(() => void this.look(), ms);
   }
 
-  /** Looks without taking away what was said to be wrong. */
+  /** Polls the state, and keeps the errors shown. */
   async look() {
     const { answer, error } = await callApi("GET", "lens");
     if (!this.dialog.open) return;
@@ -129,7 +129,7 @@ class LensDialog {
     else await this.follow(answer);
   }
 
-  /** Shows it, and goes on looking while it runs. @param {Lens} it */
+  /** Shows the state, and polls again while the calibration runs. @param {Lens} it */
   async follow(it) {
     this.fill(it);
     if (isRunning(it) || this.isDone(it)) await this.view.show(it);
@@ -138,7 +138,7 @@ class LensDialog {
     else if (isRunning(it)) this.again(LOOK_MS);
   }
 
-  /** Whether there is a lens of what this dialog is open for. @param {Lens} it */
+  /** Whether the calibration for this dialog's subject is finished. @param {Lens} it */
   isDone(it) {
     return it.stage === "done" && this.isMine(it);
   }
@@ -158,13 +158,13 @@ class LensDialog {
     this.buttons.finish.hidden = !canFinish(it);
     const isDone = this.isDone(it);
     this.buttons.apply.hidden = !(isDone && it.can_apply && it.applied === "");
-    setText(this.buttons.apply, it.camera ? `Use it for ${it.camera}` : "Keep it beside the configuration");
+    setText(this.buttons.apply, it.camera ? `Apply to ${it.camera}` : "Save next to the configuration");
     find("#lens-file").hidden = !isDone;
     if (it.stage === "gathering") this.bar.value = progressOf(it);
     else this.bar.removeAttribute("value");
-    // Another camera's end is none of this one's business; while it runs, it holds this one up.
+    // The result of another camera is not shown here, but while its calibration runs this one has to wait.
     const shown = mine || runs ? it : { ...it, stage: /** @type {"idle"} */ ("idle"), error: "" };
-    const whose = runs && !mine ? `This is the lens of ${subjectOf(it)}: one at a time. ` : "";
+    const whose = runs && !mine ? `The lens of ${subjectOf(it)} is being calibrated. Only one calibration can run at a time. ` : "";
     setText(find("#lens-words"), whose + stageText(shown));
     const error = find("#lens-error");
     error.hidden = shown.error === "";

@@ -3,7 +3,7 @@
 import { fetchFile } from "../../wire/api-client.js";
 import { find } from "../../base/dom.js";
 
-/** Over a picture, whatever the page's theme: zones that are done and that are not, views, the board now. */
+/** Colours over the picture, for both themes: covered and uncovered zones, views, the current board. */
 const DONE = "rgb(40 220 120 / 22%)";
 const WANTED = "rgb(255 190 40 / 90%)";
 const VIEW = "rgb(40 220 120 / 75%)";
@@ -12,7 +12,7 @@ const SEEN = "rgb(255 255 255)";
 
 /** @typedef {import("./lens-text.js").Lens} Lens */
 
-/** Zones with their corners in the picture, and whether the board has been there. @param {Lens} it */
+/** Zones of the picture, and whether the board has covered them. @param {Lens} it */
 export function zonesOf({ coverage, width, height }) {
   const { columns, rows, zones, visited_from: from } = coverage;
   return zones.map((count, i) => ({
@@ -32,7 +32,7 @@ export class LensPreview {
     this.shown = "";
   }
 
-  /** Asks for the picture, and draws over it what is known with it. @param {Lens} it */
+  /** Requests the picture and draws the coverage over it. @param {Lens} it */
   async show(it) {
     if (it.frames === 0) return this.clear();
     const { answer } = await fetchFile("lens/picture.jpg");
@@ -53,7 +53,7 @@ export class LensPreview {
     }
     const context = this.canvas.getContext("2d");
     if (!context) return;
-    // Lines are as thick on the screen whatever the picture's size.
+    // Lines have the same width on the screen for all picture sizes.
     const unit = Math.max(1, it.width / 480);
     context.clearRect(0, 0, it.width, it.height);
     for (const zone of zonesOf(it)) {

@@ -1,4 +1,4 @@
-/** A lens calibration in words and numbers, as the server tells of it. */
+/** Texts about a lens calibration. */
 
 import { fixed } from "../../base/format.js";
 
@@ -31,40 +31,40 @@ import { fixed } from "../../base/format.js";
  * @property {string} applied
  */
 
-/** Whether it runs. @param {Lens} it */
+/** @param {Lens} it */
 export function isRunning(it) {
   return it.stage === "gathering" || it.stage === "solving";
 }
 
-/** Whose lens it is. @param {Lens} it */
+/** Camera or source that is calibrated. @param {Lens} it */
 export function subjectOf(it) {
   return it.camera || it.source;
 }
 
-/** What is going on, and what to do. @param {Lens} it */
+/** State, and what to do. @param {Lens} it */
 export function stageText(it) {
   switch (it.stage) {
     case "gathering":
       return it.frames === 0 ? "Waiting for the first picture." : `${viewsText(it.taken)} of ${it.enough}, ${percent(it.coverage.share)} of the picture covered. ${sentence(it.newest)}`;
     case "solving":
-      return "Working it out. The board may rest.";
+      return "Calculating. You can put the board down.";
     case "done":
-      return it.applied ? `Done. It is kept as ${it.applied}${it.camera ? `, and camera ${it.camera} uses it` : ""}.` : "Done. Nothing uses it yet.";
+      return it.applied ? `Finished. Saved as ${it.applied}${it.camera ? ` and used by camera ${it.camera}` : ""}.` : "Finished. Not assigned to a camera yet.";
     case "failed":
-      return "No lens was found.";
+      return "Lens calibration failed.";
     default:
-      return "Print the board (Print…, Calibration board), fix it to something flat, start, and move it before the camera. Hold it still at each place.";
+      return "Print the board (Print…, Calibration board) and fix it to something flat. Start, then move it in front of the camera and hold it still at each position.";
   }
 }
 
-/** What is missing, for a list. @param {Lens} it @returns {string[]} */
+/** Missing views, as list items. @param {Lens} it @returns {string[]} */
 export function missingText(it) {
   if (it.stage !== "gathering" || it.frames === 0) return [];
   if (it.missing.length > 0) return it.missing.map(sentence);
-  return it.taken < it.enough ? ["Nothing certain: more views from anywhere."] : [];
+  return it.taken < it.enough ? ["Good coverage; add a few more views."] : [];
 }
 
-/** How far it is, 0 to 1: by views, and never whole while something is missing. @param {Lens} it */
+/** Progress by number of views, 0 to 1; below 1 while views are missing. @param {Lens} it */
 export function progressOf(it) {
   if (it.stage !== "gathering") return it.stage === "idle" ? 0 : 1;
   const share = Math.min(1, it.taken / Math.max(1, it.enough));
@@ -76,20 +76,20 @@ export function canFinish(it) {
   return it.stage === "gathering" && it.taken >= it.least;
 }
 
-/** Value and deviation, with as many decimals as the deviation has to say. @param {Parameter} it */
+/** Value and deviation, rounded to two significant digits of the deviation. @param {Parameter} it */
 export function parameterCells(it) {
   const decimals = it.deviation > 0 ? Math.min(8, Math.max(0, 1 - Math.floor(Math.log10(it.deviation)))) : 6;
   const unit = it.unit ? ` ${it.unit}` : "";
   return [`${fixed(it.value, decimals)}${unit}`, `± ${fixed(it.deviation, decimals)}${unit}`];
 }
 
-/** What the result rests on. @param {Report} it */
+/** Summary of the result. @param {Report} it */
 export function reportText(it) {
-  const left = it.views_left_out > 0 ? `, ${it.views_left_out} left out since they contradict the others` : "";
-  return `${it.distortion_model}, from ${viewsText(it.views)}${left}; seen and predicted centres differ by ${fixed(it.rms_px, 3)} px rms.${it.width_warning ? ` ${sentence(it.width_warning)}` : ""}`;
+  const left = it.views_left_out > 0 ? `, ${it.views_left_out} excluded as inconsistent` : "";
+  return `${it.distortion_model}, from ${viewsText(it.views)}${left}; rms reprojection error ${fixed(it.rms_px, 3)} px.${it.width_warning ? ` ${sentence(it.width_warning)}` : ""}`;
 }
 
-/** Columns and rows as somebody writes them, as they go into the request. @param {string} text @returns {{width: number, height: number} | null} */
+/** Parses "1920x1080". @param {string} text @returns {{width: number, height: number} | null} */
 export function sizeOf(text) {
   const [, width, height] = /^(\d+)\s*[x×]\s*(\d+)$/iu.exec(text.trim()) ?? [];
   return height === undefined ? null : { width: Number(width), height: Number(height) };

@@ -1,4 +1,4 @@
-/** Roundels and the calibration board to print: what is wanted, how it looks, and the file. */
+/** Dialog for printing roundels and the calibration board, with a preview. */
 
 import { callApi, fetchFile } from "../../wire/api-client.js";
 import { findDialog } from "../forms/dialog.js";
@@ -6,12 +6,12 @@ import { element, find, setText } from "../../base/dom.js";
 import { fetchRoundelKinds } from "../../wire/roundel-kinds.js";
 import { FormErrors } from "../forms/form-errors.js";
 
-/** After the last key, before a new preview is asked for, ms. */
+/** Delay between the last input and the request of a new preview, ms. */
 const PAUSE_MS = 300;
 const FIELDS = ["marker", "code", "ids", "copies", "polarity", "board", "pitch", "page", "sheet"];
-/** Most codes listed. */
+/** Largest number of codes listed. */
 const MOST_LISTED = 500;
-/** The choice of a roundel that is none of the configuration's. */
+/** Value of the option for a custom roundel. */
 const OWN = "";
 
 /** @param {import("../../state/store.js").Store} store */
@@ -57,11 +57,11 @@ class PrintForm {
 
   async open() {
     this.dialog.showModal();
-    // All can be printed where no kind is known beforehand.
+    // Without known kinds, a custom roundel and the board can be printed.
     this.kinds = await fetchRoundelKinds(this.store);
     const options = this.kinds.map(({ name }) => element("option", { value: name }, [name]));
     const board = element("option", { value: "/board" }, ["Calibration board, for lenses"]);
-    this.kind.replaceChildren(...options, element("option", { value: OWN }, ["Another roundel"]), board);
+    this.kind.replaceChildren(...options, element("option", { value: OWN }, ["Custom roundel"]), board);
     this.fill();
     this.showFields();
     void this.preview();
@@ -71,7 +71,7 @@ class PrintForm {
     return this.kind.value === "/board";
   }
 
-  /** What a kind of the configuration says of itself. */
+  /** Fills the fields with the values of the selected kind. */
   fill() {
     const kind = this.kinds.find(({ name }) => name === this.kind.value);
     if (!kind) return;
@@ -81,7 +81,7 @@ class PrintForm {
     this.field("ids").value = kind.code_bits === null ? "" : "1-4";
   }
 
-  /** Only what can be filled in is shown. */
+  /** Shows the fields of the selected item. */
   showFields() {
     find("#print-of-board").hidden = !this.isBoard;
     find("#print-of-roundels").hidden = this.isBoard;
@@ -115,7 +115,7 @@ class PrintForm {
     this.forget();
     this.shown = URL.createObjectURL(answer);
     this.picture.src = this.shown;
-    this.picture.alt = `Page ${sheet}, as it is printed`;
+    this.picture.alt = `Preview of page ${sheet}`;
     find("#print-pdf").setAttribute("href", `api/v1/print?${query}`);
     for (const format of ["svg", "png"]) {
       find(`#print-${format}`).setAttribute("href", `api/v1/print?${query}&format=${format}&sheet=${encodeURIComponent(sheet)}`);
@@ -137,13 +137,13 @@ class PrintForm {
     if (mine !== this.asked || !Array.isArray(answer)) return;
     const rows = answer.slice(0, MOST_LISTED).map((one) => element("tr", {}, [one.number, one.word, one.distance, one.own_distance].map((cell) => element("td", {}, [String(cell)]))));
     find("#print-code-rows").replaceChildren(...rows);
-    const more = answer.length > MOST_LISTED ? `, of which the first ${MOST_LISTED} are listed` : "";
+    const more = answer.length > MOST_LISTED ? `, the first ${MOST_LISTED} listed` : "";
     setText(find("#print-codes > summary"), `${answer.length} codes with their Hamming distances${more}`);
     list.hidden = false;
     this.listed = code;
   }
 
-  /** Lets go of the picture that is shown. */
+  /** Releases the preview. */
   forget() {
     if (this.shown) URL.revokeObjectURL(this.shown);
     this.shown = "";

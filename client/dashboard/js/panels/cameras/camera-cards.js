@@ -1,4 +1,4 @@
-/** A card for each camera: how it is doing, in words and numbers, and what it sees. */
+/** A card for each camera: problems, figures and live picture. */
 
 import { element, find, glyph, inOwnFrame, setAttribute, setText } from "../../base/dom.js";
 import { fixed, whole } from "../../base/format.js";
@@ -17,27 +17,27 @@ const STATUS_WORDS = {
 };
 
 /** @typedef {import("../../wire/messages.js").Camera} Camera */
-/** @typedef {{edit: (name: string) => void, findLens: (name: string) => void}} Actions open a camera's setup, and the search for its lens */
+/** @typedef {{edit: (name: string) => void, findLens: (name: string) => void}} Actions open a camera's form, and its lens calibration */
 
 /** @type {{key: string, name: string, unit: string, title: string, value: (camera: Camera) => string}[]} */
 const FIGURES = [
-  { key: "rate", name: "Rate", unit: "Hz", title: "Frames processed a second", value: (c) => fixed(c.rateHz, 1) },
-  { key: "latency", name: "Latency", unit: "ms", title: "From capture to fused, median", value: (c) => fixed(c.latencyMs, 1) },
-  { key: "times", name: "Times", unit: "", title: "Where its capture times come from, and what they may be off by together before anything is found", value: (c) => timesText(c.captureClock) },
-  { key: "clock", name: "Clock", unit: "", title: "By how much its clock is late against the others, give or take; times are corrected by it", value: (c) => clockText(c.clock) },
-  { key: "detect", name: "Detect", unit: "ms", title: "Time to find the roundels in a frame, median", value: (c) => fixed(c.detectMs, 2) },
-  { key: "detections", name: "Roundels", unit: "", title: "Found in the newest frame", value: (c) => whole(c.detections) },
-  { key: "dropped", name: "Dropped", unit: "", title: "Frames that gave way to newer ones because the worker was busy", value: (c) => whole(c.dropped) },
-  { key: "broken", name: "Broken", unit: "", title: "Frames that arrived broken and were left out", value: (c) => whole(c.broken) },
-  { key: "restarts", name: "Restarts", unit: "", title: "Times that the source was opened again after a failure", value: (c) => whole(c.restarts) },
+  { key: "rate", name: "Rate", unit: "Hz", title: "Frames processed per second", value: (c) => fixed(c.rateHz, 1) },
+  { key: "latency", name: "Latency", unit: "ms", title: "From capture to fusion, median", value: (c) => fixed(c.latencyMs, 1) },
+  { key: "times", name: "Timestamps", unit: "", title: "Source of the capture times, and their standard deviation before the clock is estimated", value: (c) => timesText(c.captureClock) },
+  { key: "clock", name: "Clock", unit: "", title: "Delay of its clock against the other cameras ± standard deviation; capture times are corrected by it", value: (c) => clockText(c.clock) },
+  { key: "detect", name: "Detect", unit: "ms", title: "Time to detect the roundels in a frame, median", value: (c) => fixed(c.detectMs, 2) },
+  { key: "detections", name: "Roundels", unit: "", title: "Detected in the newest frame", value: (c) => whole(c.detections) },
+  { key: "dropped", name: "Dropped", unit: "", title: "Frames dropped because the worker was busy", value: (c) => whole(c.dropped) },
+  { key: "broken", name: "Broken", unit: "", title: "Frames that arrived broken", value: (c) => whole(c.broken) },
+  { key: "restarts", name: "Restarts", unit: "", title: "Number of times the source was reopened after a failure", value: (c) => whole(c.restarts) },
 ];
 
 /** @type {Record<string, string>} */
 const BASE_WORDS = {
-  server: "server's clock",
+  server: "server clock",
   arrival: "arrival",
-  camera: "camera's counter",
-  driver: "driver's stamp",
+  camera: "camera counter",
+  driver: "driver timestamp",
   synchronized: "synchronized",
 };
 
@@ -50,7 +50,7 @@ function timesText(clock) {
 
 /** @param {import("../../wire/messages.js").Clock | null} clock */
 function clockText(clock) {
-  return clock ? `${clock.offsetMs < 0 ? "" : "+"}${fixed(clock.offsetMs, 2)} ± ${fixed(clock.deviationMs, 2)} ms` : "trusted";
+  return clock ? `${clock.offsetMs < 0 ? "" : "+"}${fixed(clock.offsetMs, 2)} ± ${fixed(clock.deviationMs, 2)} ms` : "in sync";
 }
 
 /**
@@ -69,7 +69,19 @@ export function showCameraCards(store, actions) {
     const camera = store.cameras.find((one) => one.name === name);
     if (!camera) return;
     card.fill(camera, store.connection.phase === "live", cameraProblems(camera, store.frameCounters.shares(name)));
-    setText(card.noPicture, store.info?.replays ? "No picture recorded here" : `No picture from ${name} yet`);
+    setText(card.noPicture, store.info?.replays ? "No picture recorded at this time" : `No picture from ${name} yet`);
+  };
+
+  /** Names of the cards to fill. @type {Set<string>} */
+  const due = new Set();
+  // A few cards per animation frame, so that many cameras do not block the page.
+  const fillSome = () => {
+    for (const name of [...due].slice(0, AT_ONCE)) {
+      due.delete(name);
+      const card = cards.get(name);
+      if (card) fill(name, card);
+    }
+    if (due.size > 0) inOwnFrame(fillSome);
   };
 
   const update = () => {
@@ -86,9 +98,8 @@ export function showCameraCards(store, actions) {
       list.append(card.root);
       fill(name, card);
     }
-    const all = [...cards];
-    // All at once would hold up the page where there are many.
-    for (let i = 0; i < all.length; i += AT_ONCE) inOwnFrame(() => all.slice(i, i + AT_ONCE).forEach(([name, card]) => fill(name, card)));
+    for (const name of cards.keys()) due.add(name);
+    if (due.size > 0) inOwnFrame(fillSome);
     empty.hidden = store.cameras.length > 0 || !store.camerasKnown;
     const failed = store.cameras.filter((camera) => camera.status === "failed").length;
     summary.classList.toggle("bad", failed > 0);
@@ -110,21 +121,21 @@ function summaryText(cameras, failed) {
   return running === cameras.length ? `${running} running` : `${running} of ${cameras.length} running`;
 }
 
-/** Where it is, and what carries it. @param {Camera} camera */
+/** Position of the camera, and its carrier. @param {Camera} camera */
 function placeText(camera) {
-  const on = camera.carrier ? `on ${camera.carrier}` : "stands";
+  const on = camera.carrier ? `on ${camera.carrier}` : "fixed";
   if (!camera.pose) return camera.carrier ? on : "";
   const { x, y, z } = camera.pose.position;
   return `${on}, at ${[x, y, z].map((value) => fixed(value, 2)).join("  ")} m`;
 }
 
-/** The program that feeds it; empty of a camera that no program has fed. @param {Camera} camera */
+/** Sender of a `push:` camera; empty if none has connected yet. @param {Camera} camera */
 function senderText({ link }) {
   if (!link?.sender) return "";
-  const lost = link.missing > 0 ? `, ${whole(link.missing)} frames lost on the way` : "";
-  if (!link.connected) return `was fed by ${link.sender}${lost}`;
-  const away = link.roundTripMs > 0 ? `, ${fixed(link.roundTripMs, 1)} ms there and back` : "";
-  return `fed by ${link.sender} (${link.address})${away}${lost}`;
+  const lost = link.missing > 0 ? `, ${whole(link.missing)} frames lost` : "";
+  if (!link.connected) return `sender ${link.sender}, disconnected${lost}`;
+  const roundTrip = link.roundTripMs > 0 ? `, ${fixed(link.roundTripMs, 1)} ms round trip` : "";
+  return `sender ${link.sender} (${link.address})${roundTrip}${lost}`;
 }
 
 class Card {
@@ -135,7 +146,7 @@ class Card {
    */
   constructor(name, viewer, actions) {
     const image = new Image();
-    image.alt = `What camera ${name} sees, with its detections drawn in`;
+    image.alt = `Picture of camera ${name} with its detections`;
     this.picture = new Picture(image, name);
     this.noPicture = element("span", { class: "no-picture" });
     this.frame = element("button", { class: "frame", type: "button", title: "Enlarge" }, [image, this.noPicture]);
@@ -155,7 +166,7 @@ class Card {
     this.head = element("h3", {}, [name]);
     const change = element("button", { type: "button", class: "quiet edit", "aria-haspopup": "dialog", "aria-label": `Edit camera ${name}` }, ["Edit"]);
     change.addEventListener("click", () => actions.edit(name));
-    const lens = element("button", { type: "button", class: "quiet find-lens", "aria-haspopup": "dialog", "aria-label": `Find the lens of camera ${name}` }, ["Lens…"]);
+    const lens = element("button", { type: "button", class: "quiet find-lens", "aria-haspopup": "dialog", "aria-label": `Calibrate the lens of camera ${name}` }, ["Lens…"]);
     lens.addEventListener("click", () => actions.findLens(name));
     this.root = element("li", { class: "card", "data-camera-card": name }, [
       this.frame,
@@ -169,7 +180,7 @@ class Card {
 
   /**
    * @param {Camera} camera
-   * @param {boolean} live whether the server can be asked for pictures
+   * @param {boolean} live whether the server is connected
    * @param {import("../../state/camera-health.js").Problem[]} problems
    */
   fill(camera, live, problems) {
@@ -178,7 +189,7 @@ class Card {
       this.statusShown = camera.status;
       this.status.replaceChildren(glyph(camera.status), STATUS_WORDS[camera.status]);
     }
-    const blur = camera.blurPx === null ? "" : `, blurred by ${fixed(camera.blurPx, 2)} px`;
+    const blur = camera.blurPx === null ? "" : `, blur ${fixed(camera.blurPx, 2)} px`;
     setAttribute(this.head, "title", `${camera.source}, ${camera.width} × ${camera.height} px${blur}`);
     const words = problems.map((one) => one.why).join(" ");
     setAttribute(this.root, "data-health", problems.length === 0 ? "well" : problems[0].isSevere ? "grave" : "ill");
@@ -189,7 +200,7 @@ class Card {
     this.sender.hidden = sender === "";
     setText(this.sender, sender);
     for (const [i, { value }] of FIGURES.entries()) setText(this.values[i], value(camera));
-    // Before the first frame there is no picture to ask for; a finished camera's last one stays.
+    // There is no picture before the first frame. A finished camera keeps its last one.
     this.picture.setWanted(live && camera.frames > 0 && camera.status !== "failed" && camera.status !== "starting");
   }
 
@@ -199,13 +210,13 @@ class Card {
   }
 }
 
-/** One picture, large. It shows what the card's picture shows, so nothing is asked for twice. */
+/** Enlarged picture. It copies the card's picture and sends no requests of its own. */
 class Viewer {
   constructor() {
     const dialog = find("#viewer");
     const picture = find("#viewer-picture");
     if (!(dialog instanceof HTMLDialogElement) || !(picture instanceof HTMLImageElement)) {
-      throw new Error("index.html's viewer is no dialog with an image");
+      throw new Error("index.html's viewer is not a dialog with an image");
     }
     this.dialog = dialog;
     this.picture = picture;

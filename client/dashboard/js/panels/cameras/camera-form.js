@@ -1,4 +1,4 @@
-/** Adds, changes and removes cameras by form; every error stands at its field. */
+/** Form that adds, changes and removes cameras. Errors are shown at their fields. */
 
 import { lookAtOf, orientationOf } from "./look-at.js";
 import { callApi } from "../../wire/api-client.js";
@@ -6,9 +6,9 @@ import { find, setText } from "../../base/dom.js";
 import { sourceTestText } from "./source-test.js";
 import { FormErrors } from "../forms/form-errors.js";
 
-/** Fields of the form that a server's error can be about, by the name that it gives them. */
+/** Fields that can have errors, by their API names. */
 const FIELDS = ["name", "source", "calibration", "pose", "rate_hz", "mode"];
-/** What is written with three decimals: a millimetre. */
+/** Values are rounded to three decimals. */
 const DECIMALS = 1000;
 
 /** @typedef {{position: {x: number, y: number, z: number} | null, orientation: import("./look-at.js").Quaternion | null}} Pose */
@@ -32,14 +32,14 @@ class CameraForm {
   constructor(findLens) {
     this.findLens = findLens;
     const dialog = find("#setup");
-    if (!(dialog instanceof HTMLDialogElement)) throw new Error("index.html's setup is no dialog");
+    if (!(dialog instanceof HTMLDialogElement)) throw new Error("index.html's setup is not a dialog");
     this.dialog = dialog;
     this.form = /** @type {HTMLFormElement} */ (find("#setup-form"));
     this.words = find("#setup-words");
     this.errors = new FormErrors("setup", FIELDS, { pose: "setup-place" });
     this.remove = /** @type {HTMLButtonElement} */ (find("#setup-remove"));
     this.buttons = [...dialog.querySelectorAll("button[data-acts]")].map((it) => /** @type {HTMLButtonElement} */ (it));
-    /** @type {Setup | null} as the server has it; null: a new one */
+    /** @type {Setup | null} the server's version; null for a new camera */
     this.before = null;
     this.poseTouched = false;
 
@@ -82,7 +82,7 @@ class CameraForm {
     this.field("name").focus();
   }
 
-  /** Opens with what the configuration says. @param {string} name */
+  /** Opens the form with the camera's configuration. @param {string} name */
   async edit(name) {
     this.open(null);
     setText(find("#setup-title"), `Camera ${name}`);
@@ -103,7 +103,7 @@ class CameraForm {
     const { pose } = setup;
     const rides = Boolean(pose?.object);
     this.field("place-rides").disabled = !rides;
-    setText(find("#setup-carrier"), rides ? `Rides on ${pose?.object}` : "Rides on an object");
+    setText(find("#setup-carrier"), rides ? `Mounted on ${pose?.object}` : "Mounted on an object");
     const stands = !rides && pose?.pose?.position && pose.pose.orientation;
     this.field(rides ? "place-rides" : stands ? "place-stands" : pose ? "place-found" : "place-own").checked = true;
     if (!stands) return;
@@ -115,12 +115,12 @@ class CameraForm {
     this.field("turned").value = rounded(turnedDeg);
   }
 
-  /** Only what can be filled in is shown. */
+  /** Shows the fields of the chosen kind of pose. */
   showPlace() {
     find("#setup-aim").hidden = !this.field("place-stands").checked;
   }
 
-  /** What is filled in; null if a number is missing. @returns {Setup | null} */
+  /** Reads the form; null if the pose is invalid. @returns {Setup | null} */
   read() {
     const rate = this.field("rate_hz").value.trim();
     const pose = this.readPose();
@@ -135,21 +135,21 @@ class CameraForm {
     };
   }
 
-  /** Undefined: what is filled in is no place. @returns {PoseSetup | null | undefined} */
+  /** Returns undefined if the pose is invalid. @returns {PoseSetup | null | undefined} */
   readPose() {
     if (!this.poseTouched || this.field("place-rides").checked) return this.before?.pose ?? null;
     if (this.field("place-own").checked) return null;
     if (this.field("place-found").checked) return { unknown: true };
     const numbers = ["at-x", "at-y", "at-z", "to-x", "to-y", "to-z", "turned"].map((name) => this.field(name).value.trim());
     if (numbers.some((it) => it === "" || !Number.isFinite(Number(it)))) {
-      this.errors.showError("pose", "Fill in all numbers of the place, metres and degrees.");
+      this.errors.showError("pose", "Enter all numbers of the pose, in metres and degrees.");
       return undefined;
     }
     const [x, y, z, tx, ty, tz, turnedDeg] = numbers.map(Number);
     const position = { x, y, z };
     const orientation = orientationOf({ position, target: { x: tx, y: ty, z: tz }, turnedDeg });
     if (!orientation) {
-      this.errors.showError("pose", "The camera is to look at another place than where it stands.");
+      this.errors.showError("pose", "The camera must look at a point other than its own position.");
       return undefined;
     }
     return { pose: { position, orientation } };
@@ -170,7 +170,7 @@ class CameraForm {
     if (!this.asksBack) {
       this.asksBack = true;
       setText(this.remove, `Remove ${this.before.name}`);
-      this.say("It is taken out of the configuration as well. Press again to remove it.");
+      this.say("This also removes it from the configuration. Press again to confirm.");
       return;
     }
     const done = await this.callApi("DELETE", `cameras/${encodeURIComponent(this.before.name)}`);
@@ -180,23 +180,23 @@ class CameraForm {
   async tryIt() {
     this.errors.clear();
     const source = this.field("source").value.trim();
-    if (source === "") return this.errors.showError("source", "Fill in the source first.");
-    this.say("Opening it. A camera that does not answer takes up to 15 s.");
+    if (source === "") return this.errors.showError("source", "Enter the source first.");
+    this.say("Opening the source. If it does not respond, this takes up to 15 s.");
     const answer = await this.callApi("POST", "sources/test", { source });
     this.say(answer ? sourceTestText(answer) : "");
     if (answer?.error) this.errors.showError("source", answer.error);
   }
 
-  /** Finds the lens of an existing camera by its name, of a new one by its source. */
+  /** Opens lens calibration, with the name of an existing camera or the source of a new one. */
   lens() {
     this.errors.clear();
     const [source, name] = [this.field("source").value.trim(), this.field("name").value.trim()];
     if (this.before) return this.findLens({ camera: this.before.name, source: "", name: "" }, (file) => this.keep(file));
-    if (source === "") return this.errors.showError("source", "Fill in the source first.");
+    if (source === "") return this.errors.showError("source", "Enter the source first.");
     this.findLens({ camera: "", source, name }, (file) => this.keep(file));
   }
 
-  /** Takes a lens file over that was found meanwhile. @param {string} file */
+  /** Uses the file of a finished lens calibration. @param {string} file */
   keep(file) {
     if (!this.dialog.open) return;
     this.field("calibration").value = file;
@@ -204,7 +204,7 @@ class CameraForm {
   }
 
   /**
-   * The answer, or null where there is none; then it is said why.
+   * Returns the response, or null after showing the error.
    * @param {string} method
    * @param {string} path
    * @param {object} [body]
@@ -224,7 +224,7 @@ class CameraForm {
   }
 }
 
-/** Without a sign for -0. @param {number} value */
+/** Rounds a value; -0 becomes 0. @param {number} value */
 function rounded(value) {
   return String(Math.round(value * DECIMALS) / DECIMALS + 0);
 }

@@ -1,11 +1,12 @@
-/** Health at a glance: what is unwell and why, how late data is, and every camera's figures in one table. */
+/** Health of all cameras: summary, problems, latency, and a table of figures. */
 
 import { element, find, glyph, throttle, setAttribute, setText } from "../../base/dom.js";
 import { fixed, whole } from "../../base/format.js";
 import { cameraProblems, groupProblems, healthSummary } from "../../state/camera-health.js";
+import { request } from "../../wire/api-client.js";
 
 const INTERVAL_MS = 500;
-/** Bars of the histogram of lateness. */
+/** Bars of the latency histogram. */
 const STEPS = 24;
 
 /** @typedef {import("../../wire/messages.js").Camera} Camera */
@@ -17,32 +18,32 @@ const COLUMNS = [
   {
     key: "rate",
     name: "Rate Hz",
-    title: "Frames processed a second, and how many were promised",
+    title: "Frames processed per second, and the promised rate",
     value: ({ camera }) => fixed(camera.rateHz, 1) + (camera.promisedRateHz > 0 ? ` of ${fixed(camera.promisedRateHz, 0)}` : ""),
   },
-  { key: "latency", name: "Late ms", title: "From capture to fused, median", value: ({ camera }) => fixed(camera.latencyMs, 0) },
+  { key: "latency", name: "Latency ms", title: "From capture to fusion, median", value: ({ camera }) => fixed(camera.latencyMs, 0) },
   {
     key: "dropped",
-    name: "Left out",
-    title: "Frames of the last ten seconds that gave way to newer ones; since the start in brackets",
+    name: "Dropped",
+    title: "Frames dropped in the last ten seconds; in brackets since the start",
     value: ({ camera, shares }) => `${percent(shares?.dropped)} (${whole(camera.dropped)})`,
   },
   {
     key: "broken",
     name: "Broken",
-    title: "Frames of the last ten seconds that arrived broken; since the start in brackets",
+    title: "Frames that arrived broken in the last ten seconds; in brackets since the start",
     value: ({ camera, shares }) => `${percent(shares?.broken)} (${whole(camera.broken)})`,
   },
   {
     key: "clock",
     name: "Clock ms",
-    title: "By how much its clock is late against the others, give or take; times are corrected by it",
-    value: ({ camera: { clock } }) => (clock ? `${fixed(clock.offsetMs, 1)} ± ${fixed(clock.deviationMs, 2)}` : "trusted"),
+    title: "Delay of its clock against the other cameras ± standard deviation; capture times are corrected by it",
+    value: ({ camera: { clock } }) => (clock ? `${fixed(clock.offsetMs, 1)} ± ${fixed(clock.deviationMs, 2)}` : "in sync"),
   },
   {
     key: "reprojection",
     name: "Reproj. px",
-    title: "How far from where the other cameras have objects it sees them, in its picture, rms over the last eight seconds; in brackets how far off roundels were at the newest calibration of the arena",
+    title: "Rms reprojection error against the other cameras in the last eight seconds; in brackets that of the newest arena calibration",
     value: ({ camera }, reprojectionPx) => {
       const calibrated = reprojectionPx.get(camera.name);
       return fixed(camera.reprojectionPx, 2) + (calibrated === undefined ? "" : ` (${fixed(calibrated, 2)})`);
@@ -50,15 +51,15 @@ const COLUMNS = [
   },
   {
     key: "off",
-    name: "Off by",
-    title: "By how much it would have to move to agree best with the others, over about a minute",
+    name: "Pose error",
+    title: "Pose correction with which it agrees best with the other cameras, over about a minute",
     value: ({ camera: { agreement } }) =>
       agreement && agreement.state !== "alone"
         ? `${fixed(agreement.positionErrorM * 1000, 1)} mm, ${fixed((agreement.rotationErrorRad * 180) / Math.PI, 3)}°`
         : "–",
   },
-  { key: "detect", name: "Detect ms", title: "Time to find the roundels in a frame, median", value: ({ camera }) => fixed(camera.detectMs, 2) },
-  { key: "blur", name: "Blur px", title: "As fitted to the rims of its roundels", value: ({ camera }) => fixed(camera.blurPx, 2) },
+  { key: "detect", name: "Detect ms", title: "Time to detect the roundels in a frame, median", value: ({ camera }) => fixed(camera.detectMs, 2) },
+  { key: "blur", name: "Blur px", title: "Estimated from the edges of its roundels", value: ({ camera }) => fixed(camera.blurPx, 2) },
 ];
 
 /** @param {number | undefined} share */
@@ -67,7 +68,7 @@ function percent(share) {
 }
 
 /**
- * The unwell first, the gravest before all.
+ * Cameras with severe problems first, then those with other problems.
  * @param {import("../../state/store.js").Store} store
  * @returns {CameraHealth[]}
  */
@@ -82,7 +83,7 @@ function camerasByHealth(store) {
 
 /**
  * @param {import("../../state/store.js").Store} store
- * @param {{open: () => void, isOpen: () => boolean}} view of it
+ * @param {{open: () => void, isOpen: () => boolean}} view
  */
 export function showHealthPanel(store, { open, isOpen }) {
   const button = find("#verdict");
@@ -91,30 +92,30 @@ export function showHealthPanel(store, { open, isOpen }) {
   const rows = find("#health-rows");
   const figures = { rate: find("#health-rate"), late: find("#health-late"), missed: find("#health-missed") };
   const bars = makeBars(find("#health-bars"));
-  /** @type {Map<string, number>} by camera, of the newest calibration */
+  /** @type {Map<string, number>} of the newest calibration, by camera */
   let reprojectionPx = new Map();
   find("#health-head").replaceChildren(
     element("th", { scope: "col" }, ["Camera"]),
-    element("th", { scope: "col" }, ["What is the matter"]),
+    element("th", { scope: "col" }, ["Problem"]),
     ...COLUMNS.map(({ name, title }) => element("th", { scope: "col", title }, [name])),
   );
 
   const loadCalibration = async () => {
     try {
-      const answer = await (await fetch("api/v1/calibration", { cache: "no-store" })).json();
+      const answer = await (await request("calibration")).json();
       /** @type {{camera: string, reprojection_px: number}[]} */
       const cameras = answer.report?.cameras ?? [];
       reprojectionPx = new Map(cameras.map((one) => [one.camera, one.reprojection_px]));
       update();
     } catch {
-      // Asked again with the next event of a calibration; the column stays empty meanwhile.
+      // The column stays empty until the next calibration event triggers another request.
     }
   };
 
   const update = () => {
     const all = camerasByHealth(store);
     const ill = all.filter(({ problems }) => problems.length > 0);
-    setText(words, store.camerasKnown ? healthSummary(all.length, ill.length) : "–");
+    setText(words, store.camerasKnown ? healthSummary(all) : "–");
     setAttribute(button, "data-health", ill.some(({ problems }) => problems[0].isSevere) ? "grave" : ill.length > 0 ? "ill" : "well");
     showUnwell(list, ill);
     if (!isOpen()) return;
@@ -141,7 +142,7 @@ export function showHealthPanel(store, { open, isOpen }) {
   return { update, opened: () => void loadCalibration().then(update) };
 }
 
-/** What is the matter with several at once is said once. @param {HTMLElement} list @param {CameraHealth[]} ill */
+/** Lists the problems; cameras with the same problem share an entry. @param {HTMLElement} list @param {CameraHealth[]} ill */
 function showUnwell(list, ill) {
   list.hidden = ill.length === 0;
   const reasons = groupProblems(ill.map(({ camera, problems }) => ({ name: camera.name, problems })));
@@ -175,7 +176,7 @@ function fillTable(body, all, reprojectionPx) {
       row.children[0].replaceChildren(glyph(state === "well" ? "running" : "failed"), ` ${camera.name}`);
     }
     for (const [k, { value }] of COLUMNS.entries()) setText(row.children[k + 2], value(health, reprojectionPx));
-    setText(row.children[1], problems.map((one) => one.why).join(" ") || "Well");
+    setText(row.children[1], problems.map((one) => one.why).join(" ") || "OK");
   }
 }
 
@@ -187,10 +188,10 @@ function makeBars(target) {
   return ({ stepMs, shares }) => {
     const most = Math.max(...shares, 1e-9);
     for (const [i, share] of shares.entries()) {
-      // By the object model: a style in the markup would be against the page's policy.
+      // Set by script: the page's security policy forbids style attributes in markup.
       bars[i].style.height = `${(share / most) * 100}%`;
       bars[i].title = `${i * stepMs} ms${i + 1 < STEPS ? ` to ${(i + 1) * stepMs} ms` : " and later"}: ${fixed(share * 100, 1)} %`;
     }
-    setText(caption, `How late snapshots were in the last minute: bars of ${stepMs} ms from 0 to ${(STEPS - 1) * stepMs} ms, the last one holds all later ones`);
+    setText(caption, `Latency of the snapshots in the last minute: bars of ${stepMs} ms from 0 to ${(STEPS - 1) * stepMs} ms; the last bar holds all later ones`);
   };
 }

@@ -1,16 +1,18 @@
 /**
- * A camera's live picture: asked for again and again while someone can see it, never twice at once.
+ * Live picture of a camera. While it is in view it is requested repeatedly, one request at a time.
  */
+
+import { request } from "../../wire/api-client.js";
 
 /** Pause between the end of one request and the start of the next, ms: two to three a second. */
 const PAUSE_MS = 350;
-/** Pauses after the first failure and after many in a row, ms: a recording may have no pictures at all. */
+/** Pauses after the first failure and after many in a row, ms. A recording may have no pictures. */
 const FAILURE_PAUSE_MS = 2000;
 const LONGEST_PAUSE_MS = 30_000;
-/** A request that takes longer is given up, ms. */
+/** Timeout of a request, ms. */
 const TIMEOUT_MS = 5000;
 
-/** Tells each picture when it comes into view and leaves it. */
+/** Notifies each picture when it enters or leaves the view. */
 const watcher = new IntersectionObserver((entries) => {
   for (const entry of entries) pictures.get(entry.target)?.setInView(entry.isIntersecting);
 });
@@ -29,7 +31,7 @@ export class Picture {
    */
   constructor(image, camera) {
     this.image = image;
-    this.url = `api/v1/cameras/${encodeURIComponent(camera)}/frame.jpg`;
+    this.path = `cameras/${encodeURIComponent(camera)}/frame.jpg`;
     this.wanted = false;
     this.inView = false;
     this.busy = false;
@@ -41,7 +43,7 @@ export class Picture {
     watcher.observe(image);
   }
 
-  /** @param {boolean} wanted whether there is anything to ask for */
+  /** @param {boolean} wanted whether the camera has a picture */
   setWanted(wanted) {
     if (this.wanted === wanted) return;
     this.wanted = wanted;
@@ -70,20 +72,17 @@ export class Picture {
     this.timer = setTimeout(() => void this.load(), pauseMs);
   }
 
-  /** @returns {Promise<boolean>} whether a picture came */
+  /** @returns {Promise<boolean>} whether a picture was received */
   async fetchOnce() {
     try {
-      // The time in the address defeats caches on the way that ignore headers.
-      const response = await fetch(`${this.url}?t=${Date.now()}`, {
-        cache: "no-store",
-        signal: AbortSignal.timeout(TIMEOUT_MS),
-      });
+      // The time in the URL defeats proxies that ignore cache headers.
+      const response = await request(`${this.path}?t=${Date.now()}`, { signal: AbortSignal.timeout(TIMEOUT_MS) });
       if (!response.ok) return false;
       const address = URL.createObjectURL(await response.blob());
       const before = this.shown;
       this.image.src = address;
       this.shown = address;
-      // Decoded first, so that the picture before stays until this one can replace it.
+      // The old picture stays visible until the new one is decoded.
       await this.image.decode();
       if (before) URL.revokeObjectURL(before);
       this.image.classList.add("loaded");

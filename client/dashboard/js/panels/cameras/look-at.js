@@ -1,8 +1,8 @@
 /**
  * Converts a camera's pose between position, target and roll (as in the form) and a quaternion (as in the configuration).
  *
- * Camera frame: x right, y down, z forward; world frame: z up. A camera that is not turned about its axis has its x
- * level; of one that looks straight up or down, the world's x is to its right.
+ * Camera frame: x right, y down, z forward; world frame: z up. A camera with zero roll has a level x axis; if it looks
+ * straight up or down, its x axis is the world's.
  */
 
 import { rotate } from "../../base/geometry.js";
@@ -11,9 +11,9 @@ import { rotate } from "../../base/geometry.js";
 /** @typedef {import("../../base/geometry.js").Quaternion} Quaternion */
 /** @typedef {{position: Vector, target: Vector, turnedDeg: number}} LookAt */
 
-/** Below this sine a view is straight up or down. */
+/** Sine of the angle from the vertical below which a view is straight up or down. */
 const UPRIGHT = 1e-6;
-/** A view that falls less steeply than this meets the floor too far away to be of use. */
+/** Sine of the smallest downward angle for which the target is on the floor. */
 const LEAST_FALL = 0.05;
 
 /** @param {Vector} a @param {Vector} b @returns {Vector} */
@@ -23,7 +23,7 @@ const dot = (a, b) => a.x * b.x + a.y * b.y + a.z * b.z;
 /** @param {Vector} a @param {number} factor @param {Vector} b @returns {Vector} a + factor b */
 const plus = (a, factor, b) => ({ x: a.x + factor * b.x, y: a.y + factor * b.y, z: a.z + factor * b.z });
 
-/** What is to the right, level, of a camera that looks along `z`. @param {Vector} z @returns {Vector} */
+/** Level vector to the right of a camera that looks along `z`. @param {Vector} z @returns {Vector} */
 function level(z) {
   const right = cross(z, { x: 0, y: 0, z: 1 });
   const length = Math.sqrt(dot(right, right));
@@ -31,7 +31,7 @@ function level(z) {
 }
 
 /**
- * How a camera is turned; null if it is to look at where it stands.
+ * Orientation of a camera; null if its target is its own position.
  * @param {LookAt} aim
  * @returns {Quaternion | null}
  */
@@ -51,7 +51,7 @@ export function orientationOf({ position, target, turnedDeg }) {
 
 /** The rotation whose matrix has these columns. @param {Vector} x @param {Vector} y @param {Vector} z @returns {Quaternion} */
 function ofAxes(x, y, z) {
-  // Four times the squares of the quaternion's parts; the largest is safe to divide by.
+  // Four times the squares of the quaternion's components; dividing by the largest is safe.
   const squares = [1 + x.x - y.y - z.z, 1 - x.x + y.y - z.z, 1 - x.x - y.y + z.z, 1 + x.x + y.y + z.z];
   const largest = squares.indexOf(Math.max(...squares));
   const double = Math.sqrt(squares[largest]);
@@ -67,7 +67,7 @@ function ofAxes(x, y, z) {
 }
 
 /**
- * The same back: of a camera that looks down, where its axis meets the floor; else a metre ahead.
+ * Inverse of `orientationOf`. The target is on the floor if the camera looks down, else a metre ahead.
  * @param {{position: Vector, orientation: Quaternion}} pose
  * @returns {LookAt}
  */

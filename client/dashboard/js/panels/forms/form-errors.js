@@ -6,8 +6,8 @@ import { find, setText } from "../../base/dom.js";
 export class FormErrors {
   /**
    * @param {string} form
-   * @param {string[]} fields that have a place for an error
-   * @param {Record<string, string>} [marked] elements by field that are marked in place of `form-field`
+   * @param {string[]} fields with an element for their error
+   * @param {Record<string, string>} [marked] ids of elements marked in place of `form-field`, by field
    */
   constructor(form, fields, marked = {}) {
     this.form = form;
@@ -22,7 +22,7 @@ export class FormErrors {
     else this.showError("", field ? `${field}: ${message}` : message);
   }
 
-  /** @param {string} field empty: none of them @param {string} message */
+  /** @param {string} field empty for an error of the whole form @param {string} message */
   showError(field, message) {
     const trouble = this.place(field);
     setText(trouble, message);

@@ -1,9 +1,9 @@
-/** What has happened, newest first. */
+/** List of events, newest first. */
 
 import { element, find, glyph } from "../../base/dom.js";
 import { timeOfDay } from "../../base/format.js";
 
-/** The sign of each kind of event; a kind that this page does not know has a plain dot. */
+/** Symbol of each event kind. Unknown kinds have a dot. */
 const SIGNS = new Map([
   ["object_appeared", "tracked"],
   ["object_predicted", "predicted"],
@@ -38,13 +38,16 @@ const SIGNS = new Map([
   ["recording_ended", "finished"],
   ["recording_failed", "failed"],
   ["recording_lossy", "failed"],
+  ["history_failed", "failed"],
+  ["history_restored", "running"],
+  ["history_replaced", "failed"],
 ]);
 
 /** @param {import("../../state/store.js").Store} store */
 export function showEventList(store) {
   const list = find("#event-rows");
   const empty = find("#events-empty");
-  /** @type {Map<string, HTMLElement>} by what tells events apart, also those of two servers */
+  /** @type {Map<string, HTMLElement>} by sequence number and time, unique across runs of the server */
   const rows = new Map();
   const key = (/** @type {import("../../wire/messages.js").Event} */ event) => `${event.sequence} ${event.timeMs}`;
 
@@ -75,8 +78,8 @@ export function showEventList(store) {
 function makeRow(event) {
   const sign = SIGNS.get(event.kind) ?? "unspecified";
   const kind = event.kind === "unspecified" ? "" : event.kind.replaceAll("_", " ");
-  const words = event.message || kind || "Something happened that this page does not know";
-  // An object's event leads to the object.
+  const words = event.message || kind || "Unknown event";
+  // A click on an object's event selects the object.
   const text = event.objectId
     ? element("button", { type: "button", "data-object-id": String(event.objectId) }, [words])
     : element("span", {}, [words]);

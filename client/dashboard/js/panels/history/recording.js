@@ -1,4 +1,4 @@
-/** Recordings: begun and ended by click, how they are doing, which files there are. */
+/** Starts and stops recordings, shows their state, and lists the files. */
 
 import { callApi } from "../../wire/api-client.js";
 import { findDialog } from "../forms/dialog.js";
@@ -7,10 +7,10 @@ import { dateAndTime, duration, minutes, size, whole } from "../../base/format.j
 import { FormErrors } from "../forms/form-errors.js";
 import { milliseconds } from "../../base/validate.js";
 
-/** Between two looks while the dialog is open, and while something is recorded, ms. */
+/** Polling intervals with the dialog open, and with it closed during a recording, ms. */
 const LOOK_MS = 1000;
 const LOOK_CLOSED_MS = 5000;
-/** Shortest recording for which a rate is shown, s. */
+/** Length of a recording from which its data rate is shown, s. */
 const RATE_S = 3;
 
 /** @typedef {{state: string, file: string, folder: string, seconds: number, bytes: number, files: number, messages: number, dropped: number, disk_free_bytes: number, budget_bytes: number, deleted: number, error: string, frames_every: number}} Recording */
@@ -19,7 +19,7 @@ const RATE_S = 3;
 export function showRecording(store) {
   const view = new RecordingPanel(store);
   store.on("info", () => void view.look());
-  // Another client may start one, or it ends automatically.
+  // Another client may start or stop a recording, or it may end automatically.
   let newest = 0;
   store.on("events", () => {
     const latest = store.events.find(({ kind }) => kind.startsWith("recording_"))?.timeMs ?? 0;
@@ -68,9 +68,9 @@ class RecordingPanel {
   async start() {
     /** @type {Record<string, unknown>} */
     const wanted = { name: this.field("name").value.trim() };
-    for (const [field, words] of [["frames_every", "A whole number: one in so many frames."], ["seconds", "A number of seconds above 0."]]) {
+    for (const [field, words] of [["frames_every", "Enter a whole number."], ["seconds", "Enter a number of seconds above 0."]]) {
       const input = this.field(field);
-      // What a browser cannot read as a number it gives as nothing.
+      // The browser returns an empty value for invalid numbers.
       if (input.validity.badInput) {
         this.errors.clear();
         return this.errors.showError(field, words);
@@ -112,7 +112,7 @@ class RecordingPanel {
     this.showButton();
   }
 
-  /** What is recorded is seen without opening anything. */
+  /** Shows the recording's state in the page's header. */
   showButton() {
     const { known } = this;
     const isRecording = known?.state === "recording";
@@ -141,28 +141,28 @@ class RecordingPanel {
     const none = rows.length === 0;
     this.list.hidden = none;
     find("#recording-rows").replaceChildren(...rows);
-    setText(find("#recording-where"), none ? `There are no recordings in ${answer.folder} yet.` : `In ${answer.folder} on the server's machine. To play one there: roundel replay FILE`);
+    setText(find("#recording-where"), none ? `No recordings in ${answer.folder} yet.` : `In ${answer.folder} on the server. To replay one: roundel replay FILE`);
   }
 }
 
-/** How it is doing. @param {Recording} it */
+/** Describes the state in sentences. @param {Recording} it */
 export function stateText(it) {
   const [bytes, free, budget] = [Number(it.bytes), Number(it.disk_free_bytes), Number(it.budget_bytes)];
-  // It is looked up when something is recorded.
-  const room = free > 0 ? `${size(free)} of the disk are free` : "How much of the disk is free is shown once something is recorded";
-  const kept = budget > 0 ? ` The oldest recordings make room once all of them exceed ${size(budget)}.` : "";
+  // The server measures the free space only during a recording.
+  const space = free > 0 ? `${size(free)} free on the disk` : "Free disk space is shown during a recording";
+  const kept = budget > 0 ? ` The oldest recordings are deleted when all exceed ${size(budget)}.` : "";
   const words = [];
   if (it.state === "recording") {
     const rate = it.seconds > RATE_S ? bytes / it.seconds : 0;
-    const lasts = rate > 0 ? `, ${size(rate)} a second; ${room}, enough for ${duration((free / rate) * 1000)}.` : `; ${room}.`;
+    const lasts = rate > 0 ? `, ${size(rate)}/s; ${space}, enough for ${duration((free / rate) * 1000)}.` : `; ${space}.`;
     const pictures = it.frames_every > 0 ? (it.frames_every === 1 ? ", every frame as a picture" : `, one in ${it.frames_every} frames as a picture`) : "";
     words.push(`Recording into ${it.file}${pictures}.`, `${minutes(it.seconds)} so far: ${size(bytes)}${lasts}${kept}`);
   } else {
     if (it.state === "failed") words.push(`The last recording failed: ${it.error}`);
     if (it.state === "stopped") words.push(`The last recording, ${it.file}, is ${minutes(it.seconds)} long: ${size(bytes)}.`);
-    words.push(`${room}.${kept}`);
+    words.push(`${space}.${kept}`);
   }
-  if (it.dropped > 0) words.push(`${whole(Number(it.dropped))} messages are missing in it, since the disk was too slow.`);
-  if (it.deleted > 0) words.push(`${whole(it.deleted)} older files were deleted to make room.`);
+  if (it.dropped > 0) words.push(`${whole(Number(it.dropped))} messages are missing because the disk was too slow.`);
+  if (it.deleted > 0) words.push(`${whole(it.deleted)} older files were deleted to free disk space.`);
   return words;
 }

@@ -1,13 +1,13 @@
-/** A server that plays a recording: said plainly, with a line of time that goes where one wants. */
+/** Controls of a replay: pause, position, speed and loop. */
 
 import { callApi } from "../../wire/api-client.js";
 import { find, setAttribute, setText } from "../../base/dom.js";
 import { minutes, preciseTimeOfDay } from "../../base/format.js";
 import { milliseconds } from "../../base/validate.js";
 
-/** Between two looks, ms: others may steer it, too. */
+/** Polling interval, ms. Other clients can control the replay, too. */
 const LOOK_MS = 500;
-/** Between two places that are asked for while the slider is dragged, ms. */
+/** Interval between two seeks while the slider is dragged, ms. */
 const SEEK_MS = 150;
 
 /** @typedef {{file: string, paused: boolean, speed: number, looping: boolean, position_s: number, duration_s: number, begin_time_ns: string, ended: boolean, damage: string}} Replay */
@@ -37,7 +37,7 @@ class ReplayPanel {
     this.known = null;
     this.knownAtMs = 0;
     this.timer = 0;
-    /** True from when the slider is taken until the server has gone there. */
+    /** True from the start of a drag until the server has reached the position. */
     this.isSeeking = false;
     this.seekTimer = 0;
 
@@ -54,8 +54,9 @@ class ReplayPanel {
   }
 
   togglePause() {
-    if (!this.known) return;
-    // At the end, going on means from the begin.
+    // The key has no effect while the button is not offered.
+    if (!this.known || this.pause.hidden) return;
+    // At the end, start over.
     void this.control(this.known.ended ? { position_s: 0, paused: false } : { paused: !this.known.paused });
   }
 
@@ -109,7 +110,7 @@ class ReplayPanel {
     this.showPosition();
   }
 
-  /** Others may have chosen a speed that is not in the list. @param {number} speed */
+  /** Another client may have chosen a speed that is not in the list. @param {number} speed */
   showSpeed(speed) {
     const options = [...this.speed.options];
     const own = options.find((option) => option.dataset.own === "");
@@ -123,7 +124,7 @@ class ReplayPanel {
     this.speed.value = String(speed);
   }
 
-  /** Between two looks it goes on as it went. */
+  /** Extrapolates the position between two polls. */
   showPosition() {
     const { known } = this;
     if (!known || this.isSeeking) return;

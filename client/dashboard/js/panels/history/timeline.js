@@ -1,4 +1,4 @@
-/** Looking back over the last minute: a slider below the arena, keys, and what instant it is. */
+/** Time line of the last minute: the slider below the arena, and the instant shown. */
 
 import { find, throttle, setAttribute, setText } from "../../base/dom.js";
 import { fixed, preciseTimeOfDay } from "../../base/format.js";
@@ -9,7 +9,7 @@ const STEP_MS = 100;
 
 /**
  * @param {import("../../state/store.js").Store} store
- * @returns {{step: (ms: number) => void}} later by so much; earlier if negative
+ * @returns {{step: (ms: number) => void}} moves the shown instant; back if negative
  */
 export function showTimeline(store) {
   const slider = /** @type {HTMLInputElement} */ (find("#past"));
@@ -28,9 +28,9 @@ export function showTimeline(store) {
     setAttribute(slider, "aria-valuetext", text);
     live.disabled = pastMs === null;
     document.body.classList.toggle("past", pastMs !== null);
-    // No further back than is remembered: the rest of the slider leads nowhere.
+    // Shortly after opening, the slider is longer than the history.
     const reachS = Math.min(HISTORY_MS, now() - (store.history.oldestMs ?? now())) / 1000;
-    setAttribute(slider, "title", `The last ${fixed(reachS, 0)} s are remembered by this page`);
+    setAttribute(slider, "title", `This page stores the last ${fixed(reachS, 0)} s`);
   };
 
   slider.addEventListener("input", () => {

@@ -1,4 +1,4 @@
-/** Asks the server's history where objects were, and lays it over the arena: as trajectories, or as how long each place was taken. */
+/** Queries the server's history and draws it over the arena, as trajectories or as a heat map. */
 
 import { callApi } from "../../wire/api-client.js";
 import { computeHeatMap, readTrajectories } from "../../state/trajectories.js";
@@ -6,9 +6,9 @@ import { find, setText } from "../../base/dom.js";
 import { dateAndTime, duration, fixed, timeOfDay, whole } from "../../base/format.js";
 import { FormErrors } from "../forms/form-errors.js";
 
-/** The first wish: the last ten minutes, s. */
+/** Initial period, s. */
 const FIRST_S = 600;
-/** How far the box of "what is in view" reaches down and up, metres. */
+/** Vertical extent of the region "in view", down and up, metres. */
 const DEEP_M = 1000;
 
 /**
@@ -18,7 +18,7 @@ const DEEP_M = 1000;
 export function showTrajectories(store, arena) {
   const view = new TrajectoriesPanel(store, arena);
   store.on("selection", () => view.onSelection());
-  // What is no longer offered is no longer shown.
+  // Close the panel if the server no longer has a history.
   store.on("info", () => {
     if (!store.info?.keepsHistory) view.close();
   });
@@ -36,7 +36,7 @@ class TrajectoriesPanel {
     this.errors = new FormErrors("history", ["objects", "from", "until"]);
     /** Number of the newest request. Answers of older ones are ignored. */
     this.asked = 0;
-    /** True while the field of objects says who is selected, and not what somebody has typed. */
+    /** True while the field of objects shows the selected object, until the user types in it. */
     this.followsSelection = true;
 
     this.opener.addEventListener("click", () => (this.panel.hidden ? this.open() : this.close()));
@@ -92,7 +92,7 @@ class TrajectoriesPanel {
 
   /** Selects the last seconds. @param {number} seconds */
   setSpan(seconds) {
-    // By the server's clock, which is what its history goes by.
+    // The history uses the server's clock.
     const nowMs = this.store.snapshot?.poseTimeMs ?? Date.now();
     this.field("until").value = localInput(nowMs + 1000);
     this.field("from").value = localInput(nowMs - seconds * 1000);
@@ -104,7 +104,7 @@ class TrajectoriesPanel {
     if (!query) return;
     this.asked += 1;
     const mine = this.asked;
-    setText(this.words, "Looking it up…");
+    setText(this.words, "Loading…");
     const { answer, error } = await callApi("GET", `history?${query}`);
     if (mine !== this.asked) return;
     if (error) {
@@ -115,10 +115,10 @@ class TrajectoriesPanel {
     const trajectories = readTrajectories(answer);
     const heat = this.field("heat").checked ? computeHeatMap(trajectories) : null;
     this.arena.setOverlay(trajectories.points > 0 ? { trajectories, heat } : null);
-    setText(this.words, trajectories.points === 0 && query.has("objects") ? `No such object was there then. ${keptText(trajectories)}` : wordsOf(trajectories, heat));
+    setText(this.words, trajectories.points === 0 && query.has("objects") ? `No matching object in this period. ${keptText(trajectories)}` : wordsOf(trajectories, heat));
   }
 
-  /** What is asked for; null if it is nothing that can be asked. */
+  /** Query of the form; null if a time is missing. */
   query() {
     const query = new URLSearchParams();
     const objects = this.field("objects").value.trim();
@@ -126,7 +126,7 @@ class TrajectoriesPanel {
     for (const name of ["from", "until"]) {
       const ms = new Date(this.field(name).value).getTime();
       if (Number.isNaN(ms)) {
-        this.errors.showError(name, "Fill in a day and a time.");
+        this.errors.showError(name, "Enter a date and time.");
         return null;
       }
       query.set(name, String(BigInt(Math.round(ms)) * 1_000_000n));
@@ -140,26 +140,26 @@ class TrajectoriesPanel {
   }
 }
 
-/** From when to when anything is kept. @param {import("../../state/trajectories.js").Trajectories} trajectories */
+/** Period that the history covers. @param {import("../../state/trajectories.js").Trajectories} trajectories */
 function keptText({ oldestMs, newestMs }) {
-  return oldestMs && newestMs ? `Kept are ${dateAndTime(oldestMs)} to ${dateAndTime(newestMs)}.` : "Nothing is kept yet.";
+  return oldestMs && newestMs ? `Stored: ${dateAndTime(oldestMs)} to ${dateAndTime(newestMs)}.` : "Nothing is stored yet.";
 }
 
-/** What is shown, in words. @param {import("../../state/trajectories.js").Trajectories} all @param {import("../../state/trajectories.js").HeatMap | null} heat */
+/** Describes what is shown. @param {import("../../state/trajectories.js").Trajectories} all @param {import("../../state/trajectories.js").HeatMap | null} heat */
 export function wordsOf(all, heat) {
   const { trajectories, points, stepS } = all;
   const kept = keptText(all);
-  if (points === 0) return `No object was there then. ${kept}`;
+  if (points === 0) return `No objects in this period. ${kept}`;
   const who = trajectories.length === 1 ? trajectories[0].label : `${trajectories.length} objects`;
   const times = trajectories.flatMap(({ timesMs, count }) => (count > 0 ? [timesMs[0], timesMs[count - 1]] : []));
   const span = `${timeOfDay(Math.min(...times))} to ${timeOfDay(Math.max(...times))}`;
   const shown = heat
     ? `Darkest: ${duration(heat.mostS * 1000)} in a square of ${fixed(heat.cellM, heat.cellM < 0.1 ? 2 : 1)} m.`
-    : `${whole(points)} places, one each ${duration(stepS * 1000)}; a ring is where it begins, a disc where it ends.`;
+    : `${whole(points)} points, one every ${duration(stepS * 1000)}. Ring: start, disc: end.`;
   return `${who}, ${span}. ${shown} ${kept}`;
 }
 
-/** A time as a field of day and time has it. @param {number} unixMs */
+/** Formats a time for an `<input type="datetime-local">`. @param {number} unixMs */
 export function localInput(unixMs) {
   const date = new Date(unixMs);
   return new Date(unixMs - date.getTimezoneOffset() * 60_000).toISOString().slice(0, 19);

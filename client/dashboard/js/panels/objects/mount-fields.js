@@ -1,9 +1,9 @@
 /**
- * The roundels of an object that carries several, as rows of a form.
+ * Form rows for the roundels of an object that carries several.
  *
- * A row says how a print is turned by roll, pitch and yaw: R = Rz(yaw) Ry(pitch) Rx(roll) from the print's axes (its right,
- * its top, out of its face) to the object's; all 0 is a print that lies flat, face up, its right along the object's x. The
- * server receives the yaw of a flat one, and the directions of right and top of any other.
+ * A row has the print's orientation as roll, pitch and yaw: R = Rz(yaw) Ry(pitch) Rx(roll) from the print's axes (right,
+ * top, out of its face) to the object's. With all 0 the print lies flat, face up, with its right along the object's x
+ * axis. The server receives the yaw of a flat print, and the directions of right and top of any other.
  */
 
 import { element, find, setText } from "../../base/dom.js";
@@ -12,11 +12,11 @@ import { element, find, setText } from "../../base/dom.js";
 /** @typedef {{kind: string, code: number | null, position_m: Vector | null, yaw_deg: number | null, right: Vector | null, top: Vector | null}} Mount */
 /** @typedef {{rollDeg: number, pitchDeg: number, yawDeg: number}} Turn */
 
-/** What is filled in by number, in the order of the row. */
+/** Numeric fields in the order of the row. */
 const NUMBERS = /** @type {const} */ (["x", "y", "z", "roll", "pitch", "yaw"]);
 const AXES = /** @type {const} */ (["x", "y", "z"]);
 const TURNS = /** @type {const} */ (["roll", "pitch", "yaw"]);
-/** Angles and directions that differ by less are the same. */
+/** Length below which the horizontal part of a unit vector counts as 0. */
 const SAME = 1e-9;
 const DEGREE = Math.PI / 180;
 
@@ -32,13 +32,13 @@ export function directions({ rollDeg, pitchDeg, yawDeg }) {
   };
 }
 
-/** The same back; right and top need be neither of length 1 nor quite at a right angle. @param {Vector} right @param {Vector} top @returns {Turn} */
+/** Inverse of `directions`. The vectors need not be of length 1 or exactly perpendicular. @param {Vector} right @param {Vector} top @returns {Turn} */
 export function turnOf(right, top) {
   const length = Math.hypot(right.x, right.y, right.z);
   const a = { x: right.x / length, y: right.y / length, z: right.z / length };
   const along = a.x * top.x + a.y * top.y + a.z * top.z;
   const b = { x: top.x - along * a.x, y: top.y - along * a.y, z: top.z - along * a.z };
-  // Straight up or down, yaw and roll turn the same way: only roll is set.
+  // Straight up or down, yaw and roll are about the same axis: only roll is set.
   const isUpright = Math.hypot(a.x, a.y) < SAME;
   const pitch = Math.atan2(-a.z, Math.hypot(a.x, a.y));
   const yaw = isUpright ? 0 : Math.atan2(a.y, a.x);
@@ -64,7 +64,7 @@ export class Mounts {
     for (const mount of mounts) this.add(mount);
   }
 
-  /** @param {Mount | null} mount null: a new one */
+  /** @param {Mount | null} mount null for a new row */
   add(mount) {
     const row = new Row(this.kinds, mount, () => this.remove(row));
     this.rows.push(row);
@@ -88,7 +88,7 @@ export class Mounts {
     for (const [i, row] of this.rows.entries()) row.call(`Roundel ${i + 1}`);
   }
 
-  /** What is filled in; null if something of it cannot be sent, which is said at its field. @returns {Mount[] | null} */
+  /** Reads all rows; null after showing an error at its field. @returns {Mount[] | null} */
   read() {
     const mounts = this.rows.map((row) => row.read());
     const first = mounts.indexOf(null);
@@ -121,8 +121,8 @@ class Row {
     ]);
     this.mount = mount;
     if (mount) this.fill(mount);
-    /** What it said before anybody changed it. */
-    this.filled = this.said();
+    /** Values of the fields before any change. */
+    this.filled = this.values();
   }
 
   /** @param {Mount} mount */
@@ -135,11 +135,11 @@ class Row {
     for (const name of TURNS) this.numbers[name].value = String(shown[name]);
   }
 
-  said() {
+  values() {
     return [this.kind, this.code, ...Object.values(this.numbers)].map(({ value }) => value).join("\n");
   }
 
-  /** @param {string} name which one it is */
+  /** @param {string} name accessible name of the row */
   call(name) {
     this.root.setAttribute("aria-label", name);
     this.button.setAttribute("aria-label", `Remove ${name.toLowerCase()}`);
@@ -156,13 +156,13 @@ class Row {
   /** @returns {Mount | null} */
   read() {
     this.clear();
-    if (this.code.validity.badInput) return this.showError([this.code], "The code is a number from 1, or empty for a kind without codes.");
+    if (this.code.validity.badInput) return this.showError([this.code], "Enter a code number from 1, or leave it empty for a kind without codes.");
     const bad = Object.values(this.numbers).filter((field) => field.validity.badInput);
-    if (bad.length > 0) return this.showError(bad, "Fill in numbers: metres from the object's origin, and degrees.");
+    if (bad.length > 0) return this.showError(bad, "Enter numbers: metres from the object's origin, and degrees.");
     const empty = AXES.map((axis) => this.numbers[axis]).filter((field) => field.value === "");
-    if (empty.length > 0) return this.showError(empty, "Say where the print's centre is: x, y and z from the object's origin, metres.");
-    // As it was written: numbers that go round and back are not quite the same.
-    if (this.mount && this.said() === this.filled) return this.mount;
+    if (empty.length > 0) return this.showError(empty, "Enter the print's centre: x, y and z from the object's origin, in metres.");
+    // An unchanged row is returned as received, since the conversion of angles and back is not exact.
+    if (this.mount && this.values() === this.filled) return this.mount;
     const [x, y, z, rollDeg, pitchDeg, yawDeg] = NUMBERS.map((name) => Number(this.numbers[name].value));
     const isFlat = rollDeg === 0 && pitchDeg === 0;
     const { right, top } = isFlat ? { right: null, top: null } : directions({ rollDeg, pitchDeg, yawDeg });

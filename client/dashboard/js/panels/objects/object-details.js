@@ -1,4 +1,4 @@
-/** The selected object with all its values. */
+/** Panel with all values of the selected object. */
 
 import { element, find, glyph, throttle, setAttribute, setText } from "../../base/dom.js";
 import { degrees, duration, fixed, significant } from "../../base/format.js";
@@ -9,15 +9,15 @@ const PLOT_INTERVAL_MS = 500;
 /** Age of the earlier position that is shown, ms. */
 const AGO_MS = 10_000;
 const AXES = /** @type {const} */ (["x", "y", "z"]);
-const GONE_WORDS = "Not in view at that time; these are other values of it";
+const GONE_WORDS = "Not in view at that time; values are from another time";
 
-/** What the stages mean, for who does not know the words yet. */
+/** Explanations of the life stages. */
 const STAGE_WORDS = {
   tracked: "Tracked – observed now",
-  predicted: "Predicted – not observed now, carried on by the motion model",
-  tentative: "Tentative – seen too seldom yet to be trusted",
-  lost: "Lost – given up; these are its last values",
-  unspecified: "Of unknown stage",
+  predicted: "Predicted – not observed now; moved by the motion model",
+  tentative: "Tentative – not confirmed yet",
+  lost: "Lost – last known values",
+  unspecified: "Unknown stage",
 };
 
 /** @typedef {import("../../state/object-state.js").ObjectState} ObjectState */
@@ -40,7 +40,7 @@ const VALUES = [
     key: "turned",
     name: "Rotation σ",
     value: ({ sigmaRad, yawObserved }) => {
-      if (!sigmaRad) return "not given";
+      if (!sigmaRad) return "not available";
       const parts = [sigmaRad.x, sigmaRad.y, yawObserved ? sigmaRad.z : null];
       return parts.map((one) => (one === null ? "yaw not observed" : `${significant((one * 180) / Math.PI)}°`)).join("  ");
     },
@@ -51,9 +51,9 @@ const VALUES = [
     value: ({ ellipse }) =>
       ellipse
         ? `± ${significant(ellipse.majorM * 1000)} × ${significant(ellipse.minorM * 1000)} mm`
-        : "not given",
+        : "not available",
   },
-  { key: "age", name: "Last observation", value: (state) => `${duration(state.ageMs)} before` },
+  { key: "age", name: "Last observation", value: (state) => `${duration(state.ageMs)} earlier` },
   { key: "residual", name: "Residual", value: (state) => `${fixed(state.residual, 2)} (1 is as modelled)` },
   { key: "cameras", name: "Cameras", value: (state) => state.cameras.join(", ") || "none now" },
   {
@@ -63,10 +63,10 @@ const VALUES = [
   },
 ];
 
-/** How precise, by whom, how old: what most people want to know. @param {ObjectState} state */
+/** Accuracy, number of cameras and age. @param {ObjectState} state */
 function precisionText(state) {
   const { error95M, headingError95Rad, cameras, ageMs } = state;
-  const known = error95M === null ? "Without a covariance" : `Known to ${significant(error95M * 1000)} mm`;
+  const known = error95M === null ? "Accuracy not available" : `Accuracy ${significant(error95M * 1000)} mm`;
   const heading = headingError95Rad === null ? "" : ` and ${significant((headingError95Rad * 180) / Math.PI)}°`;
   const by = cameras.length === 0 ? "seen by no camera now" : `seen by ${cameras.length === 1 ? "one camera" : `${cameras.length} cameras`}`;
   return `${known}${heading}${error95M === null ? "" : " (95 %)"}, ${by}, ${duration(ageMs && Math.max(0, ageMs))} ago`;
@@ -117,7 +117,7 @@ export function showObjectDetails(store) {
   update();
 }
 
-/** @param {HTMLElement} target @param {HTMLElement} rest what is looked up less often */
+/** @param {HTMLElement} target @param {HTMLElement} rest receives less important values */
 function makeBody(target, rest) {
   const stage = element("p", { class: "stage-words" });
   const precision = element("p", { class: "precision", "data-value": "precision" });

@@ -1,4 +1,4 @@
-/** Adds, changes, names and removes objects by form; every error stands at its field. */
+/** Form that adds, changes, names and removes objects. Errors are shown at their fields. */
 
 import { callApi } from "../../wire/api-client.js";
 import { findDialog } from "../forms/dialog.js";
@@ -7,7 +7,7 @@ import { Mounts } from "./mount-fields.js";
 import { changedFields, withoutEmpty } from "../cameras/camera-form.js";
 import { FormErrors } from "../forms/form-errors.js";
 
-/** Fields that a server's error can be about. */
+/** Fields that can have errors, by their API names. */
 const FIELDS = ["name", "roundel", "mounts", "code", "offset_m", "motion", "height_m"];
 const AXES = /** @type {const} */ (["x", "y", "z"]);
 
@@ -23,7 +23,7 @@ export function showObjectForm(store) {
     if (state?.name) void form.open(state.name);
     else if (state) form.openToName(state);
   });
-  // A name comes and goes while an object is selected, too.
+  // The name of the selected object can change.
   const showWhat = () => setText(button, store.selectedState?.name ? "Set up…" : "Name…");
   store.on("selection", showWhat);
   store.on("snapshot", showWhat);
@@ -42,9 +42,9 @@ class ObjectForm {
     this.mounts = new Mounts();
     /** @type {Setup[]} */
     this.known = [];
-    /** @type {Setup | null} as the server has it; null: a new one */
+    /** @type {Setup | null} the server's version; null for a new object */
     this.before = null;
-    /** @type {number | null} one that is seen and only wants a name */
+    /** @type {number | null} id of an unnamed object that is being named */
     this.unnamed = null;
     this.asksBack = false;
 
@@ -62,19 +62,19 @@ class ObjectForm {
     return /** @type {HTMLInputElement} */ (find(`#object-${name}`));
   }
 
-  /** @param {string} name of a configured one; empty: a new one */
+  /** @param {string} name of a configured object; empty for a new one */
   async open(name) {
     this.show("Objects", null);
-    // The old choices may be outdated.
+    // Old choices may be outdated.
     this.choice.replaceChildren();
     const answer = await this.callApi("GET", "configuration");
     if (!answer || !this.dialog.open) return;
     this.known = answer.objects;
     this.mounts.kinds = answer.roundels.map((/** @type {{name: string}} */ kind) => kind.name);
     const kinds = this.mounts.kinds.map((kind) => element("option", { value: kind }, [kind]));
-    this.field("roundel").replaceChildren(element("option", { value: "" }, ["none: its own camera finds it"]), ...kinds);
+    this.field("roundel").replaceChildren(element("option", { value: "" }, ["none: located by its own camera"]), ...kinds);
     const others = this.known.map((one) => element("option", { value: one.name }, [one.name]));
-    this.choice.replaceChildren(element("option", { value: "" }, ["A new one"]), ...others);
+    this.choice.replaceChildren(element("option", { value: "" }, ["New object"]), ...others);
     this.choice.value = name;
     this.fill(this.known.find((one) => one.name === name) ?? null);
   }
@@ -82,8 +82,8 @@ class ObjectForm {
   /** @param {import("../../state/object-state.js").ObjectState} state */
   openToName(state) {
     this.show(`Name object ${state.id}`, state.id);
-    this.say(state.code ? `It is known by its code, ${state.code.number}, from now on.` : "Without a code it is known by its kind of roundel, as long as it is the only one of it.");
-    setText(this.save, "Name it");
+    this.say(state.code ? `The object is identified by its code, ${state.code.number}.` : "Without a code, the object is identified by its roundel kind and must be the only one of that kind.");
+    setText(this.save, "Save name");
   }
 
   /** @param {string} title @param {number | null} unnamed */
@@ -113,7 +113,7 @@ class ObjectForm {
     this.carries.value = setup && setup.roundels.length > 0 ? "several" : "one";
     this.showCarried();
     if (!setup) {
-      // What most want: the first kind there is.
+      // Preselect the first kind.
       const kind = /** @type {HTMLSelectElement} */ (find("#object-roundel"));
       if (kind.options.length > 1) kind.selectedIndex = 1;
       return;
@@ -123,7 +123,7 @@ class ObjectForm {
     for (const axis of AXES) this.field(`offset-${axis}`).value = setup.offset_m ? String(setup.offset_m[axis]) : "";
   }
 
-  /** The fields of what it carries; of several there are two at least. */
+  /** Shows the fields for one or several roundels; with several, at least two rows. */
   showCarried() {
     const several = this.carries.value === "several";
     find("#object-one").hidden = several;
@@ -131,19 +131,19 @@ class ObjectForm {
     if (several && this.mounts.rows.length === 0) for (let row = 0; row < 2; row += 1) this.mounts.add(null);
   }
 
-  /** What is filled in; null if it is nothing that can be sent. @returns {Setup | null} */
+  /** Reads the form; null after showing an error. @returns {Setup | null} */
   read() {
     const several = this.carries.value === "several";
     const offset = several ? null : this.readOffset();
     const roundels = several ? this.mounts.read() : [];
     if (offset === undefined || roundels === null) return null;
     if (several && roundels.length === 0) {
-      this.errors.showError("mounts", "Add its roundels, or choose that it carries one.");
+      this.errors.showError("mounts", "Add roundels, or select one roundel.");
       return null;
     }
     for (const key of ["code", "height_m"]) {
       if (!this.field(key).validity.badInput) continue;
-      this.errors.showError(key, "Fill in a number, or leave it empty.");
+      this.errors.showError(key, "Enter a number, or leave it empty.");
       return null;
     }
     const number = (/** @type {string} */ key) => (this.field(key).value === "" ? null : Number(this.field(key).value));
@@ -158,12 +158,12 @@ class ObjectForm {
     };
   }
 
-  /** Undefined: only some of it is filled in. */
+  /** Returns null if it is empty, undefined if it is incomplete. */
   readOffset() {
     const inputs = AXES.map((axis) => this.field(`offset-${axis}`));
     if (inputs.every((input) => input.value === "" && !input.validity.badInput)) return null;
     if (inputs.some((input) => input.value === "")) {
-      this.errors.showError("offset_m", "Fill in all three, metres, or none.");
+      this.errors.showError("offset_m", "Enter all three values in metres, or none.");
       return undefined;
     }
     const [x, y, z] = inputs.map((input) => Number(input.value));
@@ -173,7 +173,7 @@ class ObjectForm {
   async store() {
     this.errors.clear();
     const name = this.field("name").value.trim();
-    if (name === "") return this.errors.showError("name", "Give it a name.");
+    if (name === "") return this.errors.showError("name", "Enter a name.");
     if (this.unnamed !== null) return this.finish(await this.callApi("PUT", `objects/${this.unnamed}/name`, { name }));
     const wanted = this.read();
     if (!wanted) return;
@@ -188,7 +188,7 @@ class ObjectForm {
     if (!this.asksBack) {
       this.asksBack = true;
       setText(this.remove, `Remove ${this.before.name}`);
-      this.say("It is taken out of the configuration as well; with a code it is followed on without a name. Press again to remove it.");
+      this.say("This also removes it from the configuration. An object with a code is still tracked, without a name. Press again to confirm.");
       return;
     }
     this.finish(await this.callApi("DELETE", `configuration/objects/${encodeURIComponent(this.before.name)}`));
@@ -199,7 +199,7 @@ class ObjectForm {
     if (done) this.dialog.close();
   }
 
-  /** The answer, or null where there is none; then it is said why. @param {string} method @param {string} path @param {object} [body] @returns {Promise<any>} */
+  /** Returns the response, or null after showing the error. @param {string} method @param {string} path @param {object} [body] @returns {Promise<any>} */
   async callApi(method, path, body) {
     for (const button of [this.save, this.remove]) button.disabled = true;
     const { answer, error } = await callApi(method, path, body);
@@ -208,7 +208,7 @@ class ObjectForm {
     return answer;
   }
 
-  /** Where on the form is what the server calls so. @param {string} field */
+  /** Field of the form for a field of the API. @param {string} field */
   fieldOf(field) {
     if (field !== "roundel") return field;
     return this.unnamed !== null ? "" : this.carries.value === "several" ? "mounts" : field;

@@ -1,22 +1,22 @@
 /**
- * All objects as a table, for reading, keyboard use and screen readers.
+ * Table of all objects, also for keyboard use and screen readers.
  * Each row carries its object's id as `data-object-id`.
  */
 
 import { element, find, glyph, throttle, setAttribute, setText } from "../../base/dom.js";
 import { fixed } from "../../base/format.js";
 
-/** Faster than this, figures flicker instead of being read, ms. */
+/** Update interval at which figures stay readable, ms. */
 const INTERVAL_MS = 250;
-/** Update interval for many objects, which are the most expensive part of the page. */
+/** Update interval for many objects, ms. */
 const MANY_INTERVAL_MS = 400;
-/** From this number of objects on, only rows in view exist, since a long table is expensive to lay out. */
+/** Above this number of objects only rows in view exist, since a long table is slow to lay out. */
 const MANY = 150;
-/** Rows beyond the edges that are there nevertheless. */
+/** Additional rows beyond each edge of the view. */
 const MARGIN_ROWS = 3;
-/** Names up to this length always fit. */
+/** Longest name that always fits. */
 const SHORT = 8;
-/** With fewer objects, this number of rows outside the view is updated each time. */
+/** Rows outside the view that are updated each time. */
 const UNSEEN_AT_ONCE = 12;
 
 /** @typedef {import("../../state/object-state.js").ObjectState} ObjectState */
@@ -24,7 +24,7 @@ const UNSEEN_AT_ONCE = 12;
 
 /**
  * @param {import("../../state/store.js").Store} store
- * @returns {{setFilter: (filter: ((state: ObjectState) => boolean) | null) => void}} to what fits
+ * @returns {{setFilter: (filter: ((state: ObjectState) => boolean) | null) => void}}
  */
 export function showObjectList(store) {
   const body = find("#object-rows");
@@ -44,12 +44,12 @@ export function showObjectList(store) {
   let turn = 0;
   /** @type {((state: ObjectState) => boolean) | null} */
   let filter = null;
-  /** @type {import("../../state/track.js").Track[]} all that fit, also those without a row */
+  /** @type {import("../../state/track.js").Track[]} all that pass the filter, also those without a row */
   let listed = [];
 
   const rowHeight = () => rows.values().next().value?.row.offsetHeight || 27;
 
-  /** Range of rows in view, or nearly. @param {number} count @returns {[number, number]} the first, and the one after the last */
+  /** Half-open range of the rows in view, with margins. @param {number} count @returns {[number, number]} */
   const inSight = (count) => {
     const height = rowHeight();
     const first = Math.max(0, Math.min(count, Math.floor(scroller.scrollTop / height)) - MARGIN_ROWS);
@@ -73,13 +73,13 @@ export function showObjectList(store) {
         rows.set(track.id, row);
       }
       if (body.children[k] !== row.row) body.insertBefore(row.row, body.children[k] ?? null);
-      // Four hundred at once would hold the page up.
+      // Rows outside the view are updated in turn, since hundreds at once would block the page.
       const isDue = (i >= first && i < last) || (i >= turn && i < turn + UNSEEN_AT_ONCE);
       if (isNew || isDue || row.stage !== track.stage) fillRow(row, track.state, store.selected);
     }
     turn += UNSEEN_AT_ONCE;
     fillGaps(from, all.length - to);
-    setText(empty, filter ? "No object fits." : "No object is in view.");
+    setText(empty, filter ? "No matching objects." : "No objects in view.");
     empty.hidden = all.length > 0;
   };
 
@@ -92,7 +92,7 @@ export function showObjectList(store) {
     }
   };
 
-  /** Room for rows that are not there. @param {number} before @param {number} after */
+  /** Sets the height of the gaps that stand for missing rows. @param {number} before @param {number} after */
   const fillGaps = (before, after) => {
     const height = rowHeight();
     for (const [i, count] of [before, after].entries()) {
@@ -101,7 +101,7 @@ export function showObjectList(store) {
     }
   };
 
-  // What comes into sight is up to date as soon as it does.
+  // Rows that scroll into view are updated at once.
   scroller.addEventListener("scroll", throttle(50, update), { passive: true });
 
   const markSelected = () => {
@@ -133,7 +133,7 @@ export function showObjectList(store) {
   };
 }
 
-/** What stands for rows that are not there. */
+/** Placeholder for rows that do not exist. */
 function makeGap() {
   return element("tbody", { "aria-hidden": "true", hidden: "" }, [element("tr", {}, [element("td", { colspan: "6" })])]);
 }
@@ -169,7 +169,7 @@ function fillRow(row, state, selected) {
     row.button.title = state.stage;
   }
   const code = state.code ? `#${state.code.number}` : "";
-  // What is said begins with what is seen, so that either can be used to name the button.
+  // The accessible name contains the visible text, as voice control requires.
   setAttribute(row.button, "aria-label", `Object ${[state.label, code].join(" ").trim()}, ${state.stage}`);
   row.code.hidden = code === "";
   setText(row.code, code);

@@ -1,4 +1,4 @@
-/** The selected object's last minute in small plots; a click looks back at the instant. */
+/** Small plots of the selected object's last minute. A click shows that instant. */
 
 import uPlot from "../../../vendor/uplot.js";
 import { element, inOwnFrame, setAttribute, setText } from "../../base/dom.js";
@@ -9,16 +9,16 @@ const HEIGHT_PX = 54;
 /** @typedef {import("../../state/object-state.js").ObjectState} ObjectState */
 /** @type {{key: string, name: string, unit: string, least: number, value: (state: ObjectState) => number | null}[]} */
 const PLOTS = [
-  { key: "reach", name: "Known to", unit: "mm", least: 0.2, value: (state) => state.error95M && state.error95M * 1000 },
+  { key: "reach", name: "Accuracy", unit: "mm", least: 0.2, value: (state) => state.error95M && state.error95M * 1000 },
   { key: "speed", name: "Speed", unit: "m/s", least: 0.1, value: (state) => state.speedMS },
   { key: "height", name: "Height", unit: "m", least: 0.02, value: (state) => state.positionM?.z ?? null },
-  { key: "age", name: "Seen", unit: "ms ago", least: 20, value: (state) => state.ageMs && Math.max(0, state.ageMs) },
+  { key: "age", name: "Last seen", unit: "ms ago", least: 20, value: (state) => state.ageMs && Math.max(0, state.ageMs) },
 ];
 
 /**
  * @param {import("../../state/store.js").Store} store
  * @param {HTMLElement} target
- * @returns {() => void} brings them up to date
+ * @returns {() => void} updates the plots
  */
 export function showPlots(store, target) {
   const series = new Series(store);
@@ -58,7 +58,7 @@ export function showPlots(store, target) {
   };
 }
 
-/** What the plots show of an object: only what is new is worked out. */
+/** Values of the plots, updated incrementally. */
 class Series {
   /** @param {import("../../state/store.js").Store} store */
   constructor(store) {

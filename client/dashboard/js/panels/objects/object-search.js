@@ -1,4 +1,4 @@
-/** Finding an object by its number, name or code. */
+/** Search for an object by number, name or code. */
 
 import { find, setText } from "../../base/dom.js";
 
@@ -17,7 +17,7 @@ export function matchScore(state, typed) {
   const name = state.name.toLowerCase();
   if ([id, name, code].includes(wanted)) return 3;
   if (name.startsWith(wanted) || id.startsWith(wanted) || (wanted.length > 1 && code.startsWith(wanted))) return 2;
-  // "robot 7" is what people say.
+  // "robot 7" and "object 7" find number 7.
   const number = /^(?:robot|object)\s*#?(\d+)$/.exec(wanted)?.[1];
   if (number !== undefined) return number === id ? 3 : 0;
   return name.includes(wanted) ? 1 : 0;
@@ -25,8 +25,8 @@ export function matchScore(state, typed) {
 
 /**
  * @param {import("../../state/store.js").Store} store
- * @param {(filter: ((state: ObjectState) => boolean) | null) => void} setFilter what the list shows
- * @returns {() => boolean} empties the field; whether there was anything in it
+ * @param {(filter: ((state: ObjectState) => boolean) | null) => void} setFilter filters the list
+ * @returns {() => boolean} clears the field; returns whether it had text
  */
 export function showObjectSearch(store, setFilter) {
   const input = /** @type {HTMLInputElement} */ (find("#search"));
@@ -49,7 +49,7 @@ export function showObjectSearch(store, setFilter) {
     const typed = input.value;
     setFilter(typed.trim() === "" ? null : (state) => matchScore(state, typed) > 0);
     const count = typed.trim() === "" ? null : found().length;
-    setText(note, count === null ? "" : count === 0 ? "None fits" : `${count} fit`);
+    setText(note, count === null ? "" : count === 0 ? "No matches" : count === 1 ? "1 match" : `${count} matches`);
   });
   input.addEventListener("keydown", (event) => {
     if (event.key === "Escape") {
@@ -60,7 +60,7 @@ export function showObjectSearch(store, setFilter) {
     const [best] = found();
     if (!best) return;
     store.select(best.state.id);
-    // Keys are for the object from now on, not for the search.
+    // Further keys apply to the object, not to the search.
     find("#arena-stage").focus({ preventScroll: true });
   });
   return clear;

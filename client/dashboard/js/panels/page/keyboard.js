@@ -1,13 +1,13 @@
-/** Keys that work everywhere on the page, and the sheet that tells all of them. */
+/** Keyboard shortcuts of the page, and the dialog that lists them. */
 
 import { find } from "../../base/dom.js";
 
 /**
  * @typedef {object} KeyHandlers
  * @property {(mode: "top" | "space" | "health") => void} show
- * @property {(ms: number) => void} step through the last minute
+ * @property {(ms: number) => void} step moves the shown instant
  * @property {() => void} live
- * @property {() => void} pause a recording that is played
+ * @property {() => void} pause pauses or resumes a replay
  * @property {() => void} fit
  * @property {(step: 1 | -1) => void} selectNext
  * @property {() => void} follow
@@ -49,7 +49,7 @@ export function listenForKeys(handlers) {
   };
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented) return;
-    // A dialog has its own keys, and what is typed is text.
+    // Not while a dialog is open or text is typed.
     if (document.querySelector("dialog[open]") || isTyping(event.target)) return;
     const action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
     if (!action || (event.key === " " && isPressed(event.target))) return;
@@ -65,7 +65,7 @@ function isTyping(target) {
   return target instanceof HTMLTextAreaElement || target instanceof HTMLSelectElement || target.isContentEditable;
 }
 
-/** Whether the space bar has its own meaning there. @param {EventTarget | null} target */
+/** Whether the space bar activates the element. @param {EventTarget | null} target */
 function isPressed(target) {
   return target instanceof HTMLButtonElement || target instanceof HTMLInputElement || (target instanceof HTMLElement && target.tagName === "SUMMARY");
 }

@@ -1,9 +1,9 @@
-/** The head of the page: installation, connection, counts, rates; and the banner of a loss. */
+/** Header of the page: installation, connection, counts and rates; and the banner for a lost connection. */
 
 import { find, glyph, throttle, setText } from "../../base/dom.js";
 import { duration, fixed, timeOfDay, whole } from "../../base/format.js";
 
-/** Data older than this while connected is no longer "now", ms. */
+/** Age from which data is stale, ms. */
 const STALE_MS = 500;
 const STAGES = /** @type {const} */ (["tracked", "predicted", "tentative", "lost"]);
 
@@ -27,7 +27,7 @@ export function showPageHeader(store, retryNow) {
 
   const showFigures = () => {
     const { phase } = store.connection;
-    // What is played is of any age.
+    // The age of replayed data has no meaning.
     const age = store.info?.replays ? null : store.dataAgeMs();
     setText(figures.rate, phase === "live" ? fixed(store.report.rateHz, 1) : "–");
     setText(figures.age, duration(age));
@@ -52,7 +52,7 @@ export function showPageHeader(store, retryNow) {
   store.on("snapshot", throttle(250, stages));
   store.on("info", () => showInfo(store));
   store.on("report", throttle(250, showFigures));
-  // Ages grow without any report, too.
+  // Ages grow between reports.
   setInterval(showFigures, 1000);
   showPhase();
   stages();
@@ -60,7 +60,7 @@ export function showPageHeader(store, retryNow) {
 
 /**
  * @param {import("../../state/store.js").Store} store
- * @returns {() => void} brings the counts up to date
+ * @returns {() => void} updates the counts
  */
 function showStages(store) {
   const target = find("#stages");
@@ -78,7 +78,7 @@ function showStages(store) {
     for (const { stage, item, count } of counts) {
       const number = states.filter((each) => each === stage).length;
       setText(count, String(number));
-      // Tracked ones are always shown, the others when there are any.
+      // Tracked objects are always shown, other stages only if there are any.
       item.hidden = number === 0 && stage !== "tracked";
     }
   };
@@ -91,7 +91,7 @@ function showInfo(store) {
   const name = info.name || "Unnamed installation";
   const title = find("#installation");
   setText(title, name);
-  title.title = info.version ? `Roundel ${info.version}, ${fixed(info.snapshotRateHz, 0)} snapshots a second` : "";
+  title.title = info.version ? `Roundel ${info.version}, ${fixed(info.snapshotRateHz, 0)} snapshots per second` : "";
   document.title = `${name} – Roundel`;
 }
 
@@ -100,8 +100,8 @@ function linkText(store) {
   const { phase } = store.connection;
   if (phase === "connecting") return "Connecting…";
   if (phase === "lost") return store.connection.retryAtMs === null ? "Reconnecting…" : "Disconnected";
-  // Never "Live", as long as it is not known how it is played.
-  if (store.info?.replays) return store.replay?.ended ? "Recording, at its end" : store.replay?.paused ? "Recording, paused" : "Playing a recording";
+  // A replay is never "Live", even before its state is known.
+  if (store.info?.replays) return store.replay?.ended ? "Replay ended" : store.replay?.paused ? "Replay paused" : "Replaying";
   const age = store.dataAgeMs();
   return age !== null && age > STALE_MS ? "Connected, no new data" : "Live";
 }
@@ -113,7 +113,7 @@ function lossText(store) {
   const { receivedAtMs } = store.report;
   const shown =
     store.snapshot && receivedAtMs !== null
-      ? `What you see is how things stood at ${timeOfDay(receivedAtMs)}, ${duration(Date.now() - receivedAtMs)} ago.`
+      ? `Showing data from ${timeOfDay(receivedAtMs)}, ${duration(Date.now() - receivedAtMs)} ago.`
       : `The server has not answered for ${duration(now - sinceMs)}. Is it running at ${location.host}?`;
   const next =
     retryAtMs === null ? "Connecting…" : `Next attempt in ${Math.max(1, Math.ceil((retryAtMs - now) / 1000))} s.`;
@@ -121,15 +121,15 @@ function lossText(store) {
 }
 
 /**
- * Said in the middle of an arena in which there is nothing to see, and why.
+ * Explains why the arena is empty; empty if it is not.
  * @param {import("../../state/store.js").Store} store
  */
 function noteText(store) {
   if (store.connection.phase === "connecting") return "Connecting to the server…";
   if (store.connection.phase === "lost") return store.snapshot ? "" : "No connection to the server.";
   if (store.tracks.size > 0 || !store.snapshot || !store.camerasKnown) return "";
-  if (store.pastMs !== null) return "Of this instant nothing is remembered.";
-  if (store.cameras.length === 0) return "No cameras are configured, so nothing can be seen.";
+  if (store.pastMs !== null) return "No data for this time.";
+  if (store.cameras.length === 0) return "No cameras are configured.";
   if (!store.cameras.some((camera) => camera.status === "running")) return "No camera is running.";
-  return "No object is in view of the cameras.";
+  return "No objects in view.";
 }

@@ -1,39 +1,46 @@
-/** Hides the controls of features that the server does not offer, by its OpenAPI description and its info. */
+/**
+ * Hides the controls of features that the server does not offer, by its OpenAPI description and its info, and those that
+ * the user's role does not permit.
+ */
 
 import { find } from "../../base/dom.js";
+import { permits } from "../../state/session.js";
 
 /** @typedef {"records" | "replays" | "keepsHistory" | "allowsSetup"} Capability */
 
-/** Controls that lead nowhere without a call, or where this server refuses it. @type {{control: string, method: string, path: string, capability?: Capability}[]} */
+/** @typedef {{method: string, path: string, capability?: Capability, role?: import("../../state/session.js").Need}} Need */
+
+/** Controls that need an API call, a capability of the server, and a role other than `view`. @type {(Need & {control: string})[]} */
 const NEEDS = [
-  { control: "#add-camera", method: "post", path: "/api/v1/cameras", capability: "allowsSetup" },
-  { control: "#calibrate", method: "post", path: "/api/v1/calibration" },
-  { control: "#setup-try", method: "post", path: "/api/v1/sources/test", capability: "allowsSetup" },
-  { control: "#setup-lens", method: "post", path: "/api/v1/lens", capability: "allowsSetup" },
-  { control: "#add-object", method: "post", path: "/api/v1/configuration/objects", capability: "allowsSetup" },
-  { control: "#name-object", method: "put", path: "/api/v1/objects/{id}/name", capability: "allowsSetup" },
+  { control: "#add-camera", method: "post", path: "/api/v1/cameras", capability: "allowsSetup", role: "setup" },
+  { control: "#calibrate", method: "post", path: "/api/v1/calibration", role: "operate" },
+  { control: "#setup-try", method: "post", path: "/api/v1/sources/test", capability: "allowsSetup", role: "setup" },
+  { control: "#setup-lens", method: "post", path: "/api/v1/lens", capability: "allowsSetup", role: "setup" },
+  { control: "#add-object", method: "post", path: "/api/v1/configuration/objects", capability: "allowsSetup", role: "setup" },
+  { control: "#name-object", method: "put", path: "/api/v1/objects/{id}/name", capability: "allowsSetup", role: "setup" },
   { control: "#plan-open", method: "get", path: "/api/v1/plan" },
   { control: "#print-open", method: "get", path: "/api/v1/print" },
-  { control: "#record", method: "post", path: "/api/v1/recording", capability: "records" },
+  { control: "#record", method: "post", path: "/api/v1/recording", capability: "records", role: "operate" },
   { control: "#history-open", method: "get", path: "/api/v1/history", capability: "keepsHistory" },
-  { control: "#replay", method: "patch", path: "/api/v1/replay", capability: "replays" },
+  { control: "#replay", method: "get", path: "/api/v1/replay", capability: "replays" },
+  ...["#replay-pause", "#replay-position", "#replay-settings", "#replay-key"].map((control) => /** @type {const} */ ({ control, method: "patch", path: "/api/v1/replay", capability: "replays", role: "operate" })),
 ];
-/** Edits of cameras: one button on each card. */
-const EDIT = { method: "patch", path: "/api/v1/cameras/{name}", capability: /** @type {const} */ ("allowsSetup") };
-/** Searches for their lenses, likewise. */
-const LENS = { method: "post", path: "/api/v1/lens" };
-/** What a server that plays a recording has nothing to do it with. */
+/** Needed by the Edit button of each camera card. @type {Need} */
+const EDIT = { method: "patch", path: "/api/v1/cameras/{name}", capability: "allowsSetup", role: "setup" };
+/** Needed by the Lens button of each camera card. @type {Need} */
+const LENS = { method: "post", path: "/api/v1/lens", role: "setup" };
+/** Controls without use in a replay. */
 const LIVE_ONLY = ["#calibrate", "#plan-open"];
 
 /**
- * Hides what is not offered. A server that does not describe itself is taken to have every call: its answers then say
- * what it does not.
+ * Hides the controls that are not offered or not permitted. A server without a description is assumed to have every call.
  * @param {import("../../wire/messages.js").ServerInfo} info
+ * @param {import("../../state/session.js").Session | null} session
  */
-export async function showCapabilities(info) {
+export async function showCapabilities(info, session) {
   const paths = await describedPaths();
-  const offers = (/** @type {{method: string, path: string, capability?: Capability}} */ { method, path, capability }) =>
-    (!capability || info[capability]) && (!paths || Boolean(paths[path]?.[method]));
+  const offers = (/** @type {Need} */ { method, path, capability, role = "view" }) =>
+    permits(session, role) && (!capability || info[capability]) && (!paths || Boolean(paths[path]?.[method]));
   for (const need of NEEDS) find(need.control).hidden = !offers(need);
   if (info.replays) for (const control of LIVE_ONLY) find(control).hidden = true;
   document.body.classList.toggle("no-edits", !offers(EDIT));

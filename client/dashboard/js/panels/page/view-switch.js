@@ -1,4 +1,4 @@
-/** What the middle of the page shows: the arena from above or in 3D, or health. */
+/** Switches the main view: arena from above, arena in 3D, or health. */
 
 import { find } from "../../base/dom.js";
 
@@ -21,7 +21,7 @@ export function showViewSwitch(arena) {
     panel.dataset.shows = wanted;
     health.hidden = wanted !== "health";
     if (wanted === "health") onHealth();
-    // 3D may not be had; then it is the view from above, and the choice says so.
+    // Without WebGL this falls back to the view from above.
     else shown = await arena.show(wanted);
     for (const input of inputs) input.checked = input.value === shown;
     write(wanted);
@@ -43,7 +43,7 @@ export function showViewSwitch(arena) {
   };
 }
 
-// Storage can be forbidden; the choice then lasts as long as the page.
+// If storage is forbidden, the choice lasts as long as the page.
 function read() {
   try {
     return localStorage.getItem(KEY);
@@ -57,6 +57,6 @@ function write(mode) {
   try {
     localStorage.setItem(KEY, mode);
   } catch {
-    // Nothing is lost but the memory of it.
+    // The choice is not stored.
   }
 }
