@@ -3,7 +3,7 @@
     cargo run --release -- demo                      # in one terminal
     python client/python/examples/follow.py 3        # in another
 
-Names and codes survive a restart of the server; an id is another robot's then.
+Names and codes survive a restart of the server; ids do not.
 """
 
 from __future__ import annotations

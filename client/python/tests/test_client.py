@@ -74,7 +74,7 @@ def test_a_recording_is_started_stopped_and_listed(tmp_path: Path, own_server: l
     own_server.append(Server("127.0.0.1:0", folder=tmp_path))
     with Client.connect(own_server[0].url) as client:
         assert client.recording().state == v1.RECORDING_STATE_IDLE
-        with pytest.raises(Refused, match="nothing is being recorded"):
+        with pytest.raises(Refused, match="no recording is running"):
             client.stop_recording()
         started = client.start_recording("trial", frames_every=0)
         assert started.state == v1.RECORDING_STATE_RECORDING and started.file.startswith("trial-")

@@ -17,6 +17,7 @@ from roundel import (
     Link,
     LinkState,
     NotRoundel,
+    PermissionDenied,
     Reconnected,
     Refused,
     RoundelError,
@@ -25,10 +26,11 @@ from roundel import (
     Stale,
     Subscription,
     Track,
+    Unauthenticated,
     Unreachable,
     v1,
 )
-from roundel._address import target
+from roundel._address import Address
 from roundel._backoff import INITIAL_S, MAX_S, Backoff
 from roundel._calls import LONG_CALLS, RESPONSES, call_timeout_s, calibration_request, drive_request, history_request
 from roundel._stream_state import StreamState
@@ -40,8 +42,8 @@ import grpc
 
 @pytest.mark.parametrize("address", ["127.0.0.1:7670", "http://127.0.0.1:7670", " http://127.0.0.1:7670/ "])
 def test_the_scheme_of_an_address_is_optional(address: str) -> None:
-    assert target(address) == "127.0.0.1:7670"
-    assert target("[::1]:7670") == "[::1]:7670"
+    assert Address.parse(address).target == "127.0.0.1:7670"
+    assert Address.parse("[::1]:7670").target == "[::1]:7670"
 
 
 @pytest.mark.parametrize(
@@ -49,8 +51,8 @@ def test_the_scheme_of_an_address_is_optional(address: str) -> None:
     [
         ("", "it is empty"),
         ("127.0.0.1", "the port is missing"),
-        ("https://arena:7670", "TLS"),
-        ("ws://arena:7670", "ws:// is not http://"),
+        ("https://arena", "the port is missing"),
+        ("ws://arena:7670", "ws:// is neither http:// nor https://"),
         ("http://arena:7670/api/v1", "unexpected /api/v1 after the port"),
         ("http://are na:7670", "space"),
         ("http://arena:99999", "ort"),
@@ -58,7 +60,7 @@ def test_the_scheme_of_an_address_is_optional(address: str) -> None:
 )
 def test_invalid_addresses_raise_with_the_reason(address: str, reason: str) -> None:
     with pytest.raises(InvalidAddress, match=r"expected http://HOST:PORT") as caught:
-        target(address)
+        Address.parse(address)
     assert reason in str(caught.value)
 
 
@@ -341,7 +343,8 @@ def test_network_errors_omit_the_layers_of_grpc(details: str, expected: str) -> 
         (grpc.StatusCode.NOT_FOUND, Refused),
         (grpc.StatusCode.OUT_OF_RANGE, Refused),
         (grpc.StatusCode.FAILED_PRECONDITION, Refused),
-        (grpc.StatusCode.PERMISSION_DENIED, Refused),
+        (grpc.StatusCode.PERMISSION_DENIED, PermissionDenied),
+        (grpc.StatusCode.UNAUTHENTICATED, Unauthenticated),
         (grpc.StatusCode.ABORTED, Conflict),
         (grpc.StatusCode.UNIMPLEMENTED, NotRoundel),
         (grpc.StatusCode.UNAVAILABLE, ServerError),

@@ -19,12 +19,16 @@ from roundel.errors import (
     Conflict,
     InvalidAddress,
     NotRoundel,
+    PermissionDenied,
     Refused,
     RoundelError,
     ServerError,
     Stale,
     TimedOut,
+    Unauthenticated,
     Unreachable,
+    Untrusted,
+    WrongFingerprint,
 )
 from roundel.history import History, Track
 from roundel.link import Link, LinkState
@@ -44,6 +48,7 @@ __all__ = [
     "Link",
     "LinkState",
     "NotRoundel",
+    "PermissionDenied",
     "Reconnected",
     "Refused",
     "Robot",
@@ -55,6 +60,9 @@ __all__ = [
     "Subscription",
     "TimedOut",
     "Track",
+    "Unauthenticated",
     "Unreachable",
+    "Untrusted",
     "Update",
+    "WrongFingerprint",
 ]

@@ -23,6 +23,8 @@ CHANNEL_OPTIONS: list[tuple[str, Any]] = [
     ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
     # A growing flow-control window would buffer seconds of old snapshots for a slow reader.
     ("grpc.http2.bdp_probe", 0),
+    # A snapshot of some hundred objects fits into one frame, which the server sends with one write.
+    ("grpc.http2.max_frame_size", 64 * 1024),
     # Keep-alive: pings a silent server, and drops the connection without an answer.
     ("grpc.keepalive_time_ms", 5000),
     ("grpc.keepalive_timeout_ms", 5000),

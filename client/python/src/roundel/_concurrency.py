@@ -14,6 +14,7 @@ import grpc
 import grpc.aio
 
 from roundel import _calls
+from roundel._trust import Pinned, Trust
 from roundel.errors import Closed
 
 
@@ -139,11 +140,14 @@ class SyncMessages:
 class _Channel:
     """What both channels share."""
 
+    _trust: Trust
+    _channel: Any
+    """None until the server's certificate is known, if it is pinned."""
     _closed: AsyncEvent | SyncEvent
 
-    def _method(self, kind: Any, name: str) -> Any:
+    def _method(self, kind: str, name: str) -> Any:
         self._raise_if_closed(None)
-        return kind(_calls.method_path(name), _calls.serialize, _calls.RESPONSES[name].FromString)
+        return getattr(self._channel, kind)(_calls.method_path(name), _calls.serialize, _calls.RESPONSES[name].FromString)
 
     def _raise_if_closed(self, cause: BaseException | None) -> None:
         if self._closed.is_set():
@@ -153,14 +157,27 @@ class _Channel:
 class AsyncChannel(_Channel):
     """A channel to a server. Calls raise `Closed` once `closed` is set."""
 
-    def __init__(self, target: str, closed: AsyncEvent) -> None:
-        self._channel = grpc.aio.insecure_channel(target, options=_calls.CHANNEL_OPTIONS)
+    def __init__(self, trust: Trust, closed: AsyncEvent) -> None:
+        self._trust = trust
         self._closed = closed
+        self._channel = None if trust.fingerprint else self._create(None)
+
+    def _create(self, pinned: Pinned | None) -> Any:
+        return self._trust.channel(grpc.aio.insecure_channel, grpc.aio.secure_channel, pinned)
+
+    async def _ready(self) -> None:
+        """Creates the channel, if that has to wait for the server's certificate."""
+        if self._channel is None:
+            pinned = await asyncio.to_thread(self._trust.fetch)
+            self._raise_if_closed(None)
+            self._channel = self._channel or self._create(pinned)
 
     async def unary(self, name: str, request: Any, timeout_s: float) -> Any:
         """The response to a call. Raises `grpc.RpcError`."""
         try:
-            return await self._method(self._channel.unary_unary, name)(request, timeout=timeout_s)
+            await self._ready()
+            method = self._method("unary_unary", name)
+            return await method(request, timeout=timeout_s, metadata=self._trust.metadata)
         except (grpc.RpcError, grpc.aio.UsageError) as error:
             self._raise_if_closed(error)
             raise
@@ -169,29 +186,47 @@ class AsyncChannel(_Channel):
                 self._raise_if_closed(error)
             raise
 
-    def stream(self, name: str, request: Any, closed: AsyncEvent) -> AsyncMessages:
+    async def stream(self, name: str, request: Any, closed: AsyncEvent) -> AsyncMessages:
         """Starts a server-streaming call, which ends without an error once `closed` is set."""
+        await self._ready()
         try:
-            return AsyncMessages(self._method(self._channel.unary_stream, name)(request), closed)
+            call = self._method("unary_stream", name)(request, metadata=self._trust.metadata)
+            return AsyncMessages(call, closed)
         except grpc.aio.UsageError as error:
             self._raise_if_closed(error)
             raise
 
     async def close(self) -> None:
-        await self._channel.close(None)
+        if self._channel is not None:
+            await self._channel.close(None)
 
 
 class SyncChannel(_Channel):
     """A channel to a server. Calls raise `Closed` once `closed` is set."""
 
-    def __init__(self, target: str, closed: SyncEvent) -> None:
-        self._channel = grpc.insecure_channel(target, options=_calls.CHANNEL_OPTIONS)
+    def __init__(self, trust: Trust, closed: SyncEvent) -> None:
+        self._trust = trust
         self._closed = closed
+        self._lock = threading.Lock()
+        self._channel = None if trust.fingerprint else self._create(None)
+
+    def _create(self, pinned: Pinned | None) -> Any:
+        return self._trust.channel(grpc.insecure_channel, grpc.secure_channel, pinned)
+
+    def _ready(self) -> None:
+        """Creates the channel, if that has to wait for the server's certificate."""
+        if self._channel is None:
+            pinned = self._trust.fetch()
+            with self._lock:
+                self._raise_if_closed(None)
+                self._channel = self._channel or self._create(pinned)
 
     def unary(self, name: str, request: Any, timeout_s: float) -> Any:
         """The response to a call. Raises `grpc.RpcError`."""
         try:
-            return self._method(self._channel.unary_unary, name)(request, timeout=timeout_s)
+            self._ready()
+            method = self._method("unary_unary", name)
+            return method(request, timeout=timeout_s, metadata=self._trust.metadata)
         # grpc raises ValueError for a closed channel.
         except (grpc.RpcError, ValueError) as error:
             self._raise_if_closed(error)
@@ -199,14 +234,18 @@ class SyncChannel(_Channel):
 
     def stream(self, name: str, request: Any, closed: SyncEvent) -> SyncMessages:
         """Starts a server-streaming call."""
+        self._ready()
         try:
-            return SyncMessages(self._method(self._channel.unary_stream, name)(request))
+            return SyncMessages(self._method("unary_stream", name)(request, metadata=self._trust.metadata))
         except ValueError as error:
             self._raise_if_closed(error)
             raise
 
     def close(self) -> None:
-        self._channel.close()
+        with self._lock:
+            channel = self._channel
+        if channel is not None:
+            channel.close()
 
 
 def is_cancelled() -> bool:

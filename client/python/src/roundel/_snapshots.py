@@ -93,6 +93,9 @@ class Snapshots(Iterator[Update]):
         except grpc.RpcError as failure:
             if not self._closed.is_set():
                 self._lost(from_rpc(self._client.address, failure))
+        except RoundelError as error:
+            if not self._closed.is_set():
+                self._lost(error)
         else:
             if message is not None:
                 self._pending.extend(self._state.received(message))

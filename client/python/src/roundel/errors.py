@@ -17,7 +17,6 @@ _REFUSALS = frozenset({
     grpc.StatusCode.NOT_FOUND,
     grpc.StatusCode.OUT_OF_RANGE,
     grpc.StatusCode.FAILED_PRECONDITION,
-    grpc.StatusCode.PERMISSION_DENIED,
 })
 
 _DETAILS = "grpc-status-details-bin"
@@ -37,7 +36,7 @@ class InvalidAddress(RoundelError, ValueError):
     def __init__(self, address: str, reason: str) -> None:
         super().__init__(
             f"{address!r} is not a server address: {reason}; "
-            "expected http://HOST:PORT, such as http://127.0.0.1:7670"
+            "expected http://HOST:PORT or https://HOST:PORT, such as http://127.0.0.1:7670"
         )
 
 
@@ -70,7 +69,7 @@ class NotRoundel(RoundelError):
         self.address = address
         self.reason = reason
         self.speaks_http2 = speaks_http2
-        """False for a web server or a proxy, behind which a Roundel server may restart."""
+        """False for a web server or a proxy, since a Roundel server behind it may be restarting."""
 
 
 class Refused(RoundelError):
@@ -80,11 +79,46 @@ class Refused(RoundelError):
         super().__init__(f"the server rejected the request: {message}")
         self.message = message
         self.code = code
-        """INVALID_ARGUMENT, NOT_FOUND, OUT_OF_RANGE, FAILED_PRECONDITION or PERMISSION_DENIED."""
+        """INVALID_ARGUMENT, NOT_FOUND, OUT_OF_RANGE, FAILED_PRECONDITION, or PERMISSION_DENIED for `PermissionDenied`."""
         self.field = field
         """The invalid field of the request, as named in the .proto files; None for other causes."""
         self.what = what
         """The kind of resource that was not found, such as camera; None for other codes than NOT_FOUND."""
+
+
+class PermissionDenied(Refused):
+    """The role of this client does not include the call."""
+
+
+class Unauthenticated(RoundelError):
+    """The server requires a valid token or client certificate."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(f"the server requires a valid token or client certificate: {message}")
+        self.message = message
+
+
+class Untrusted(RoundelError):
+    """The server's certificate does not verify."""
+
+    def __init__(self, address: str, reason: str) -> None:
+        super().__init__(
+            f"the certificate of {address} is not trusted: {reason}; "
+            "name the file of its authority (`ca`), or its `fingerprint`"
+        )
+        self.reason = reason
+
+
+class WrongFingerprint(RoundelError):
+    """The server's certificate is not the pinned one. It was replaced, or this is another server."""
+
+    def __init__(self, address: str, expected: str, found: str) -> None:
+        super().__init__(
+            f"{address} has a certificate with the SHA-256 fingerprint {found}, expected {expected}; if the server's "
+            "certificate was replaced, use the fingerprint that the server prints at start"
+        )
+        self.expected = expected
+        self.found = found
 
 
 class ServerError(RoundelError):
@@ -135,6 +169,10 @@ def from_rpc(address: str, error: grpc.RpcError, call: str = "the call", timeout
     if code in _REFUSALS:
         field, what = _refusal_details(error)
         return Refused(message, code, field, what)
+    if code is grpc.StatusCode.PERMISSION_DENIED:
+        return PermissionDenied(message, code)
+    if code is grpc.StatusCode.UNAUTHENTICATED:
+        return Unauthenticated(message)
     if code is grpc.StatusCode.ABORTED:
         return Conflict(message, code)
     if code is grpc.StatusCode.UNIMPLEMENTED:
@@ -143,6 +181,8 @@ def from_rpc(address: str, error: grpc.RpcError, call: str = "the call", timeout
         return TimedOut(address, call, timeout_s)
     if code is grpc.StatusCode.UNAVAILABLE and "Failed parsing HTTP/2" in message:
         return NotRoundel(address, "it does not speak HTTP/2", speaks_http2=False)
+    if code is grpc.StatusCode.UNAVAILABLE and (reason := _distrust(message)):
+        return Untrusted(address, reason)
     if code is grpc.StatusCode.UNAVAILABLE and _details(error):
         # Errors of the network have no details.
         return ServerError(message, code)
@@ -151,11 +191,22 @@ def from_rpc(address: str, error: grpc.RpcError, call: str = "the call", timeout
     return ServerError(message, code)
 
 
+def _distrust(message: str) -> str | None:
+    """Why the server's certificate does not verify, if that is the error."""
+    if match := re.search(r"CERTIFICATE_VERIFY_FAILED(?:: ([a-zA-Z' -]+))?", message):
+        return match[1] or "it does not verify"
+    if match := re.search(r"Peer name \S+ is not in peer certificate", message):
+        return match[0]
+    return None
+
+
 def _network_reason(message: str) -> str:
     """The cause of a network error, without the names of grpc's internal layers."""
     lookup = re.match(r"errors resolving ([^\s:]+)", message)
     if lookup:
         return f"cannot resolve the host name {lookup[1]}"
+    if "TSI_DATA_CORRUPTED" in message:
+        return "the server ended the encrypted connection; it may refuse the certificate of this client"
     return re.sub(r"^failed to connect to all addresses; last error: .*: (.+)$", r"\1", message)
 
 

@@ -306,7 +306,7 @@ class Reconnected:
     missed: int | None
     """Snapshots that the server published during the gap; None if it was restarted."""
     restarted: bool
-    """Whether the server was restarted. It assigns new ids then; names and codes stay."""
+    """Whether the server was restarted. A restarted server assigns new ids; names and codes stay."""
     gap_s: float
     """Time from the last snapshot before the loss to the first one after it, by this machine's clock."""
 

@@ -16,7 +16,7 @@ class Subscription:
     ids: Sequence[int] = ()
     """Only these objects, by object_id, plus those of `names` and `codes`; with all three empty: all.
 
-    A restarted server assigns new ids, so the same id is another object then.
+    A restarted server assigns new ids, so the same id may be another object.
     """
     names: Sequence[str] = ()
     """Objects with these configured names, plus those of `ids` and `codes`."""

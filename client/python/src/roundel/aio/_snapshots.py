@@ -82,7 +82,7 @@ class Snapshots(AsyncIterator[Update]):
     async def _receive(self) -> None:
         try:
             if self._messages is None:
-                self._messages = self._client._open("SubscribeSnapshots", self._request, self._closed)
+                self._messages = await self._client._open("SubscribeSnapshots", self._request, self._closed)
             if self._closed.is_set():
                 self._messages.cancel()
                 return
@@ -92,6 +92,9 @@ class Snapshots(AsyncIterator[Update]):
         except grpc.RpcError as failure:
             if not self._closed.is_set():
                 self._lost(from_rpc(self._client.address, failure))
+        except RoundelError as error:
+            if not self._closed.is_set():
+                self._lost(error)
         else:
             if message is not None:
                 self._pending.extend(self._state.received(message))

@@ -11,8 +11,8 @@ from typing import Any, AsyncIterator, Mapping, Sequence
 import grpc
 
 from roundel import _calls, clock, v1
-from roundel._address import target
 from roundel._concurrency import AsyncChannel, AsyncEvent, AsyncLock, AsyncMessages
+from roundel._trust import PathLike, Trust
 from roundel.errors import Closed, ServerError, from_rpc
 from roundel.history import History
 from roundel.snapshot import Snapshot
@@ -29,23 +29,45 @@ class Client:
     Calls raise the errors of :mod:`roundel.errors`. Once the client is closed, calls raise `Closed` and streams end.
     """
 
-    def __init__(self, address: str = "http://127.0.0.1:7670", timeout_s: float | None = None) -> None:
+    def __init__(
+        self,
+        address: str = "http://127.0.0.1:7670",
+        timeout_s: float | None = None,
+        *,
+        ca: PathLike | None = None,
+        fingerprint: str | None = None,
+        token: str | None = None,
+        certificate: tuple[PathLike, PathLike] | None = None,
+    ) -> None:
         """Sends nothing yet, so the server may come up later.
 
-        A call that takes longer than `timeout_s` raises `TimedOut`. None stands for 15 s, or 60 s where the server has
-        to open, write or search something. Streams have no timeout. See also :meth:`within`.
+        A call that takes longer than `timeout_s` raises `TimedOut`. None stands for 15 s, or 60 s for calls for which
+        the server opens, writes or searches something. Streams have no timeout. See also :meth:`within`.
+
+        For an address with `https://`: `ca` is a PEM file of trusted authorities instead of the system's; `fingerprint`
+        is the SHA-256 of the only trusted certificate, which the server prints at start; `certificate` has the PEM files
+        of a client certificate and its key. `token` is sent with every call.
         """
         self.address = address
         self.timeout_s = _calls.checked_timeout_s(timeout_s)
         self._closed = AsyncEvent()
-        self._channel = AsyncChannel(target(address), self._closed)
+        self._channel = AsyncChannel(Trust.of(address, ca, fingerprint, token, certificate), self._closed)
         self._streams: weakref.WeakSet[Snapshots] = weakref.WeakSet()
         self._streams_lock = AsyncLock()
 
     @classmethod
-    async def connect(cls, address: str = "http://127.0.0.1:7670", timeout_s: float | None = None) -> Client:
+    async def connect(
+        cls,
+        address: str = "http://127.0.0.1:7670",
+        timeout_s: float | None = None,
+        *,
+        ca: PathLike | None = None,
+        fingerprint: str | None = None,
+        token: str | None = None,
+        certificate: tuple[PathLike, PathLike] | None = None,
+    ) -> Client:
         """Creates a client and checks that a Roundel server answers."""
-        client = cls(address, timeout_s)
+        client = cls(address, timeout_s, ca=ca, fingerprint=fingerprint, token=token, certificate=certificate)
         try:
             await client.info(timeout_s=_calls.CONNECT_TIMEOUT_S if timeout_s is None else timeout_s)
         except BaseException:
@@ -152,7 +174,7 @@ class Client:
         return int(response.effective_time_ns)
 
     async def push(self, object_id: int, velocity_m_s: Sequence[float], duration_s: float) -> int:
-        """Pushes a simulated robot, whatever its commanded velocity. Returns the server time of effect, ns."""
+        """Pushes a simulated robot, regardless of its commanded velocity. Returns the server time of effect, ns."""
         velocity = _calls.vector(velocity_m_s)
         request = v1.PushRobotRequest(object_id=object_id, velocity=velocity, duration_ms=duration_s * 1e3)
         response = await self._call("PushRobot", request)
@@ -295,11 +317,11 @@ class Client:
         except grpc.RpcError as error:
             raise from_rpc(self.address, error, call, timeout_s) from error
 
-    def _open(self, call: str, request: Any, closed: AsyncEvent) -> AsyncMessages:
-        return self._channel.stream(call, request, closed)
+    async def _open(self, call: str, request: Any, closed: AsyncEvent) -> AsyncMessages:
+        return await self._channel.stream(call, request, closed)
 
     async def _stream(self, call: str, request: Any) -> AsyncIterator[Any]:
-        messages = self._open(call, request, self._closed)
+        messages = await self._open(call, request, self._closed)
         try:
             while (message := await messages.read()) is not None:
                 yield message

@@ -1,0 +1,148 @@
+"""Encrypted connections to a real server: `roundel serve` with a self-signed certificate."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Iterator
+
+import pytest
+
+from roundel import Client, InvalidAddress, Subscription, Unreachable, Untrusted, WrongFingerprint, aio
+from roundel._trust import checked_fingerprint, checked_token
+
+from conftest import binary
+
+CONFIG = """
+name = "lab"
+[server]
+listen = "127.0.0.1:0"
+tls = { certificate = "cert.pem", key = "key.pem", self_signed = true }
+[[roundel]]
+name = "robot"
+outer_mm = 160.0
+inner_mm = 64.0
+[[camera]]
+name = "north"
+source = "sim:"
+"""
+
+
+class TlsServer:
+    """A running `roundel serve`."""
+
+    def __init__(self, folder: Path, config: str = CONFIG) -> None:
+        (folder / "lab.toml").write_text(config)
+        command = [str(binary()), "serve", "--config", str(folder / "lab.toml")]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        assert self.process.stdout is not None
+        lines = [self.process.stdout.readline() for _ in range(2)]
+        found = re.match(r"TLS certificate: SHA-256 fingerprint (\w{64}), expires \S+\nlistening on (\S+)", "".join(lines))
+        assert found, lines
+        self.fingerprint, self.url = found.groups()
+        self.certificate = folder / "cert.pem"
+
+    def stop(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+
+
+@pytest.fixture(scope="module")
+def tls_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TlsServer]:
+    running = TlsServer(tmp_path_factory.mktemp("tls"))
+    yield running
+    running.stop()
+
+
+def test_a_pinned_fingerprint_is_trusted(tls_server: TlsServer) -> None:
+    colons = ":".join(re.findall("..", tls_server.fingerprint.upper()))
+    for fingerprint in (tls_server.fingerprint, colons):
+        with Client.connect(tls_server.url, fingerprint=fingerprint, token="secret") as client:
+            assert client.info().name == "lab"
+            assert next(iter(client.snapshots(Subscription()))).source_id
+
+
+def test_a_certificate_file_is_trusted_as_its_own_authority(tls_server: TlsServer) -> None:
+    with Client.connect(tls_server.url, ca=tls_server.certificate) as client:
+        assert client.info().name == "lab"
+
+
+def test_an_untrusted_server_is_a_typed_error(tls_server: TlsServer) -> None:
+    with pytest.raises(WrongFingerprint) as caught:
+        Client.connect(tls_server.url, fingerprint="ab" * 32)
+    assert caught.value.found == tls_server.fingerprint and not caught.value.is_temporary
+    with pytest.raises(Untrusted, match="not trusted"):
+        Client.connect(tls_server.url)
+    with Client(tls_server.url, fingerprint="ab" * 32) as client:
+        with pytest.raises(WrongFingerprint):
+            next(iter(client.updates()))
+
+
+def test_a_pinned_server_may_come_up_later() -> None:
+    with Client("https://127.0.0.1:9", fingerprint="ab" * 32) as client:
+        with pytest.raises(Unreachable):
+            client.info()
+
+
+def test_the_asyncio_client_pins_too(tls_server: TlsServer) -> None:
+    async def names() -> tuple[str, str]:
+        async with await aio.Client.connect(tls_server.url, fingerprint=tls_server.fingerprint) as client:
+            async for snapshot in client.snapshots():
+                return (await client.info()).name, snapshot.source_id
+        raise AssertionError("no snapshot")
+
+    name, source_id = asyncio.run(names())
+    assert name == "lab" and source_id
+
+
+def test_a_client_certificate_is_presented(tmp_path: Path) -> None:
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl is not installed")
+
+    def openssl(*arguments: str) -> None:
+        subprocess.run(["openssl", *arguments], check=True, cwd=tmp_path, capture_output=True)
+
+    curve = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes")
+    openssl("req", "-x509", *curve, "-keyout", "ca-key.pem", "-out", "ca.pem", "-subj", "/CN=lab authority")
+    openssl("req", *curve, "-keyout", "own-key.pem", "-out", "own.csr", "-subj", "/CN=robot7")
+    (tmp_path / "use.txt").write_text("extendedKeyUsage=clientAuth")
+    issuer = ("-CA", "ca.pem", "-CAkey", "ca-key.pem")
+    openssl("x509", "-req", "-in", "own.csr", *issuer, "-extfile", "use.txt", "-out", "own.pem")
+    openssl("req", "-x509", *curve, "-keyout", "foreign-key.pem", "-out", "foreign.pem", "-subj", "/CN=robot7")
+    server = TlsServer(tmp_path, CONFIG.replace("self_signed", 'client_ca = "ca.pem", self_signed'))
+    try:
+        own = (tmp_path / "own.pem", tmp_path / "own-key.pem")
+        with Client.connect(server.url, ca=server.certificate, certificate=own) as client:
+            assert client.info().name == "lab"
+        with Client.connect(server.url, fingerprint=server.fingerprint) as client:
+            assert client.info().name == "lab"
+        foreign = (tmp_path / "foreign.pem", tmp_path / "foreign-key.pem")
+        with pytest.raises(Unreachable):
+            Client.connect(server.url, ca=server.certificate, certificate=foreign, timeout_s=3.0)
+    finally:
+        server.stop()
+
+
+def test_invalid_options_are_named(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="ca: needs an address that begins with https://"):
+        Client("http://127.0.0.1:7670", ca=tmp_path / "ca.pem")
+    with pytest.raises(FileNotFoundError):
+        Client("https://127.0.0.1:7670", ca=tmp_path / "ca.pem")
+    (tmp_path / "ca.pem").write_text("hello")
+    with pytest.raises(ValueError, match="expected a certificate in PEM"):
+        Client("https://127.0.0.1:7670", ca=tmp_path / "ca.pem")
+    with pytest.raises(ValueError, match="cannot be combined"):
+        Client("https://127.0.0.1:7670", ca=tmp_path / "ca.pem", fingerprint="ab" * 32)
+    for wrong in ("", "12", "zz" * 32):
+        with pytest.raises(ValueError, match="64 hexadecimal digits"):
+            checked_fingerprint(wrong)
+    for wrong in ("", " ", "two\nlines", "ü"):
+        with pytest.raises(ValueError, match="printable ASCII"):
+            checked_token(wrong)
+    with pytest.raises(InvalidAddress):
+        Client("ftp://127.0.0.1:7670")
