@@ -93,6 +93,7 @@ fn object(robot: &RobotTruth, seen: Timestamp, stage: LifeStage) -> ObjectState 
         rotation_covariance: Covariance6::identity(),
         process_noise: ProcessNoise::default(),
         cameras: Vec::new(),
+        trust: 1,
         newest_observation: seen,
         residual: 1.0,
         first_observation: ORIGIN,

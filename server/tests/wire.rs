@@ -199,6 +199,7 @@ fn coded() -> ObjectState {
         rotation_covariance: numbered(200.0),
         process_noise: ProcessNoise::default(),
         cameras: vec![CameraId(0), CameraId(1)],
+        trust: 1,
         newest_observation: POSE_TIME.plus_ns(-12_500_000),
         residual: 1.125,
         first_observation: POSE_TIME.plus_ns(-60_000_000_000),

@@ -58,6 +58,8 @@ pub struct FusionCounts {
     pub gated: u64,
     /// Of these, detections dropped since other cameras see that object elsewhere.
     pub contradicted: u64,
+    /// Detections left out since a camera of higher rank sees the object.
+    pub outranked: u64,
     /// Detections that would have begun a track beyond the greatest number of objects.
     pub over_max_objects: u64,
     /// Detections taken together with another one of the same object in their frame; the two count once

@@ -35,6 +35,7 @@ use super::{
     rider::Riders,
     snapshot::state_of,
     timeline::{Timeline, Verdict},
+    trust::Trust,
 };
 use crate::{
     id::{CameraId, KindId, ObjectId, TrackNumber},
@@ -74,6 +75,7 @@ pub struct Fusion {
     guards: Guards,
     /// Cameras that are never held back, ascending.
     spared: Vec<CameraId>,
+    trust: Trust,
     /// In the order in which they began.
     tracks: Vec<Track>,
     /// To be named once more.
@@ -108,6 +110,7 @@ impl Fusion {
             gaps: Gaps::default(),
             guards: Guards::default(),
             spared: Vec::new(),
+            trust: Trust::default(),
             tracks: Vec::new(),
             lost: Vec::new(),
             next_id: 1,
@@ -128,6 +131,12 @@ impl Fusion {
             None => self.cameras.remove(&camera),
         };
         self.guards.forget(camera);
+    }
+
+    /// Sets a camera's rank, 1 unless set: detections of a lower rank are not used for objects that cameras of a higher rank
+    /// see.
+    pub fn set_trust(&mut self, camera: CameraId, rank: u8) {
+        self.trust.set(camera, rank);
     }
 
     /// Says how far a camera's stamps can be trusted; without it, they are exact.
@@ -219,18 +228,20 @@ impl Fusion {
         // States are large: sorted are the tracks that they are made of.
         let mut tracks: Vec<_> = self.tracks.iter_mut().chain(&mut self.lost).collect();
         tracks.sort_unstable_by_key(|track| track.id);
+        let ranks = &self.trust;
         let objects = tracks
             .into_iter()
             .map(|track| {
+                let trust = ranks.of_track(track);
                 let Subject { kind, body } = track.subject;
                 if let Some(body) = body {
                     let code = self.bodies.code(body);
                     let state = state_of(track, pose_time, &self.bodies.origin_m(body));
-                    return ObjectState { code, ..state };
+                    return ObjectState { code, trust, ..state };
                 }
                 let offset = kind.and_then(|kind| self.offsets_m.get(&kind));
                 let offset_m = offset.copied().unwrap_or_else(Vector3::zeros);
-                state_of(track, pose_time, &offset_m)
+                ObjectState { trust, ..state_of(track, pose_time, &offset_m) }
             })
             .collect();
         self.lost.clear();
@@ -295,6 +306,10 @@ impl Fusion {
             };
             seen[track] = true;
             let track = &mut self.tracks[track];
+            if self.trust.is_outranked(camera, track, sighting.measurement.time) {
+                self.counts.outranked += 1;
+                continue;
+            }
             if rides && self.riders.is_carrier(&track.subject, track.codes.leader()) {
                 self.counts.of_carriers += 1;
                 continue;
@@ -345,7 +360,7 @@ impl Fusion {
         self.tracks[index].identified = Some(mark);
         let fresh = (now, self.params.predicted_after_ns);
         let (object, kind, elsewhere) =
-            match self.identities.claim(&self.tracks, index, mark, fresh) {
+            match self.identities.claim(&self.tracks, index, mark, (fresh, &self.trust)) {
                 Claim::Own => return event.into_iter().for_each(|event| self.tell(event)),
                 Claim::Twice => {
                     self.counts.ambiguous_codes += 1;

@@ -3,11 +3,11 @@
 //! The first track that is trusted and whose code is settled gives the code its object id, for good; the
 //! first of a body gives it to the body. A later track with that code or body takes the id over, unless another track carries it that is seen right now:
 //! then one code is there twice (two prints of it, or a track that drifted onto another robot), which no
-//! rule can mend, and which is counted.
+//! rule can mend, and which is counted. A track that only less trusted cameras see gives the id up all the same.
 
 use std::collections::BTreeMap;
 
-use super::life::Track;
+use super::{life::Track, trust::Trust};
 use crate::{
     id::{BodyId, KindId, ObjectId},
     marker::Code,
@@ -76,7 +76,7 @@ impl Identities {
         tracks: &[Track],
         index: usize,
         mark: Mark,
-        (now, fresh_ns): (Timestamp, i64),
+        ((now, fresh_ns), trust): ((Timestamp, i64), &Trust),
     ) -> Claim {
         let track = &tracks[index];
         let id = *self.by_mark.entry((track.subject.kind, mark)).or_insert(track.id);
@@ -88,7 +88,8 @@ impl Identities {
             Some(other) => {
                 let newest = tracks[other].newest;
                 let is_moved = track.subject.body.is_some() && newest < track.first;
-                if is_moved || now.ns_since(newest) > fresh_ns {
+                let is_outranked = trust.of_track(&tracks[other]) < trust.of_track(track);
+                if is_moved || is_outranked || now.ns_since(newest) > fresh_ns {
                     Claim::Elsewhere(other, id)
                 } else {
                     Claim::Twice

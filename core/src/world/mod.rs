@@ -10,7 +10,7 @@
 //! id again, `snapshot` shows the result at an instant. `body` knows the objects that carry several
 //! roundels, and `assembly` makes one measurement of these. Cameras that move are placed by what carries them (`rider`), and place it by landmarks
 //! that they see (`landmark`, `localize`). `floor` tells when what drives is not as high as was said; `guard` holds
-//! cameras back that suddenly disagree with all others.
+//! cameras back that suddenly disagree with all others; `trust` keeps less trusted cameras from moving what others see.
 
 mod anchor;
 mod assembly;
@@ -36,6 +36,7 @@ mod param;
 mod rider;
 mod snapshot;
 mod timeline;
+mod trust;
 mod vote;
 
 pub use body::{Body, BodyError, Mount};
@@ -129,6 +130,8 @@ pub struct ObjectState {
     pub process_noise: ProcessNoise,
     /// Cameras that contributed within the last 200 ms, ascending.
     pub cameras: Vec<CameraId>,
+    /// Highest rank ([`Fusion::set_trust`]) of the cameras that see it, or were the last to see it.
+    pub trust: u8,
     /// Capture time of the newest observation used.
     pub newest_observation: Timestamp,
     /// Newest innovation's Mahalanobis distance squared over its degrees of freedom.

@@ -86,6 +86,7 @@ pub(super) fn state_of(track: &mut Track, time: Timestamp, offset_m: &Vector3<f6
             angular_density_rad2_s3: attitude.density_rad2_s3,
         },
         cameras: contributing(track, time),
+        trust: 0,
         newest_observation: track.newest,
         residual,
         first_observation: track.first,

@@ -262,6 +262,7 @@ fn detections_without_what_is_needed() {
         + counts.no_pose
         + counts.invalid
         + counts.contradicted
+        + counts.outranked
         + counts.over_max_objects
         + counts.joined
         + counts.left_out;

@@ -15,3 +15,4 @@ mod renew;
 mod rider;
 mod score;
 mod sight;
+mod trust;

@@ -37,6 +37,7 @@ pub fn object(id: u64, phase: f64, now: Timestamp) -> ObjectState {
             angular_density_rad2_s3: Vector3::repeat(0.1),
         },
         cameras: vec![CameraId(0), CameraId(2)],
+        trust: 1,
         newest_observation: now,
         residual: 0.9 + 0.1 * phase.sin(),
         first_observation: now,

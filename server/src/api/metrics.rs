@@ -216,6 +216,7 @@ fn write_fusion_counts(page: &mut MetricsText, counts: &FusionCounts) {
         ("no_pose", counts.no_pose),
         ("invalid", counts.invalid),
         ("contradicted", counts.contradicted),
+        ("outranked", counts.outranked),
         ("over_max_objects", counts.over_max_objects),
         ("joined", counts.joined),
         ("left_out", counts.left_out),

@@ -36,7 +36,7 @@ impl FusionTask {
                 self.mounted_cameras.remove(camera);
                 self.fusion.remove_camera(camera);
                 if let Some(camera_monitor) = &mut self.camera_monitor {
-                    camera_monitor.remove(camera);
+                    camera_monitor.forget(camera);
                 }
             }
             CameraChange::Localized(placement) => {
@@ -73,6 +73,12 @@ impl FusionTask {
             self.fusion.forget_source(camera);
             if let ClockModel::Estimated(prior) = clock {
                 self.fusion.set_clock(camera, prior);
+            }
+        }
+        if let Some(trust) = model.trust {
+            self.fusion.set_trust(camera, trust);
+            if let Some(camera_monitor) = &mut self.camera_monitor {
+                camera_monitor.set_trust(camera, trust);
             }
         }
         let Some(pose) = model.pose else { return };

@@ -26,6 +26,7 @@ pub(super) struct CameraMonitor {
     monitor_thread: MonitorThread,
     calibrator: Arc<Calibrator>,
     cameras: BTreeMap<CameraId, MonitoredCamera>,
+    trust: BTreeMap<CameraId, u8>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -38,7 +39,12 @@ impl CameraMonitor {
     pub(super) fn new(landmarks: &[Landmark], calibrator: Arc<Calibrator>) -> Self {
         let mut watch = Watch::new(WatchParams::default());
         watch.set_landmarks(landmarks);
-        Self { monitor_thread: MonitorThread::new(watch), calibrator, cameras: BTreeMap::new() }
+        Self {
+            monitor_thread: MonitorThread::new(watch),
+            calibrator,
+            cameras: BTreeMap::new(),
+            trust: BTreeMap::new(),
+        }
     }
 
     /// Adds a camera or changes its pose; a configured pose may be inexact.
@@ -56,13 +62,29 @@ impl CameraMonitor {
         self.monitor_thread.note(MonitorInput::Placed { camera, placement, is_configured, is_new });
     }
 
-    /// Removes a camera, or one whose pose is not known any more.
+    /// Sets the rank of a camera. Cameras of a lower rank than another one do not testify against it, and are not
+    /// monitored themselves.
+    pub(super) fn set_trust(&mut self, camera: CameraId, trust: u8) {
+        self.trust.insert(camera, trust);
+    }
+
+    /// Removes a camera from the installation.
+    pub(super) fn forget(&mut self, camera: CameraId) {
+        self.trust.remove(&camera);
+        self.remove(camera);
+    }
+
+    /// Removes a camera whose pose is not known any more.
     pub(super) fn remove(&mut self, camera: CameraId) {
         self.cameras.remove(&camera);
         self.monitor_thread.note(MonitorInput::Removed(camera));
     }
 
     pub(super) fn observe(&mut self, frame: &Arc<FrameObservations>, fusion: &Fusion) {
+        let highest = self.trust.values().max();
+        if self.trust.get(&frame.camera) < highest {
+            return;
+        }
         let offset_s = fusion.clock(frame.camera).map_or(0.0, |clock| clock.offset_s);
         self.monitor_thread.note(MonitorInput::Detections(frame.clone(), offset_s));
     }

@@ -43,13 +43,15 @@ pub struct ObjectUpdate {
     pub kinds: Vec<(KindId, Vector3<f64>, MotionClass)>,
 }
 
-/// Pose and clock of a camera as configured or calibrated.
-#[derive(Clone, Debug)]
+/// Pose, clock and rank of a camera as configured or calibrated.
+#[derive(Clone, Debug, Default)]
 pub struct CameraModel {
     /// `None`: unchanged.
     pub pose: Option<CameraPose>,
     /// `None`: unchanged.
     pub clock: Option<ClockModel>,
+    /// `None`: unchanged.
+    pub trust: Option<u8>,
 }
 
 #[derive(Clone, Debug)]

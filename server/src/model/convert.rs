@@ -76,6 +76,7 @@ fn object_state(
         cameras: names(installation, &state.cameras),
         observation_age_ns: pose_time.ns_since(state.newest_observation),
         residual: state.residual,
+        untrusted: state.trust == 0,
         acceleration: with_covariance.then(|| vector(&state.acceleration_m_s2)),
         roundel: installation.kind_name(state.kind).to_owned(),
         code: state.code.map(code),

@@ -163,11 +163,12 @@ impl Tap {
 
 impl LatestCameraUpdate {
     pub(crate) fn apply(&mut self, change: &CameraChange) {
-        let known = self.known.get_or_insert(CameraModel { pose: None, clock: None });
+        let known = self.known.get_or_insert_default();
         match change {
             CameraChange::Set(news) => {
                 known.pose = news.pose.clone().or(known.pose.take());
                 known.clock = news.clock.or(known.clock);
+                known.trust = news.trust.or(known.trust);
             }
             CameraChange::Localized(placement) => {
                 known.pose =
@@ -206,8 +207,9 @@ mod tests {
     #[test]
     fn a_recording_starts_with_the_state_of_the_cameras() {
         let tap = Tap::default();
-        let (place, clock) = (Some(CameraPose::Unknown), Some(ClockModel::Exact));
-        update_camera(&tap, CameraChange::Set(Box::new(CameraModel { pose: place, clock })));
+        let (pose, clock) = (Some(CameraPose::Unknown), Some(ClockModel::Exact));
+        let model = CameraModel { pose, clock, trust: Some(0) };
+        update_camera(&tap, CameraChange::Set(Box::new(model)));
         let placement = CameraPlacement {
             world_from_camera: Rigid::translation(1.0, 2.0, 3.0),
             covariance: Covariance6::zeros(),
@@ -224,6 +226,7 @@ mod tests {
             receiver.camera_updates.iter().map(|update| format!("{update:?}")).collect();
         assert_eq!(known.len(), 2, "{known:?}");
         assert!(known[0].contains("[1.0, 2.0, 3.0]") && known[0].contains("Exact"), "{known:?}");
+        assert!(known[0].contains("trust: Some(0)"), "{known:?}");
         assert!(known[1].contains("HoldBackExempt(true)"), "{known:?}");
         // A repeated exemption is not recorded.
         update_camera(&tap, CameraChange::HoldBackExempt(true));

@@ -194,6 +194,7 @@ pub fn object(id: u64) -> ObjectState {
             angular_density_rad2_s3: Vector3::repeat(1.0),
         },
         cameras: vec![CameraId(0), CameraId(1)],
+        trust: 1,
         newest_observation: time,
         residual: 0.75,
         first_observation: time.plus_seconds(-3.0),

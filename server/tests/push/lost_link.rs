@@ -34,10 +34,10 @@ fn assert_counts_add_up(report: &NodeReport) {
 fn sum_of_outcomes(counts: &FusionCounts) -> u64 {
     let FusionCounts { used, late, duplicate, jumped, no_camera_pose, held, .. } = *counts;
     let FusionCounts { of_carriers, of_landmarks, no_pose, invalid, contradicted, .. } = *counts;
-    let FusionCounts { over_max_objects, joined, left_out, .. } = *counts;
+    let FusionCounts { outranked, over_max_objects, joined, left_out, .. } = *counts;
     let accepted = [used, joined, left_out, of_carriers, of_landmarks];
     let rejected = [late, duplicate, jumped, no_camera_pose, held, no_pose, invalid];
-    let removed_later = [contradicted, over_max_objects];
+    let removed_later = [contradicted, outranked, over_max_objects];
     accepted.iter().chain(&rejected).chain(&removed_later).sum()
 }
 

@@ -6,3 +6,4 @@ mod picture_requests;
 mod rejected_input;
 mod rig;
 mod sent_pictures;
+mod trust;

@@ -272,6 +272,7 @@ fn object(
             angular_density_rad2_s3: Vector3::repeat(0.1),
         },
         cameras,
+        trust: 1,
         newest_observation: now.plus_ns(-24_000_000),
         residual: 0.9 + 0.1 * time_s.sin(),
         first_observation: now.plus_seconds(-time_s),

@@ -196,6 +196,7 @@ impl<'a> Case<'a> {
             + counts.no_pose
             + counts.invalid
             + counts.contradicted
+            + counts.outranked
             + counts.over_max_objects
             + counts.joined
             + counts.left_out

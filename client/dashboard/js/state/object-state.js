@@ -37,6 +37,7 @@ const ROTATION_ENTRIES = [15, 18, 20];
  * @property {number | null} residual
  * @property {string} roundel
  * @property {{bits: number, number: number} | null} code null until one is read
+ * @property {boolean} [isUntrusted] seen only by cameras without trust
  */
 
 export class ObjectState {
@@ -57,6 +58,7 @@ export class ObjectState {
     this.residual = values.residual;
     this.roundel = values.roundel;
     this.code = values.code;
+    this.isUntrusted = values.isUntrusted === true;
     /** @type {ErrorEllipse | null | undefined} undefined until it is computed */
     this.cachedEllipse = undefined;
   }

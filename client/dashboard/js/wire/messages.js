@@ -168,6 +168,7 @@ function readObject(raw) {
     residual: number(raw?.residual),
     roundel: text(raw?.roundel),
     code: readCode(raw?.code),
+    isUntrusted: raw?.untrusted === true,
   });
 }
 

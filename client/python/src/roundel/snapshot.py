@@ -161,6 +161,11 @@ class Snapshot:
         return np.array([o.yaw_observed for o in self.message.objects], dtype=np.bool_)
 
     @functools.cached_property
+    def untrusted(self) -> NDArray[np.bool_]:
+        """Which objects only cameras with `trust = 0` see, by default those of remote programs; shape (n,)."""
+        return np.array([o.untrusted for o in self.message.objects], dtype=np.bool_)
+
+    @functools.cached_property
     def _kinematics(self) -> _Kinematics:
         if self._predicted is not None:
             return self._predicted

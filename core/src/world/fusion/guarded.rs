@@ -85,11 +85,13 @@ impl Fusion {
         let origin_m = place.world_from_camera.translation.vector;
         let (tracks, sightings) = (&self.tracks, &self.sightings);
         let (clocks, spared) = (&self.clocks, self.spared.as_slice());
+        let (trust, rank) = (&self.trust, self.trust.rank(camera));
         let gather = |Inquiry { by, every, skipped }: Inquiry, pulls: &mut Vec<Pull>| {
             let asked = |other: CameraId| {
                 other != camera
                     && by.is_none_or(|by| by == other)
                     && spared.binary_search(&other).is_err()
+                    && trust.rank(other) >= rank
             };
             let inquired = sightings.iter().zip(decisions).skip(skipped).step_by(every);
             let each = inquired.filter_map(|(sighting, decision)| {

@@ -1,7 +1,7 @@
 //! Cameras that leave, or whose frames come from elsewhere, while everything else goes on.
 
 use super::Fusion;
-use crate::id::CameraId;
+use crate::{id::CameraId, world::trust::DEFAULT_TRUST};
 
 impl Fusion {
     /// Forgets a camera. Tracks keep what it saw until that is of no more use; what comes of it later is taken for that
@@ -10,6 +10,7 @@ impl Fusion {
         self.set_camera(camera, None);
         self.set_mount(camera, None);
         self.spare(camera, false);
+        self.set_trust(camera, DEFAULT_TRUST);
         self.forget_source(camera);
     }
 

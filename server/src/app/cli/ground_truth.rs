@@ -121,6 +121,7 @@ mod tests {
             rotation_covariance: Covariance6::identity(),
             process_noise: Default::default(),
             cameras: Vec::new(),
+            trust: 1,
             newest_observation: Timestamp::default(),
             residual: 0.0,
             first_observation: Timestamp::default(),

@@ -64,6 +64,7 @@ fn object(hub: &Hub, pose_time: Timestamp, state: &v1::ObjectState) -> world::Ob
         rotation_covariance,
         process_noise: ProcessNoise::default(),
         cameras: state.cameras.iter().filter_map(|name| installation.camera_id(name)).collect(),
+        trust: u8::from(!state.untrusted),
         newest_observation,
         residual: state.residual,
         first_observation: newest_observation,

@@ -14,6 +14,7 @@
 //! fusion queue are dropped and counted.
 
 pub mod calibration_update;
+mod error_floor;
 pub mod pipeline;
 mod pose_search;
 mod pose_source;
@@ -93,6 +94,8 @@ pub struct WorkerParts {
     pub clock: Clock,
     /// Configured frame rate; `None`: the one that the source announces.
     pub promised_hz: Option<f64>,
+    /// Least error of remote detections, pixels; see [`error_floor`].
+    pub min_error_px: f64,
     /// Counts of the camera's previous worker.
     pub before: WorkerCounts,
 }
@@ -237,6 +240,9 @@ impl Worker {
         self.counts.add_dropped(skipped);
         observations.camera = self.parts.id;
         observations.frame = self.counts.frames;
+        for detection in &mut observations.detections {
+            error_floor::apply(detection, self.parts.pipeline.camera(), self.parts.min_error_px);
+        }
         self.statistics.rate.add(now);
         self.check_rate(now, 1);
         let figures = figures.unwrap_or_else(|| {

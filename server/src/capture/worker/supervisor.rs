@@ -229,6 +229,7 @@ mod tests {
             fusion,
             clock,
             promised_hz: None,
+            min_error_px: 0.0,
             before: WorkerCounts::default(),
         });
         (worker, from_worker)

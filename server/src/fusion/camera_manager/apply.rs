@@ -11,7 +11,7 @@ use crate::{
     },
     model::{
         address::SourceAddress,
-        command::{CameraChange, CameraModel, CameraPose, CameraUpdate, ClockModel, FusionCommand},
+        command::{CameraChange, CameraModel, CameraUpdate, FusionCommand},
         config::{CameraConfig, Config, Effect},
         hub::{EventKind, PoseStatus},
         stop::StopSignal,
@@ -39,7 +39,8 @@ impl CameraManager {
         config: &Config,
     ) {
         let pose = setup::camera_pose(camera, config, &state.bodies.numbers);
-        state.set_model(id, Some(pose), Some(setup::clock_model(camera)));
+        let clock = Some(setup::clock_model(camera));
+        state.set_model(id, CameraModel { pose: Some(pose), clock, trust: Some(camera.trust) });
         if matches!(camera.address, SourceAddress::Push(_)) {
             self.ports.open(id, config.limits.max_roundels_per_camera);
         }
@@ -74,6 +75,7 @@ impl CameraManager {
             fusion: state.to_fusion.clone(),
             clock: self.clock,
             promised_hz: camera.rate_hz,
+            min_error_px: setup::min_error_px(camera),
             before,
         });
         state.workers.spawn(id, &camera.name, worker, stop).map_err(|source| {
@@ -126,7 +128,7 @@ impl CameraManager {
         let pose =
             is_invalidated.then(|| setup::camera_pose(camera, &config, &state.bodies.numbers));
         let clock = diff.resets_clock().then(|| setup::clock_model(camera));
-        state.set_model(id, pose, clock);
+        state.set_model(id, CameraModel { pose, clock, trust: Some(camera.trust) });
         let is_pushed = matches!(camera.address, SourceAddress::Push(_));
         if is_pushed {
             self.ports.open(id, config.limits.max_roundels_per_camera);
@@ -190,13 +192,8 @@ impl CameraManager {
 }
 
 impl State {
-    pub(super) fn set_model(
-        &self,
-        id: CameraId,
-        pose: Option<CameraPose>,
-        clock: Option<ClockModel>,
-    ) {
-        self.update_camera(id, CameraChange::Set(Box::new(CameraModel { pose, clock })));
+    pub(super) fn set_model(&self, id: CameraId, model: CameraModel) {
+        self.update_camera(id, CameraChange::Set(Box::new(model)));
     }
 
     fn update_camera(&self, camera: CameraId, change: CameraChange) {

@@ -12,7 +12,7 @@ use super::{
     replaced, setup,
 };
 use crate::model::{
-    command::{AppliedConfig, FusionCommand, FusionSettings},
+    command::{AppliedConfig, CameraModel, FusionCommand, FusionSettings},
     config::{
         Config, ObjectConfig, PoseConfig,
         edit::{self, EditError},
@@ -166,7 +166,8 @@ impl CameraManager {
                 let camera = &state.config.cameras[index];
                 self.hub.set_camera(*id, setup::camera_info(camera, &state.config));
                 let pose = setup::camera_pose(camera, &state.config, &state.bodies.numbers);
-                state.set_model(*id, Some(pose), None);
+                let model = CameraModel { pose: Some(pose), ..CameraModel::default() };
+                state.set_model(*id, model);
             }
         }
     }

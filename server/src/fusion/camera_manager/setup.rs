@@ -19,13 +19,15 @@ use crate::{
     fusion::calibration::{CalibratorCamera, file::StoredConfig},
     model::{
         command::{CameraPose, ClockModel},
-        config::{CameraConfig, Config, MountConfig, PoseConfig},
+        config::{CameraConfig, Config, MountConfig, PoseConfig, UNTRUSTED},
         hub::{CameraInfo, DetectionCounts, Installation, MountInfo, PoseStatus},
     },
 };
 
 /// Standard deviation of a camera clock's rate: plain quartz.
 const CLOCK_SKEW: f64 = 1e-4;
+/// A print's rim is rarely known better: lens and print deviate by as much.
+const UNTRUSTED_ERROR_PX: f64 = 0.1;
 
 pub fn installation(config: &Config, started: Timestamp) -> Installation {
     let unique = started.as_ns() as u64 ^ (u64::from(std::process::id()) << 32).rotate_left(16);
@@ -112,6 +114,11 @@ pub(super) fn clock_model(camera: &CameraConfig) -> ClockModel {
     } else {
         ClockModel::Exact
     }
+}
+
+/// Least error of detections that a remote program states, pixels of a rim's place.
+pub(super) fn min_error_px(camera: &CameraConfig) -> f64 {
+    if camera.trust == UNTRUSTED { UNTRUSTED_ERROR_PX } else { 0.0 }
 }
 
 pub(super) fn pipeline(

@@ -58,7 +58,7 @@ pub enum Effect {
 }
 
 /// All keys. `camera` parses them; writing, and the conversion to and from `v1::CameraSetup`, follow from the names.
-pub const CAMERA_SCHEMA: [CameraKey; 9] = [
+pub const CAMERA_SCHEMA: [CameraKey; 10] = [
     key("name", "name", |a, b| (a.name != b.name).then_some(Effect::Rename)),
     key("source", "source", |a, b| (a.address != b.address).then_some(Effect::Source)),
     key("calibration", "lens", |a, b| {
@@ -78,6 +78,7 @@ pub const CAMERA_SCHEMA: [CameraKey; 9] = [
     key("rate_hz", "rate", |a, b| (a.rate_hz != b.rate_hz).then_some(Effect::Restart)),
     key("mode", "mode", |a, b| (a.mode != b.mode).then_some(Effect::Restart)),
     key("mask", "mask", |a, b| (a.mask != b.mask).then_some(Effect::Restart)),
+    key("trust", "trust", |a, b| (a.trust != b.trust).then_some(Effect::Restart)),
 ];
 
 const fn key(
@@ -126,8 +127,14 @@ pub struct CameraConfig {
     pub mode: Mode,
     /// Polygons, raw pixels, that are not searched. Each covers a pixel of the frame, and together they leave one.
     pub mask: Vec<Vec<PixelPoint>>,
+    /// Rank among the cameras: its detections are not used for an object that a camera of a higher rank sees.
+    pub trust: u8,
 }
 
+/// Rank of cameras that the operator does not vouch for.
+pub const UNTRUSTED: u8 = 0;
+const DEFAULT_TRUST: u8 = 1;
+const MAX_TRUST: usize = 9;
 const MAX_LINE_TIME_US: f64 = 10_000.0;
 const MAX_CLOCK_UNCERTAINTY_MS: f64 = 10_000.0;
 const MAX_RATE_HZ: f64 = 1000.0;
@@ -293,6 +300,9 @@ fn camera(
     let rate_hz = table.optional_number("rate_hz", NumberRange::PositiveUpTo(MAX_RATE_HZ));
     let mode = table.choice("mode", &MODES).unwrap_or(context.mode);
     let mask = calibration.as_ref().map(|camera| mask(table, camera));
+    let is_pushed = matches!(address, Some(SourceAddress::Push(_)));
+    let default_trust = if is_pushed { UNTRUSTED } else { DEFAULT_TRUST };
+    let trust = table.whole("trust", 0..=MAX_TRUST).map_or(default_trust, |trust| trust as u8);
     if table.is_broken() {
         return None;
     }
@@ -310,5 +320,6 @@ fn camera(
         rate_hz,
         mode,
         mask: mask?,
+        trust,
     })
 }

@@ -39,7 +39,7 @@ use roundel_core::{
     world::MotionClass,
 };
 
-pub use camera::{CAMERA_SCHEMA, CameraConfig, Effect, MODES};
+pub use camera::{CAMERA_SCHEMA, CameraConfig, Effect, MODES, UNTRUSTED};
 pub use camera_pose::{MountConfig, PoseConfig};
 use document::ParseOptions;
 pub use error::{ConfigError, Problem, TextLocation};

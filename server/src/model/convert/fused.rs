@@ -56,6 +56,7 @@ pub fn fused_camera(installation: &Installation, update: &CameraUpdate) -> v1::F
         CameraChange::HoldBackExempt(is_exempt) => message.spared = Some(*is_exempt),
         CameraChange::Localized(placement) => write_fixed_pose(&mut message, placement),
         CameraChange::Set(known) => {
+            message.trust = known.trust.map(u32::from);
             match &known.pose {
                 None => {}
                 Some(CameraPose::Fixed { placement, .. }) => {
@@ -139,10 +140,11 @@ pub fn read_fused_camera(message: &v1::FusedCamera) -> Option<CameraUpdate> {
             skew: message.clock_skew,
         })),
     };
-    if place.is_none() && clock.is_none() {
+    let trust = message.trust.and_then(|trust| u8::try_from(trust).ok());
+    if place.is_none() && clock.is_none() && trust.is_none() {
         return None;
     }
-    update(CameraChange::Set(Box::new(CameraModel { pose: place, clock })))
+    update(CameraChange::Set(Box::new(CameraModel { pose: place, clock, trust })))
 }
 
 /// A recorded pose, exactly; `None` if something is missing or not finite.

@@ -55,7 +55,11 @@ const VALUES = [
   },
   { key: "age", name: "Last observation", value: (state) => `${duration(state.ageMs)} earlier` },
   { key: "residual", name: "Residual", value: (state) => `${fixed(state.residual, 2)} (1 is as modelled)` },
-  { key: "cameras", name: "Cameras", value: (state) => state.cameras.join(", ") || "none now" },
+  {
+    key: "cameras",
+    name: "Cameras",
+    value: ({ cameras, isUntrusted }) => `${cameras.join(", ") || "none now"}${isUntrusted ? " (not trusted: remote programs only)" : ""}`,
+  },
   {
     key: "code",
     name: "Roundel",
@@ -69,7 +73,8 @@ function precisionText(state) {
   const known = error95M === null ? "Accuracy not available" : `Accuracy ${significant(error95M * 1000)} mm`;
   const heading = headingError95Rad === null ? "" : ` and ${significant((headingError95Rad * 180) / Math.PI)}°`;
   const by = cameras.length === 0 ? "seen by no camera now" : `seen by ${cameras.length === 1 ? "one camera" : `${cameras.length} cameras`}`;
-  return `${known}${heading}${error95M === null ? "" : " (95 %)"}, ${by}, ${duration(ageMs && Math.max(0, ageMs))} ago`;
+  const trust = state.isUntrusted ? ", by remote programs only" : "";
+  return `${known}${heading}${error95M === null ? "" : " (95 %)"}, ${by}${trust}, ${duration(ageMs && Math.max(0, ageMs))} ago`;
 }
 
 /** @param {import("../../state/store.js").Store} store */

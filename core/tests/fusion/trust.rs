@@ -1,0 +1,138 @@
+//! A camera that lies about what others see does not move it.
+
+use std::f64::consts::PI;
+
+use nalgebra::{UnitQuaternion, Vector3};
+use roundel_core::{
+    id::CameraId,
+    rigid::{Covariance6, Rigid},
+    world::{CameraPlacement, FrameObservations, Fusion, FusionParams, LifeStage, ObjectState},
+};
+
+use super::{
+    arena::{Arena, START, Setting},
+    score::fusion_of,
+    sight,
+};
+
+/// Reports 100 mm beside the truth, and states 0.02 mm.
+const LIAR: CameraId = CameraId(3);
+
+fn lie(frame: &mut FrameObservations) {
+    for pose in frame.detections.iter_mut().filter_map(|detection| detection.pose.as_mut()) {
+        pose.position_m += Vector3::new(0.1, 0.0, 0.0);
+        pose.covariance = Covariance6::from_diagonal_element(4e-10);
+    }
+}
+
+/// Largest distance from an object to the nearest trusted track, metres, after two seconds.
+fn largest_error_m(trust: u8, honest_until_s: f64) -> (f64, Fusion) {
+    let arena = Arena::new(Setting { objects: 9, ..Setting::default() });
+    let mut fusion = fusion_of(&arena, FusionParams::default());
+    fusion.set_trust(LIAR, trust);
+    let mut worst_m: f64 = 0.0;
+    for mut frame in arena.frames(3.0) {
+        let time_s = frame.capture_time.seconds_since(START);
+        if frame.camera == LIAR && time_s > honest_until_s {
+            lie(&mut frame);
+        }
+        fusion.observe(&frame);
+        if time_s < 2.0 {
+            continue;
+        }
+        let snapshot = fusion.snapshot(frame.capture_time);
+        for object in 0..9 {
+            let truth_m = arena.truth(object, frame.capture_time).position_m;
+            let trusted = snapshot
+                .objects
+                .iter()
+                .filter(|state| state.stage == LifeStage::Tracked && state.trust > 0);
+            let apart_m = trusted.map(|state| (state.position_m - truth_m).norm());
+            worst_m = worst_m.max(apart_m.fold(f64::INFINITY, f64::min));
+        }
+    }
+    (worst_m, fusion)
+}
+
+#[test]
+fn a_camera_of_lower_rank_moves_nothing_that_others_see() {
+    for honest_until_s in [0.0, 1.0] {
+        let (worst_m, fusion) = largest_error_m(0, honest_until_s);
+        assert!(worst_m < 0.02, "{worst_m} {:?}", fusion.counts());
+    }
+    assert!(largest_error_m(1, 1.0).0 > 0.05, "the lie has an effect among equals");
+}
+
+#[test]
+fn honest_detections_of_lower_rank_are_counted() {
+    let (worst_m, fusion) = largest_error_m(0, 60.0);
+    assert!(worst_m < 0.02, "{worst_m}");
+    assert!(fusion.counts().outranked > 100, "{:?}", fusion.counts());
+}
+
+/// A roundel 2 m below a camera that looks down.
+fn below() -> Rigid {
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
+    Rigid::from_parts(Vector3::new(0.0, 0.0, 2.0).into(), turn)
+}
+
+/// Two cameras, of which the second has rank 0, report code 7 at places 5 m apart, each from a time until another, seconds.
+fn robot_by(cameras: [(CameraId, f64, f64); 2]) -> Vec<ObjectState> {
+    let mut fusion = sight::fusion();
+    fusion.set_trust(CameraId(1), 0);
+    let mut eye = sight::Eye::new(1);
+    for number in 1..90_u64 {
+        let time_s = number as f64 / 30.0;
+        for (camera, from_s, until_s) in cameras {
+            if !(from_s..until_s).contains(&time_s) {
+                continue;
+            }
+            let time = START.plus_seconds(time_s);
+            let detection = eye.see(&below(), time, 1, Some(sight::code(7)));
+            fusion.observe(&sight::frame(camera, number, time, vec![detection]));
+        }
+    }
+    fusion.snapshot(START.plus_seconds(3.0)).objects
+}
+
+fn ids(objects: &[ObjectState], trust: u8) -> Vec<u64> {
+    objects.iter().filter(|it| it.trust == trust).map(|it| it.id.0).collect()
+}
+
+#[test]
+fn a_robot_that_only_a_camera_of_low_rank_sees_is_marked() {
+    let objects = robot_by([(CameraId(1), 0.0, 3.0), (CameraId(0), 9.0, 9.0)]);
+    assert_eq!((objects.len(), objects[0].trust), (1, 0), "{objects:?}");
+}
+
+#[test]
+fn a_spoofed_robot_gives_its_id_to_the_true_one() {
+    let objects = robot_by([(CameraId(1), 0.0, 3.0), (CameraId(0), 1.0, 3.0)]);
+    // The spoof had the id of code 7 for a second.
+    assert_eq!(ids(&objects, 1), [1], "{objects:?}");
+    assert!(!ids(&objects, 0).contains(&1), "{objects:?}");
+}
+
+#[test]
+fn a_spoof_does_not_take_the_id_of_a_robot_that_is_seen() {
+    let objects = robot_by([(CameraId(1), 1.0, 3.0), (CameraId(0), 0.0, 3.0)]);
+    assert_eq!(ids(&objects, 1), [1], "{objects:?}");
+    assert!(!ids(&objects, 0).contains(&1), "{objects:?}");
+}
+
+#[test]
+fn ranks_are_forgotten_with_their_camera() {
+    let mut fusion = sight::fusion();
+    fusion.set_trust(CameraId(0), 0);
+    fusion.remove_camera(CameraId(0));
+    let world_from_camera = sight::standing_camera(sight::STANDING[0]);
+    let placement = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
+    fusion.set_camera(CameraId(0), Some(placement));
+    let mut eye = sight::Eye::new(1);
+    for number in 1..10_u64 {
+        let time = START.plus_seconds(number as f64 / 30.0);
+        let detection = eye.see(&below(), time, 1, None);
+        fusion.observe(&sight::frame(CameraId(0), number, time, vec![detection]));
+    }
+    assert_eq!(fusion.snapshot(START.plus_seconds(0.35)).objects[0].trust, 1);
+}
