@@ -126,6 +126,7 @@ impl Node {
                 fusion: to_server.clone(),
                 clock,
                 promised_hz: camera.rate_hz,
+                min_error_px: 0.0,
                 before,
             });
             let name = format!("camera {}", camera.name);

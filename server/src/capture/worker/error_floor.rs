@@ -73,9 +73,9 @@ mod tests {
         let mut detection = Detection { track, ring, capture_time, pose: Some(pose) };
         let camera = camera.unwrap();
         apply(&mut detection, &camera, 0.0);
-        assert_eq!(detection.pose.unwrap().covariance[(0, 0)], 4e-10);
+        assert_eq!(detection.pose.as_ref().unwrap().covariance[(0, 0)], 4e-10);
         apply(&mut detection, &camera, 0.1);
-        let covariance = detection.pose.unwrap().covariance;
+        let covariance = detection.pose.as_ref().unwrap().covariance;
         let sigma = |axis: usize| covariance[(axis, axis)].sqrt();
         // 2 m * 0.1 px over the focal length, and over the diameter.
         let expected = Vector3::new(0.4e-3, 0.4e-3, 4e-3);
