@@ -81,9 +81,12 @@ async fn robot(
 ) -> v1::ObjectState {
     let looking = async {
         loop {
-            let snapshot = client.snapshot().await.unwrap();
-            let mut tracked =
-                snapshot.objects.into_iter().filter(|it| it.stage() == v1::LifeStage::Tracked);
+            // There is none before the first frame.
+            let objects = client.snapshot().await.map(|snapshot| snapshot.objects);
+            let mut tracked = objects
+                .unwrap_or_default()
+                .into_iter()
+                .filter(|it| it.stage() == v1::LifeStage::Tracked);
             if let Some(found) = tracked.find(&is_it) {
                 return found;
             }
