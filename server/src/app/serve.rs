@@ -1,26 +1,20 @@
 //! Builds a server from its configuration and shuts it down: cameras first, then fusion, then clients. [`node`] is the
 //! counterpart that only captures and searches.
 
+mod error;
 mod essential;
 pub mod node;
+mod shutdown;
 
 use std::{
-    io,
     net::SocketAddr,
-    sync::{
-        Arc, Mutex, OnceLock, PoisonError,
-        mpsc::{channel, sync_channel},
-    },
+    sync::{Arc, Mutex, OnceLock, PoisonError, mpsc::sync_channel},
     thread::{self, JoinHandle},
-    time::{Duration, Instant},
+    time::Duration,
 };
 
-use roundel_core::{
-    id::CameraId,
-    marker::{DetectorError, MaskError},
-};
-use thiserror::Error;
-use tokio::{net::TcpListener, sync::oneshot};
+use roundel_core::id::CameraId;
+use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
 pub use crate::fusion::camera_manager::SourceContext;
@@ -35,9 +29,7 @@ use crate::{
         record::{Recorder, standing},
     },
     capture::{
-        source::{
-            OpenSource, Playback, SourceOpener, TimesError, fleet::Fleets, push::PushEndpoints,
-        },
+        source::{OpenSource, Playback, SourceOpener, fleet::Fleets, push::PushEndpoints},
         source_probe::SourceProbe,
         worker::WorkerOutput,
     },
@@ -47,8 +39,8 @@ use crate::{
             Calibrator,
             file::{CalibrationFile, CalibrationFileError},
         },
-        camera_manager::{self, CameraManager, CameraManagerError, CameraManagerParts},
-        setup::{ObjectError, fusion_machine, landmarks},
+        camera_manager::{self, CameraManager, CameraManagerParts},
+        setup::{fusion_machine, landmarks},
     },
     lab::lens::LensCalibrator,
     model::{
@@ -59,62 +51,10 @@ use crate::{
         stop::StopSignal,
     },
 };
+pub use error::ServeError;
 use essential::Essential;
-
-/// Time limit of a shutdown, after which a process ends at once. Below 5 s, with what the exit itself takes.
-pub const SHUTDOWN_TIMEOUT: Duration = Duration::from_millis(4800);
-/// Parts of [`SHUTDOWN_TIMEOUT`]: for cameras, fusion and history, which rarely need a tenth of it; for the recording; and
-/// for clients.
-const PRODUCER_TIMEOUT: Duration = Duration::from_millis(1800);
-const RECORDER_TIMEOUT: Duration = Duration::from_millis(1200);
-const CLIENT_TIMEOUT: Duration = Duration::from_millis(1500);
-
-#[derive(Debug, Error)]
-pub enum ServeError {
-    #[error("cannot listen on {address}: {source}; {}", remedy(.source))]
-    Listen { address: SocketAddr, source: io::Error },
-    #[error(
-        "refusing to listen on {address}: other computers could read and change everything. Either\n  \
-         - add `tls = {{ certificate = \"roundel.pem\", key = \"roundel.key\", self_signed = true }}` under [server]\n    \
-         and an entry of [[access]] by `roundel token add NAME --role setup --config FILE`;\n  \
-         - or, if you trust everyone on this network, add `insecure = true` under [server] (the option --insecure)"
-    )]
-    Exposed { address: SocketAddr },
-    #[error(transparent)]
-    Tls(#[from] TlsError),
-    #[error(transparent)]
-    Times(#[from] TimesError),
-    #[error(transparent)]
-    Calibration(#[from] CalibrationFileError),
-    #[error("kinds of roundel: {0}")]
-    Detector(#[from] DetectorError),
-    #[error(transparent)]
-    Mask(#[from] MaskError),
-    #[error(transparent)]
-    CameraManager(#[from] CameraManagerError),
-    #[error(transparent)]
-    Object(#[from] ObjectError),
-    #[error(
-        "camera \"{camera}\" has `source = \"push:\"`: only a server accepts pushed frames; give the node the camera's own source"
-    )]
-    NodeIsFed { camera: String },
-    #[error(transparent)]
-    Client(roundel_client::Error),
-    #[error("cannot start the thread `{name}`: {source}")]
-    Thread { name: String, source: io::Error },
-}
-
-fn remedy(error: &io::Error) -> &'static str {
-    match error.kind() {
-        io::ErrorKind::AddrInUse => {
-            "another program, perhaps another roundel, uses this port: stop it, or choose another `listen` (port 0 selects a \
-             free one)"
-        }
-        io::ErrorKind::PermissionDenied => "ports below 1024 need privileges: choose a higher one",
-        io::ErrorKind::AddrNotAvailable => "this computer has no such address: correct `listen`",
-        _ => "correct `listen`",
-    }
-}
+use shutdown::CLIENT_TIMEOUT;
+pub use shutdown::SHUTDOWN_TIMEOUT;
 
 /// A running server. Dropping it without [`Server::shutdown`] ends its threads too, but does not wait for them.
 pub struct Server {
@@ -334,65 +274,6 @@ impl Server {
     pub async fn failed(&self) {
         self.failed.cancelled().await;
     }
-
-    /// Ends the recording, if that is possible within a time.
-    pub async fn finish_recording(&self, timeout: Duration) {
-        self.stop_recording.stop();
-        let (recorder, deadline) = (self.recorder.clone(), Instant::now() + timeout);
-        on_thread(move || drop(within("the recording", deadline, move || recorder.stop()))).await;
-    }
-
-    /// Ends cameras, then fusion, then clients, within [`SHUTDOWN_TIMEOUT`]. Threads that do not end in time are left
-    /// running, with a warning.
-    pub async fn shutdown(mut self) {
-        self.is_shut_down = true;
-        self.stop_recording.stop();
-        let (manager, calibrator) = (self.camera_manager.clone(), self.calibrator.clone());
-        let (lenses, history) = (self.lenses.clone(), self.history.clone());
-        let (stop_fusion, fusion) = (self.stop_fusion.clone(), self.fusion.take());
-        // Not on the runtime, whose threads may all hang in requests.
-        on_thread(move || {
-            let begun = Instant::now();
-            // Cameras that hang leave time for the others.
-            let (deadline, camera_deadline) =
-                (begun + PRODUCER_TIMEOUT, begun + PRODUCER_TIMEOUT * 2 / 3);
-            let stop = move || (manager.stop_all(), [calibrator.shut_down(), lenses.shut_down()]);
-            if let Some((cameras, calibrations)) = within("the cameras", camera_deadline, stop) {
-                calibrations.into_iter().flatten().for_each(|thread| join(thread, camera_deadline));
-                cameras.into_iter().for_each(|thread| join(thread, camera_deadline));
-            }
-            stop_fusion.stop();
-            if let Some(fusion) = fusion {
-                join(fusion, deadline);
-            }
-            if let Some(history) = history.and_then(|history| history.shut_down()) {
-                join(history, deadline);
-            }
-        })
-        .await;
-        // After the last output of cameras and fusion, which the recording then includes.
-        self.finish_recording(RECORDER_TIMEOUT).await;
-        self.cancel_clients.cancel();
-        if let Some(api) = self.api.take()
-            && let Err(error) = api.await
-        {
-            tracing::error!(%error, "the APIs failed");
-        }
-    }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        if self.is_shut_down {
-            return;
-        }
-        self.stop_recording.stop();
-        self.camera_manager.stop_all();
-        self.calibrator.shut_down();
-        self.lenses.shut_down();
-        self.stop_fusion.stop();
-        self.cancel_clients.cancel();
-    }
 }
 
 /// Refuses to serve other computers without encryption and credentials, unless configured.
@@ -485,44 +366,4 @@ pub(super) fn spawn<T: Send + 'static>(
 ) -> Result<JoinHandle<T>, ServeError> {
     let builder = thread::Builder::new().name(name.clone());
     builder.spawn(run).map_err(|source| ServeError::Thread { name, source })
-}
-
-/// Runs blocking work on a thread of its own, which no other work can keep from starting.
-async fn on_thread(work: impl FnOnce() + Send + 'static) {
-    let (ended, end) = oneshot::channel::<()>();
-    let run = move || {
-        work();
-        drop(ended);
-    };
-    if spawn("shutdown".to_owned(), run).is_ok() {
-        let _ = end.await;
-    }
-}
-
-/// Runs work that may hang. `None`: it did not end in time and is left running.
-fn within<T: Send + 'static>(
-    what: &str,
-    deadline: Instant,
-    work: impl FnOnce() -> T + Send + 'static,
-) -> Option<T> {
-    let (ended, end) = channel();
-    spawn("shutdown".to_owned(), move || ended.send(work())).ok()?;
-    let result = end.recv_timeout(deadline.saturating_duration_since(Instant::now()));
-    result.inspect_err(|_| tracing::warn!("{what} did not end in time")).ok()
-}
-
-/// Waits for a thread.
-fn join<T>(thread: JoinHandle<T>, deadline: Instant) {
-    const POLL_INTERVAL: Duration = Duration::from_millis(5);
-    while !thread.is_finished() {
-        if Instant::now() >= deadline {
-            let name = thread.thread().name().unwrap_or_default();
-            tracing::warn!(thread = name, "did not end in time");
-            return;
-        }
-        thread::sleep(POLL_INTERVAL);
-    }
-    if thread.join().is_err() {
-        tracing::error!("a thread ended with a panic");
-    }
 }

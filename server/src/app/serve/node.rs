@@ -23,7 +23,11 @@ use roundel_core::id::CameraId;
 use roundel_proto::v1;
 use tokio::{sync::watch, task::JoinSet};
 
-use super::{ServeError, SourceContext, join, on_thread, source_opener, spawn};
+use super::{
+    ServeError, SourceContext,
+    shutdown::{join, on_thread},
+    source_opener, spawn,
+};
 use crate::{
     capture::{
         push_messages::{calibration_camera, pushed_observations},
