@@ -10,7 +10,7 @@
 //! a name whose address changes after the check gains nothing.
 
 use std::{
-    net::IpAddr,
+    net::{IpAddr, Ipv4Addr},
     path::{self, Component, Path, PathBuf},
 };
 
@@ -30,6 +30,10 @@ pub const DEFAULT_NETWORKS: [&str; 8] = [
     "fe80::/10",
     "::1/128",
 ];
+
+/// Address of the metadata service of cloud providers, which gives credentials to anyone who asks. It lies among the
+/// link-local addresses, and is allowed only if it is configured as a network of its own.
+const METADATA_SERVICE: IpAddr = IpAddr::V4(Ipv4Addr::new(169, 254, 169, 254));
 
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SourceRules {
@@ -123,7 +127,9 @@ impl SourceRules {
     pub fn allows(&self, address: IpAddr) -> bool {
         // An IPv4 address may be written as one of IPv6.
         let address = address.to_canonical();
-        self.networks.iter().any(|network| network.contains(&address))
+        let is_single = |network: &IpNet| network.prefix_len() == network.max_prefix_len();
+        let mut networks = self.networks.iter().filter(|network| network.contains(&address));
+        networks.any(|network| address != METADATA_SERVICE || is_single(network))
     }
 }
 
@@ -242,6 +248,7 @@ mod tests {
             ("http://0.0.0.0/", "0.0.0.0 is in no network"),
             ("http://[2001:db8::1]/", "2001:db8::1 is in no network"),
             ("http://[::ffff:8.8.8.8]/", "is in no network"),
+            ("http://169.254.169.254/", "169.254.169.254 is in no network"),
             ("rtsp://8.8.8.8/live", "8.8.8.8 is in no network"),
             ("rtsp://[2001:db8::1]:554/live", "2001:db8::1 is in no network"),
             ("gst:videotestsrc", "write this source into the configuration file"),
@@ -256,5 +263,8 @@ mod tests {
         }
         assert!(rules.allows("::ffff:10.0.0.1".parse().unwrap()));
         assert!(!rules.allows("::ffff:8.8.8.8".parse().unwrap()));
+        let metadata =
+            SourceRules { networks: vec!["169.254.169.254/32".parse().unwrap()], ..rules };
+        assert!(metadata.allows(METADATA_SERVICE));
     }
 }
