@@ -4,9 +4,12 @@ use axum::{
     body::Body,
     http::{Method, Request, StatusCode, header},
 };
+use futures::StreamExt as _;
+use roundel_client::{Client, ConnectOptions, Error, PushOptions, Subscription};
 use roundel_proto::v1::{self, push_client::PushClient};
 use roundel_server::model::access::{AccessConfig, AccessEntry, Identity, Role, TokenHash};
 use serde_json::json;
+use tokio::time::timeout;
 use tokio_tungstenite::{
     connect_async,
     tungstenite::{self, client::IntoClientRequest},
@@ -15,7 +18,7 @@ use tonic::Code;
 
 use super::{
     grpc,
-    rig::{Answer, Rig, objects},
+    rig::{Answer, Rig, TIMEOUT, objects},
     websocket,
 };
 
@@ -270,6 +273,44 @@ async fn grpc_checks_credentials_and_roles() {
     let request = request.header("content-type", "application/grpc-web+proto");
     let answer = rig.request(request.body(Body::from(vec![0; 5])).unwrap()).await;
     assert_eq!(answer.header("grpc-status"), "16");
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn the_rust_client_reports_refusals_as_errors_of_their_own_and_does_not_retry() {
+    let rig = Rig::start_with_access(&access()).await;
+    rig.publish(objects(1));
+    let client = async |token: &str| {
+        let options = match token {
+            "" => ConnectOptions::default(),
+            token => ConnectOptions::default().token(token),
+        };
+        Client::connect_with(&rig.url(), &options).await
+    };
+    for token in ["", "wrong", "former"] {
+        let error = client(token).await.map(drop).unwrap_err();
+        assert!(matches!(error, Error::Unauthenticated { .. }), "{token}: {error}");
+        // A client that connects later reports it with its first call, and its stream ends.
+        let options = ConnectOptions::default().token(if token.is_empty() { "x" } else { token });
+        let lazy = Client::connect_lazily_with(&rig.url(), &options).unwrap();
+        let error = lazy.snapshot().await.unwrap_err();
+        assert!(matches!(error, Error::Unauthenticated { .. }), "{token}: {error}");
+        let mut snapshots = lazy.snapshots(Subscription::default());
+        let first = timeout(TIMEOUT, snapshots.next()).await.expect("the stream retries");
+        assert!(matches!(first, Some(Err(Error::Unauthenticated { .. }))), "{first:?}");
+        assert!(snapshots.next().await.is_none());
+    }
+    let viewer = client("viewer").await.unwrap();
+    viewer.snapshot().await.unwrap();
+    let error = viewer.stop_recording().await.unwrap_err();
+    assert!(matches!(error, Error::PermissionDenied { .. }), "{error}");
+    let node = client("node").await.unwrap();
+    let first = node.snapshots(Subscription::default()).next().await;
+    assert!(matches!(first, Some(Err(Error::PermissionDenied { .. }))), "{first:?}");
+    let stranger = node.push(PushOptions::new("south side")).unwrap();
+    let mut statuses = stranger.statuses();
+    let refused = timeout(TIMEOUT, statuses.wait_for(|status| status.refused)).await.unwrap();
+    assert!(refused.unwrap().error.contains("south side"));
     rig.stop().await;
 }
 
