@@ -7,20 +7,12 @@
 #![allow(clippy::async_yields_async)]
 
 mod attacked_server;
+mod attacks;
 
 use std::time::Duration;
 
-use axum::{
-    body::Body,
-    http::{Request, Response, StatusCode, header},
-};
-use futures::{
-    StreamExt as _,
-    future::{join_all, pending, ready},
-};
-use http_body_util::BodyExt as _;
-use hyper_util::{client::legacy, rt::TokioExecutor};
-use prost::Message as _;
+use axum::http::StatusCode;
+use futures::{StreamExt as _, future::pending};
 use roundel_proto::v1::{self, push_request::Message};
 use serde_json::Value;
 use tokio::{
@@ -30,55 +22,31 @@ use tokio::{
 };
 use tonic::Code;
 
-use self::attacked_server::{
-    ATTACKED_CAMERAS, AttackedServer, RawClient, TIMEOUT, detection, encoded, frame, greeting, push,
-};
+use self::attacked_server::{AttackedServer, TIMEOUT, detection, encoded, frame, greeting, push};
 
-/// A page of 22 megapixels, and one of 97.
-const LARGE_PRINT: &str = "/api/v1/print?format=png&page=2000x2000&marker=160:64&dpi=60";
+/// A page of 97 megapixels.
 const LARGEST_PRINT: &str = "/api/v1/print?format=png&page=2000x2000&marker=160:64&dpi=125";
 
-async fn get(url: String) -> Response<Vec<u8>> {
-    let client = legacy::Client::builder(TokioExecutor::new()).build_http::<Body>();
-    let request = Request::get(url).body(Body::empty()).unwrap();
-    let response = timeout(TIMEOUT, client.request(request)).await.expect("no answer").unwrap();
-    let (head, body) = response.into_parts();
-    let body = body.collect().await.unwrap().to_bytes().to_vec();
-    Response::from_parts(head, body)
-}
-
 async fn get_json(server: &AttackedServer, path: &str) -> Value {
-    serde_json::from_slice(get(server.url(path)).await.body()).unwrap()
+    serde_json::from_slice(attacks::get(server.url(path)).await.body()).unwrap()
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn large_prints_share_a_budget() {
     let mut server = AttackedServer::start().await;
-    let prints = async |server: &AttackedServer| {
-        let urls: Vec<String> = (0..6).map(|_| server.url(LARGE_PRINT)).collect();
-        async move {
-            let mut made = 0;
-            for response in join_all(urls.into_iter().map(get)).await {
-                match response.status() {
-                    StatusCode::OK => made += 1,
-                    StatusCode::SERVICE_UNAVAILABLE => {
-                        assert_eq!(response.headers()[header::RETRY_AFTER], "1");
-                        let text = String::from_utf8_lossy(response.body());
-                        assert!(text.contains("the server is busy"), "{text}");
-                    }
-                    other => panic!("{other}"),
-                }
-            }
-            assert!(made > 0);
-        }
-    };
-    server.withstands("six prints of 22 megapixels", prints).await;
+    server
+        .withstands("six prints of 22 megapixels", async |server| {
+            attacks::large_prints(&server.address).await
+        })
+        .await;
     let response =
-        get(server.url("/api/v1/print?format=png&page=2000x2000&marker=160:64&dpi=300")).await;
+        attacks::get(server.url("/api/v1/print?format=png&page=2000x2000&marker=160:64&dpi=300"))
+            .await;
     let text = String::from_utf8_lossy(response.body());
     assert_eq!(response.status(), StatusCode::BAD_REQUEST);
     assert!(text.contains("exceeds the limit of 100000000 pixels"), "{text}");
-    let response = get(server.url("/api/v1/print?marker=20&code=16:1&copies=1000&page=A2")).await;
+    let response =
+        attacks::get(server.url("/api/v1/print?marker=20&code=16:1&copies=1000&page=A2")).await;
     let text = String::from_utf8_lossy(response.body());
     assert_eq!(response.status(), StatusCode::BAD_REQUEST);
     assert!(text.contains("expected at most 5000 roundels"), "{text}");
@@ -96,41 +64,25 @@ async fn work_stops_when_its_client_goes() {
     }
     // With work that goes on, threads and bytes would be taken for a minute.
     let small = server.url("/api/v1/print?format=svg&marker=160:64");
-    let free = async { while get(small.clone()).await.status() != StatusCode::OK {} };
+    let free = async { while attacks::get(small.clone()).await.status() != StatusCode::OK {} };
     timeout(Duration::from_secs(15), free).await.expect("the work goes on");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_pushed_frame_has_a_limited_number_of_detections() {
     let mut server = AttackedServer::start().await;
-    let pushes = async |server: &AttackedServer| {
-        let large = frame((0..40_000).map(detection).collect());
-        let large = v1::PushedObservations { sequence: 1, ..large };
-        let message = encoded(Message::Observations(large));
-        let address = server.address.clone();
-        async move {
-            let all = (0..ATTACKED_CAMERAS).map(|camera| {
-                push(address.clone(), greeting(&format!("a{camera}")), vec![message.clone()])
-            });
-            for end in join_all(all).await {
-                let status = end.expect("the message is accepted");
-                assert_eq!(status.code(), Code::InvalidArgument);
-                let expected = "observations.detections: expected at most 400 in a frame ([limits] \
-                                max_roundels_per_camera of the server), found 40000";
-                assert_eq!(status.message(), expected);
-            }
-        }
-    };
-    server.withstands("14 messages of 40,000 detections", pushes).await;
+    server
+        .withstands("14 messages of 40,000 detections", async |server| {
+            attacks::large_pushes(&server.address).await
+        })
+        .await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn texts_of_senders_are_short_single_lines() {
     let server = AttackedServer::start().await;
-    let error = format!("no cable\n2026-01-01 INFO forged \u{1b}[31m{}", "x".repeat(15_000_000));
-    let trouble = Message::Trouble(v1::PushedTrouble { error });
     let address = || server.address.clone();
-    let troubled = tokio::spawn(push(address(), greeting("a0"), vec![encoded(trouble)]));
+    let troubled = tokio::spawn(attacks::long_text(&server.address).await);
     let named = v1::Detection { roundel: "y".repeat(100_000), ..detection(0) };
     let named = v1::PushedObservations { sequence: 1, ..frame(vec![named]) };
     let named = vec![encoded(Message::Observations(named))];
@@ -145,7 +97,7 @@ async fn texts_of_senders_are_short_single_lines() {
         let status = push(address(), greeting(&"z".repeat(length)), vec![]).await.unwrap();
         assert_eq!((status.code(), status.message()), (Code::InvalidArgument, expected));
     }
-    assert!(troubled.await.unwrap().is_none(), "a long reason is no error");
+    troubled.await.unwrap();
 
     let events = get_json(&server, "/api/v1/events?backlog=1000").await;
     let messages: Vec<&str> = events["events"]
@@ -204,78 +156,51 @@ async fn numbers_of_senders_do_not_overflow() {
     for query in
         ["from=-9223372036854775808&until=9223372036854775807", "until=-9223372036854775808"]
     {
-        assert_ne!(get(server.url(&format!("/api/v1/history?{query}"))).await.status(), 500);
+        assert_ne!(
+            attacks::get(server.url(&format!("/api/v1/history?{query}"))).await.status(),
+            500
+        );
     }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn many_selections_do_not_slow_an_honest_client() {
-    const CONNECTIONS: u64 = 30;
-    const STREAMS: u64 = 128;
     let mut server = AttackedServer::start().await;
-    let subscribe = async |server: &AttackedServer| {
-        let mut readers = tokio::task::JoinSet::new();
-        for connection in 0..CONNECTIONS {
-            let client = RawClient::connect(&server.address).await;
-            for stream in 0..STREAMS {
-                let mut client = client.clone();
-                readers.spawn(async move {
-                    // All objects, and one that does not exist, so that no two selections are equal.
-                    let other = 1_000_000 + connection * STREAMS + stream;
-                    let object_ids = (1..=100).chain([other]).collect();
-                    let request =
-                        v1::SubscribeSnapshotsRequest { object_ids, ..Default::default() };
-                    let request = futures::stream::once(ready(request.encode_to_vec().into()));
-                    let path = "/roundel.v1.Roundel/SubscribeSnapshots";
-                    let mut snapshots = client.call(path, request).await.unwrap();
-                    while snapshots.message().await.is_ok_and(|it| it.is_some()) {}
-                });
-            }
-        }
-        // The subscriptions begin meanwhile.
-        sleep(Duration::from_secs(3)).await;
-        async move {
-            sleep(Duration::from_secs(5)).await;
-            readers.shutdown().await;
-        }
-    };
-    server.withstands("3,840 different selections", subscribe).await;
+    server
+        .withstands("3,840 different selections", async |server| {
+            attacks::many_selections(&server.address).await
+        })
+        .await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn slow_connections_do_not_lock_out_new_ones() {
-    const SLOW: usize = 2100;
     let mut server = AttackedServer::start().await;
-    for (name, head) in [
-        (
-            "2,100 slow request bodies",
-            "POST /api/v1/recording HTTP/1.1\r\nHost: a\r\nContent-Type: application/json\r\nContent-Length: 100\r\n\r\n{",
-        ),
-        ("2,100 idle HTTP/2 connections", "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0"),
-        ("2,100 idle HTTP/1.1 connections", "GET /api/v1/info HTTP/1.1\r\nHost: a\r\n\r\n"),
-    ] {
-        let hold = async |server: &AttackedServer| {
-            let mut slow = Vec::new();
-            for number in 0..SLOW {
-                let Ok(mut stream) = TcpStream::connect(&server.address).await else { break };
-                let _ = stream.write_all(head.as_bytes()).await;
-                slow.push(stream);
-                if number % 100 == 99 {
-                    sleep(Duration::from_millis(20)).await;
-                }
-            }
-            let url = server.url("/api/v1/info");
-            async move {
-                sleep(Duration::from_secs(1)).await;
-                for _ in 0..10 {
-                    assert_eq!(get(url.clone()).await.status(), StatusCode::OK);
-                    sleep(Duration::from_millis(200)).await;
-                }
-                drop(slow);
-            }
-        };
-        server.withstands(name, hold).await;
+    for (name, head) in attacks::SLOW_HEADS {
+        server
+            .withstands(name, async |server| attacks::slow_connections(&server.address, head).await)
+            .await;
     }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn all_attacks_in_turn_leave_the_server_as_it_was() {
+    let mut server = AttackedServer::start().await;
+    let in_turn = async |server: &AttackedServer| {
+        let address = server.address.clone();
+        let attacks: attacks::Running = Box::pin(async move {
+            for (_, head) in attacks::SLOW_HEADS {
+                attacks::slow_connections(&address, head).await.await;
+            }
+            attacks::large_prints(&address).await.await;
+            attacks::large_pushes(&address).await.await;
+            attacks::endless_files(&address).await.await;
+            attacks::long_text(&address).await.await;
+            attacks::many_selections(&address).await.await;
+        });
+        attacks
+    };
+    server.withstands("all attacks in turn", in_turn).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
