@@ -1,0 +1,331 @@
+/**
+ * Pages of other origins against the real server: requests with and without preflight, forms, beacons, WebSockets, and DNS
+ * rebinding. A server that allows every origin and host shows that the same attempts would have effects.
+ */
+
+import assert from "node:assert/strict";
+import { execFile } from "node:child_process";
+import { readFile } from "node:fs/promises";
+import { join } from "node:path";
+import { after, before, describe, test } from "node:test";
+import { promisify } from "node:util";
+
+import { PAGE, startAttacker, startLoggingProxy } from "./attacker.mjs";
+import { openSockets, readPaths, sendCalls } from "./attacks.mjs";
+import { launch, PATIENCE_MS } from "./harness.mjs";
+import { BINARY, call, CONFIG, lacking, startLab } from "./lab.mjs";
+
+const LAB = `${CONFIG}
+[[camera]]
+name = "simulated"
+source = "sim:?robots=1"
+
+[[object]]
+name = "cart"
+roundel = "coded"
+code = 3
+`;
+const PERMISSIVE = LAB.replace("[server]", '[server]\nallow_origins = ["*"]\nallow_hosts = ["*"]');
+const ENDLESS = LAB.replace('"camera.yaml"', '"/dev/zero"');
+const POSE = { pose: { position: { x: 0, y: 0, z: 3 }, orientation: { x: 1, y: 0, z: 0, w: 0 } } };
+const SOURCE = "images:door/*.pgm?fps=5&loop=true";
+const VELOCITY = { x: 0.5, y: 0, z: 0 };
+const PICTURE = "/api/v1/cameras/door/frame.jpg";
+const READABLE = ["/api/v1/snapshot", "/api/v1/info", "/api/v1/configuration", "/api/v1/configuration.toml", "/metrics", "/"];
+
+/** Every call that is no GET. Those that undo or stop something come after those that need it. */
+const CALLS = [
+  ["POST", "/api/v1/configuration/check", { toml: ENDLESS }],
+  ["POST", "/api/v1/sources/test", { source: SOURCE }],
+  ["POST", "/api/v1/recording", { name: "stolen" }],
+  ["DELETE", "/api/v1/recording"],
+  ["POST", "/api/v1/simulation/drive", { robots: [{ object_id: 1, velocity: VELOCITY }] }],
+  ["POST", "/api/v1/simulation/push", { object_id: 1, velocity: VELOCITY, duration_ms: 100 }],
+  ["POST", "/api/v1/configuration/objects", { name: "intruder", roundel: "coded", code: 5 }],
+  ["PATCH", "/api/v1/configuration/objects/cart", { height_m: 0.4 }],
+  ["DELETE", "/api/v1/configuration/objects/cart"],
+  ["PUT", "/api/v1/objects/1/name", { name: "owned" }],
+  ["POST", "/api/v1/cameras", { name: "intruder", source: SOURCE, calibration: "camera.yaml", pose: POSE }],
+  ["PATCH", "/api/v1/cameras/door", { mode: "fast" }],
+  ["DELETE", "/api/v1/cameras/door"],
+  ["POST", "/api/v1/lens", { camera: "intruder", board: "7x5" }],
+  ["PUT", "/api/v1/lens/finished"],
+  ["PUT", "/api/v1/lens/applied"],
+  ["DELETE", "/api/v1/lens"],
+  ["POST", "/api/v1/calibration", { seconds: 60 }],
+  ["PUT", "/api/v1/calibration/applied"],
+  ["DELETE", "/api/v1/calibration"],
+  ["PATCH", "/api/v1/replay", { paused: true }],
+  ["POST", "/api/v1/session", { token: "guessed" }],
+  ["DELETE", "/api/v1/session"],
+  ["PUT", "/api/v1/configuration", { toml: "" }],
+].map(([method, path, body]) => ({ method, path, body }));
+const POSTS = CALLS.filter(({ method }) => method === "POST");
+
+let browser;
+let attacker;
+before(async () => {
+  if (lacking) return;
+  attacker = await startAttacker();
+  browser = await launch({ flags: ["--host-resolver-rules=MAP *.example 127.0.0.1"] });
+});
+after(async () => {
+  await browser?.close();
+  await attacker?.close();
+});
+
+/** What the attempts would change. @param {Awaited<ReturnType<typeof startLab>>} lab */
+async function stateOf(lab) {
+  const get = async (path) => (await call(lab, "GET", path)).answer;
+  const [recording, recordings, calibration, lens] = await Promise.all(["recording", "recordings", "calibration", "lens"].map(get));
+  const { cameras } = await get("cameras");
+  const { objects } = await get("objects");
+  return {
+    file: await lab.config(),
+    configuration: (await get("configuration")).toml,
+    recording: recording.state,
+    recordings: recordings.recordings?.map(({ name }) => name),
+    calibration: calibration.state ?? calibration.error?.code,
+    lens: lens.state ?? lens.error?.code,
+    cameras: cameras.map(({ name }) => name),
+    names: objects.map(({ name }) => name).filter(Boolean),
+  };
+}
+
+/** Largest resident memory of the server until now, MB. */
+async function peakMemoryMb({ pid }) {
+  const status = await readFile(`/proc/${pid}/status`, "utf8");
+  return Number(/VmHWM:\s+(\d+) kB/.exec(status)[1]) / 1024;
+}
+
+/** Waits until the simulated robot is listed, and the camera has a picture. */
+async function ready(lab) {
+  const until = Date.now() + PATIENCE_MS;
+  for (;;) {
+    const { objects } = (await call(lab, "GET", "objects")).answer;
+    const picture = await fetch(new URL(PICTURE, lab.url));
+    if (objects.some(({ object_id }) => Number(object_id) === 1) && picture.ok) return;
+    assert.ok(Date.now() < until, "no object or no picture");
+    await new Promise((resolve) => setTimeout(resolve, 100));
+  }
+}
+
+/**
+ * Starts a server behind the logging proxy.
+ * @param {string} config
+ * @param {(setting: {lab: Awaited<ReturnType<typeof startLab>>, proxy: Awaited<ReturnType<typeof startLoggingProxy>>}) => Promise<unknown>} body
+ * @param {object} [more]
+ */
+async function withLab(config, body, more = {}) {
+  const lab = await startLab(config, more);
+  const proxy = await startLoggingProxy(lab.url);
+  try {
+    await body({ lab, proxy });
+  } finally {
+    await proxy.close();
+    await lab.close();
+  }
+}
+
+/**
+ * Opens a page and makes every attempt in it.
+ * @param {{url: string, base: string, context?: import("playwright-core").BrowserContext, isSandboxed?: boolean,
+ * credentials?: RequestCredentials}} options
+ */
+async function attack({ url, base, context, isSandboxed = false, credentials = "same-origin" }) {
+  const own = context ?? (await browser.newContext());
+  const page = await own.newPage();
+  try {
+    await page.goto(url);
+    let frame = page.mainFrame();
+    if (isSandboxed) {
+      await page.evaluate(() => {
+        const one = document.createElement("iframe");
+        one.sandbox = "allow-scripts allow-forms";
+        one.srcdoc = "<body></body>";
+        const loaded = new Promise((resolve) => one.addEventListener("load", resolve));
+        document.body.append(one);
+        return loaded.then(() => {});
+      });
+      frame = page.frames()[1];
+    }
+    const read = await frame.evaluate(readPaths, { base, paths: READABLE, picture: PICTURE, credentials });
+    const messages = await frame.evaluate(openSockets, { base });
+    const sent = await frame.evaluate(sendCalls, { base, calls: CALLS, credentials });
+    // Beacons have no response to wait for.
+    await page.waitForTimeout(500);
+    return { read, messages, sent };
+  } finally {
+    await page.close();
+    if (!context) await own.close();
+  }
+}
+
+/** Requests that would change something. @param {import("./attacker.mjs").Logged[]} log */
+const changes = (log) => log.filter(({ method }) => method !== "GET" && method !== "OPTIONS");
+const learned = (attempts) => attempts.filter(({ read }) => read !== null);
+const describeRequest = ({ method, path, contentType, status }) => `${method} ${path} ${contentType} ${status}`;
+
+/** The attempts that need no preflight have reached the server with each kind of body that a page can send. */
+function assertArrived(log) {
+  for (const { path } of POSTS) {
+    const kinds = changes(log).filter((one) => one.path === path).map(({ contentType }) => (contentType ?? "").split(";")[0]);
+    for (const kind of ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data"]) {
+      assert.ok(kinds.includes(kind), `${path}: no ${kind} among ${kinds}`);
+    }
+    // no-cors text and json, readable text, XHR, beacon, form.
+    assert.ok(kinds.filter((kind) => kind === "text/plain").length >= 6, `${path}: ${kinds}`);
+  }
+}
+
+test("the attempts cover every call that changes something", { skip: lacking }, async () => {
+  await withLab(LAB, async ({ lab }) => {
+    const { paths } = await (await fetch(new URL("/openapi.json", lab.url))).json();
+    const described = Object.entries(paths).flatMap(([path, methods]) =>
+      Object.keys(methods).filter((method) => method !== "get").map((method) => `${method.toUpperCase()} ${path}`),
+    );
+    const general = (path) => path.replace(/\/(cart|door)$/, "/{name}").replace("/objects/1/", "/objects/{id}/");
+    assert.deepEqual(CALLS.map(({ method, path }) => `${method} ${general(path)}`).sort(), described.sort());
+  });
+});
+
+describe("a page of another origin", { skip: lacking }, () => {
+  const origins = {
+    "of another site": { page: (port) => `http://attacker.example:${port}/`, origin: (port) => `http://attacker.example:${port}` },
+    "of another port of the same computer": { page: (port) => `http://127.0.0.1:${port}/`, origin: (port) => `http://127.0.0.1:${port}` },
+    "in a sandbox, without an origin": { page: (port) => `http://attacker.example:${port}/`, origin: () => "null", isSandboxed: true },
+  };
+  for (const [where, { page, origin, isSandboxed }] of Object.entries(origins)) {
+    test(`${where}, reads and changes nothing`, async () => {
+      await withLab(LAB, async ({ lab, proxy }) => {
+        await ready(lab);
+        const [state, memory] = [await stateOf(lab), await peakMemoryMb(lab)];
+        const { read, messages, sent } = await attack({ url: page(attacker.port), base: proxy.url, isSandboxed });
+        assertArrived(proxy.log);
+        assert.deepEqual(learned(read), []);
+        assert.deepEqual(learned(sent), []);
+        assert.equal(messages, 0);
+        assert.deepEqual(changes(proxy.log).filter(({ status }) => status !== 403).map(describeRequest), []);
+        const sockets = proxy.log.filter(({ isUpgrade }) => isUpgrade);
+        assert.deepEqual(sockets.map(({ status, origin: sent }) => [status, sent]), Array(2).fill([403, origin(attacker.port)]));
+        assert.ok(changes(proxy.log).every((one) => one.origin === origin(attacker.port)));
+        assert.deepEqual(await stateOf(lab), state);
+        const grown = (await peakMemoryMb(lab)) - memory;
+        assert.ok(grown < 64, `the server's memory grew by ${grown} MB`);
+      });
+    });
+  }
+
+  test("shows no frame of the dashboard", async () => {
+    await withLab(LAB, async ({ lab }) => {
+      const context = await browser.newContext();
+      const page = await context.newPage();
+      await page.goto(`http://attacker.example:${attacker.port}/`);
+      const refused = page.waitForEvent("console", (message) => /frame-ancestors/.test(message.text()));
+      await page.evaluate((src) => document.body.append(Object.assign(document.createElement("iframe"), { src })), lab.url);
+      await refused;
+      assert.equal(await page.frames()[1].locator("#arena-stage").count(), 0);
+      await context.close();
+    });
+  });
+
+  test("would read and change everything if its origin were allowed", async () => {
+    await withLab(PERMISSIVE, async ({ lab, proxy }) => {
+      await ready(lab);
+      const state = await stateOf(lab);
+      const { read, messages, sent } = await attack({ url: `http://attacker.example:${attacker.port}/`, base: proxy.url });
+      assertEffects(read, sent, messages, proxy.log);
+      assertChanged(state, await stateOf(lab));
+    });
+  });
+});
+
+/** All that a page can read was read, and every call was understood, as far as its state permits. */
+function assertEffects(read, sent, messages, log) {
+  const known = learned(read).filter(({ way }) => way === "cors").map(({ call: name }) => name.slice(4));
+  assert.deepEqual(known, READABLE);
+  assert.equal(messages, 2);
+  const described = sent.filter(({ way, read: text }) => way === "described" && text !== null);
+  assert.equal(described.length, CALLS.length);
+  const done = new Set(changes(log).filter(({ status }) => status === 200).map(({ method, path }) => `${method} ${path}`));
+  for (const { method, path } of CALLS.slice(0, 13)) assert.ok(done.has(`${method} ${path}`), `${method} ${path} had no effect`);
+}
+
+function assertChanged(before, after) {
+  assert.deepEqual([before.recordings, after.recordings.length], [[], 1]);
+  assert.deepEqual([before.cameras, after.cameras], [["door", "simulated"], ["simulated", "intruder"]]);
+  assert.match(after.file, /owned/);
+  assert.match(after.file, /intruder/);
+  assert.doesNotMatch(after.file, /cart/);
+}
+
+describe("DNS rebinding", { skip: lacking }, () => {
+  const HOST = "rebind.example";
+  const run = async (config, body) =>
+    withLab(config, async ({ lab, proxy }) => {
+      await ready(lab);
+      const before = [await stateOf(lab), await peakMemoryMb(lab)];
+      const base = `http://${HOST}:${proxy.port}`;
+      await body({ lab, proxy, before, ...(await attack({ url: base + PAGE, base })) });
+    });
+
+  test("reads and changes nothing: the host is not a name of the server", async () => {
+    await run(LAB, async ({ lab, proxy, before: [state, memory], read, messages, sent }) => {
+      // For the browser, page and server have the same origin: no request needs a preflight, and all are readable.
+      const arrived = new Set(changes(proxy.log).map(({ method, path }) => `${method} ${path}`));
+      assert.deepEqual([...arrived].sort(), CALLS.map(({ method, path }) => `${method} ${path}`).sort());
+      assertArrived(proxy.log);
+      assert.ok(proxy.log.every(({ host }) => host === `${HOST}:${proxy.port}`));
+      assert.deepEqual(proxy.log.filter(({ status }) => status !== 421).map(describeRequest), []);
+      for (const { call: name, read: text } of learned([...read, ...sent])) assert.match(text, /misdirected/, name);
+      assert.equal(messages, 0);
+      assert.deepEqual(await stateOf(lab), state);
+      const grown = (await peakMemoryMb(lab)) - memory;
+      assert.ok(grown < 64, `the server's memory grew by ${grown} MB`);
+    });
+  });
+
+  test("would read and change everything if every name were allowed", async () => {
+    await run(PERMISSIVE.replace('allow_origins = ["*"]', ""), async ({ lab, proxy, before: [state], read, messages, sent }) => {
+      assertEffects(read, sent, messages, proxy.log);
+      assertChanged(state, await stateOf(lab));
+    });
+  });
+});
+
+describe("a page beside a signed-in dashboard", { skip: lacking }, () => {
+  const sites = {
+    "of another site gets no session": { name: "attacker.example", hasCookie: false },
+    "of the same site, another port, changes nothing with the session": { name: "127.0.0.1", hasCookie: true },
+  };
+  for (const [what, { name, hasCookie }] of Object.entries(sites)) {
+    test(what, async () => {
+      let token = "";
+      const prepare = async (folder) => {
+        const words = ["token", "add", "alice", "--role", "setup", "--config", join(folder, "lab.toml")];
+        token = (await promisify(execFile)(BINARY, words)).stdout.trim();
+      };
+      const body = async ({ lab, proxy }) => {
+        const context = await browser.newContext();
+        const signedIn = await context.request.post(`${proxy.url}/api/v1/session`, { data: { token } });
+        assert.equal(signedIn.status(), 200);
+        const own = await context.request.get(`${proxy.url}/api/v1/configuration`);
+        assert.equal(own.status(), 200);
+        const [file, picture] = [await lab.config(), PICTURE];
+        proxy.log.length = 0;
+        const url = `http://${name}:${attacker.port}/`;
+        const { read, messages, sent } = await attack({ url, base: proxy.url, context, credentials: "include" });
+        assertArrived(proxy.log);
+        assert.deepEqual([learned(read), learned(sent), messages], [[], [], 0]);
+        assert.deepEqual(changes(proxy.log).filter(({ status }) => status !== 403).map(describeRequest), []);
+        assert.equal(await lab.config(), file);
+        assert.equal(changes(proxy.log).some((one) => one.hasCookie), hasCookie);
+        // A picture element is no request with an origin.
+        const statuses = proxy.log.filter(({ path, origin }) => path === picture && !origin).map(({ status }) => status);
+        assert.deepEqual(statuses, [hasCookie ? 200 : 401]);
+        await context.close();
+      };
+      await withLab(LAB, body, { prepare });
+    });
+  }
+});
