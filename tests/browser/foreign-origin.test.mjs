@@ -134,10 +134,10 @@ async function withLab(config, body, more = {}) {
 
 /**
  * Opens a page and makes every attempt in it.
- * @param {{url: string, base: string, calls: import("./attacks.mjs").Call[], context?: import("playwright-core").BrowserContext, isSandboxed?: boolean,
+ * @param {{url: string, base: string, log: import("./attacker.mjs").Logged[], calls: import("./attacks.mjs").Call[], context?: import("playwright-core").BrowserContext, isSandboxed?: boolean,
  * credentials?: RequestCredentials}} options
  */
-async function attack({ url, base, calls, context, isSandboxed = false, credentials = "same-origin" }) {
+async function attack({ url, base, log, calls, context, isSandboxed = false, credentials = "same-origin" }) {
   const own = context ?? (await browser.newContext());
   const page = await own.newPage();
   try {
@@ -157,8 +157,7 @@ async function attack({ url, base, calls, context, isSandboxed = false, credenti
     const read = await frame.evaluate(readPaths, { base, paths: READABLE, picture: PICTURE, credentials });
     const messages = await frame.evaluate(openSockets, { base });
     const sent = await frame.evaluate(sendCalls, { base, calls, credentials });
-    // Beacons have no response to wait for.
-    await page.waitForTimeout(500);
+    await answered(log, calls);
     return { read, messages, sent };
   } finally {
     await page.close();
@@ -171,15 +170,27 @@ const changes = (log) => log.filter(({ method }) => method !== "GET" && method !
 const learned = (attempts) => attempts.filter(({ read }) => read !== null);
 const describeRequest = ({ method, path, contentType, status }) => `${method} ${path} ${contentType} ${status}`;
 
-/** The attempts that need no preflight have reached the server with each kind of body that a page can send. */
-function assertArrived(log, calls) {
-  for (const { path } of calls.filter(({ method }) => method === "POST")) {
-    const kinds = changes(log).filter((one) => one.path === path).map(({ contentType }) => (contentType ?? "").split(";")[0]);
-    for (const kind of ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data"]) {
-      assert.ok(kinds.includes(kind), `${path}: no ${kind} among ${kinds}`);
-    }
-    // no-cors text and json, readable text, XHR, beacon, form.
-    assert.ok(kinds.filter((kind) => kind === "text/plain").length >= 6, `${path}: ${kinds}`);
+/**
+ * Which attempts that need no preflight have not reached the server yet, with each kind of body that a page can send.
+ * @param {import("./attacker.mjs").Logged[]} log
+ * @param {import("./attacks.mjs").Call[]} calls
+ */
+function missing(log, calls) {
+  // no-cors text and json, readable text, XHR, beacon, form.
+  const expected = Object.entries({ "text/plain": 6, "application/x-www-form-urlencoded": 2, "multipart/form-data": 1 });
+  return calls.filter(({ method }) => method === "POST").flatMap(({ path }) => {
+    const answered = changes(log).filter((one) => one.path === path && one.status !== 0);
+    const number = (kind) => answered.filter(({ contentType }) => contentType?.startsWith(kind)).length;
+    return expected.filter(([kind, least]) => number(kind) < least).map(([kind]) => `${kind} to ${path}`);
+  });
+}
+
+/** Waits until all attempts have been answered: beacons have no response that a page could wait for. */
+async function answered(log, calls) {
+  const until = Date.now() + PATIENCE_MS;
+  while (missing(log, calls).length > 0 || log.some(({ status }) => status === 0)) {
+    assert.ok(Date.now() < until, `not answered: ${missing(log, calls)}`);
+    await new Promise((resolve) => setTimeout(resolve, 50));
   }
 }
 
@@ -205,8 +216,7 @@ describe("a page of another origin", { skip: lacking }, () => {
       await withLab(LAB, async ({ lab, proxy }) => {
         const calls = callsOn(await readyRobot(lab));
         const [state, memory] = [await stateOf(lab), await peakMemoryMb(lab)];
-        const { read, messages, sent } = await attack({ url: page(attacker.port), base: proxy.url, calls, isSandboxed });
-        assertArrived(proxy.log, calls);
+        const { read, messages, sent } = await attack({ url: page(attacker.port), base: proxy.url, log: proxy.log, calls, isSandboxed });
         assert.deepEqual(learned(read), []);
         assert.deepEqual(learned(sent), []);
         assert.equal(messages, 0);
@@ -239,7 +249,7 @@ describe("a page of another origin", { skip: lacking }, () => {
       const calls = callsOn(await readyRobot(lab));
       const state = await stateOf(lab);
       const url = `http://attacker.example:${attacker.port}/`;
-      assertEffects(calls, await attack({ url, base: proxy.url, calls }), proxy.log);
+      assertEffects(calls, await attack({ url, base: proxy.url, log: proxy.log, calls }), proxy.log);
       assertChanged(state, await stateOf(lab));
     });
   });
@@ -276,7 +286,7 @@ describe("DNS rebinding", { skip: lacking }, () => {
       const calls = callsOn(await readyRobot(lab));
       const before = [await stateOf(lab), await peakMemoryMb(lab)];
       const base = `http://${HOST}:${proxy.port}`;
-      await body({ lab, proxy, before, calls, attempts: await attack({ url: base + PAGE, base, calls }) });
+      await body({ lab, proxy, before, calls, attempts: await attack({ url: base + PAGE, base, log: proxy.log, calls }) });
     });
 
   test("reads and changes nothing: the host is not a name of the server", async () => {
@@ -285,7 +295,6 @@ describe("DNS rebinding", { skip: lacking }, () => {
       // For the browser, page and server have the same origin: no request needs a preflight, and all are readable.
       const arrived = new Set(changes(proxy.log).map(({ method, path }) => `${method} ${path}`));
       assert.deepEqual([...arrived].sort(), calls.map(({ method, path }) => `${method} ${path}`).sort());
-      assertArrived(proxy.log, calls);
       assert.ok(proxy.log.every(({ host }) => host === `${HOST}:${proxy.port}`));
       assert.deepEqual(proxy.log.filter(({ status }) => status !== 421).map(describeRequest), []);
       for (const { call: name, read: text } of learned([...read, ...sent])) assert.match(text, /misdirected/, name);
@@ -325,8 +334,7 @@ describe("a page beside a signed-in dashboard", { skip: lacking }, () => {
         const [file, calls] = [await lab.config(), callsOn(1)];
         proxy.log.length = 0;
         const url = `http://${name}:${attacker.port}/`;
-        const { read, messages, sent } = await attack({ url, base: proxy.url, calls, context, credentials: "include" });
-        assertArrived(proxy.log, calls);
+        const { read, messages, sent } = await attack({ url, base: proxy.url, log: proxy.log, calls, context, credentials: "include" });
         assert.deepEqual([learned(read), learned(sent), messages], [[], [], 0]);
         assert.deepEqual(changes(proxy.log).filter(({ status }) => status !== 403).map(describeRequest), []);
         assert.equal(await lab.config(), file);
