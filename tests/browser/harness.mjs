@@ -34,9 +34,9 @@ export async function target() {
 const PLAIN = ["--disable-gpu"];
 const SPACE = ["--use-angle=swiftshader-webgl", "--enable-unsafe-swiftshader"];
 
-/** @param {{space?: boolean}} [options] whether there is WebGL */
-export function launch({ space = false } = {}) {
-  return chromium.launch({ executablePath: EXECUTABLE, args: [...FLAGS, ...(space ? SPACE : PLAIN)] });
+/** @param {{space?: boolean, flags?: string[]}} [options] whether there is WebGL; further flags of Chromium */
+export function launch({ space = false, flags = [] } = {}) {
+  return chromium.launch({ executablePath: EXECUTABLE, args: [...FLAGS, ...(space ? SPACE : PLAIN), ...flags] });
 }
 
 /**

@@ -122,7 +122,7 @@ async function start(words, cwd) {
   const url = await new Promise((resolve, reject) => {
     const listen = (chunk) => {
       output += chunk;
-      const address = /http:\/\/127\.0\.0\.1:\d+/.exec(output)?.[0];
+      const address = /https?:\/\/127\.0\.0\.1:\d+/.exec(output)?.[0];
       if (address) resolve(`${address}/`);
     };
     child.stdout.on("data", listen);
@@ -132,6 +132,7 @@ async function start(words, cwd) {
   });
   return {
     url,
+    pid: child.pid,
     close: async () => {
       child.kill();
       await ended;

@@ -5,13 +5,24 @@ from __future__ import annotations
 import asyncio
 import re
 import shutil
+import socket
 import subprocess
 from pathlib import Path
 from typing import Iterator
 
 import pytest
 
-from roundel import Client, InvalidAddress, Subscription, Unreachable, Untrusted, WrongFingerprint, aio
+from roundel import (
+    Client,
+    InvalidAddress,
+    PermissionDenied,
+    Subscription,
+    Unauthenticated,
+    Unreachable,
+    Untrusted,
+    WrongFingerprint,
+    aio,
+)
 from roundel._trust import checked_fingerprint, checked_token
 
 from conftest import binary
@@ -29,6 +40,8 @@ inner_mm = 64.0
 name = "north"
 source = "sim:"
 """
+# With a certificate that an authority has issued.
+ISSUED_CONFIG = CONFIG.replace("cert.pem", "own.pem").replace("key.pem", "own-key.pem").replace(", self_signed = true", "")
 
 
 class TlsServer:
@@ -100,20 +113,97 @@ def test_the_asyncio_client_pins_too(tls_server: TlsServer) -> None:
     assert name == "lab" and source_id
 
 
-def test_a_client_certificate_is_presented(tmp_path: Path) -> None:
-    if shutil.which("openssl") is None:
-        pytest.skip("openssl is not installed")
+class Authority:
+    """A certificate authority in a folder, `ca.pem`, made with openssl as in deploy/README.md."""
 
-    def openssl(*arguments: str) -> None:
-        subprocess.run(["openssl", *arguments], check=True, cwd=tmp_path, capture_output=True)
+    CURVE = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes")
 
-    curve = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes")
-    openssl("req", "-x509", *curve, "-keyout", "ca-key.pem", "-out", "ca.pem", "-subj", "/CN=lab authority")
-    openssl("req", *curve, "-keyout", "own-key.pem", "-out", "own.csr", "-subj", "/CN=robot7")
-    (tmp_path / "use.txt").write_text("extendedKeyUsage=clientAuth")
-    issuer = ("-CA", "ca.pem", "-CAkey", "ca-key.pem")
-    openssl("x509", "-req", "-in", "own.csr", *issuer, "-extfile", "use.txt", "-out", "own.pem")
-    openssl("req", "-x509", *curve, "-keyout", "foreign-key.pem", "-out", "foreign.pem", "-subj", "/CN=robot7")
+    def __init__(self, folder: Path) -> None:
+        if shutil.which("openssl") is None:
+            pytest.skip("openssl is not installed")
+        self.folder = folder
+        self.self_signed("ca", "lab authority")
+
+    def self_signed(self, file: str, name: str) -> None:
+        files = ("-keyout", f"{file}-key.pem", "-out", f"{file}.pem")
+        self._openssl("req", "-x509", *self.CURVE, *files, "-subj", f"/CN={name}")
+
+    def issue(self, file: str, name: str, extension: str) -> None:
+        self._openssl("req", *self.CURVE, "-keyout", f"{file}-key.pem", "-out", f"{file}.csr", "-subj", f"/CN={name}")
+        (self.folder / "extension.txt").write_text(extension)
+        issuer = ("-CA", "ca.pem", "-CAkey", "ca-key.pem", "-days", "30", "-extfile", "extension.txt")
+        self._openssl("x509", "-req", "-in", f"{file}.csr", *issuer, "-out", f"{file}.pem")
+
+    def _openssl(self, *arguments: str) -> None:
+        subprocess.run(["openssl", *arguments], check=True, cwd=self.folder, capture_output=True)
+
+
+@pytest.fixture
+def authority(tmp_path: Path) -> Authority:
+    return Authority(tmp_path)
+
+
+def test_a_certificate_of_an_authority_is_trusted_for_its_names(authority: Authority) -> None:
+    folder = authority.folder
+    for names, is_trusted in (("IP:127.0.0.1,DNS:arena", True), ("DNS:arena", False), ("DNS:*.arena", False)):
+        authority.issue("own", "arena", f"subjectAltName={names}")
+        server = TlsServer(folder, ISSUED_CONFIG)
+        try:
+            if is_trusted:
+                with Client.connect(server.url, ca=folder / "ca.pem") as client:
+                    assert next(client.snapshots()).source_id == client.info().source_id
+            else:
+                with pytest.raises(Untrusted, match="not for this name or address"):
+                    Client.connect(server.url, ca=folder / "ca.pem")
+                with Client(server.url, ca=folder / "ca.pem") as client, pytest.raises(Untrusted):
+                    next(client.updates())
+            with pytest.raises(Untrusted):
+                Client.connect(server.url)
+            # A pinned certificate is trusted whatever its name.
+            with Client.connect(server.url, fingerprint=server.fingerprint) as client:
+                assert client.info().name == "lab"
+        finally:
+            server.stop()
+
+
+def test_a_pinned_certificate_may_have_another_name_over_ipv6(authority: Authority) -> None:
+    try:
+        socket.create_server(("::1", 0), family=socket.AF_INET6).close()
+    except OSError:
+        pytest.skip("this computer has no IPv6")
+    authority.issue("own", "arena", "subjectAltName=DNS:arena")
+    server = TlsServer(authority.folder, ISSUED_CONFIG.replace("127.0.0.1", "[::1]"))
+    try:
+        with Client.connect(server.url, fingerprint=server.fingerprint) as client:
+            assert client.info().name == "lab"
+    finally:
+        server.stop()
+
+
+def test_credentials_are_checked_over_tls(tmp_path: Path) -> None:
+    (tmp_path / "lab.toml").write_text(CONFIG)
+    command = [str(binary()), "token", "add", "viewer", "--role", "view", "--config", str(tmp_path / "lab.toml")]
+    token = subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+    server = TlsServer(tmp_path, (tmp_path / "lab.toml").read_text())
+    try:
+        with Client.connect(server.url, fingerprint=server.fingerprint, token=token) as client:
+            assert client.cameras()[0].name == "north"
+            with pytest.raises(PermissionDenied):
+                client.configuration()
+        for wrong in (None, "guessed"):
+            with Client(server.url, fingerprint=server.fingerprint, token=wrong) as client:
+                with pytest.raises(Unauthenticated):
+                    client.cameras()
+                with pytest.raises(Unauthenticated):
+                    next(client.snapshots())
+    finally:
+        server.stop()
+
+
+def test_a_client_certificate_is_presented(authority: Authority) -> None:
+    tmp_path = authority.folder
+    authority.issue("own", "robot7", "extendedKeyUsage=clientAuth")
+    authority.self_signed("foreign", "robot7")
     server = TlsServer(tmp_path, CONFIG.replace("self_signed", 'client_ca = "ca.pem", self_signed'))
     try:
         own = (tmp_path / "own.pem", tmp_path / "own-key.pem")

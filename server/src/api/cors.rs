@@ -30,6 +30,11 @@ const METHODS: [Method; 5] =
 pub struct AllowedOrigins(pub Vec<String>);
 
 impl AllowedOrigins {
+    /// Whether only the server's own pages are allowed.
+    pub(super) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
     /// Rejects a request of a page whose origin is not allowed.
     pub(super) fn check(
         &self,

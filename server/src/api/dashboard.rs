@@ -2,17 +2,22 @@
 //! them from the disk at each request, so that pages can be edited while the server runs.
 
 use axum::{
+    extract::State,
     http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Uri, header},
     response::{IntoResponse, Response},
 };
 use rust_embed::{EmbeddedFile, RustEmbed};
 
-use super::error::ApiError;
+use super::{error::ApiError, handler::Api};
 
 #[derive(RustEmbed)]
 #[folder = "../client/dashboard"]
 #[allow_missing = true]
 struct Files;
+
+/// Keeps other pages from using responses, also as pictures.
+const CROSS_ORIGIN_RESOURCE_POLICY: HeaderName =
+    HeaderName::from_static("cross-origin-resource-policy");
 
 /// Allows only the page's own files and requests to this server, including WebSockets; `blob:` allows fetched pictures. The
 /// page must not be framed.
@@ -65,7 +70,7 @@ fn file_response(file: &EmbeddedFile, headers: &HeaderMap) -> Response {
 }
 
 /// Restricts what browsers do with a response.
-pub async fn with_security_headers(mut response: Response) -> Response {
+pub async fn with_security_headers(State(api): Api, mut response: Response) -> Response {
     const HEADERS: [(HeaderName, &str); 3] = [
         (header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY),
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
@@ -73,6 +78,11 @@ pub async fn with_security_headers(mut response: Response) -> Response {
     ];
     for (name, value) in HEADERS {
         response.headers_mut().insert(name, HeaderValue::from_static(value));
+    }
+    // Requests for pictures and scripts have no `Origin` that could be checked.
+    if api.access.origins().is_empty() {
+        let same_origin = HeaderValue::from_static("same-origin");
+        response.headers_mut().insert(CROSS_ORIGIN_RESOURCE_POLICY, same_origin);
     }
     response
 }

@@ -254,7 +254,7 @@ fn http_router(api: Arc<ApiState>) -> Router {
     router
         .fallback(dashboard::file)
         .method_not_allowed_fallback(async || ApiError::MethodNotAllowed)
-        .layer(middleware::map_response(dashboard::with_security_headers))
+        .layer(middleware::map_response_with_state(api.clone(), dashboard::with_security_headers))
         .layer(DefaultBodyLimit::max(MAX_REQUEST_BYTES))
         .with_state(api)
 }

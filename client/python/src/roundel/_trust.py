@@ -101,8 +101,10 @@ class Trust:
             # The fingerprint identifies the server, whatever its name.
             roots = pinned.pem
             name = ("grpc.ssl_target_name_override", pinned.name)
-            # The name replaces this one, too.
-            authority = ("grpc.default_authority", self.address.target)
+            # The name replaces the host of the calls, too, which may be no name of the server. grpc compares the host with
+            # the certificate unless it has neither port nor brackets.
+            is_ipv6 = ":" in self.address.host
+            authority = ("grpc.default_authority", "localhost" if is_ipv6 else self.address.host)
             options = [*options, name, authority]
         elif roots is None:
             roots = _system_authorities()
@@ -157,11 +159,11 @@ def _system_authorities() -> bytes | None:
 
 
 def _name(certificate: Mapping[str, Any]) -> str:
-    """A name of a certificate as `getpeercert` returns it: of a host if it has one, otherwise an IP address."""
+    """A name that a certificate as `getpeercert` returns it is for: of a host if it has one, otherwise an IP address."""
     names = certificate.get("subjectAltName", ())
     subject = [pair for part in certificate.get("subject", ()) for pair in part]
     for kind, pairs in (("DNS", names), ("IP Address", names), ("commonName", subject)):
         for key, value in pairs:
-            if key == kind and not value.startswith("*"):
-                return str(value)
+            if key == kind:
+                return str(value).replace("*", "any", 1)
     return "localhost"

@@ -172,7 +172,9 @@ def from_rpc(address: str, error: grpc.RpcError, call: str = "the call", timeout
     if code is grpc.StatusCode.PERMISSION_DENIED:
         return PermissionDenied(message, code)
     if code is grpc.StatusCode.UNAUTHENTICATED:
-        return Unauthenticated(message)
+        # The first is an error of grpc, not of the server.
+        is_other_host = message == "call host does not match SSL server name"
+        return Untrusted(address, message) if is_other_host else Unauthenticated(message)
     if code is grpc.StatusCode.ABORTED:
         return Conflict(message, code)
     if code is grpc.StatusCode.UNIMPLEMENTED:
@@ -195,8 +197,8 @@ def _distrust(message: str) -> str | None:
     """Why the server's certificate does not verify, if that is the error."""
     if match := re.search(r"CERTIFICATE_VERIFY_FAILED(?:: ([a-zA-Z' -]+))?", message):
         return match[1] or "it does not verify"
-    if match := re.search(r"Peer name \S+ is not in peer certificate", message):
-        return match[0]
+    if match := re.search(r"Peer name \S+ is not in peer certificate|Hostname Verification Check failed", message):
+        return f"{match[0]}: the certificate is not for this name or address"
     return None
 
 
