@@ -188,7 +188,8 @@ impl Engine {
         if let Some(id) = self.ids.get(name) {
             return *id;
         }
-        let next = self.ids.values().map(|id| id.0 + 1).max().unwrap_or(0);
+        // Cameras of a recording that names the largest number share it.
+        let next = self.ids.values().map(|id| id.0.saturating_add(1)).max().unwrap_or(0);
         self.ids.insert(name.to_owned(), CameraId(next));
         CameraId(next)
     }
