@@ -206,6 +206,10 @@ impl Engine {
         {
             message.carrier_body = body as u32 + 1;
         }
+        // A damaged recording may name a body that no configuration has.
+        if message.carrier_body as usize > self.bodies.names.len() {
+            message.carrier_body = 0;
+        }
         if let (Some(task), Some(update)) = (&mut self.task, convert::read_fused_camera(&message)) {
             task.apply_camera_update(update);
         }
