@@ -4,6 +4,8 @@
 mod api;
 mod bad_input;
 mod fleet;
+mod fuzz;
+mod fuzz_corpus;
 mod history;
 mod hostile;
 #[cfg(feature = "gst")]

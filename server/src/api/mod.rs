@@ -249,7 +249,7 @@ pub async fn serve(listener: TcpListener, state: ApiState) {
 }
 
 /// Everything except gRPC: the described paths, and the dashboard for all others.
-fn http_router(api: Arc<ApiState>) -> Router {
+pub fn http_router(api: Arc<ApiState>) -> Router {
     let (router, _) = openapi::described_routes().split_for_parts();
     router
         .fallback(dashboard::file)

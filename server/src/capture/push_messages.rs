@@ -211,6 +211,9 @@ fn read_ellipse(
     let (semi_major_px, semi_minor_px, angle_rad) =
         (ellipse.semi_major_px, ellipse.semi_minor_px, ellipse.angle_rad);
     finite(&[center.u, center.v, semi_major_px, semi_minor_px, angle_rad], field)?;
+    if let Some(negative) = [semi_major_px, semi_minor_px].into_iter().find(|axis| *axis < 0.0) {
+        return Err(wire_error(field, "semi-axes of 0 pixels or more", negative));
+    }
     let center = camera::PixelPoint { u: center.u, v: center.v };
     Ok(ellipse::Ellipse { center, semi_major_px, semi_minor_px, angle_rad })
 }

@@ -60,6 +60,7 @@ async fn invalid_messages_name_the_field() {
         ..Default::default()
     };
     let rim = Some(v1::Ellipse { center: Some(v1::PixelPoint::default()), ..Default::default() });
+    let negative = rim.map(|rim| v1::Ellipse { semi_minor_px: -1.0, ..rim });
     let whole =
         v1::Detection { outer: rim, inner: rim, roundel: "robot".into(), ..Default::default() };
     for (wrong, expected) in [
@@ -70,6 +71,10 @@ async fn invalid_messages_name_the_field() {
         (
             v1::Detection { outer: None, ..whole.clone() },
             "observations.detections[0].outer: expected an ellipse with its centre, found none",
+        ),
+        (
+            v1::Detection { outer: negative, ..whole.clone() },
+            "observations.detections[0].outer: expected semi-axes of 0 pixels or more, found -1",
         ),
         (
             v1::Detection { threshold: 300, ..whole.clone() },

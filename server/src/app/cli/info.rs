@@ -37,7 +37,7 @@ pub struct InfoArgs {
 }
 
 #[derive(Debug, Serialize)]
-struct Report {
+pub struct Report {
     file: String,
     bytes: u64,
     /// Strings, since nanoseconds exceed the precision of a JSON number.
@@ -114,7 +114,8 @@ impl ContentCounts {
     }
 }
 
-fn read(reader: &mut FileReader) -> anyhow::Result<Report> {
+/// Reads the whole file.
+pub fn read(reader: &mut FileReader) -> anyhow::Result<Report> {
     let chunks = reader.chunks().len() as u64;
     let bar = progress_bar(Some(chunks), "reading [{bar:30}] {percent} %")?;
     let mut counts = ContentCounts::default();
@@ -156,7 +157,7 @@ fn read(reader: &mut FileReader) -> anyhow::Result<Report> {
     })
 }
 
-fn table(report: &Report) -> String {
+pub fn table(report: &Report) -> String {
     let mut text = String::new();
     let Report { file, installation, version, begin_time_ns, end_time_ns, .. } = report;
     let Report { duration_s, objects, gaps, longest_gap_s, .. } = report;

@@ -8,7 +8,7 @@ mod demo;
 mod detect;
 mod eval;
 mod ground_truth;
-mod info;
+pub mod info;
 mod log;
 mod node;
 mod plan;

@@ -47,6 +47,10 @@ pub fn rigid<'a>(pairs: impl Iterator<Item = &'a Pair> + Clone) -> Option<Rigid>
         let (x, y) = (pair.estimate.position_m - from, pair.truth.position_m - to);
         spread += y * x.transpose();
     }
+    // The decomposition of a matrix that is not finite does not end.
+    if !spread.iter().all(|number| number.is_finite()) {
+        return None;
+    }
     let svd = spread.svd(true, true);
     let (u, v_t) = (svd.u?, svd.v_t?);
     let mut sign = Matrix3::identity();
@@ -147,6 +151,19 @@ mod tests {
         assert!((found.translation.vector - frame.translation.vector).norm() < 1e-3);
         assert!(found.rotation.angle_to(&turn) < 1e-3);
         assert!(rms_m(pairs.iter(), &found) < 1e-3);
+    }
+
+    #[test]
+    fn positions_that_overflow_have_no_transform() {
+        let at = |x: f64| Sample {
+            time: Timestamp::default(),
+            position_m: Vector3::new(x, 0.0, 0.0),
+            orientation: None,
+        };
+        for far in [1e200, 1.7e308, f64::INFINITY, f64::NAN] {
+            let pairs = [far, -far, far].map(|x| Pair { estimate: at(x), truth: at(x) });
+            assert_eq!(rigid(pairs.iter()), None, "{far}");
+        }
     }
 
     #[test]

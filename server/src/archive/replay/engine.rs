@@ -188,7 +188,8 @@ impl Engine {
         if let Some(id) = self.ids.get(name) {
             return *id;
         }
-        let next = self.ids.values().map(|id| id.0 + 1).max().unwrap_or(0);
+        // Cameras of a recording that names the largest number share it.
+        let next = self.ids.values().map(|id| id.0.saturating_add(1)).max().unwrap_or(0);
         self.ids.insert(name.to_owned(), CameraId(next));
         CameraId(next)
     }
@@ -204,6 +205,10 @@ impl Engine {
             && message.carrier_body > 0
         {
             message.carrier_body = body as u32 + 1;
+        }
+        // A damaged recording may name a body that no configuration has.
+        if message.carrier_body as usize > self.bodies.names.len() {
+            message.carrier_body = 0;
         }
         if let (Some(task), Some(update)) = (&mut self.task, convert::read_fused_camera(&message)) {
             task.apply_camera_update(update);

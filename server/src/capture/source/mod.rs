@@ -21,7 +21,7 @@
 
 #[cfg(feature = "gst")]
 mod gst;
-mod http;
+pub mod http;
 pub mod image_list;
 mod images;
 mod jpeg;

@@ -110,10 +110,11 @@ impl Overlay {
     }
 
     fn draw_rim(&mut self, rim: &Rim, color: Color) {
-        let (a, b) = (rim.semi_major_px, rim.semi_minor_px);
+        let axes = (rim.semi_major_px, rim.semi_minor_px);
         // Rims far beyond the picture are wrong and slow to draw.
-        if a.max(b) < (self.width + self.height) as f64 {
-            let ellipse = Ellipse::new(pixel_center(rim.center), (a, b), rim.angle_rad);
+        let drawn = 0.0..(self.width + self.height) as f64;
+        if drawn.contains(&axes.0) && drawn.contains(&axes.1) {
+            let ellipse = Ellipse::new(pixel_center(rim.center), axes, rim.angle_rad);
             self.paint(&Shape::Line { path: ellipse.to_path(RIM_PX), width: 0.0, color });
         }
     }

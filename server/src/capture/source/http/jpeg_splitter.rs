@@ -21,13 +21,13 @@ const START: [u8; 3] = [0xFF, 0xD8, 0xFF];
 const STAMP: &str = "x-timestamp";
 
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(super) struct StampedJpeg {
+pub struct StampedJpeg {
     /// From its first marker to its last one.
-    pub(super) jpeg: Vec<u8>,
+    pub jpeg: Vec<u8>,
     /// Arrival of its first byte.
-    pub(super) arrival: Timestamp,
+    pub arrival: Timestamp,
     /// The camera's time stamp, ns since an arbitrary epoch.
-    pub(super) stamp_ns: Option<i64>,
+    pub stamp_ns: Option<i64>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -50,7 +50,7 @@ enum ScanStep {
 
 /// Finds the pictures of a stream.
 #[derive(Debug, Default)]
-pub(super) struct JpegSplitter {
+pub struct JpegSplitter {
     bytes: Vec<u8>,
     /// Position in the picture at the start of `bytes`; `None`: between pictures.
     walk: Option<ScanState>,
@@ -66,17 +66,17 @@ pub(super) struct JpegSplitter {
 }
 
 impl JpegSplitter {
-    pub(super) fn push(&mut self, arrived: &[u8], now: Timestamp) {
+    pub fn push(&mut self, arrived: &[u8], now: Timestamp) {
         self.bytes.extend_from_slice(arrived);
         while self.advance(now) {}
     }
 
-    pub(super) fn pop(&mut self) -> Option<StampedJpeg> {
+    pub fn pop(&mut self) -> Option<StampedJpeg> {
         self.found.pop_front()
     }
 
     /// Number of broken pictures since the last call.
-    pub(super) fn take_broken(&mut self) -> u64 {
+    pub fn take_broken(&mut self) -> u64 {
         std::mem::take(&mut self.broken)
     }
 

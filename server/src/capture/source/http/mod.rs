@@ -5,7 +5,7 @@
 //! the server's clock. Any error ends the connection and the source, and the worker's supervisor opens both again.
 
 mod connection;
-mod jpeg_splitter;
+pub mod jpeg_splitter;
 
 use std::{
     convert::Infallible,
