@@ -339,9 +339,9 @@ describe("a page beside a signed-in dashboard", { skip: lacking }, () => {
         assert.deepEqual(changes(proxy.log).filter(({ status }) => status !== 403).map(describeRequest), []);
         assert.equal(await lab.config(), file);
         assert.equal(changes(proxy.log).some((one) => one.hasCookie), hasCookie);
-        // A picture element is no request with an origin.
+        // A request for a picture has no origin.
         const statuses = proxy.log.filter(({ path, origin }) => path === PICTURE && !origin).map(({ status }) => status);
-        assert.deepEqual(statuses, [hasCookie ? 200 : 401]);
+        assert.deepEqual(statuses, [403]);
         await context.close();
       };
       await withLab(LAB, body, { prepare });

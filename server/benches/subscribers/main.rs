@@ -72,7 +72,9 @@ const LEAN: Case = Case {
     tls: false,
 };
 const FULL: Case = Case { name: "full", covariances: true, ..LEAN };
-const CASES: [Case; 20] = [
+const CASES: [Case; 22] = [
+    Case { name: "few", grpc: 20, ..FULL },
+    Case { name: "few-tls", grpc: 20, tls: true, ..FULL },
     LEAN,
     Case { name: "lean-bare", bare: true, ..LEAN },
     Case { name: "lean-reencoded", differ: true, ..LEAN },

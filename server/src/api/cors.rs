@@ -1,7 +1,7 @@
 //! Access of web pages from other origins.
 //!
 //! Browsers send the origin of a page in a header, also with simple requests and WebSocket handshakes, which they send for
-//! any page. Requests with an origin that is not allowed are rejected. For allowed origins, responses have the headers that
+//! any page. Requests with an origin that is not allowed are rejected, and so are those that a browser says another site makes. For allowed origins, responses have the headers that
 //! let pages read them. Other programs send no origin and are not restricted.
 
 use std::time::Duration;
@@ -41,7 +41,9 @@ impl AllowedOrigins {
         headers: &HeaderMap,
         own_host: Option<&str>,
     ) -> Result<(), ApiError> {
-        let Some(origin) = headers.get(header::ORIGIN) else { return Ok(()) };
+        let Some(origin) = headers.get(header::ORIGIN) else {
+            return self.check_embedding(headers);
+        };
         let origin = String::from_utf8_lossy(origin.as_bytes()).to_ascii_lowercase();
         // The server's own pages have the host of this request as their origin, with any scheme: a proxy may add TLS.
         let host = origin.split_once("://").map(|(_, host)| host);
@@ -53,6 +55,20 @@ impl AllowedOrigins {
             "pages of {} must not use this server: add the origin to [server] allow_origins in its configuration",
             origin.escape_debug()
         )))
+    }
+
+    /// Rejects a request that another site's page makes without an origin, such as for a picture. Browsers describe it to
+    /// servers on loopback and with TLS.
+    fn check_embedding(&self, headers: &HeaderMap) -> Result<(), ApiError> {
+        let is = |name: &str, value: &str| headers.get(name).is_some_and(|found| found == value);
+        let is_foreign = is("sec-fetch-site", "cross-site") || is("sec-fetch-site", "same-site");
+        if !is_foreign || is("sec-fetch-mode", "navigate") || !self.is_empty() {
+            return Ok(());
+        }
+        Err(ApiError::PermissionDenied(
+            "pages of other origins must not use this server: add the origin to [server] allow_origins in its configuration"
+                .to_owned(),
+        ))
     }
 }
 

@@ -32,7 +32,7 @@ pub(super) async fn answer(
     };
     let at = Instant::now() + after;
     match timeout_at(at, call).await {
-        Ok(Ok(response)) => Ok(response.map(|body| limited(body, at, after))),
+        Ok(Ok(response)) => Ok(response.map(|body| limited(body, at, deadline_exceeded(after)))),
         Ok(Err(never)) => match never {},
         Err(_) => Ok(deadline_exceeded(after).into_http()),
     }
@@ -64,25 +64,24 @@ fn parse_timeout(headers: &HeaderMap) -> Result<Option<Duration>, ApiError> {
     }))
 }
 
-/// Ends a body at an instant with the trailers of DEADLINE_EXCEEDED.
-fn limited(body: Body, at: Instant, after: Duration) -> Body {
+/// Ends a body at an instant with the trailers of a status.
+pub(super) fn limited(body: Body, at: Instant, end: Status) -> Body {
     if body.is_end_stream() {
         return body;
     }
-    let frames = stream::unfold(Some(BodyStream::new(body)), move |frames| async move {
-        let mut frames = frames?;
+    let mut trailers = HeaderMap::new();
+    // A message that is not a valid header is omitted; the code remains.
+    let _ = end.add_header(&mut trailers);
+    let state = (BodyStream::new(body), trailers);
+    let frames = stream::unfold(Some(state), move |state| async move {
+        let (mut frames, trailers) = state?;
         let frame = tokio::select! {
             biased;
-            () = sleep_until(at) => {
-                let mut trailers = HeaderMap::new();
-                // A message that is not a valid header is omitted; the code remains.
-                let _ = deadline_exceeded(after).add_header(&mut trailers);
-                Ok(Frame::trailers(trailers))
-            }
+            () = sleep_until(at) => Ok(Frame::trailers(trailers.clone())),
             frame = frames.next() => frame?,
         };
         let is_last = frame.as_ref().is_ok_and(Frame::is_trailers);
-        Some((frame, (!is_last).then_some(frames)))
+        Some((frame, (!is_last).then_some((frames, trailers))))
     });
     Body::new(StreamBody::new(frames))
 }

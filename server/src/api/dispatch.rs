@@ -15,7 +15,14 @@ use tonic::Status;
 use tower::{Layer, ServiceExt, service_fn};
 use tower_http::{cors::CorsLayer, timeout::TimeoutBody};
 
-use super::{access::AccessControl, deadline, error::ApiError};
+use super::{
+    access::{
+        AccessControl,
+        expiry::{EXPIRED, Expiry},
+    },
+    deadline,
+    error::ApiError,
+};
 
 #[derive(Clone)]
 pub(super) struct Dispatch {
@@ -66,8 +73,11 @@ impl Dispatch {
     }
 
     async fn answer_grpc(self, request: Request<Body>) -> Result<Response<Body>, Infallible> {
-        let headers = request.headers().clone();
-        deadline::answer(&headers, self.grpc_router.oneshot(request)).await
+        let (headers, expiry) = (request.headers().clone(), Expiry::of(request.extensions()));
+        let response = deadline::answer(&headers, self.grpc_router.oneshot(request)).await?;
+        let Some(at) = expiry.instant() else { return Ok(response) };
+        let end = Status::unauthenticated(EXPIRED);
+        Ok(response.map(|body| deadline::limited(body, at, end)))
     }
 
     async fn answer_grpc_web(self, request: Request<Body>) -> Result<Response<Body>, Infallible> {

@@ -34,6 +34,7 @@ use tokio_tungstenite::tungstenite::{
 
 use super::{
     ApiState, MAX_REQUEST_BYTES,
+    access::expiry::{EXPIRED, Expiry},
     encoding_budget::EncodingShare,
     error::{ApiError, ErrorBody, SHUTTING_DOWN},
     listener::{count_stalled, encoding_share},
@@ -91,7 +92,10 @@ pub async fn stream(
     request: Request<Body>,
 ) -> Result<Response<Body>, ApiError> {
     let selection = StreamSelection::from_query(&api, request.uri())?;
-    let share = encoding_share(request.extensions());
+    let connection = Connection {
+        share: encoding_share(request.extensions()),
+        expiry: Expiry::of(request.extensions()),
+    };
     let protocols = offered(&request);
     let mut handshake = Handshake::new(request).map_err(ApiError::UpgradeRequired)?;
     let chosen = handshake.choose(&protocols, &PROTOCOLS);
@@ -101,8 +105,9 @@ pub async fn stream(
         .max_frame_size(Some(MAX_REQUEST_BYTES))
         .read_buffer_size(READ_BUFFER_BYTES)
         .write_buffer_size(0);
-    Ok(handshake
-        .answer(config, move |socket| Session::new(api, selection, encoding, share).run(socket)))
+    Ok(handshake.answer(config, move |socket| {
+        Session::new(api, selection, encoding, connection).run(socket)
+    }))
 }
 
 /// A message to the client. As JSON, the variant's name is the only key.
@@ -161,7 +166,7 @@ fn stream_message(EncodedSnapshot { own, shared }: &EncodedSnapshot) -> Vec<u8> 
 /// Why a session ends.
 enum SessionEnd {
     Shutdown,
-    /// The client violated the protocol: close code and reason.
+    /// The client violated the protocol, or its credentials have expired: close code and reason.
     Wrong(CloseCode, String),
     /// The client has left or does not read, so no close frame is sent.
     Gone,
@@ -181,10 +186,16 @@ impl SessionEnd {
     }
 }
 
+/// What the handshake's request came with.
+struct Connection {
+    share: Arc<EncodingShare>,
+    expiry: Expiry,
+}
+
 struct Session {
     api: Arc<ApiState>,
     encoding: Encoding,
-    share: Arc<EncodingShare>,
+    connection: Connection,
     subscription: Option<SnapshotSubscription>,
     cameras: Option<Interval>,
     backlog: Vec<Arc<hub::Event>>,
@@ -197,14 +208,14 @@ impl Session {
         api: Arc<ApiState>,
         selection: StreamSelection,
         encoding: Encoding,
-        share: Arc<EncodingShare>,
+        connection: Connection,
     ) -> Self {
         let backlog = Vec::new();
         let (subscription, cameras, events, observation_subscription) = (None, None, None, None);
         let mut session = Self {
             api,
             encoding,
-            share,
+            connection,
             subscription,
             cameras,
             backlog,
@@ -217,9 +228,9 @@ impl Session {
 
     fn change(&mut self, selection: StreamSelection) {
         let api = &self.api;
-        let subscription = selection
-            .snapshots
-            .map(|selection| SnapshotSubscription::new(api.clone(), selection, self.share.clone()));
+        let subscription = selection.snapshots.map(|selection| {
+            SnapshotSubscription::new(api.clone(), selection, self.connection.share.clone())
+        });
         let cameras = selection.cameras.then(|| {
             let mut ticks = interval(CAMERA_INTERVAL);
             ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -256,6 +267,9 @@ impl Session {
             }
             let message = tokio::select! {
                 () = self.api.cancel.cancelled() => return Err(SessionEnd::Shutdown),
+                () = self.connection.expiry.reached() => {
+                    return Err(SessionEnd::Wrong(CloseCode::Policy, EXPIRED.to_owned()));
+                }
                 incoming = socket.recv() => match incoming {
                     Some(Ok(message)) => {
                         last_heard = Instant::now();

@@ -1,5 +1,7 @@
 //! Host names, credentials and roles, in each protocol.
 
+use std::time::Duration;
+
 use axum::{
     body::Body,
     http::{Method, Request, StatusCode, header},
@@ -12,7 +14,7 @@ use serde_json::json;
 use tokio::time::timeout;
 use tokio_tungstenite::{
     connect_async,
-    tungstenite::{self, client::IntoClientRequest},
+    tungstenite::{self, client::IntoClientRequest, protocol::frame::coding::CloseCode},
 };
 use tonic::Code;
 
@@ -103,6 +105,27 @@ async fn a_host_that_is_not_the_servers_is_misdirected() {
     let rebound = [("host", "evil.example"), ("origin", "http://evil.example")];
     let answer = ask(&rig, Method::GET, "/api/v1/stream", &rebound).await;
     assert_eq!(answer.status, StatusCode::MISDIRECTED_REQUEST);
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn pages_of_other_sites_do_not_embed_responses() {
+    let rig = Rig::start().await;
+    rig.publish(objects(1));
+    for (site, mode, expected) in [
+        ("cross-site", "no-cors", StatusCode::FORBIDDEN),
+        ("same-site", "no-cors", StatusCode::FORBIDDEN),
+        ("cross-site", "navigate", StatusCode::OK),
+        ("same-origin", "no-cors", StatusCode::OK),
+        ("none", "navigate", StatusCode::OK),
+    ] {
+        let headers = [("sec-fetch-site", site), ("sec-fetch-mode", mode)];
+        let answer = ask(&rig, Method::GET, "/api/v1/snapshot", &headers).await;
+        assert_eq!(answer.status, expected, "{site} {mode}");
+    }
+    // Browsers send these headers only to loopback and with TLS.
+    let answer = rig.get("/api/v1/snapshot").await;
+    assert_eq!(answer.header("cross-origin-resource-policy"), "same-origin");
     rig.stop().await;
 }
 
@@ -311,6 +334,43 @@ async fn the_rust_client_reports_refusals_as_errors_of_their_own_and_does_not_re
     let mut statuses = stranger.statuses();
     let refused = timeout(TIMEOUT, statuses.wait_for(|status| status.refused)).await.unwrap();
     assert!(refused.unwrap().error.contains("south side"));
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn streams_end_when_their_credentials_expire() {
+    let expires = std::time::SystemTime::now() + Duration::from_secs(3);
+    let since_epoch = expires.duration_since(std::time::UNIX_EPOCH).unwrap();
+    let leaving = AccessEntry {
+        expires_s: Some(since_epoch.as_secs() as i64),
+        ..entry("leaving", Role::View)
+    };
+    let mut access = access();
+    access.entries.push(leaving);
+    let rig = Rig::start_with_access(&access).await;
+    rig.publish(objects(1));
+    let mut client = grpc::connect(&rig).await;
+    let subscribe = v1::SubscribeSnapshotsRequest::default;
+    let stream = client.subscribe_snapshots(with_token(subscribe(), "leaving")).await.unwrap();
+    let mut stream = stream.into_inner();
+    assert!(stream.message().await.unwrap().is_some());
+    let mut request = format!("ws://{}/api/v1/stream", rig.address).into_client_request().unwrap();
+    request.headers_mut().insert("authorization", "Bearer leaving".parse().unwrap());
+    let (mut socket, _) = connect_async(request).await.unwrap();
+
+    let ended = timeout(TIMEOUT, stream.message()).await.expect("the stream goes on").unwrap_err();
+    assert_eq!(ended.code(), Code::Unauthenticated);
+    assert!(ended.message().contains("have expired"), "{ended}");
+    let closed = async {
+        loop {
+            if let Some(Ok(tungstenite::Message::Close(frame))) = socket.next().await {
+                return frame.expect("a close code");
+            }
+        }
+    };
+    let frame = timeout(TIMEOUT, closed).await.expect("the WebSocket stays open");
+    assert_eq!(frame.code, CloseCode::Policy);
+    assert!(frame.reason.contains("have expired"), "{frame:?}");
     rig.stop().await;
 }
 

@@ -10,7 +10,7 @@ use std::{
 use argon2::{Argon2, PasswordHash, PasswordVerifier};
 use axum::http::{HeaderMap, header::AUTHORIZATION};
 
-use super::header;
+use super::{expiry::Expiry, header};
 use crate::{
     api::{error::ApiError, peer::Peer},
     model::access::{AccessConfig, Identity, TokenHash},
@@ -27,8 +27,11 @@ pub(super) struct Entry {
     expires_s: Option<i64>,
 }
 
+/// Identity of a request, until its credentials expire.
+pub(super) type Valid = (Arc<Identity>, Expiry);
+
 impl Entry {
-    pub(super) fn valid_identity(&self) -> Result<Arc<Identity>, ApiError> {
+    pub(super) fn valid_identity(&self) -> Result<Valid, ApiError> {
         match self.expires_s {
             Some(expires_s) if now_s() >= expires_s => {
                 let name = &self.identity.name;
@@ -36,7 +39,8 @@ impl Entry {
                     "the credentials of \"{name}\" have expired"
                 )))
             }
-            _ => Ok(self.identity.clone()),
+            Some(expires_s) => Ok((self.identity.clone(), Expiry::at_unix(expires_s))),
+            None => Ok((self.identity.clone(), Expiry::default())),
         }
     }
 }
@@ -89,7 +93,7 @@ impl Credentials {
         &self,
         headers: &HeaderMap,
         peer: Option<&Peer>,
-    ) -> Result<Option<Arc<Identity>>, ApiError> {
+    ) -> Result<Option<Valid>, ApiError> {
         if headers.contains_key(AUTHORIZATION) {
             return self.of_authorization(headers).map(Some);
         }
@@ -109,7 +113,7 @@ impl Credentials {
         entry.map(|entry| entry.valid_identity()).transpose()
     }
 
-    fn of_authorization(&self, headers: &HeaderMap) -> Result<Arc<Identity>, ApiError> {
+    fn of_authorization(&self, headers: &HeaderMap) -> Result<Valid, ApiError> {
         let text = header(headers, AUTHORIZATION.as_str()).unwrap_or_default();
         let scheme = text.get(..7).filter(|scheme| scheme.eq_ignore_ascii_case("bearer "));
         let Some(token) = scheme.and_then(|_| text.get(7..)) else {

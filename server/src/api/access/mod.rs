@@ -9,10 +9,13 @@
 //!    needs none; a session that has ended counts as no credentials.
 //! 3. [`roles`]: what the path needs. Too little is 403 (PERMISSION_DENIED); without credentials it is 401.
 //!
+//! Streams end when the credentials that opened them expire ([`expiry`]).
+//!
 //! Without `[[access]]`, clients need no credentials: on loopback they may do everything, else only view and feed, unless
 //! `[server] setup` says otherwise.
 
 mod credentials;
+pub(super) mod expiry;
 mod names;
 mod roles;
 pub mod session;
@@ -24,7 +27,12 @@ use std::{
 
 use axum::http::{HeaderMap, Method, Request};
 
-use self::{credentials::Credentials, names::HostNames, session::Sessions};
+use self::{
+    credentials::{Credentials, Valid},
+    expiry::Expiry,
+    names::HostNames,
+    session::Sessions,
+};
 use super::{AllowedOrigins, error::ApiError, peer::Peer};
 use crate::model::access::{AccessConfig, Identity, Role};
 
@@ -103,22 +111,23 @@ impl AccessControl {
 
     /// Checks who sends a request and what it needs. The identity becomes an extension of the request.
     pub(super) fn check_identity<B>(&self, request: &mut Request<B>) -> Result<(), ApiError> {
-        let identity = self.identity(request)?;
-        if let Some(identity) = &identity {
+        let valid = self.identity(request)?;
+        if let Some((identity, expiry)) = &valid {
             request.extensions_mut().insert(identity.clone());
+            request.extensions_mut().insert(*expiry);
         }
         let need = need(request.method(), request.uri().path());
-        permit(need, identity.as_deref(), self.is_open())
+        permit(need, valid.as_ref().map(|(identity, _)| &**identity), self.is_open())
     }
 
     /// `None`: the request has no credentials.
-    fn identity<B>(&self, request: &Request<B>) -> Result<Option<Arc<Identity>>, ApiError> {
+    fn identity<B>(&self, request: &Request<B>) -> Result<Option<Valid>, ApiError> {
         if let Some(anonymous) = &self.anonymous {
-            return Ok(Some(anonymous.clone()));
+            return Ok(Some((anonymous.clone(), Expiry::default())));
         }
         let peer = request.extensions().get::<Peer>();
-        if let Some(identity) = self.credentials.identity(request.headers(), peer)? {
-            return Ok(Some(identity));
+        if let Some(valid) = self.credentials.identity(request.headers(), peer)? {
+            return Ok(Some(valid));
         }
         Ok(self.sessions.identity(request.headers()))
     }

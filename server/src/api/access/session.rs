@@ -16,7 +16,10 @@ use serde::{Deserialize, Serialize};
 use tokio::{sync::Semaphore, time::timeout};
 use utoipa::ToSchema;
 
-use super::credentials::Entry;
+use super::{
+    credentials::{Entry, Valid},
+    expiry::Expiry,
+};
 use crate::{
     api::{
         error::{ApiError, ErrorBody},
@@ -56,12 +59,13 @@ impl Sessions {
     }
 
     /// The signed-in identity. A session that has ended counts as none: the browser still sends its cookie.
-    pub(super) fn identity(&self, headers: &HeaderMap) -> Option<Arc<Identity>> {
+    pub(super) fn identity(&self, headers: &HeaderMap) -> Option<Valid> {
         let token = cookie(headers)?;
         let open = self.lock();
         let session = open.get(&TokenHash::of(token))?;
         let is_open = Instant::now() < session.ends;
-        session.entry.valid_identity().ok().filter(|_| is_open)
+        let (identity, expiry) = session.entry.valid_identity().ok().filter(|_| is_open)?;
+        Some((identity, expiry.earlier(Expiry::at(session.ends.into()))))
     }
 
     /// Returns the cookie's value.
@@ -183,7 +187,7 @@ pub async fn sign_in(
     } else {
         access.credentials.check_token(&token)?
     };
-    let identity = entry.valid_identity()?;
+    let (identity, _) = entry.valid_identity()?;
     tracing::info!(name = identity.name, "signed in");
     let is_tls = peer.is_some_and(|Extension(peer)| peer.is_tls);
     let cookie = set_cookie(&access.sessions.begin(entry), LIFETIME, is_tls)?;
