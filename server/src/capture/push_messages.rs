@@ -25,6 +25,8 @@ use crate::{
 
 /// Largest deviation of a sender's clock; more is a mistake of units.
 const MAX_DEVIATION_MS: f64 = 3.6e6;
+/// Metres, pixels and variances far beyond any arena; their powers are finite in fusion.
+const MAX_NUMBER: f64 = 1e9;
 
 /// A field with an invalid value.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
@@ -210,7 +212,7 @@ fn read_ellipse(
     };
     let (semi_major_px, semi_minor_px, angle_rad) =
         (ellipse.semi_major_px, ellipse.semi_minor_px, ellipse.angle_rad);
-    finite(&[center.u, center.v, semi_major_px, semi_minor_px, angle_rad], field)?;
+    check_numbers(&[center.u, center.v, semi_major_px, semi_minor_px, angle_rad], field)?;
     if let Some(negative) = [semi_major_px, semi_minor_px].into_iter().find(|axis| *axis < 0.0) {
         return Err(wire_error(field, "semi-axes of 0 pixels or more", negative));
     }
@@ -223,7 +225,10 @@ fn read_code(code: &v1::CodeReading) -> Result<CodeReading, WireFieldError> {
     let bits = bits.ok_or_else(|| wire_error("code.bits", "5 to 16", code.bits))?;
     let number = u16::try_from(code.number).ok().filter(|&number| number > 0);
     let number = number.ok_or_else(|| wire_error("code.number", "1 to 65535", code.number))?;
-    finite(&[code.confidence], "code.confidence")?;
+    // A likelihood ratio, which may be very large.
+    if !code.confidence.is_finite() {
+        return Err(wire_error("code.confidence", "a finite number", code.confidence));
+    }
     let (u, v) = code.zero.as_ref().map_or((f64::NAN, f64::NAN), |zero| (zero.u, zero.v));
     let corrected = u8::try_from(code.corrected_bits).unwrap_or(u8::MAX);
     let certain = CodeReading::certain(Code { bits, number }, camera::PixelPoint { u, v });
@@ -234,8 +239,8 @@ fn read_pose(pose: &v1::RoundelPose) -> Result<pose::RoundelPose, WireFieldError
     let position_m = read_vector(pose.position.as_ref(), "pose.position")?;
     let normal = read_direction(pose.normal.as_ref(), "pose.normal")?;
     let other_normal = read_direction(pose.other_normal.as_ref(), "pose.other_normal")?;
-    finite(&[pose.normal_likelihood, pose.yaw_rad.unwrap_or(0.0)], "pose")?;
-    finite(&pose.covariance, "pose.covariance")?;
+    check_numbers(&[pose.normal_likelihood, pose.yaw_rad.unwrap_or(0.0)], "pose")?;
+    check_numbers(&pose.covariance, "pose.covariance")?;
     let covariance = from_upper_triangle(&pose.covariance).ok_or_else(|| {
         let expected = "the 21 numbers of a covariance's upper triangle";
         wire_error("pose.covariance", expected, pose.covariance.len())
@@ -253,7 +258,7 @@ fn read_pose(pose: &v1::RoundelPose) -> Result<pose::RoundelPose, WireFieldError
 
 fn read_vector(vector: Option<&v1::Vector3>, field: &str) -> Result<Vector3<f64>, WireFieldError> {
     let vector = vector.ok_or_else(|| wire_error(field, "three numbers", "none"))?;
-    finite(&[vector.x, vector.y, vector.z], field)?;
+    check_numbers(&[vector.x, vector.y, vector.z], field)?;
     Ok(Vector3::new(vector.x, vector.y, vector.z))
 }
 
@@ -270,9 +275,14 @@ fn read_direction(
     Ok(if (length - 1.0).abs() < 1e-12 { vector } else { vector / length })
 }
 
-fn finite(numbers: &[f64], field: &str) -> Result<(), WireFieldError> {
-    match numbers.iter().find(|number| !number.is_finite()) {
-        Some(number) => Err(wire_error(field, "finite numbers", number)),
+/// Rejects numbers that are not finite, or too large to compute with.
+fn check_numbers(numbers: &[f64], field: &str) -> Result<(), WireFieldError> {
+    let is_wrong = |number: &&f64| !(-MAX_NUMBER..=MAX_NUMBER).contains(*number);
+    match numbers.iter().find(is_wrong) {
+        Some(number) => {
+            let expected = format!("numbers of at most {MAX_NUMBER:e}");
+            Err(wire_error(field, expected, format!("{number:e}")))
+        }
         None => Ok(()),
     }
 }

@@ -63,6 +63,8 @@ async fn invalid_messages_name_the_field() {
     let negative = rim.map(|rim| v1::Ellipse { semi_minor_px: -1.0, ..rim });
     let whole =
         v1::Detection { outer: rim, inner: rim, roundel: "robot".into(), ..Default::default() };
+    let position = Some(v1::Vector3 { x: 1e200, y: 0.0, z: 1.0 });
+    let far_away = v1::RoundelPose { position, ..Default::default() };
     for (wrong, expected) in [
         (
             v1::Detection { roundel: "cart".into(), ..whole.clone() },
@@ -83,6 +85,10 @@ async fn invalid_messages_name_the_field() {
         (
             v1::Detection { pose: Some(v1::RoundelPose::default()), ..whole.clone() },
             "observations.detections[0].pose.position: expected three numbers, found none",
+        ),
+        (
+            v1::Detection { pose: Some(far_away), ..whole.clone() },
+            "observations.detections[0].pose.position: expected numbers of at most 1e9, found 1e200",
         ),
     ] {
         let pusher = client.push(PushOptions::new("north")).unwrap();
