@@ -8,8 +8,8 @@
 //!   than `max_lead_ns` is refused: believing it would make all others late. A pause of all cameras
 //!   is no lead, since the receiving times show it too.
 //! - A frame older than the late window is refused as late, by hours or by milliseconds.
-//! - If refused frames agree with one another for [`ADOPT_AFTER_NS`] and none is accepted
-//!   meanwhile, it is the timeline that was wrong (its first frame came from the future, or the one
+//! - If refused frames agree with one another for [`ADOPT_AFTER_NS`], by their own times and by
+//!   those at which they were received, and none is accepted meanwhile, it is the timeline that was wrong (its first frame came from the future, or the one
 //!   camera's clock was set): the refused ones are the timeline from then on.
 //!
 //! A frame seen twice (same camera, and same number or same capture time) is a duplicate.
@@ -129,7 +129,12 @@ impl Timeline {
             },
             None => Candidate { since: now, newest: now, frames: 1 },
         };
-        let span_ns = candidate.newest.capture.ns_since(candidate.since.capture);
+        // Frames that a stalled link delivers at once agree as well, but do not last.
+        let span_ns = candidate
+            .newest
+            .capture
+            .ns_since(candidate.since.capture)
+            .min(now.received.ns_since(candidate.since.received));
         if candidate.frames < ADOPT_FRAMES || span_ns < ADOPT_AFTER_NS {
             self.candidate = Some(candidate);
             return false;
@@ -142,4 +147,47 @@ impl Timeline {
 
 fn lead_ns(now: &Instant, then: &Instant) -> i64 {
     now.capture.ns_since(then.capture).saturating_sub(now.received.ns_since(then.received))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LATE_WINDOW_NS: i64 = 100_000_000;
+    const MAX_LEAD_NS: i64 = 1_000_000_000;
+    const FRAME_NS: i64 = 66_000_000;
+
+    struct Feed(Timeline, u64);
+
+    impl Feed {
+        fn frame(&mut self, camera: u32, capture_ns: i64, received_ns: i64) -> Verdict {
+            self.1 += 1;
+            let [capture, received] = [capture_ns, received_ns].map(Timestamp::from_ns);
+            let source = (CameraId(camera), self.1, capture);
+            self.0.judge(source, capture, received, (LATE_WINDOW_NS, MAX_LEAD_NS))
+        }
+    }
+
+    #[test]
+    fn frames_that_a_stalled_link_delivers_at_once_are_late() {
+        let mut feed = Feed(Timeline::default(), 0);
+        let now_ns = 100 * FRAME_NS;
+        assert_eq!(feed.frame(0, now_ns, now_ns), Verdict::Use);
+        for number in 0..30 {
+            let (capture_ns, received_ns) = (60 * FRAME_NS + number * FRAME_NS, now_ns + number);
+            assert_eq!(feed.frame(1, capture_ns, received_ns), Verdict::Late, "{number}");
+        }
+        assert_eq!(feed.frame(0, now_ns + FRAME_NS, now_ns + FRAME_NS), Verdict::Use);
+    }
+
+    #[test]
+    fn a_clock_that_was_set_back_is_the_timeline_after_a_second() {
+        let mut feed = Feed(Timeline::default(), 0);
+        assert_eq!(feed.frame(0, 1_000 * FRAME_NS, 0), Verdict::Use);
+        let verdicts: Vec<_> =
+            (1..=30).map(|number| feed.frame(0, number * FRAME_NS, number * FRAME_NS)).collect();
+        let restarts = verdicts.iter().filter(|it| **it == Verdict::Restart).count();
+        assert_eq!(restarts, 1, "{verdicts:?}");
+        assert_eq!(verdicts.last(), Some(&Verdict::Use));
+    }
 }
