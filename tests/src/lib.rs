@@ -22,6 +22,8 @@
 //! | [`recall`] | what of shown roundels is found, and what else |
 //! | [`paper`] | the paper's experiments, beside its figures |
 //! | [`rival`] | prints that other detectors look for |
+//! | [`chaos`] | servers under faults that a seed chooses, and the promises that they keep |
+//! | [`soak`] | days of operation in minutes, and what grows meanwhile |
 //! | [`python`] | Python with packages from PyPI, for tests that need them |
 //! | [`scenario`] | what fusion has to hold: seeded worlds, their bars, one table |
 //! | [`recorded`] | what such cameras see, recorded by a server that runs |
@@ -36,6 +38,7 @@
 pub mod arena;
 pub mod board;
 pub mod bound;
+pub mod chaos;
 pub mod clutter;
 pub mod coded;
 pub mod coverage;
@@ -61,5 +64,6 @@ pub mod scenario;
 pub mod score;
 pub mod sensor;
 pub mod shared_data;
+pub mod soak;
 pub mod survey;
 pub mod timing;

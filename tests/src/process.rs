@@ -118,8 +118,18 @@ impl Server {
     /// The arguments or the configuration must ask for port 0. Fails with what it printed if it ends
     /// first, or says nothing for a minute.
     pub fn start(args: &[&str], folder: &Path) -> anyhow::Result<Server> {
+        Self::start_with(args, folder, &[])
+    }
+
+    /// Like [`Server::start`], with these variables in its environment.
+    pub fn start_with(
+        args: &[&str],
+        folder: &Path,
+        environment: &[(&str, &Path)],
+    ) -> anyhow::Result<Server> {
         let mut child = Command::new(roundel()?)
             .args(args)
+            .envs(environment.iter().copied())
             .current_dir(folder)
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
@@ -184,6 +194,11 @@ impl Server {
             Command::new("kill").args(["-s", name, &self.child.id().to_string()]).status()?;
         ensure!(status.success(), "expected `kill -s {name}` to reach the server, found {status}");
         Ok(())
+    }
+
+    /// Whether the process has ended by itself.
+    pub fn has_ended(&mut self) -> bool {
+        self.child.try_wait().is_ok_and(|status| status.is_some())
     }
 
     /// Waits until the process has ended by itself; an error if it runs on for `longest`.

@@ -2,6 +2,7 @@
 //! `cargo test -p roundel-tests --test main layering::` runs those of one module.
 
 mod calibration;
+mod chaos;
 #[cfg(feature = "chessboard")]
 mod chessboard;
 mod code;
@@ -34,6 +35,7 @@ mod riding;
 mod robustness;
 mod scenarios;
 mod shutter;
+mod soak;
 mod source;
 mod survey;
 mod wording;
