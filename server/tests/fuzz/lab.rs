@@ -122,6 +122,7 @@ fn object(id: u64, time: Timestamp) -> ObjectState {
         rotation_covariance: covariance,
         process_noise: ProcessNoise::default(),
         cameras: vec![CameraId(0), CameraId(1)],
+        trust: 1,
         newest_observation: time,
         residual: 0.75,
         first_observation: time,

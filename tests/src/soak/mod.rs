@@ -67,7 +67,7 @@ pub fn run(days: f64, mut report: impl FnMut(&Sample)) -> anyhow::Result<Vec<Sam
     let task = FusionTask::new(fusion_machine(&config)?, hub.clone(), clock, outputs);
     let (mut task, commands) = task.with_commands();
     let clock_model = ClockModel::Estimated(ClockPrior { offset_s: 0.05, skew: 1e-5 });
-    let model = CameraModel { pose: None, clock: Some(clock_model) };
+    let model = CameraModel { clock: Some(clock_model), ..CameraModel::default() };
     let change = CameraChange::Set(Box::new(model));
     commands
         .send(FusionCommand::UpdateCamera(CameraUpdate {
