@@ -8,9 +8,9 @@
 //!   than `max_lead_ns` is refused: believing it would make all others late. A pause of all cameras
 //!   is no lead, since the receiving times show it too.
 //! - A frame older than the late window is refused as late, by hours or by milliseconds.
-//! - If refused frames agree with one another for [`ADOPT_AFTER_NS`], by their own times and by
-//!   those at which they were received, and none is accepted meanwhile, it is the timeline that was wrong (its first frame came from the future, or the one
-//!   camera's clock was set): the refused ones are the timeline from then on.
+//! - If refused frames agree with one another for [`ADOPT_AFTER_NS`], by their own times and by those at which they were
+//!   received, and none has been accepted meanwhile, it is the timeline that was wrong (its first frame came from the
+//!   future, or the one camera's clock was set): the refused ones are the timeline from then on.
 //!
 //! A frame seen twice (same camera, and same number or same capture time) is a duplicate.
 
@@ -129,12 +129,13 @@ impl Timeline {
             },
             None => Candidate { since: now, newest: now, frames: 1 },
         };
-        // Frames that a stalled link delivers at once agree as well, but do not last.
+        // Frames that a stalled link delivers at once agree as well, but were received while others were accepted.
+        let accepted = self.newest.map_or(candidate.since.received, |newest| newest.received);
         let span_ns = candidate
             .newest
             .capture
             .ns_since(candidate.since.capture)
-            .min(now.received.ns_since(candidate.since.received));
+            .min(now.received.ns_since(candidate.since.received.max(accepted)));
         if candidate.frames < ADOPT_FRAMES || span_ns < ADOPT_AFTER_NS {
             self.candidate = Some(candidate);
             return false;
@@ -176,6 +177,17 @@ mod tests {
         for number in 0..30 {
             let (capture_ns, received_ns) = (60 * FRAME_NS + number * FRAME_NS, now_ns + number);
             assert_eq!(feed.frame(1, capture_ns, received_ns), Verdict::Late, "{number}");
+        }
+        assert_eq!(feed.frame(0, now_ns + FRAME_NS, now_ns + FRAME_NS), Verdict::Use);
+    }
+
+    #[test]
+    fn late_frames_that_say_when_their_sender_had_them_are_late() {
+        let mut feed = Feed(Timeline::default(), 0);
+        let now_ns = 100 * FRAME_NS;
+        assert_eq!(feed.frame(0, now_ns, now_ns), Verdict::Use);
+        for number in 60..95 {
+            assert_eq!(feed.frame(1, number * FRAME_NS, number * FRAME_NS), Verdict::Late);
         }
         assert_eq!(feed.frame(0, now_ns + FRAME_NS, now_ns + FRAME_NS), Verdict::Use);
     }
