@@ -110,7 +110,7 @@ async fn a_host_that_is_not_the_servers_is_misdirected() {
 
 #[tokio::test]
 async fn pages_of_other_sites_do_not_embed_responses() {
-    let rig = Rig::start().await;
+    let rig = Rig::start_with_own_origin().await;
     rig.publish(objects(1));
     for (site, mode, expected) in [
         ("cross-site", "no-cors", StatusCode::FORBIDDEN),

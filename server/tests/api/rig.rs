@@ -69,22 +69,29 @@ impl Rig {
     }
 
     pub async fn start_with(hub: Arc<Hub>, limits: ApiLimits, listen: &str) -> Self {
-        Self::start_server(hub, limits, listen, &AccessConfig::default()).await
+        let origins = AllowedOrigins(vec![ORIGIN.into()]);
+        Self::start_server(hub, limits, listen, (&AccessConfig::default(), origins)).await
+    }
+
+    /// Starts a server that allows only its own pages.
+    pub async fn start_with_own_origin() -> Self {
+        let rules = (&AccessConfig::default(), AllowedOrigins::default());
+        Self::start_server(hub("run"), ApiLimits::default(), "127.0.0.1:0", rules).await
     }
 
     pub async fn start_with_access(access: &AccessConfig) -> Self {
-        Self::start_server(hub("run"), ApiLimits::default(), "127.0.0.1:0", access).await
+        let rules = (access, AllowedOrigins(vec![ORIGIN.into()]));
+        Self::start_server(hub("run"), ApiLimits::default(), "127.0.0.1:0", rules).await
     }
 
     async fn start_server(
         hub: Arc<Hub>,
         limits: ApiLimits,
         listen: &str,
-        access: &AccessConfig,
+        (access, origins): (&AccessConfig, AllowedOrigins),
     ) -> Self {
         let listener = TcpListener::bind(listen).await.unwrap();
         let address = listener.local_addr().unwrap();
-        let origins = AllowedOrigins(vec![ORIGIN.into()]);
         let access = Arc::new(AccessControl::new(access, origins, address, true));
         let (clock, cancel) = (Clock::anchored_now(), CancellationToken::new());
         let state = ApiState {
