@@ -15,7 +15,7 @@ async fn keeps_promises(seeds: std::ops::Range<u64>, stage: Stage, at_once: usiz
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn fifty_seeds_keep_their_promises() {
-    keeps_promises(1..51, Stage::Library, 10).await;
+    keeps_promises(1..51, Stage::Library, 6).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]

@@ -2,7 +2,6 @@
 //! `cargo test -p roundel-tests --test main layering::` runs those of one module.
 
 mod calibration;
-mod chaos;
 #[cfg(feature = "chessboard")]
 mod chessboard;
 mod code;
@@ -35,7 +34,6 @@ mod riding;
 mod robustness;
 mod scenarios;
 mod shutter;
-mod soak;
 mod source;
 mod survey;
 mod wording;

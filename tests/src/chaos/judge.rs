@@ -22,7 +22,7 @@ use crate::{
 /// Snapshots arrive at least this often while the server runs; a limit for hangs on a busy machine.
 pub const HANG: Duration = Duration::from_secs(12);
 /// Errors stay within this number of standard deviations …
-const SIGMAS: f64 = 5.0;
+const SIGMAS: f64 = 6.0;
 /// … of the stated covariance and of what models of motion do not state, metres.
 const UNSTATED_M: f64 = 5e-3;
 /// An object within this distance of a robot is taken for it, metres.
