@@ -52,6 +52,30 @@ class Server:
             self.process.stdout.close()
 
 
+class ConfiguredServer:
+    """A running `roundel serve`."""
+
+    def __init__(self, config: Path) -> None:
+        command = [str(binary()), "serve", "--config", str(config)]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        assert self.process.stdout is not None
+        self.output = ""
+        """What it printed until it listened."""
+        for line in self.process.stdout:
+            self.output += line
+            if line.startswith("listening on "):
+                self.url = line.removeprefix("listening on ").strip()
+                return
+        self.stop()
+        pytest.fail(f"the server ended before it listened:\n{self.output}")
+
+    def stop(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+
+
 @pytest.fixture(scope="session")
 def server() -> Iterator[Server]:
     """One server, shared by the tests that do not stop it."""

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, AsyncIterator, Callable, Iterator
 
 import pytest
-from conftest import binary
+from conftest import ConfiguredServer, binary
 from test_client import TIMEOUT_S
 from test_link import run_in_thread
 
@@ -69,7 +69,7 @@ SET_UP: dict[str, Callable[[Any], Any]] = {
 }
 
 
-class AccessServer:
+class AccessServer(ConfiguredServer):
     """A running `roundel serve` with the users viewer, node, operator, admin, and former, who has expired."""
 
     def __init__(self, folder: Path) -> None:
@@ -83,12 +83,7 @@ class AccessServer:
         assert text.count("2099-01-01") == 1, text
         self.config.write_text(text.replace("2099-01-01", "2020-01-01"))
         self.text = self.config.read_text()
-        command = [str(binary()), "serve", "--config", str(self.config)]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-        assert self.process.stdout is not None
-        line = self.process.stdout.readline()
-        assert line.startswith("listening on http://"), line
-        self.url = line.removeprefix("listening on ").strip()
+        super().__init__(self.config)
         self.address = self.url.removeprefix("http://")
 
     def _add(self, name: str, *options: str) -> str:
@@ -134,12 +129,6 @@ class AccessServer:
                 received += part
             head, rest = received.split(b"\r\n\r\n", 1)
             return int(head.split()[1]), rest
-
-    def stop(self) -> None:
-        self.process.kill()
-        self.process.wait()
-        assert self.process.stdout is not None
-        self.process.stdout.close()
 
 
 @pytest.fixture(scope="module")

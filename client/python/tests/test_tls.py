@@ -25,7 +25,7 @@ from roundel import (
 )
 from roundel._trust import checked_fingerprint, checked_token
 
-from conftest import binary
+from conftest import ConfiguredServer, binary
 
 CONFIG = """
 name = "lab"
@@ -44,25 +44,18 @@ source = "sim:"
 ISSUED_CONFIG = CONFIG.replace("cert.pem", "own.pem").replace("key.pem", "own-key.pem").replace(", self_signed = true", "")
 
 
-class TlsServer:
-    """A running `roundel serve`."""
+class TlsServer(ConfiguredServer):
+    """A server that prints its certificate's fingerprint."""
 
     def __init__(self, folder: Path, config: str = CONFIG) -> None:
         (folder / "lab.toml").write_text(config)
-        command = [str(binary()), "serve", "--config", str(folder / "lab.toml")]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-        assert self.process.stdout is not None
-        lines = [self.process.stdout.readline() for _ in range(2)]
-        found = re.match(r"TLS certificate: SHA-256 fingerprint (\w{64}), expires \S+\nlistening on (\S+)", "".join(lines))
-        assert found, lines
-        self.fingerprint, self.url = found.groups()
+        super().__init__(folder / "lab.toml")
+        found = re.search(r"TLS certificate: SHA-256 fingerprint (\w{64}), expires", self.output)
+        if found is None:
+            self.stop()
+            pytest.fail(f"no fingerprint:\n{self.output}")
+        self.fingerprint = found[1]
         self.certificate = folder / "cert.pem"
-
-    def stop(self) -> None:
-        self.process.kill()
-        self.process.wait()
-        assert self.process.stdout is not None
-        self.process.stdout.close()
 
 
 @pytest.fixture(scope="module")
