@@ -62,8 +62,8 @@ impl CameraMonitor {
         self.monitor_thread.note(MonitorInput::Placed { camera, placement, is_configured, is_new });
     }
 
-    /// Sets the rank of a camera. Cameras of a lower rank than another one do not testify against it, and are not
-    /// monitored themselves.
+    /// Sets the rank of a camera. While a monitored camera has a higher rank, cameras of a lower one do not testify against
+    /// it and are not monitored themselves.
     pub(super) fn set_trust(&mut self, camera: CameraId, trust: u8) {
         self.trust.insert(camera, trust);
     }
@@ -81,7 +81,7 @@ impl CameraMonitor {
     }
 
     pub(super) fn observe(&mut self, frame: &Arc<FrameObservations>, fusion: &Fusion) {
-        let highest = self.trust.values().max();
+        let highest = self.cameras.keys().filter_map(|camera| self.trust.get(camera)).max();
         if self.trust.get(&frame.camera) < highest {
             return;
         }

@@ -137,7 +137,6 @@ impl FusionTask {
         }
     }
 
-    /// Fuses one frame.
     pub fn observe(&mut self, output: &WorkerOutput) {
         let camera = output.observations.camera;
         // Commands sent before this frame was captured apply to it.
