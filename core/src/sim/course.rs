@@ -97,7 +97,7 @@ impl Course {
         Self { legs, is_cut: false, orientation, walls, told: None, push: None }
     }
 
-    /// Has the robot move straight on from `position_m` at time 0, whatever it was told before.
+    /// Drives straight on from `position_m` at time 0, and discards earlier commands.
     pub fn start_at(&mut self, position_m: Vector3<f64>, velocity_m_s: Vector3<f64>) {
         self.legs = VecDeque::from([Leg {
             start_s: 0.0,

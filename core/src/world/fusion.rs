@@ -360,7 +360,7 @@ impl Fusion {
         self.tracks[index].identified = Some(mark);
         let fresh = (now, self.params.predicted_after_ns);
         let (object, kind, elsewhere) =
-            match self.identities.claim(&self.tracks, index, mark, (fresh, &self.trust)) {
+            match self.identities.claim(&self.tracks, index, mark, &self.trust, fresh) {
                 Claim::Own => return event.into_iter().for_each(|event| self.tell(event)),
                 Claim::Twice => {
                     self.counts.ambiguous_codes += 1;

@@ -76,7 +76,8 @@ impl Identities {
         tracks: &[Track],
         index: usize,
         mark: Mark,
-        ((now, fresh_ns), trust): ((Timestamp, i64), &Trust),
+        trust: &Trust,
+        (now, fresh_ns): (Timestamp, i64),
     ) -> Claim {
         let track = &tracks[index];
         let id = *self.by_mark.entry((track.subject.kind, mark)).or_insert(track.id);
