@@ -152,7 +152,6 @@ fn incomplete(contract: &Contract) -> Vec<String> {
     contract.iter().filter_map(missing).collect()
 }
 
-/// Incompatible changes.
 fn broken(kept: &Contract, now: &Contract) -> Vec<String> {
     let check = |(name, entry): (&String, &Entry)| match now.get(name) {
         None => Some(format!("{name} = {} was removed", entry.shape)),

@@ -196,12 +196,12 @@ impl Server {
         Ok(())
     }
 
-    /// Whether the process has ended by itself.
+    /// Whether the process has ended.
     pub fn has_ended(&mut self) -> bool {
         self.child.try_wait().is_ok_and(|status| status.is_some())
     }
 
-    /// Waits until the process has ended by itself; an error if it runs on for `longest`.
+    /// Waits until the process ends without being asked to; an error if it still runs after `longest`.
     pub fn wait(&mut self, longest: Duration) -> anyhow::Result<ExitStatus> {
         let start = Instant::now();
         loop {

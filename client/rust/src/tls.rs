@@ -144,7 +144,6 @@ fn hexadecimal(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Accepts one certificate.
 #[derive(Debug)]
 struct Pinned {
     fingerprint: [u8; 32],

@@ -51,7 +51,6 @@ use crate::{
     model::{access::Identity, hub::Picture, untrusted_text::sanitized},
 };
 
-/// The method's path.
 pub(super) const PATH: &str = "/roundel.v1.Push/Send";
 /// Largest message: a grey picture of 5000 x 3000 pixels fits.
 const MAX_MESSAGE_BYTES: usize = 16 * 1024 * 1024;

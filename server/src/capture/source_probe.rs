@@ -58,7 +58,7 @@ pub struct ProbeReport {
     pub capture_clock: Option<CaptureClock>,
     /// Roundels in the newest frame.
     pub roundels: usize,
-    /// Median.
+    /// Median of all frames.
     pub decode_ms: f64,
     /// Median of following and searching.
     pub detect_ms: f64,

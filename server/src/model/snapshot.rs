@@ -2,7 +2,6 @@
 
 use roundel_core::{time::Timestamp, world::Snapshot};
 
-/// A numbered snapshot.
 #[derive(Clone, Debug, Default)]
 pub struct FusedSnapshot {
     /// Increases by one with each snapshot; 0 before the first.

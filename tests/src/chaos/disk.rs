@@ -15,7 +15,7 @@ const LIBRARY: &str = include_str!("faults.c");
 /// How the disk behaves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DiskState {
-    /// As it should.
+    /// Without a fault.
     Works,
     /// Nothing more can be written.
     Full,

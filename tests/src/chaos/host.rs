@@ -33,7 +33,7 @@ pub struct Host {
     pub address: CurrentAddress,
     /// Its clock against the world's.
     pub offset_ns: Arc<AtomicI64>,
-    /// Of a process.
+    /// Controls the disk and the clock of a real process. `None` in [`Stage::Library`].
     pub disturbance: Option<Disturbance>,
     clock_step_ns: i64,
     running: Option<Running>,

@@ -47,7 +47,7 @@ struct Run {
 /// What was received so far.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Received {
-    /// Snapshots.
+    /// Snapshots received.
     pub snapshots: u64,
     /// Poses held against the truth.
     pub poses: u64,
@@ -73,7 +73,7 @@ pub struct Judge {
 }
 
 impl Judge {
-    /// Nothing received yet.
+    /// Expects a server that is not running yet.
     pub fn new(world: Arc<World>, server_offset_ns: Arc<AtomicI64>) -> Self {
         Self {
             world,

@@ -28,7 +28,7 @@ impl Default for CurrentAddress {
 }
 
 impl CurrentAddress {
-    /// The newest address.
+    /// Where the server listens now.
     pub fn get(&self) -> SocketAddr {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -68,7 +68,7 @@ impl Link {
         Ok(Self { address, state, task })
     }
 
-    /// Address for clients.
+    /// URL whose connections go through this link.
     pub fn url(&self) -> String {
         format!("http://{}", self.address)
     }

@@ -59,11 +59,11 @@ const LONGEST: Duration = Duration::from_secs(180);
 /// The result of one seed.
 #[derive(Debug)]
 pub struct Outcome {
-    /// The seed.
+    /// The number that chose the timetable and the world.
     pub seed: u64,
     /// How the server was run.
     pub stage: Stage,
-    /// Its faults.
+    /// The faults of the run.
     pub timetable: Timetable,
     /// What the honest client received.
     pub received: Received,
@@ -318,7 +318,7 @@ impl Run {
     }
 }
 
-/// The honest client.
+/// Passes every snapshot that an honest client receives to the judge.
 async fn watch(client: Client, judge: Arc<Mutex<Judge>>) {
     let mut snapshots = client.snapshots(Subscription::default());
     while let Some(update) = snapshots.next().await {

@@ -25,7 +25,7 @@ pub struct SenderFaults {
 }
 
 impl SenderFaults {
-    /// None yet.
+    /// A sender without faults.
     pub fn new(link: Link) -> Self {
         Self { link, is_lost: AtomicBool::new(false) }
     }

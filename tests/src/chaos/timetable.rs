@@ -59,7 +59,7 @@ pub enum Fault {
     StepClock { by_s: f64 },
 }
 
-/// Faults by time.
+/// The faults of a run in the order of their times.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Timetable {
     /// A camera without faults.

@@ -36,7 +36,7 @@ pub const SENSING: Sensing = Sensing { shows_rims: true, misread: 0.0, ..Sensing
 
 /// An arena whose time is this machine's monotonic clock.
 pub struct World {
-    /// Cameras and robots.
+    /// Where cameras and robots are.
     pub arena: Arena,
     clock: Clock,
     installation: Installation,

@@ -56,7 +56,7 @@ const KEPT_SHARE: f64 = 0.2;
 /// Samples of a run.
 const SAMPLES: usize = 30;
 
-/// Runs for so many days, and hands over each sample.
+/// Runs the server's long-lived parts for a number of simulated days, and calls `report` with each sample.
 pub fn run(days: f64, mut report: impl FnMut(&Sample)) -> anyhow::Result<Vec<Sample>> {
     let folder = tempfile::tempdir()?;
     let (arena, config) = installation_for(days, folder.path())?;

@@ -25,7 +25,6 @@ pub struct RecordedTrajectories {
 
 #[derive(Clone, Debug, Default)]
 pub struct RecordedObject {
-    /// Code number.
     pub code: Option<u32>,
     pub trajectory: Trajectory,
 }

@@ -37,7 +37,6 @@ pub struct ErrorStatistics {
     pub rms: f64,
     pub mean: f64,
     pub median: f64,
-    /// Standard deviation.
     pub std: f64,
     /// 95th percentile.
     pub p95: f64,

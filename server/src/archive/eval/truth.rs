@@ -15,7 +15,6 @@ use super::{EvalError, Sample, Trajectory};
 /// Larger values of `timestamp` are nanoseconds.
 const NANOSECONDS_ABOVE: f64 = 1e14;
 
-/// Indices of columns.
 struct Columns {
     time: usize,
     /// `None`: by magnitude.

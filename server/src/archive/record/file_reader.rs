@@ -147,7 +147,7 @@ impl FileReader {
         &self.path
     }
 
-    /// Bytes.
+    /// Length of the file, bytes.
     pub fn length(&self) -> u64 {
         self.length
     }

@@ -131,7 +131,6 @@ impl Replay {
         self.shared.1.notify_all();
     }
 
-    /// Ends the player.
     pub fn stop(&self) {
         self.lock().stopped = true;
         self.shared.1.notify_all();

@@ -18,7 +18,6 @@
 use roundel_core::frame::{Frame, FrameError};
 use thiserror::Error;
 
-/// Layout of samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SampleFormat {
     /// One byte each.

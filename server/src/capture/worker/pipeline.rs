@@ -22,7 +22,6 @@ pub struct PipelineParts {
     pub camera: Camera,
     /// Time between the exposures of two image rows.
     pub line_time_s: f64,
-    /// Counts so far.
     pub counts: DetectionCounts,
 }
 

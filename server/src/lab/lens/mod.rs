@@ -55,7 +55,6 @@ pub const VIEWS: (usize, usize) = (LEAST_VIEWS, 100);
 pub const DEFAULT_VIEWS: usize = 40;
 const IDLE_TIMEOUT: Duration = Duration::from_secs(60);
 
-/// A requested calibration.
 #[derive(Clone, Debug)]
 pub struct LensRun {
     pub picture_source: PictureSource,

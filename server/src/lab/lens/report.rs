@@ -31,7 +31,6 @@ pub enum Stage {
 /// The newest lens calibration.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, ToSchema)]
 pub struct LensStatus {
-    /// Its stage.
     pub stage: Stage,
     /// The camera of this server that is calibrated; empty: a source of its own.
     pub camera: String,
@@ -69,7 +68,6 @@ pub struct LensStatus {
     pub left_out: String,
     /// Why there is no lens or no picture, and the remedy.
     pub error: String,
-    /// The result.
     pub report: Option<LensReport>,
     /// Whether the camera file can be saved on the server's machine and used by the camera.
     pub can_apply: bool,
@@ -116,7 +114,6 @@ pub struct LensReport {
 pub struct LensParameter {
     /// Name as in `camera_info`: fx, fy, cx, cy, k1, …
     pub name: String,
-    /// Estimate.
     pub value: f64,
     /// Standard deviation of the estimate.
     pub deviation: f64,

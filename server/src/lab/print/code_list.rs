@@ -7,7 +7,6 @@ use utoipa::ToSchema;
 /// One code.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub struct CodeListing {
-    /// Its number.
     pub number: u16,
     /// Its bits as printed, counter-clockwise from the print's right.
     pub word: String,

@@ -109,7 +109,6 @@ pub struct CameraConfig {
     pub address: SourceAddress,
     /// Rules that bind the source; `None` for one of the configuration file.
     pub source_rules: Option<Arc<SourceRules>>,
-    /// The camera file.
     pub calibration_file: Option<PathBuf>,
     /// From the camera file, or a simulated camera's own.
     pub calibration: Camera,

@@ -18,7 +18,6 @@ pub struct ConfigError {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Problem {
     pub message: String,
-    /// What to do.
     pub help: Option<String>,
     /// `None` if the file could not be read.
     pub place: Option<TextLocation>,
