@@ -1,8 +1,7 @@
-//! The house's rules of who may use whom, as checks on manifests and source text.
+//! Rules for dependencies and imports, as checks on manifests and source text.
 //!
-//! Each check takes text and returns what breaks the rule, one sentence each; `tests/layering.rs`
-//! runs them over the repository and, beside that, over examples that must be refused. Source is
-//! read without comments, strings and test items, so that a rule is about code that ships.
+//! Each check takes text and returns a sentence for each violation. `tests/layering.rs` runs the checks over the repository,
+//! and over examples that they must reject. Comments, strings and test items are ignored.
 
 mod source_text;
 
@@ -17,10 +16,10 @@ pub const CORE_ORDER: [&str; 15] = [
     "marker", "pose", "track", "world", "sim",
 ];
 
-/// Modules of core that stand beside the stack: they use it, and nothing uses them.
+/// Modules of core outside of that order: they may use all of it, and it uses none of them.
 pub const CORE_BESIDE: [&str; 3] = ["calib", "plan", "sim"];
 
-/// Crates that core may use: all of them compute and do nothing else.
+/// Crates that core may use. They do no input or output.
 pub const PURE_CRATES: [&str; 8] = [
     "fearless_simd",
     "fearless_simd_macros",
@@ -65,8 +64,8 @@ pub const KNOWN_CYCLES: [(&str, &str); 8] = [
 /// Parts of the standard library that core must not use: clocks, files, sockets, processes.
 pub const IMPURE_STD: [&str; 7] = ["env", "fs", "io", "net", "process", "thread", "time"];
 
-/// What each of our crates may depend on among ours; `roundel-tests` may use everything.
-pub const ROOMS: [(&str, &[&str]); 4] = [
+/// The workspace crates that each crate may depend on; `roundel-tests` may depend on all.
+pub const CRATE_DEPENDENCIES: [(&str, &[&str]); 4] = [
     ("roundel-proto", &[]),
     ("roundel-core", &[]),
     ("roundel-client", &["roundel-proto"]),
@@ -112,7 +111,7 @@ pub fn forbidden_dependencies(
     shipped: &BTreeMap<String, Vec<String>>,
 ) -> Vec<String> {
     let mut broken = Vec::new();
-    for (name, allowed) in ROOMS {
+    for (name, allowed) in CRATE_DEPENDENCIES {
         let Some(used) = crates.get(name) else {
             broken.push(format!("expected a crate `{name}`, found none"));
             continue;

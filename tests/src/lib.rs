@@ -31,7 +31,7 @@
 //! | [`survey`] | recordings that an arena is calibrated from, and how far off the result is |
 //! | [`healing`] | cameras that are bumped and drift, and what the watch makes of it |
 //! | [`process`] | a real server process: built, started, read, ended |
-//! | [`layering`] | the house's rules of who may use whom, checked on source text |
+//! | [`layering`] | rules for dependencies and imports, checked on source text |
 //! | [`timing`] | times of following and searching with poses |
 //! | [`shared_data`] | the recordings beside the repository, where they are there |
 
