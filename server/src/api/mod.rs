@@ -111,7 +111,7 @@ use crate::{
 /// Largest request of any protocol, except messages to [`push`].
 const MAX_REQUEST_BYTES: usize = 256 * 1024;
 /// Memory of all prints, plans, tables of codes and queries of the history that are made or sent at a time.
-const FILE_BYTES: usize = 160 * 1024 * 1024;
+const FILE_BYTES: usize = 96 * 1024 * 1024;
 /// Memory of all camera pictures that are encoded or sent at a time.
 const PICTURE_BYTES: usize = 96 * 1024 * 1024;
 
