@@ -1,4 +1,7 @@
 //! Servers under seeded faults. `cargo run -p roundel-tests --bin chaos` runs more seeds.
+//!
+//! A program of its own, since cargo runs one test program after another: these tests run in real time, which others
+//! disturb.
 
 use roundel_tests::chaos::{self, timetable::Stage};
 

@@ -43,8 +43,8 @@ pub use sample::{Sample, clock_problems, growths};
 
 const DAY_S: f64 = 86_400.0;
 const SNAPSHOT_INTERVAL_S: f64 = 2.0;
-/// Frames of each camera.
-const FRAME_RATE_HZ: f64 = 10.0;
+/// Frames of each camera. Slower cameras have too few frames within a comparison of clocks.
+const FRAME_RATE_HZ: f64 = 24.0;
 /// The robot that is hidden, and from when to when in each hour.
 const HIDDEN_ROBOT: usize = 2;
 const HIDDEN_S: (f64, f64) = (1800.0, 1860.0);
@@ -113,7 +113,7 @@ fn placement(arena: &Arena, frame: &FrameObservations) -> CameraPlacement {
 fn installation_for(days: f64, folder: &Path) -> anyhow::Result<(Arena, Config)> {
     let paths = (0..3).map(|index| {
         let center_m = Vector3::new(index as f64 - 1.0, 0.0, 0.3);
-        RobotPath::circuit(center_m, 0.4, 0.2, 2.0 * index as f64)
+        RobotPath::circuit(center_m, 0.4, 0.8, 2.0 * index as f64)
     });
     let mut arena = Arena::under_r4(1, Kind::coded(8), paths.collect());
     arena.sites.truncate(2);
@@ -135,7 +135,7 @@ fn installation_for(days: f64, folder: &Path) -> anyhow::Result<(Arena, Config)>
         (0..hours).map(hidden).map(|[from, until]| (from, until)).collect();
     let keep_hours = days * 24.0 * KEPT_SHARE / 3650.0;
     let mut text = format!(
-        "name = \"soak\"\n[fusion]\npredicted_after_ms = 3000.0\nlost_after_ms = 10000.0\nacceleration_m_s2 = 0.1\n\
+        "name = \"soak\"\n[fusion]\npredicted_after_ms = 3000.0\nlost_after_ms = 10000.0\nacceleration_m_s2 = 1.0\n\
          [history]\nkeep_hours = {keep_hours:?}\n[recording]\nmin_free_mb = 0\nrotate_mb = 1\nbudget_gb = 0.004\n\
          [[roundel]]\nname = \"robot\"\nouter_mm = 160.0\ninner_mm = 96.0\n\
          code = {{ bits = 8, min_distance = 1 }}\n"

@@ -56,8 +56,7 @@ impl Sample {
             tracked: objects.iter().filter(|it| it.stage == LifeStage::Tracked).count(),
             listed: hub.objects().len(),
             newest_id: objects.iter().map(|it| it.id.0).max().unwrap_or(0),
-            // Stamps of a clock that is ahead are early.
-            clock_error_s: (clock.offset_s.abs() - AHEAD_S).abs(),
+            clock_error_s: (clock.offset_s - AHEAD_S).abs(),
             clock_deviation_s: clock.deviation_s,
             history_mb: size_mb(folder, "history.sqlite"),
             recordings_mb: size_mb(&folder.join("recordings"), ""),
