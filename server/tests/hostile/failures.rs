@@ -252,11 +252,15 @@ struct Process {
 
 impl Process {
     fn start(config: &Path) -> Self {
+        Self::with_stderr(config, Stdio::null())
+    }
+
+    fn with_stderr(config: &Path, stderr: impl Into<Stdio>) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_roundel"))
             .args(["serve", "--config"])
             .arg(config)
             .stdout(Stdio::piped())
-            .stderr(Stdio::null())
+            .stderr(stderr)
             .spawn()
             .unwrap();
         let mut line = String::new();
@@ -333,6 +337,22 @@ fn signals_end_the_process_with_a_finished_recording_whatever_hangs() {
         while reader.next_chunk().unwrap().is_some() {}
         assert_eq!(reader.damage().sentences, Vec::<String>::new(), "{signal}");
     }
+}
+
+/// As with a paused terminal, or a program that does not read what it starts.
+#[test]
+fn a_log_that_cannot_be_written_blocks_nothing() {
+    let lab = Lab::new("");
+    let (_reader, mut log) = std::io::pipe().unwrap();
+    // The capacity of a pipe.
+    log.write_all(&[b' '; 65536]).unwrap();
+    let mut process = Process::with_stderr(&lab.file(), log);
+    let rejected = process.post("/api/v1/configuration/check", "{}");
+    rejected.set_read_timeout(Some(TIMEOUT)).unwrap();
+    let mut answer = String::new();
+    BufReader::new(rejected).read_line(&mut answer).unwrap();
+    assert!(answer.starts_with("HTTP/1.1 "), "{answer}");
+    assert!(process.signal("-TERM").success());
 }
 
 /// `nohup` ignores SIGHUP for a program that must survive its terminal.

@@ -2,13 +2,17 @@
 //!
 //! Texts in it may come from clients, nodes, cameras and files. Control characters are escaped, so that none of them can
 //! begin a line or control a terminal, and passwords are redacted.
+//!
+//! A thread of its own writes it, so that a paused terminal, a full pipe or a hung disk blocks nothing else.
 
 use std::{
     fmt,
     io::{IsTerminal, stderr},
+    sync::{Mutex, PoisonError},
 };
 
 use tracing::field::Field;
+use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::{
     Layer,
     field::MakeExt,
@@ -28,19 +32,33 @@ use crate::model::redact::redact;
 /// Default of RUST_LOG. The ChArUco detector warns of every picture without a board.
 const DEFAULT: &str = "info,calib_targets_charuco=error";
 
+/// Lines that wait to be written; further ones are dropped.
+const QUEUE_LINES: usize = 4096;
+
+/// The writing thread, until the process ends.
+static WRITER: Mutex<Option<WorkerGuard>> = Mutex::new(None);
+
 /// Starts the log. `RUST_LOG` is a level, or `target=level` separated by commas.
 pub(super) fn start() {
     let wanted = std::env::var("RUST_LOG").unwrap_or_default();
     let parsed = if wanted.is_empty() { DEFAULT } else { &wanted }.parse::<Targets>();
     let invalid = parsed.as_ref().err().map(ToString::to_string);
     let filter = parsed.unwrap_or_else(|_| DEFAULT.parse().expect("the default is valid"));
-    let lines = lines(stderr, stderr().is_terminal());
+    let builder = NonBlockingBuilder::default().buffered_lines_limit(QUEUE_LINES);
+    let (writer, guard) = builder.thread_name("log").finish(stderr());
+    *WRITER.lock().unwrap_or_else(PoisonError::into_inner) = Some(guard);
+    let lines = lines(writer, stderr().is_terminal());
     tracing_subscriber::registry().with(lines.with_filter(filter)).init();
     if let Some(error) = invalid {
         tracing::warn!(
             "RUST_LOG is ignored: expected a level such as debug, or target=level, found {wanted:?}: {error}"
         );
     }
+}
+
+/// Ends the log. Waits about a second at most for lines to be written.
+pub(super) fn finish() {
+    drop(WRITER.lock().unwrap_or_else(PoisonError::into_inner).take());
 }
 
 fn lines<S, W>(writer: W, is_coloured: bool) -> impl Layer<S>

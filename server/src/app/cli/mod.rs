@@ -144,6 +144,7 @@ pub fn main() -> ExitCode {
         #[cfg(all(target_os = "linux", target_pointer_width = "64"))]
         Command::Cameras(arguments) => cameras::run(&arguments),
     };
+    log::finish();
     outcome.unwrap_or_else(|error| {
         eprintln!("error: {}", error_chain(&error));
         ExitCode::FAILURE

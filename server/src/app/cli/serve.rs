@@ -5,7 +5,7 @@ use std::{path::PathBuf, process::ExitCode, time::Duration};
 use anyhow::bail;
 use clap::Args;
 
-use super::{print, signals::ServerEnd};
+use super::{log, print, signals::ServerEnd};
 use crate::{app::serve::Server, model::config::Config};
 
 /// Exit code after the failure of an essential thread.
@@ -72,6 +72,7 @@ pub(super) async fn serve_until(server: Server, end: &ServerEnd) -> ExitCode {
             end.begin();
             server.finish_recording(RECORDING_TIMEOUT).await;
             tracing::error!("ending with an error, so that a supervisor restarts this server");
+            log::finish();
             std::process::exit(FAILED);
         }
         () = end.wait() => {}

@@ -18,6 +18,7 @@ use tokio::{
 };
 use tokio_util::sync::CancellationToken;
 
+use super::log;
 use crate::app::serve::SHUTDOWN_TIMEOUT;
 
 /// Exit code of a process that a second signal ended.
@@ -70,10 +71,12 @@ impl ServerEnd {
             tokio::select! {
                 () = second => {
                     tracing::warn!("ending at once on a second signal");
+                    log::finish();
                     exit(ENDED_BY_SIGNAL);
                 }
                 () = sleep(SHUTDOWN_TIMEOUT) => {
                     tracing::error!("not shut down within {SHUTDOWN_TIMEOUT:?}: ending at once");
+                    log::finish();
                     exit(TIMED_OUT);
                 }
             }
