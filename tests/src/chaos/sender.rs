@@ -8,14 +8,18 @@ use std::{
     time::Duration,
 };
 
-use roundel_client::{Client, PushOptions, Pusher};
+use roundel_client::{Client, PushOptions, Pusher, v1::PushTimes};
 use tokio::time::sleep;
 
 use super::{
     link::Link,
+    timetable::CAMERAS,
     world::{SENSING, World},
 };
 use crate::sensor::Sensor;
+
+/// The camera whose sender does not know the server's clock: its capture times are those of a counter.
+const COUNTING_CAMERA: usize = CAMERAS - 1;
 
 /// Faults of one sender.
 pub struct SenderFaults {
@@ -61,7 +65,11 @@ pub async fn send(world: Arc<World>, camera: usize, faults: Arc<SenderFaults>) {
 fn start(world: &Arc<World>, camera: usize, faults: &SenderFaults) -> Option<Pusher> {
     let client = Client::connect_lazily(&faults.link.url()).ok()?;
     let options = PushOptions::new(&world.arena.sites[camera].name).sender("honest");
-    let world = world.clone();
-    let options = options.clock(move || world.now().as_ns());
+    let own = world.clone();
+    let options = if camera == COUNTING_CAMERA {
+        options.times(PushTimes::Counter)
+    } else {
+        options.clock(move || own.now().as_ns())
+    };
     client.push(options).ok()
 }

@@ -13,7 +13,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use roundel_core::id::CameraId;
+use roundel_core::{id::CameraId, time::Timestamp};
 use thiserror::Error;
 use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
@@ -239,6 +239,13 @@ impl PushEndpoint {
             let wait = self.changed.wait_timeout(state, rest.min(POLL_INTERVAL));
             state = wait.unwrap_or_else(PoisonError::into_inner).0;
         }
+    }
+
+    /// Counters' stamps of the queued items, ns, and their arrivals.
+    pub(super) fn queued_stamps(&self) -> Vec<(i64, Timestamp)> {
+        let state = self.lock();
+        let items = state.queue.iter().filter(|it| it.times == SenderClock::Counter);
+        items.map(|it| (it.stamp().as_ns(), it.arrived)).collect()
     }
 
     /// Frames skipped that no item has reported.

@@ -22,6 +22,9 @@ use super::{
 };
 use crate::model::capture_clock::CaptureClock;
 
+/// How long after a frame whose delay is new others are awaited, to learn by how much it was late.
+const SETTLE: Duration = Duration::from_millis(200);
+
 /// The clock of a sender's time stamps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SenderClock {
@@ -46,6 +49,14 @@ pub struct PushedItem {
 }
 
 impl PushedItem {
+    /// The sender's stamp of the capture.
+    fn stamp(&self) -> Timestamp {
+        match &self.what {
+            Payload::Frame(_, stamp) => *stamp,
+            Payload::Detections(observations, _) => observations.capture_time,
+        }
+    }
+
     /// Memory of its pixels or detections.
     fn bytes(&self) -> usize {
         match &self.what {
@@ -147,19 +158,25 @@ impl PushSource {
 
     /// Capture time of an item on the server's clock, and the clock it comes from.
     fn capture_time(&mut self, pushed: &PushedItem) -> (Timestamp, CaptureClock) {
-        let stamp = match &pushed.what {
-            Payload::Frame(_, stamp) => *stamp,
-            Payload::Detections(observations, _) => observations.capture_time,
-        };
+        let stamp = pushed.stamp();
         let (capture_time, usual) = match pushed.times {
             SenderClock::Arrival => (pushed.arrived, CaptureClock::ARRIVAL),
             SenderClock::Counter => {
-                (self.timeline.capture_time(stamp.as_ns(), pushed.arrived), CaptureClock::CAMERA)
+                (self.counter_time(stamp.as_ns(), pushed.arrived), CaptureClock::CAMERA)
             }
             SenderClock::Server => (stamp, CaptureClock::DRIVER),
             SenderClock::Unix => (stamp, CaptureClock::SYNCHRONIZED),
         };
         (capture_time, pushed.clock.unwrap_or(usual))
+    }
+
+    fn counter_time(&mut self, stamp_ns: i64, arrived: Timestamp) -> Timestamp {
+        if !self.timeline.is_unsettled(stamp_ns, arrived) {
+            return self.timeline.capture_time(stamp_ns, arrived);
+        }
+        let waited_s = self.parts.clock.now().seconds_since(arrived).max(0.0);
+        self.parts.stop.wait(SETTLE.saturating_sub(Duration::from_secs_f64(waited_s)));
+        self.timeline.capture_time_before(stamp_ns, arrived, &self.endpoint.queued_stamps())
     }
 }
 
