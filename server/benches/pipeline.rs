@@ -23,22 +23,22 @@ use std::{
 };
 
 use criterion::{Criterion, criterion_group, criterion_main};
+use futures::StreamExt;
+use roundel_client::{Client, ConnectOptions, Snapshots, Subscription, Update};
 use roundel_core::{
     frame::Frame,
     marker::{CodeLayout, Pattern},
     sim::{Renderer, Scenario, ScenarioParams},
     time::Timestamp,
 };
-use roundel_proto::v1::{
-    ObjectState, Snapshot, SubscribeSnapshotsRequest, roundel_client::RoundelClient,
-};
+use roundel_proto::v1::{ObjectState, Snapshot};
 use roundel_server::{
     app::serve::Server,
     capture::source::{FrameInfo, FrameSource, LentFrame, OpenSource, SIM_LATENCY_S, SourceError},
     model::{config::Config, hub::FusedSnapshot, stop::StopSignal},
 };
+use tempfile::TempDir;
 use tokio::runtime::{Builder, Runtime};
-use tonic::{Streaming, transport::Endpoint};
 
 /// The allocator of the `roundel` command.
 #[global_allocator]
@@ -101,12 +101,14 @@ struct Case {
     cameras: usize,
     /// Whether all cameras receive their frames at the same time.
     at_once: bool,
+    tls: bool,
 }
 
 impl Case {
     fn name(&self) -> String {
-        let Self { preset, mode, robots, cameras, .. } = self;
-        format!("{preset}/robots={robots}/cameras={cameras}/{mode}")
+        let Self { preset, mode, robots, cameras, tls, .. } = self;
+        let tls = if *tls { "/tls" } else { "" };
+        format!("{preset}/robots={robots}/cameras={cameras}/{mode}{tls}")
     }
 
     fn params(&self) -> ScenarioParams {
@@ -118,13 +120,20 @@ impl Case {
         ScenarioParams { robots: self.robots, ..params }
     }
 
-    fn config(&self) -> Config {
+    /// The configuration; a certificate goes to the folder.
+    fn config(&self, folder: &Path) -> Config {
         let roundel = match self.preset {
             "r4" => "outer_mm = 160\ncode = { bits = 9 }\n",
             _ => "outer_mm = 160\ninner_mm = 64\n",
         };
+        let tls = match self.tls {
+            true => {
+                "tls = { certificate = \"certificate.pem\", key = \"key.pem\", self_signed = true }\n"
+            }
+            false => "",
+        };
         let mut text = format!(
-            "[server]\nlisten = \"127.0.0.1:0\"\nprompt = true\n\
+            "[server]\nlisten = \"127.0.0.1:0\"\nprompt = true\n{tls}\
              [detection]\nmode = \"{}\"\n[[roundel]]\nname = \"robot\"\n{roundel}",
             self.mode
         );
@@ -134,7 +143,7 @@ impl Case {
                 self.preset
             ));
         }
-        Config::parse(&text, Path::new("")).unwrap_or_else(|problems| panic!("{problems:#?}"))
+        Config::parse(&text, folder).unwrap_or_else(|problems| panic!("{problems:#?}"))
     }
 }
 
@@ -163,7 +172,8 @@ struct Bench {
     given: usize,
     /// Time of the next turn.
     due: Instant,
-    snapshots: Streaming<Snapshot>,
+    snapshots: Snapshots,
+    _folder: TempDir,
 }
 
 impl Bench {
@@ -172,8 +182,11 @@ impl Bench {
         let rate_hz = params.optics.rate_hz;
         let period = Duration::from_secs_f64(1.0 / rate_hz);
         params.optics.rate_hz *= SUBSTEPS;
-        let (config, scenario) =
-            (case.config(), Scenario::new(params).expect("enough space for the robots"));
+        let folder = tempfile::tempdir().expect("a folder");
+        let (config, scenario) = (
+            case.config(folder.path()),
+            Scenario::new(params).expect("enough space for the robots"),
+        );
         let (begun, senders) = channel();
         let server = Server::start_with_sources(config, move |setting| {
             let camera = &setting.camera.calibration;
@@ -192,14 +205,26 @@ impl Bench {
             Box::new(ChannelSource { frames: Some(frames), newest, size, stop: setting.stop })
         });
         let server = of_server.spawn(server).await.expect("no panic").expect("a server");
-        let address = format!("http://{}", server.local_addr());
-        let endpoint = Endpoint::from_shared(address).expect("an address");
-        let mut client = RoundelClient::new(endpoint.connect().await.expect("a connection"));
-        let request = SubscribeSnapshotsRequest::default();
-        let snapshots = client.subscribe_snapshots(request).await.expect("a stream").into_inner();
+        let (mut scheme, mut options) = ("http", ConnectOptions::default());
+        if let Some(certificate) = server.certificate() {
+            scheme = "https";
+            options = options.fingerprint(&certificate.fingerprint);
+        }
+        let url = format!("{scheme}://{}", server.local_addr());
+        let client = Client::connect_with(&url, &options).await.expect("a connection");
+        let snapshots = client.snapshots(Subscription::default());
         let cameras = senders.try_iter().collect();
         let at_once = case.at_once;
-        Self { server, cameras, at_once, period, given: 0, due: Instant::now(), snapshots }
+        Self {
+            server,
+            cameras,
+            at_once,
+            period,
+            given: 0,
+            due: Instant::now(),
+            snapshots,
+            _folder: folder,
+        }
     }
 
     /// Number of turns in which each camera receives one frame.
@@ -227,7 +252,9 @@ impl Bench {
             sender.send((shown[number].clone(), captured)).expect("a worker");
         }
         loop {
-            let snapshot = self.snapshots.message().await.expect("a stream").expect("a snapshot");
+            let Some(Ok(Update::Snapshot(snapshot))) = self.snapshots.next().await else {
+                panic!("the connection is lost");
+            };
             // A snapshot with only one camera's frame may precede the one with all. A periodic snapshot with the same
             // content may follow.
             let has_all = hub.fusion_counts().frames >= fused;
@@ -262,9 +289,24 @@ fn frame_to_client(criterion: &mut Criterion) {
     let of_client = Builder::new_current_thread().enable_all().build().expect("a runtime");
     let mut group = criterion.benchmark_group("frame_to_client");
     group.sample_size(20).measurement_time(Duration::from_secs(5));
-    let lite = Case { preset: "r4_lite", mode: "precise", robots: 24, cameras: 1, at_once: true };
+    let lite = Case {
+        preset: "r4_lite",
+        mode: "precise",
+        robots: 24,
+        cameras: 1,
+        at_once: true,
+        tls: false,
+    };
     let r4 = Case { preset: "r4", robots: 50, cameras: 4, at_once: false, ..lite };
-    for case in [lite, Case { cameras: 4, ..lite }, r4, Case { mode: "fast", ..r4 }] {
+    let fast = Case { mode: "fast", ..r4 };
+    for case in [
+        lite,
+        Case { cameras: 4, ..lite },
+        r4,
+        Case { tls: true, ..r4 },
+        fast,
+        Case { tls: true, ..fast },
+    ] {
         let mut bench = of_client.block_on(Bench::start(case, &of_server));
         of_client.block_on(async {
             for _ in 0..WARM_UP_FRAMES * bench.turns() {
