@@ -10,14 +10,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use source_text::is_word;
 pub use source_text::shipped_code;
 
-/// Modules of core from the bottom up: each may use only those before it.
-pub const CORE_ORDER: [&str; 15] = [
-    "time", "id", "rigid", "lanes", "share", "room", "camera", "frame", "segment", "ellipse",
-    "marker", "pose", "track", "world", "sim",
-];
-
-/// Modules of core outside of that order: they may use all of it, and it uses none of them.
-pub const CORE_BESIDE: [&str; 3] = ["calib", "plan", "sim"];
+/// The crates of core.
+pub const CORE_CRATES: [&str; 6] =
+    ["core", "core/vision", "core/fusion", "core/calib", "core/sim", "core/plan"];
 
 /// Crates that core may use. They do no input or output.
 pub const PURE_CRATES: [&str; 8] = [
@@ -51,28 +46,36 @@ pub const SERVER_LAYERS: [&str; 7] = ["model", "capture", "fusion", "lab", "arch
 /// Folders whose files still import each other in cycles: the crate's folder and the module's. Core's folders are not split
 /// by stage yet; each of these goes when its folder is.
 pub const KNOWN_CYCLES: [(&str, &str); 8] = [
-    ("core/src", "calib/lens"),
-    ("core/src", "marker"),
-    ("core/src", "marker/abreast"),
-    ("core/src", "marker/code"),
-    ("core/src", "plan"),
-    ("core/src", "pose"),
-    ("core/src", "pose/photometry"),
-    ("core/src", "world"),
+    ("core/calib/src", "lens"),
+    ("core/plan/src", ""),
+    ("core/vision/src", "marker"),
+    ("core/vision/src", "marker/abreast"),
+    ("core/vision/src", "marker/code"),
+    ("core/vision/src", "pose"),
+    ("core/vision/src", "pose/photometry"),
+    ("core/fusion/src", "world"),
 ];
 
 /// Parts of the standard library that core must not use: clocks, files, sockets, processes.
 pub const IMPURE_STD: [&str; 7] = ["env", "fs", "io", "net", "process", "thread", "time"];
 
 /// The workspace crates that each crate may depend on; `roundel-tests` may depend on all.
-pub const CRATE_DEPENDENCIES: [(&str, &[&str]); 4] = [
+pub const CRATE_DEPENDENCIES: [(&str, &[&str]); 9] = [
     ("roundel-proto", &[]),
-    ("roundel-core", &[]),
+    ("roundel-vision", &[]),
+    ("roundel-fusion", &["roundel-vision"]),
+    ("roundel-calib", &["roundel-vision", "roundel-fusion"]),
+    ("roundel-sim", &["roundel-vision"]),
+    ("roundel-plan", &["roundel-vision", "roundel-fusion", "roundel-sim"]),
+    (
+        "roundel-core",
+        &["roundel-vision", "roundel-fusion", "roundel-calib", "roundel-sim", "roundel-plan"],
+    ),
     ("roundel-client", &["roundel-proto"]),
     ("roundel-server", &["roundel-core", "roundel-proto", "roundel-client"]),
 ];
 
-/// Everything that may stand at the top of the repository, beside dot-files and build output.
+/// Everything that may be at the top of the repository, beside dot-files and build output.
 pub const TOP_LEVEL: [&str; 15] = [
     "CHANGELOG.md",
     "Cargo.lock",
@@ -98,12 +101,12 @@ pub fn stray_names(names: &[String]) -> Vec<String> {
         .iter()
         .filter(|name| !known(name))
         .map(|name| {
-            format!("`{name}` stands at the top: move it into a room, or add it to the list")
+            format!("`{name}` is at the top level: move it into a folder, or add it to the list")
         })
         .collect()
 }
 
-/// Dependencies that cross rooms the wrong way, or that core must not have.
+/// Dependencies between crates in the wrong direction, and dependencies that core must not have.
 ///
 /// `crates` maps a crate of ours to all it depends on; `shipped` leaves development dependencies out.
 pub fn forbidden_dependencies(
@@ -118,15 +121,17 @@ pub fn forbidden_dependencies(
         };
         for other in used.iter().filter(|other| other.starts_with("roundel-")) {
             if !allowed.contains(&other.as_str()) {
-                broken.push(format!("`{name}` depends on `{other}`, which its room may not use"));
+                broken.push(format!("`{name}` depends on `{other}`, which it may not use"));
             }
         }
     }
-    for other in shipped.get("roundel-core").into_iter().flatten() {
-        if !PURE_CRATES.contains(&other.as_str()) && !other.starts_with("roundel-") {
-            broken.push(format!(
-                "`roundel-core` depends on `{other}`, which is not on the pure list"
-            ));
+    for folder in CORE_CRATES {
+        let name = format!("roundel-{}", folder.trim_start_matches("core/"));
+        for other in shipped.get(&name).into_iter().flatten() {
+            if !PURE_CRATES.contains(&other.as_str()) && !other.starts_with("roundel-") {
+                broken
+                    .push(format!("`{name}` depends on `{other}`, which is not on the pure list"));
+            }
         }
     }
     broken
@@ -143,20 +148,6 @@ pub fn impurities(path: &str, source: &str) -> Vec<String> {
     words
         .chain(std)
         .map(|word| format!("{path} names `{word}`: core is pure, the caller passes what it needs"))
-        .collect()
-}
-
-/// Imports in a source file of core that do not run down. `path` is relative to `core/src`.
-pub fn upward_imports(path: &str, source: &str) -> Vec<String> {
-    let own = module_path(path);
-    let Some(module) = own.first() else { return Vec::new() };
-    if rank(module).is_none() {
-        return vec![format!("core/src/{path}: module `{module}` has no place in the order")];
-    }
-    crate_uses(&own, &shipped_code(source))
-        .into_iter()
-        .filter(|used| used != module && !may_use(module, used))
-        .map(|used| format!("core/src/{path} uses `{used}`, which does not stand below `{module}`"))
         .collect()
 }
 
@@ -277,20 +268,6 @@ fn builds(code: &str, name: &str) -> bool {
             ["->", "for", "impl", "struct", "enum", "::"].iter().any(|end| before.ends_with(end));
         whole && of_proto && !a_type
     })
-}
-
-fn rank(module: &str) -> Option<usize> {
-    if CORE_BESIDE.contains(&module) {
-        return Some(CORE_ORDER.len());
-    }
-    CORE_ORDER.iter().position(|known| *known == module)
-}
-
-fn may_use(module: &str, used: &str) -> bool {
-    match (rank(module), rank(used)) {
-        (Some(own), Some(other)) => other < own,
-        _ => false,
-    }
 }
 
 /// `marker/tracker.rs` is module `marker::tracker`; `lib.rs` is the root.

@@ -1,0 +1,210 @@
+use nalgebra::{Matrix3, Point2, Point3, UnitQuaternion, Vector3};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::{super::rim, *};
+use roundel_vision::camera::{Camera, Intrinsics, Lens};
+
+const SIZE: (usize, usize) = (1920, 1080);
+const RADIUS_M: f64 = 0.08;
+/// What the others do not know of a place, and for how long it stays, and the camera's own error.
+const PLACE_M: f64 = 5e-4;
+const STAYS_S: f64 = 0.5;
+const PIXEL_PX: f64 = 0.05;
+/// The camera's clock.
+const LATE_S: f64 = 0.03;
+const CLOCK: ClockPrior = ClockPrior { offset_s: 0.04, skew: 1e-4 };
+
+/// Robots on circles at these heights before a camera of R4.
+struct Scene {
+    heights_m: Vec<f64>,
+    camera_from_world: Rigid,
+    camera: Camera,
+    seconds: f64,
+}
+
+impl Scene {
+    fn new(heights_m: &[f64], seconds: f64) -> Self {
+        let camera = Camera::new(Intrinsics {
+            width: SIZE.0,
+            height: SIZE.1,
+            fx_px: 1103.0,
+            fy_px: 1100.0,
+            cx_px: 952.0,
+            cy_px: 547.0,
+            lens: Lens::PlumbBob([-0.08, 0.02, 2e-4, -3e-4, 0.0]),
+        })
+        .unwrap();
+        // Looks down at a slant from 5 m.
+        let turn = UnitQuaternion::from_euler_angles(std::f64::consts::PI - 0.32, 0.05, 0.3);
+        let place = Point3::new(0.4, -1.6, 5.0);
+        let camera_from_world = Rigid::from_parts((-(turn * place.coords)).into(), turn);
+        Self { heights_m: heights_m.to_vec(), camera_from_world, camera, seconds }
+    }
+
+    /// world_from_roundel and velocity.
+    fn pose(&self, robot: usize, time_s: f64) -> (Rigid, Vector3<f64>) {
+        let number = robot as f64;
+        let (radius_m, rate) = (0.5 + 0.35 * (number * 0.7).sin(), 0.7 + 0.06 * number);
+        let phase = rate * time_s + number * 2.4;
+        let middle = Vector3::new(
+            2.1 * (number * 1.9).sin(),
+            1.3 * (number * 3.1).cos() + 0.2,
+            self.heights_m[robot % self.heights_m.len()],
+        );
+        let (sin, cos) = phase.sin_cos();
+        let place = middle + Vector3::new(radius_m * cos, radius_m * sin, 0.0);
+        let velocity = Vector3::new(-sin, cos, 0.0) * (radius_m * rate);
+        let turn = UnitQuaternion::from_euler_angles(0.1 * sin, 0.1 * cos, phase);
+        (Rigid::from_parts(place.into(), turn), velocity)
+    }
+
+    /// What the others tell, and what the camera saw.
+    fn seen(&self, robots: usize, rng: &mut ChaCha8Rng) -> (Vec<Way>, Vec<Glimpse>) {
+        let mut normal = || -> f64 { StandardNormal.sample(rng) };
+        let mut ways = Vec::new();
+        let mut glimpses = Vec::new();
+        for robot in 0..robots {
+            let mut off = Vector3::from_fn(|_, _| normal() * PLACE_M);
+            let step_s = 1.0 / 60.0;
+            let kept = f64::exp(-step_s / STAYS_S);
+            let waypoints = (0..(self.seconds / step_s) as usize).map(|step| {
+                let time_s = step as f64 * step_s;
+                let (pose, velocity_m_s) = self.pose(robot, time_s);
+                off = off * kept
+                    + Vector3::from_fn(|_, _| normal() * PLACE_M * (1.0 - kept * kept).sqrt());
+                Waypoint {
+                    time_s,
+                    place_m: pose.translation.vector + off,
+                    velocity_m_s,
+                    orientation: pose.rotation,
+                    covariance_m2: Matrix3::identity() * PLACE_M * PLACE_M,
+                }
+            });
+            ways.push(Way::new(RADIUS_M, waypoints.collect()));
+            for frame in 0..(self.seconds * 30.0) as usize {
+                let time_s = frame as f64 / 30.0 + 0.011;
+                let (pose, _) = self.pose(robot, time_s);
+                let pose = self.camera_from_world * pose;
+                let Ok(pixel) = self.camera.project(&pose.translation.vector) else { continue };
+                let (u, v) =
+                    rim::image(&self.camera, &pose, &Point2::origin(), RADIUS_M).unwrap().offset_px;
+                let center = PixelPoint {
+                    u: pixel.u + u + normal() * PIXEL_PX,
+                    v: pixel.v + v + normal() * PIXEL_PX,
+                };
+                let inside =
+                    |place_px: f64, side: usize| (20.0..side as f64 - 20.0).contains(&place_px);
+                if inside(center.u, SIZE.0) && inside(center.v, SIZE.1) {
+                    let radius_px = RADIUS_M * 1100.0 / pose.translation.z;
+                    let stamp_s = time_s + LATE_S;
+                    glimpses.push(Glimpse { way: robot, stamp_s, center, radius_px });
+                }
+            }
+        }
+        (ways, glimpses)
+    }
+}
+
+fn found(ways: &[Way], glimpses: &[Glimpse]) -> Result<MovingLens, MovingLensError> {
+    calibrate(&Seen { size: SIZE, ways, glimpses, clock: CLOCK }, None)
+}
+
+/// What is found less what is true, with its deviation: lens, place and clock.
+fn errors(scene: &Scene, found: &MovingLens) -> Vec<(f64, f64)> {
+    let (is, was) = (found.lens.camera.intrinsics(), scene.camera.intrinsics());
+    let lens =
+        [is.fx_px - was.fx_px, is.fy_px - was.fy_px, is.cx_px - was.cx_px, is.cy_px - was.cy_px];
+    let off = found.world_from_camera.translation.vector
+        - scene.camera_from_world.inverse().translation.vector;
+    let turned = found.world_from_camera.rotation * scene.camera_from_world.rotation;
+    let turned = turned.scaled_axis();
+    let place = off.iter().chain(&turned).copied();
+    let deviations = found.pose_covariance.diagonal().map(f64::sqrt);
+    let lens = lens.into_iter().zip(found.lens.deviations());
+    let clock = (found.offset_s.0 - LATE_S, found.offset_s.1);
+    lens.chain(place.zip(deviations.iter().copied())).chain([clock]).collect()
+}
+
+#[test]
+fn a_lens_is_found_from_moving_roundels() {
+    let scene = Scene::new(&[0.3, 0.3, 1.4], 15.0);
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    let (ways, mut glimpses) = scene.seen(14, &mut rng);
+    // One in fifty is another's, and two numbers are none.
+    for index in (0..glimpses.len()).step_by(50) {
+        glimpses[index].way = (glimpses[index].way + 1) % ways.len();
+    }
+    glimpses[1].center.u = f64::NAN;
+    glimpses[2].way = 99;
+    let found = found(&ways, &glimpses).unwrap();
+    assert_eq!(found.lens.model.ros_name(), "plumb_bob", "{:?}", found.lens.evidence);
+    let errors = errors(&scene, &found);
+    for focal in &errors[..2] {
+        assert!(focal.0.abs() < 1.1, "{errors:?}");
+    }
+    assert!(errors[2].0.hypot(errors[3].0) < 1.0, "{errors:?}");
+    for (error, deviation) in &errors {
+        assert!(error.abs() < 4.0 * deviation, "{errors:?}");
+    }
+    assert!((found.unstated.0 - PIXEL_PX).abs() < 0.05, "{:?}", found.unstated);
+    assert!(found.lens.outliers >= glimpses.len() / 50, "{}", found.lens.outliers);
+    assert!(found.coverage() > 0.8 && found.depths_m[0] < 4.2, "{found:?}");
+}
+
+/// Three parameters of four within two deviations is no proof, so over seeds: the mean square of error over deviation.
+#[test]
+fn deviations_are_consistent() {
+    let scene = Scene::new(&[0.3, 0.3, 1.4], 15.0);
+    const SEEDS: u64 = 20;
+    let mut squares = vec![0.0; 11];
+    for seed in 0..SEEDS {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let (ways, glimpses) = scene.seen(10, &mut rng);
+        let thin: Vec<Glimpse> = glimpses.into_iter().step_by(3).collect();
+        let seen = Seen { size: SIZE, ways: &ways, glimpses: &thin, clock: CLOCK };
+        let found = calibrate(&seen, Some(Model::Tangential)).unwrap();
+        for (sum, (error, deviation)) in squares.iter_mut().zip(errors(&scene, &found)) {
+            *sum += (error / deviation).powi(2) / SEEDS as f64;
+        }
+    }
+    // Chi square with 20 degrees of freedom over 20: 0.35 to 2.1 holds 99.6 % for one of them.
+    assert!(squares.iter().all(|square| (0.3..2.2).contains(square)), "{squares:?}");
+}
+
+#[test]
+fn what_is_missing_is_told() {
+    let scene = Scene::new(&[0.3], 4.0);
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let (ways, glimpses) = scene.seen(12, &mut rng);
+    let error = found(&ways, &glimpses[..60]).unwrap_err().to_string();
+    assert!(error.contains("found 60 in") && error.contains("missing: roundels"), "{error}");
+    let error = found(&ways[..0], &glimpses).unwrap_err().to_string();
+    assert!(error.contains("found 0 in 0"), "{error}");
+    let seen = Seen { size: (0, 9), ways: &ways, glimpses: &glimpses, clock: CLOCK };
+    let error = calibrate(&seen, None).unwrap_err().to_string();
+    assert!(error.contains("found 0 x 9"), "{error}");
+    // All of them other robots' ways.
+    let mixed: Vec<Glimpse> = glimpses
+        .iter()
+        .enumerate()
+        .map(|(index, it)| Glimpse { way: (it.way + 1 + index % 10) % 12, ..*it })
+        .collect();
+    let error = found(&ways, &mixed).unwrap_err().to_string();
+    assert!(error.contains("no lens explains"), "{error}");
+}
+
+#[test]
+fn one_plane_that_faces_the_camera_does_not_tell_the_focal_length() {
+    let mut scene = Scene::new(&[0.3], 10.0);
+    let turn = UnitQuaternion::from_euler_angles(std::f64::consts::PI, 0.0, 0.0);
+    scene.camera_from_world =
+        Rigid::from_parts((-(turn * Vector3::new(0.0, 0.2, 5.0))).into(), turn);
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    let (ways, glimpses) = scene.seen(14, &mut rng);
+    let error = found(&ways, &glimpses).unwrap_err();
+    assert!(matches!(error, MovingLensError::Undetermined { .. }), "{error}");
+    let error = error.to_string();
+    assert!(error.contains("distances differ by 0 %"), "{error}");
+}

@@ -1,0 +1,339 @@
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::*;
+use roundel_vision::{
+    camera::PixelPoint,
+    ellipse::Ellipse,
+    id::KindId,
+    marker::{Code, CodeReading, Ring},
+    pose::{Detection, RoundelPose},
+};
+
+const KIND: KindId = KindId(0);
+const FRAME_S: f64 = 1.0 / 30.0;
+const SIGMA_M: f64 = 3e-4;
+
+/// Cameras 4 m up that look down, side by side, and robots that circle below all of them.
+struct World {
+    truth: Vec<Rigid>,
+    robots: usize,
+    is_coded: bool,
+    seed: u64,
+}
+
+impl World {
+    fn new(cameras: usize) -> Self {
+        let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+        let place = |index: usize| {
+            Rigid::from_parts(Vector3::new(0.8 * index as f64, 0.0, 4.0).into(), down)
+        };
+        Self { truth: (0..cameras).map(place).collect(), robots: 6, is_coded: true, seed: 1 }
+    }
+
+    fn watch(&self) -> Watch {
+        let mut watch = Watch::new(WatchParams::default());
+        for (index, place) in self.truth.iter().enumerate() {
+            watch.set_camera(CameraId(index as u32), placement(place));
+        }
+        watch
+    }
+
+    /// Between -1 and 1.
+    fn random(&mut self) -> f64 {
+        self.seed = self.seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        (self.seed >> 32) as f64 / f64::from(1u32 << 31) - 1.0
+    }
+
+    fn robot(index: usize, t: f64) -> Vector3<f64> {
+        let phase = index as f64 * 1.3;
+        let (sin, cos) = (0.9 * t + phase).sin_cos();
+        let middle = Vector3::new(0.9 * (index % 3) as f64 - 0.5, 0.9 * (index / 3) as f64, 0.3);
+        middle + Vector3::new(0.2 * cos, 0.2 * sin, 0.0)
+    }
+
+    fn look(&mut self, camera: usize, t: f64) -> Vec<Detection> {
+        let mut seen = Vec::new();
+        for robot in 0..self.robots {
+            let place_m =
+                self.truth[camera].inverse() * nalgebra::Point3::from(Self::robot(robot, t));
+            let error = Vector3::from_fn(|_, _| self.random() * SIGMA_M);
+            let number = robot as u16 + 1;
+            let code = self.is_coded.then_some(Code { bits: 8, number });
+            seen.push(detection(robot as u64 + 1, code, place_m.coords + error, t));
+        }
+        seen
+    }
+
+    /// Lets so many seconds pass; `change` may alter what is seen.
+    fn run(
+        &mut self,
+        watch: &mut Watch,
+        (from_s, to_s): (f64, f64),
+        change: impl Fn(usize, &mut Vec<Detection>),
+    ) -> Vec<WatchEvent> {
+        let mut events = Vec::new();
+        let (first, last) = ((from_s / FRAME_S) as usize, (to_s / FRAME_S) as usize);
+        for frame in first..last {
+            for camera in 0..self.truth.len() {
+                // Frames of different cameras are not at the same time.
+                let t = (frame as f64 + 0.37 * camera as f64) * FRAME_S;
+                let mut detections = self.look(camera, t);
+                change(camera, &mut detections);
+                let time = at(t);
+                watch.observe(
+                    &FrameObservations {
+                        camera: CameraId(camera as u32),
+                        frame: frame as u64,
+                        capture_time: time,
+                        received_time: time,
+                        calibration_version: 1,
+                        detections,
+                    },
+                    0.0,
+                );
+            }
+            events.extend(watch.advance(at((frame + 1) as f64 * FRAME_S)));
+        }
+        events
+    }
+
+    fn bump(&mut self, camera: usize) {
+        let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.01, -0.004, 0.0));
+        self.truth[camera] *= Rigid::from_parts(Vector3::new(0.01, 0.0, 0.005).into(), turn);
+    }
+}
+
+fn at(t: f64) -> Timestamp {
+    Timestamp::from_ns(1_800_000_000_000_000_000).plus_seconds(t)
+}
+
+fn placement(place: &Rigid) -> CameraPlacement {
+    CameraPlacement { world_from_camera: *place, covariance: Matrix6::zeros() }
+}
+
+fn detection(number: u64, code: Option<Code>, position_m: Vector3<f64>, t: f64) -> Detection {
+    let center = PixelPoint { u: 0.0, v: 0.0 };
+    let rim = |semi_px| Ellipse {
+        center,
+        semi_major_px: semi_px,
+        semi_minor_px: semi_px,
+        angle_rad: 0.0,
+    };
+    let code = code.map(|code| CodeReading::certain(code, center));
+    let normal = Vector3::new(0.0, 0.0, -1.0);
+    Detection {
+        track: TrackNumber(number),
+        ring: Ring { kind: Some(KIND), code, ..Ring::of_rims(rim(15.0), rim(6.0)) },
+        capture_time: at(t),
+        pose: Some(RoundelPose {
+            position_m,
+            normal,
+            normal_likelihood: 1.0,
+            other_normal: normal,
+            yaw_rad: None,
+            yaw_symmetry: 1,
+            covariance: Matrix6::from_diagonal_element(SIGMA_M * SIGMA_M),
+        }),
+    }
+}
+
+fn assert_healed(world: &mut World) {
+    let mut watch = world.watch();
+    assert_eq!(world.run(&mut watch, (0.0, 4.0), |_, _| ()), []);
+    assert_eq!(watch.health(CameraId(1)).unwrap().state, WatchState::Watched);
+    world.bump(1);
+    let events = world.run(&mut watch, (4.0, 6.0), |_, _| ());
+    let [WatchEvent::Bumped { camera: CameraId(1), moved_m, turned_rad }] = events[..] else {
+        panic!("{events:?}")
+    };
+    assert!((moved_m - 0.0112).abs() < 4e-3 && (turned_rad - 0.0108).abs() < 1e-3);
+    assert_eq!(watch.health(CameraId(1)).unwrap().state, WatchState::Quarantined);
+    let events = world.run(&mut watch, (6.0, 30.0), |_, _| ());
+    let [WatchEvent::Returned { camera: CameraId(1), placement }] = events[..] else {
+        panic!("{events:?}")
+    };
+    let error = placement.world_from_camera.inverse() * world.truth[1];
+    assert!(error.translation.vector.norm() < 1e-3 && error.rotation.angle() < 3e-4, "{error}");
+    // Said again, nothing is forgotten.
+    watch.set_camera(CameraId(1), placement);
+    assert_eq!(watch.health(CameraId(1)).unwrap().state, WatchState::Watched);
+}
+
+#[test]
+fn a_bumped_camera_is_found_and_returns() {
+    assert_healed(&mut World::new(3));
+}
+
+#[test]
+fn roundels_without_codes_will_do() {
+    assert_healed(&mut World { is_coded: false, ..World::new(3) });
+}
+
+#[test]
+fn of_two_that_contradict_each_other_none_is_moved() {
+    let mut world = World::new(2);
+    let mut watch = world.watch();
+    assert_eq!(world.run(&mut watch, (0.0, 4.0), |_, _| ()), []);
+    world.bump(0);
+    let cameras = vec![CameraId(0), CameraId(1)];
+    let events = world.run(&mut watch, (4.0, 10.0), |_, _| ());
+    assert_eq!(events, [WatchEvent::Contradiction { cameras: cameras.clone() }]);
+    assert_eq!(watch.health(CameraId(0)).unwrap().state, WatchState::Suspected);
+    world.truth[0] = World::new(2).truth[0];
+    let events = world.run(&mut watch, (10.0, 18.0), |_, _| ());
+    assert_eq!(events, [WatchEvent::Agreed { cameras }]);
+}
+
+#[test]
+fn a_reference_says_which_of_two_moved() {
+    let mut world = World::new(2);
+    let mut watch = world.watch();
+    let reference_m = Vector3::new(0.3, 0.2, 0.0);
+    let code = Code { bits: 8, number: 99 };
+    let landmark = Landmark::new(KIND, Some(code), reference_m);
+    watch.set_landmarks(&[landmark]);
+    let places = world.truth.clone();
+    let with_reference = |truth: Vec<Rigid>| {
+        move |camera: usize, seen: &mut Vec<Detection>| {
+            let place_m = truth[camera].inverse() * nalgebra::Point3::from(reference_m);
+            let t = seen[0].capture_time.seconds_since(at(0.0));
+            seen.push(detection(99, Some(code), place_m.coords, t));
+        }
+    };
+    assert_eq!(world.run(&mut watch, (0.0, 4.0), with_reference(places)), []);
+    world.bump(1);
+    let truth = world.truth.clone();
+    let events = world.run(&mut watch, (4.0, 7.0), with_reference(truth));
+    assert!(matches!(events[..], [WatchEvent::Bumped { camera: CameraId(1), .. }]), "{events:?}");
+}
+
+#[test]
+fn a_code_that_is_on_show_twice_moves_nobody() {
+    let mut world = World::new(3);
+    let mut watch = world.watch();
+    // Camera 2 sees another roundel with the code of the first, which it does not see itself.
+    let events = world.run(&mut watch, (0.0, 10.0), |camera, seen| {
+        if camera == 2 {
+            seen[0].pose.as_mut().unwrap().position_m.x += 0.7;
+        }
+    });
+    assert_eq!(events, []);
+}
+
+#[test]
+fn who_sees_nothing_together_is_alone() {
+    let mut world = World::new(3);
+    let mut watch = world.watch();
+    let events = world.run(&mut watch, (0.0, 8.0), |camera, seen| {
+        if camera == 2 {
+            seen.clear();
+        }
+    });
+    assert_eq!(events, []);
+    assert_eq!(watch.health(CameraId(2)).unwrap().state, WatchState::Alone);
+    assert_eq!(watch.health(CameraId(1)).unwrap().state, WatchState::Watched);
+    assert_eq!(watch.health(CameraId(7)), None);
+}
+
+#[test]
+fn drift_is_followed() {
+    let mut world = World::new(3);
+    let mut watch = world.watch();
+    assert_eq!(world.run(&mut watch, (0.0, 60.0), |_, _| ()), []);
+    let still = world.truth.clone();
+    for step in 0..12 {
+        world.truth[2].translation.vector.x += 2.5e-4;
+        let from_s = 60.0 + 20.0 * f64::from(step);
+        for event in world.run(&mut watch, (from_s, from_s + 20.0), |_, _| ()) {
+            assert!(matches!(event, WatchEvent::Drifted { camera: CameraId(2), .. }), "{event:?}");
+        }
+    }
+    let found = watch.posts[2].placement.world_from_camera;
+    let error_m = (found.translation.vector - world.truth[2].translation.vector).norm();
+    let way_m = (still[2].translation.vector - world.truth[2].translation.vector).norm();
+    assert!(error_m < 1e-3 && way_m > 2.9e-3, "{error_m}");
+    assert_eq!(watch.posts[0].placement.world_from_camera, still[0]);
+}
+
+#[test]
+fn what_is_told_of_a_place_does_not_grow_with_every_recovery() {
+    let mut world = World::new(4);
+    let mut watch = world.watch();
+    let mut spread = Vec::new();
+    for turn in 0..6 {
+        let from_s = 40.0 * f64::from(turn);
+        let events = world.run(&mut watch, (from_s, from_s + 5.0), |_, _| ());
+        assert_eq!(events, []);
+        world.bump(1);
+        for event in world.run(&mut watch, (from_s + 5.0, from_s + 40.0), |_, _| ()) {
+            if let WatchEvent::Returned { placement, .. } = event {
+                spread.push(placement.covariance.fixed_view::<3, 3>(0, 0).trace());
+            }
+        }
+    }
+    assert_eq!(spread.len(), 6);
+    assert!(spread[5] < 1.5 * spread[0] && spread[0] > 0.0, "{spread:?}");
+}
+
+#[test]
+fn a_new_place_of_one_camera_leaves_what_is_known_of_others() {
+    let mut world = World::new(4);
+    let mut watch = world.watch();
+    assert_eq!(world.run(&mut watch, (0.0, 30.0), |_, _| ()), []);
+    let before = watch.health(CameraId(2)).unwrap();
+    let camera = CameraId(0);
+    world.bump(0);
+    watch.set_camera(camera, placement(&world.truth[0]));
+    let states = [0, 2].map(|camera| watch.health(CameraId(camera)).unwrap().state);
+    assert_eq!(states, [WatchState::Alone, WatchState::Watched]);
+    let after = watch.health(CameraId(2)).unwrap();
+    let growth = after.deviation_m / before.deviation_m;
+    assert!((1.0..3.0).contains(&growth), "{before:?} {after:?}");
+    assert_eq!(world.run(&mut watch, (30.0, 40.0), |_, _| ()), []);
+    assert_eq!(watch.health(camera).unwrap().state, WatchState::Watched);
+}
+
+fn is_noticed(world: &mut World, watch: &mut Watch, from_s: f64) -> bool {
+    world.bump(2);
+    let events = world.run(watch, (from_s, from_s + 2.0), |_, _| ());
+    matches!(events[..], [WatchEvent::Bumped { camera: CameraId(2), .. }])
+}
+
+#[test]
+fn a_place_that_was_only_written_is_not_healed_but_told() {
+    let mut world = World::new(4);
+    let mut watch = world.watch();
+    let rough = Rigid::translation(0.07, -0.03, 0.1);
+    watch.set_camera(CameraId(1), placement(&(rough * world.truth[1])));
+    (0..4).for_each(|camera| watch.distrust(CameraId(camera)));
+    let cameras = (0..4).map(CameraId).collect();
+    let events = world.run(&mut watch, (0.0, 20.0), |_, _| ());
+    assert_eq!(events, [WatchEvent::Misplaced { cameras }]);
+    // A calibration puts it right.
+    watch.set_camera(CameraId(1), placement(&world.truth[1]));
+    assert_eq!(world.run(&mut watch, (20.0, 30.0), |_, _| ()), []);
+    assert!(is_noticed(&mut world, &mut watch, 30.0));
+}
+
+#[test]
+fn a_place_that_was_written_and_right_is_healed() {
+    let mut world = World::new(4);
+    let mut watch = world.watch();
+    (0..4).for_each(|camera| watch.distrust(CameraId(camera)));
+    assert_eq!(world.run(&mut watch, (0.0, 10.0), |_, _| ()), []);
+    assert!(is_noticed(&mut world, &mut watch, 10.0));
+}
+
+#[test]
+fn of_a_camera_that_is_held_back_less_is_believed() {
+    for is_held in [false, true] {
+        let mut world = World::new(3);
+        let mut watch = world.watch();
+        assert_eq!(world.run(&mut watch, (0.0, 80.0), |_, _| ()), []);
+        world.truth[1].translation.vector.x += 0.003;
+        watch.hold(CameraId(1), is_held);
+        let events = world.run(&mut watch, (80.0, 83.0), |_, _| ());
+        let is_bumped = matches!(events[..], [WatchEvent::Bumped { camera: CameraId(1), .. }]);
+        assert!(if is_held { is_bumped } else { events.is_empty() }, "{is_held}: {events:?}");
+    }
+}

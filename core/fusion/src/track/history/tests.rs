@@ -1,0 +1,90 @@
+//! What the rewind buffer makes of measurements that are taken back.
+
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+
+use super::*;
+use crate::track::{AttitudeMeasurement, Noise};
+use roundel_vision::id::TrackNumber;
+
+fn model() -> MotionModel {
+    MotionModel {
+        acceleration_density_m2_s3: Vector3::repeat(0.2),
+        angular_density_rad2_s3: Vector3::repeat(1.0),
+        speed_m_s: Vector3::repeat(3.0),
+        angular_speed_rad_s: Vector3::repeat(3.0),
+        systematic_time_s: 1.0,
+        robust_distance_squared: 16.0,
+        upright_log_odds: 3.0,
+        learns_turning: true,
+        ground: None,
+    }
+}
+
+fn seen(camera: u32, frame: u64, off_m: f64) -> Measurement {
+    let total = Matrix3::identity() * 1e-6;
+    let noise = Noise { total, systematic_root: Matrix3::identity() * 5e-4, timing_s: 0.0 };
+    let time = Timestamp::from_ns(frame as i64 * 16_000_000 + i64::from(camera) * 5_000_000);
+    let turned = [UnitQuaternion::identity(); 2];
+    Measurement {
+        time,
+        late_s: 0.0,
+        camera: CameraId(camera),
+        frame,
+        number: TrackNumber(1),
+        position_m: Vector3::new(time.as_ns() as f64 * 1e-9 + off_m, 0.0, 1.0),
+        position_noise: noise,
+        attitude: AttitudeMeasurement::new(turned, 0.9, None, noise),
+    }
+}
+
+/// Two cameras' frames; the second's are off from a frame on, or left out from then on.
+fn history(frames: u64, spoiled: u64, off_m: Option<f64>) -> History {
+    let model = model();
+    let mut history = History::begin(seen(0, 0, 0.0), &model);
+    for frame in 0..frames {
+        let own = if frame < spoiled { Some(0.0) } else { off_m };
+        let both = [(frame > 0).then(|| seen(0, frame, 0.0)), own.map(|off| seen(1, frame, off))];
+        for measurement in both.into_iter().flatten() {
+            history.insert(&measurement, &model);
+        }
+        history.forget(Timestamp::from_ns(frame as i64 * 16_000_000 - 300_000_000));
+    }
+    history
+}
+
+#[test]
+fn what_is_taken_back_was_never_there() {
+    let model = model();
+    let mut taken = history(60, 55, Some(0.02));
+    let since = seen(1, 55, 0.0).time;
+    assert_eq!(taken.take_back(CameraId(1), since, &model), TakenBack::All(5));
+    let mut without = history(60, 55, None);
+    let time = Timestamp::from_ns(61 * 16_000_000);
+    let [one, other] = [&mut taken, &mut without].map(|it| it.at(time, &model));
+    let agile = |it: &Estimate| (it.motion.agile().position_m, it.motion.agile().kernel.rate);
+    let apart_m = (agile(&one).0 - agile(&other).0).norm();
+    assert!(apart_m < 1e-12, "{apart_m}");
+    assert_eq!(taken.measurements().count(), without.measurements().count());
+}
+
+#[test]
+fn what_lies_beyond_the_window_is_taken_back_too() {
+    let model = model();
+    let mut history = history(60, 10, Some(0.02));
+    let time = Timestamp::from_ns(60 * 16_000_000);
+    let before = history.at(time, &model).motion.agile().position_m;
+    assert!((before.x - 0.96).abs() > 2e-3, "it was spoiled: {before}");
+    let taken = history.take_back(CameraId(1), Timestamp::from_ns(0), &model);
+    assert!(matches!(taken, TakenBack::All(count) if count > 10), "{taken:?}");
+    let after = history.at(time, &model).motion.agile().position_m;
+    assert!((after.x - 0.96).abs() < 5e-4, "{after}");
+}
+
+#[test]
+fn what_nobody_else_saw_stays() {
+    let mut history = history(60, 0, Some(0.0));
+    let model = model();
+    history.take_back(CameraId(0), Timestamp::from_ns(0), &model);
+    let left = history.take_back(CameraId(1), Timestamp::from_ns(0), &model);
+    assert_eq!(left, TakenBack::NothingElse);
+}

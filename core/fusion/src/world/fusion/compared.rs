@@ -1,0 +1,165 @@
+//! What one camera measures, beside what all others say: of this reprojection errors are made.
+
+use nalgebra::Vector3;
+
+use super::Fusion;
+use crate::track::{Measurement, TakenBack};
+use roundel_vision::{id::CameraId, time::Timestamp};
+
+/// What others measured longer before says too little of where an object is, nanoseconds.
+const FRESH_NS: i64 = 50_000_000;
+
+/// One object at the instant of one camera's measurement, world frame, metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Compared {
+    /// When.
+    pub time: Timestamp,
+    /// Where that camera alone sees the roundel's centre; of a body, its origin.
+    pub seen_m: Vector3<f64>,
+    /// Where it is by what all other cameras had measured until then.
+    pub others_m: Vector3<f64>,
+}
+
+impl Fusion {
+    /// The newest measurement that `camera` made of each trusted object within `window_ns` before `now`, of `most` objects at
+    /// most, beginning with the one numbered `turn` in the order of tracks. What no other camera has seen just before is left
+    /// out; so is what was not used.
+    ///
+    /// PERF: about 0.15 ms for each object at four cameras of 60 Hz, on a busy machine, since the window is filtered anew.
+    ///
+    /// The others' estimate is the filter's without what this camera measured within the window: with it, the filter follows
+    /// whoever measured last, and every camera would agree with itself.
+    pub fn compare(
+        &self,
+        camera: CameraId,
+        (now, window_ns): (Timestamp, i64),
+        (turn, most): (usize, usize),
+    ) -> Vec<Compared> {
+        let since = now.plus_ns(-window_ns);
+        let count = self.tracks.len().max(1);
+        let (before, after) = self.tracks.split_at(turn % count);
+        let tracks = after.iter().chain(before);
+        let seen = tracks.filter(|track| {
+            !track.is_tentative() && track.seen_by(camera).is_some_and(|time| time >= since)
+        });
+        let compared = seen.filter_map(|track| {
+            let is_own = |measured: &&Measurement| measured.camera == camera;
+            let newest = track.history.measurements().rev().find(is_own)?;
+            let (time, seen_m) = (newest.time, newest.position_m);
+            let is_fresh =
+                |measured: &Measurement| (0..=FRESH_NS).contains(&time.ns_since(measured.time));
+            if !track.history.measurements().any(|it| it.camera != camera && is_fresh(it)) {
+                return None;
+            }
+            let mut others = track.history.clone();
+            if others.take_back(camera, since, &track.model) == TakenBack::NothingElse {
+                return None;
+            }
+            let others_m = others.look(time, &track.model).motion.position_m;
+            Some(Compared { time, seen_m, others_m })
+        });
+        compared.take(most).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::world::{CameraPlacement, FrameObservations, FusionParams};
+    use roundel_vision::{
+        camera::PixelPoint,
+        ellipse::Ellipse,
+        id::{KindId, TrackNumber},
+        marker::Ring,
+        pose::{Detection, RoundelPose},
+        rigid::{Covariance6, Rigid},
+    };
+
+    const START: Timestamp = Timestamp::from_ns(1_700_000_000_000_000_000);
+
+    /// A camera that looks straight down from 3 m sees a roundel in its middle.
+    fn frame(camera: u32, number: u64, time: Timestamp) -> FrameObservations {
+        let center = PixelPoint { u: 320.0, v: 240.0 };
+        let (semi_major_px, semi_minor_px, angle_rad) = (20.0, 20.0, 0.0);
+        let rim = Ellipse { center, semi_major_px, semi_minor_px, angle_rad };
+        let pose = RoundelPose {
+            position_m: Vector3::new(0.0, 0.0, 3.0),
+            normal: -Vector3::z(),
+            normal_likelihood: 1.0,
+            other_normal: -Vector3::z(),
+            yaw_rad: None,
+            yaw_symmetry: 1,
+            covariance: Covariance6::identity() * 1e-4,
+        };
+        FrameObservations {
+            camera: CameraId(camera),
+            frame: number,
+            capture_time: time,
+            received_time: time,
+            calibration_version: 0,
+            detections: vec![Detection {
+                track: TrackNumber(1),
+                ring: Ring { kind: Some(KindId(0)), ..Ring::of_rims(rim, rim) },
+                capture_time: time,
+                pose: Some(pose),
+            }],
+        }
+    }
+
+    /// Cameras that are off by so much along x, and what they have seen in a second.
+    fn seen_by(offsets_m: &[f64]) -> (Fusion, Timestamp) {
+        let mut fusion = Fusion::new(FusionParams::default());
+        for (camera, offset_m) in (0..).zip(offsets_m) {
+            let world_from_camera = Rigid::translation(*offset_m, 0.0, 0.0);
+            let covariance = Covariance6::zeros();
+            let placement = CameraPlacement { world_from_camera, covariance };
+            fusion.set_camera(CameraId(camera), Some(placement));
+        }
+        for number in 1..=60_u32 {
+            let time = START.plus_seconds(f64::from(number) / 60.0);
+            for camera in 0..offsets_m.len() as u32 {
+                let own = time.plus_ns(i64::from(camera) * 1_000_000);
+                fusion.observe(&frame(camera, number.into(), own));
+            }
+        }
+        let end = START.plus_seconds(1.0);
+        fusion.snapshot(end.plus_ns(10_000_000));
+        (fusion, end)
+    }
+
+    const WINDOW_NS: i64 = 250_000_000;
+
+    #[test]
+    fn a_camera_that_is_off_is_off_from_the_others() {
+        let (fusion, end) = seen_by(&[0.0, 0.0, 0.006]);
+        let off_m = |camera| {
+            let compared = fusion.compare(CameraId(camera), (end, WINDOW_NS), (0, 8));
+            assert_eq!(compared.len(), 1, "one object is there");
+            compared[0].seen_m.x - compared[0].others_m.x
+        };
+        let [first, second, third] = [0, 1, 2].map(off_m);
+        assert!((-0.005..-0.001).contains(&first), "between two of whom one is off: {first}");
+        assert!((-0.005..-0.001).contains(&second), "{second}");
+        assert!((0.005..0.007).contains(&third), "both others are elsewhere: {third}");
+    }
+
+    #[test]
+    fn one_alone_has_nothing_to_be_compared_with() {
+        let (mut fusion, end) = seen_by(&[0.0]);
+        assert_eq!(fusion.snapshot(end.plus_ns(20_000_000)).objects.len(), 1, "it is followed");
+        assert_eq!(fusion.compare(CameraId(0), (end, WINDOW_NS), (0, 8)), Vec::new());
+    }
+
+    #[test]
+    fn what_was_seen_before_is_left_out_and_no_more_told_than_wanted() {
+        let (fusion, end) = seen_by(&[0.0, 0.0]);
+        let late = end.plus_ns(2 * WINDOW_NS);
+        let count =
+            |camera, now, turn| fusion.compare(CameraId(camera), (now, WINDOW_NS), turn).len();
+        assert_eq!(count(0, end, (0, 8)), 1);
+        assert_eq!(count(0, end, (5, 8)), 1, "turns go round");
+        assert_eq!(count(0, end, (0, 0)), 0);
+        assert_eq!(count(0, late, (0, 8)), 0);
+        assert_eq!(count(7, end, (0, 8)), 0, "nobody knows that camera");
+    }
+}

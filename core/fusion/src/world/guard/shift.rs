@@ -1,0 +1,233 @@
+//! The small rigid motion of a camera that explains best what was not foreseen.
+//!
+//! Object i lies at the arm aᵢ from the camera, its innovation is rᵢ with covariance Sᵢ, Wᵢ = Sᵢ⁻¹. A camera that
+//! moved by δ = (δt, δθ) sees rᵢ = -Jᵢ δ, J = [I | -[a]×]; sought is the δ with the least Σ ρ(eᵢᵀ Wᵢ eᵢ), e = r + J δ,
+//! with Huber's ρ, so that one object that jumps pulls little. Gauss and Newton: Λ = Σ w Jᵀ W J + Λ₀, δ = -Λ⁻¹ Σ w Jᵀ W r.
+//!
+//! The baseline δ̄ comes from sums of Λ and Λ δ over frames, that fade. Gain is what δ costs less than δ̄, over the
+//! excess of what is left.
+
+use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
+
+use roundel_vision::id::CameraId;
+
+/// √e beyond which an object's cost grows linearly.
+const ROBUST: f64 = 4.0;
+/// Other cameras that an object is held against.
+pub(crate) const MOST_OTHERS: usize = 4;
+/// Times that weights are computed anew.
+const STEPS: usize = 3;
+/// Deviations of place and rotation before anything is seen, metres and radians.
+const PRIOR: (f64, f64) = (0.2, 0.1);
+/// Numbers of a motion.
+const NUMBERS: usize = 6;
+
+/// What one object says.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Pull {
+    /// From the camera to the object, world frame.
+    pub(crate) arm_m: Vector3<f64>,
+    /// Seen less foreseen.
+    pub(crate) residual_m: Vector3<f64>,
+    /// Of that, inverse covariance.
+    pub(crate) weight: Matrix3<f64>,
+    /// Cameras that saw it of late.
+    pub(crate) others: [Option<CameraId>; MOST_OTHERS],
+}
+
+/// A motion and what speaks for it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Shift {
+    information: Matrix6<f64>,
+    usual: Vector6<f64>,
+    change: Vector6<f64>,
+    pub(super) gain: f64,
+    /// Of what is seen against the baseline, rms, metres.
+    pub(super) moved_m: f64,
+}
+
+/// What a camera's frames say usually.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Baseline {
+    information: Matrix6<f64>,
+    score: Vector6<f64>,
+}
+
+impl Pull {
+    pub(super) fn is_by(&self, camera: CameraId) -> bool {
+        self.others.contains(&Some(camera))
+    }
+
+    /// J δ.
+    fn by(&self, change: &Vector6<f64>) -> Vector3<f64> {
+        change.fixed_rows::<3>(0) + change.fixed_rows::<3>(3).cross(&self.arm_m)
+    }
+
+    /// e and eᵀ W e.
+    fn left(&self, change: &Vector6<f64>) -> (Vector3<f64>, f64) {
+        let left_m = self.residual_m + self.by(change);
+        (left_m, left_m.dot(&(self.weight * left_m)))
+    }
+}
+
+impl Baseline {
+    /// Takes in a frame, so long after the one before.
+    pub(super) fn add(&mut self, shift: &Shift, seconds: f64, lasts_s: f64) {
+        let kept = (-seconds.max(0.0) / lasts_s).exp();
+        self.information = self.information * kept + shift.information;
+        self.score = self.score * kept + shift.information * shift.change;
+    }
+
+    fn change(&self) -> Vector6<f64> {
+        let factor = (self.information + prior()).cholesky();
+        factor.map_or_else(Vector6::zeros, |factor| factor.solve(&self.score))
+    }
+}
+
+impl Shift {
+    /// What other pulls gain by the same motion.
+    pub(super) fn gain_of(&self, pulls: &[Pull]) -> f64 {
+        cost(pulls, &self.usual).0 - cost(pulls, &self.change).0
+    }
+}
+
+/// `None` if the pulls have no covariance.
+///
+/// PERF: where no object's cost is beyond [`ROBUST`], before a step and after it, all is linear, and that step was the
+/// last one there is.
+pub(super) fn fit(pulls: &[Pull], baseline: &Baseline) -> Option<Shift> {
+    let usual = baseline.change();
+    let mut step = Step::at(pulls, &usual);
+    let before = step.cost;
+    let mut change = usual;
+    let mut left = before;
+    for number in 1..=STEPS {
+        change += step.information.cholesky()?.solve(&(step.score - prior() * change));
+        let (cost, is_linear) = cost(pulls, &change);
+        left = cost;
+        if step.is_linear && is_linear || number == STEPS {
+            break;
+        }
+        step = Step::at(pulls, &change);
+    }
+    let freedom = (3 * pulls.len()).saturating_sub(NUMBERS).max(1) as f64;
+    let apart = change - usual;
+    let moved = pulls.iter().map(|pull| pull.by(&apart).norm_squared()).sum::<f64>();
+    Some(Shift {
+        information: step.information - prior(),
+        usual,
+        change,
+        gain: (before - left) / (left / freedom).max(1.0),
+        moved_m: (moved / pulls.len() as f64).sqrt(),
+    })
+}
+
+/// What a step of Gauss and Newton starts from.
+struct Step {
+    information: Matrix6<f64>,
+    score: Vector6<f64>,
+    cost: f64,
+    /// No object's cost is beyond [`ROBUST`].
+    is_linear: bool,
+}
+
+impl Step {
+    fn at(pulls: &[Pull], change: &Vector6<f64>) -> Self {
+        let mut step =
+            Self { information: prior(), score: Vector6::zeros(), cost: 0.0, is_linear: true };
+        for pull in pulls {
+            let (left_m, squared) = pull.left(change);
+            let weight = pull.weight * (ROBUST / squared.sqrt()).min(1.0);
+            let force = weight * left_m;
+            let mut rows = step.score.fixed_rows_mut::<3>(0);
+            rows -= force;
+            let mut rows = step.score.fixed_rows_mut::<3>(3);
+            rows -= pull.arm_m.cross(&force);
+            add_information(&mut step.information, &weight, &pull.arm_m);
+            step.cost += robust(squared);
+            step.is_linear &= squared <= ROBUST * ROBUST;
+        }
+        step
+    }
+}
+
+/// And whether no object's is beyond [`ROBUST`].
+fn cost(pulls: &[Pull], change: &Vector6<f64>) -> (f64, bool) {
+    pulls.iter().fold((0.0, true), |(cost, is_linear), pull| {
+        let squared = pull.left(change).1;
+        (cost + robust(squared), is_linear && squared <= ROBUST * ROBUST)
+    })
+}
+
+/// Adds Jᵀ W J.
+fn add_information(sum: &mut Matrix6<f64>, weight: &Matrix3<f64>, arm_m: &Vector3<f64>) {
+    let cross = arm_m.cross_matrix();
+    let turned = cross * weight;
+    let mut block = sum.fixed_view_mut::<3, 3>(0, 0);
+    block += weight;
+    let mut block = sum.fixed_view_mut::<3, 3>(3, 0);
+    block += turned;
+    let mut block = sum.fixed_view_mut::<3, 3>(0, 3);
+    block += turned.transpose();
+    let mut block = sum.fixed_view_mut::<3, 3>(3, 3);
+    block -= turned * cross;
+}
+
+fn prior() -> Matrix6<f64> {
+    let (place, turn) = (PRIOR.0.powi(-2), PRIOR.1.powi(-2));
+    Matrix6::from_diagonal(&Vector6::new(place, place, place, turn, turn, turn))
+}
+
+/// Huber's cost.
+fn robust(squared: f64) -> f64 {
+    if squared <= ROBUST * ROBUST {
+        squared
+    } else {
+        2.0 * ROBUST * squared.sqrt() - ROBUST * ROBUST
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Objects in a row, known to a millimetre, seen where a motion of the camera puts them.
+    fn pulls(count: usize, change: &Vector6<f64>) -> Vec<Pull> {
+        let pull = |index: usize| {
+            let arm_m = Vector3::new(index as f64 - 2.0, (index * index % 5) as f64, -4.0);
+            let weight = Matrix3::from_diagonal_element(1e6);
+            let pull = Pull { arm_m, residual_m: Vector3::zeros(), weight, others: [None; 4] };
+            Pull { residual_m: -pull.by(change), ..pull }
+        };
+        (0..count).map(pull).collect()
+    }
+
+    #[test]
+    fn a_motion_is_found() {
+        let change = Vector6::new(0.01, -0.02, 0.005, 0.001, 0.002, -0.003);
+        let shift = fit(&pulls(8, &change), &Baseline::default()).unwrap();
+        assert!((shift.change - change).amax() < 1e-4, "{}", shift.change);
+        assert!(shift.gain > 1000.0 && shift.moved_m > 0.01, "{shift:?}");
+    }
+
+    #[test]
+    fn one_object_that_jumps_is_no_motion() {
+        let mut pulls = pulls(8, &Vector6::zeros());
+        pulls[3].residual_m = Vector3::new(0.1, 0.0, 0.0);
+        let shift = fit(&pulls, &Baseline::default()).unwrap();
+        assert!(shift.moved_m < 2e-3, "{shift:?}");
+    }
+
+    #[test]
+    fn what_is_so_all_the_time_is_no_motion() {
+        let change = Vector6::new(0.01, 0.0, 0.0, 0.0, 0.001, 0.0);
+        let pulls = pulls(8, &change);
+        let mut baseline = Baseline::default();
+        for _ in 0..20 {
+            let shift = fit(&pulls, &baseline).unwrap();
+            baseline.add(&shift, 0.1, 2.0);
+        }
+        let shift = fit(&pulls, &baseline).unwrap();
+        assert!(shift.gain < 1.0 && shift.moved_m < 1e-4, "{shift:?}");
+    }
+}

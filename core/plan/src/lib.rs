@@ -1,0 +1,425 @@
+//! What cameras and roundels would reach before anybody has bought or printed them: the sensor model of the
+//! paper's section 5, and ours where ours is better founded.
+//!
+//! | question | module | paper |
+//! | --- | --- | --- |
+//! | how a roundel is imaged, and whether it is found and read | [`sight`] | eq. (12), D of eq. (14) |
+//! | how near and how far, how wide | [`reach`] | eqs. (13) to (16) |
+//! | how exactly | [`precision`] | eqs. (17) to (19) |
+//! | all of it, and how fast, as the paper has it | [`paper`] | eqs. (12) to (20) |
+//! | several cameras over an arena | [`map`] | – |
+//! | which roundel, how many cameras and where | [`search`] | – |
+//!
+//! A roundel's rims are projected through the whole lens model; the detector's own limits say whether they would
+//! be found; and the covariance is what [`roundel_vision::pose::locate`] says of such rims, with the noise that the picture
+//! leaves them ([`precision`]). Over an arena it is carried into the world by the very code that carries
+//! detections there ([`roundel_fusion::world::seen_in_world`]).
+//!
+//! What no formula foretells well, the least diameter that is found and how exactly small rings are located, is tried with
+//! the real detector on pictures drawn for that (`tried`, `trial`, `shot`); what was tried is kept in [`Trials`]. The
+//! pictures are drawn by code of their own, which neither the demo nor what judges the plan shares.
+//!
+//! How well this foretells what happens: `cargo run --release -p roundel-tests --bin plans`, a hundred set-ups
+//! rendered, detected and located.
+
+pub mod map;
+pub mod paper;
+pub mod precision;
+pub mod reach;
+mod rim;
+pub mod search;
+mod shot;
+pub mod sight;
+mod trial;
+mod tried;
+
+use thiserror::Error;
+pub use tried::Trials;
+
+use roundel_vision::{
+    camera::Camera,
+    marker::{DetectorError, Kind, Mode, Params},
+};
+
+/// Grey levels there are.
+const FULL_SCALE: f64 = 255.0;
+
+/// How a camera images.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Imaging {
+    /// Deviation of the noise, grey levels of 255.
+    pub noise: f64,
+    /// Deviation of the lens' blur, pixels.
+    pub blur_px: f64,
+    /// Grey level of black print.
+    pub black: f64,
+    /// Grey level of white paper.
+    pub white: f64,
+}
+
+impl Default for Imaging {
+    /// A middling camera in a lit room.
+    fn default() -> Self {
+        Self { noise: 2.0, blur_px: 0.7, black: 40.0, white: 200.0 }
+    }
+}
+
+/// A camera with how it images and how its pictures are searched.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sensor {
+    /// Its model.
+    pub camera: Camera,
+    /// Its pictures.
+    pub imaging: Imaging,
+    /// What is worth more.
+    pub mode: Mode,
+    /// What was tried of its pictures; sensors that share it are tried once.
+    pub trials: Trials,
+}
+
+/// Why there is no plan.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum PlanError {
+    /// A number is out of range.
+    #[error("{field}: expected {expected}, found {found}")]
+    Value {
+        /// Name of the number.
+        field: &'static str,
+        /// The range it must lie in.
+        expected: &'static str,
+        /// What came.
+        found: f64,
+    },
+    /// The detector knows no such roundel.
+    #[error(transparent)]
+    Kind(#[from] DetectorError),
+    /// It is found, or its code read, nowhere before this camera.
+    #[error(
+        "a roundel of {outer_mm} mm tilted by {tilt_deg:.0}° is {wanted} at no distance from this camera, in which it \
+         is at most {most_px:.1} px wide where it fits in, of {least_px:.1} that it takes; take a longer focal length, \
+         more pixels or less tilt"
+    )]
+    NoReach {
+        /// Outer diameter, millimetres.
+        outer_mm: f64,
+        /// Tilt, degrees.
+        tilt_deg: f64,
+        /// What has to be at a distance that counts.
+        wanted: &'static str,
+        /// Widest it gets while it is wholly in the picture, pixels.
+        most_px: f64,
+        /// The shorter diameter that it takes, pixels.
+        least_px: f64,
+    },
+    /// Nothing that was tried does what is wanted.
+    #[error("{0}")]
+    Unreachable(String),
+}
+
+impl Imaging {
+    /// Checks each number on its own.
+    pub fn check(&self) -> Result<(), PlanError> {
+        within("noise", self.noise, [0.0, 60.0], "0 to 60 grey levels")?;
+        within("blur", self.blur_px, [0.1, 5.0], "0.1 to 5 px")?;
+        within("black", self.black, [0.0, FULL_SCALE], "0 to 255 grey levels")?;
+        within("white", self.white, [0.0, FULL_SCALE], "0 to 255 grey levels")?;
+        let least = f64::from(Params::default().min_contrast);
+        let contrast = self.white - self.black;
+        within("white less black", contrast, [least, FULL_SCALE], "at least 20 grey levels")
+    }
+
+    /// White less black, grey levels.
+    pub fn contrast(&self) -> f64 {
+        self.white - self.black
+    }
+}
+
+impl Sensor {
+    /// Checks how it images; the camera's model has been checked already.
+    pub fn check(&self, kind: &Kind) -> Result<(), PlanError> {
+        self.imaging.check()?;
+        roundel_vision::marker::Detector::new(vec![kind.clone()], Params::default())?;
+        Ok(())
+    }
+}
+
+/// Also refuses NaN.
+fn within(
+    field: &'static str,
+    found: f64,
+    [low, high]: [f64; 2],
+    expected: &'static str,
+) -> Result<(), PlanError> {
+    if (low..=high).contains(&found) {
+        Ok(())
+    } else {
+        Err(PlanError::Value { field, expected, found })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{DMatrix, Translation3, UnitQuaternion, Vector3};
+
+    use super::{
+        map::{Field, Station, map},
+        precision::LensDoubt,
+        reach::reach,
+        search::{Wish, fewest, fewest_of_any_size, scaled, smallest_m},
+        *,
+    };
+    use roundel_fusion::world::CameraPlacement;
+    use roundel_vision::{
+        camera::{Intrinsics, Lens, NormalizedPoint},
+        marker::{CodeLayout, Mask, Pattern},
+        rigid::{Covariance6, Rigid},
+    };
+
+    /// 640x480, f = 700 px, no distortion, precise.
+    pub(super) fn sensor() -> Sensor {
+        let intrinsics = Intrinsics {
+            width: 640,
+            height: 480,
+            fx_px: 700.0,
+            fy_px: 700.0,
+            cx_px: 319.5,
+            cy_px: 239.5,
+            lens: Lens::PlumbBob([0.0; 5]),
+        };
+        let camera = Camera::new(intrinsics).unwrap();
+        Sensor {
+            camera,
+            imaging: Imaging::default(),
+            mode: Mode::Precise,
+            trials: Trials::default(),
+        }
+    }
+
+    fn kind() -> Kind {
+        Kind::plain("robot", 0.16, 0.064)
+    }
+
+    #[test]
+    fn without_distortion_ranges_are_the_papers_but_for_the_least_diameter() {
+        let found = reach(&sensor(), &kind(), 0.0).unwrap();
+        let paper = paper::Pinhole {
+            size_px: [640.0, 480.0],
+            focal_px: [700.0; 2],
+            outer_m: 0.16,
+            tilt_rad: [0.0; 2],
+            least_px: found.least_minor_px,
+            shrink: [1.0; 2],
+        };
+        let near = |one: f64, other: f64| (one / other - 1.0).abs() < 0.02;
+        assert!(near(found.most_m, paper.most_distance_m()), "{found:?}");
+        assert!(near(found.most_corner_m, found.most_m), "{found:?}");
+        assert!(near(found.least_m, paper.least_distance_m()), "{found:?}");
+        // The paper leaves out two diameters, of which one would do.
+        let base_m = [0, 1].map(|axis| paper.base_m()[axis] + paper.outer_m);
+        assert!(near(found.base_m[0], base_m[0]) && near(found.base_m[1], base_m[1]), "{found:?}");
+        let tilted = reach(&sensor(), &kind(), 0.7).unwrap();
+        assert!(tilted.most_m < 0.9 * found.most_m);
+    }
+
+    /// The same print with teeth.
+    fn coded(bits: u8) -> Kind {
+        let pattern = Pattern::Coded(CodeLayout { bits, min_distance: 1 });
+        Kind { pattern, ..Kind::plain("robot", 0.16, 0.16 * CodeLayout::RATIO) }
+    }
+
+    #[test]
+    fn a_code_is_read_less_far_than_its_ring_is_found() {
+        for (bits, least_px) in [(5, 30.0), (8, 36.0), (10, 48.0), (12, 60.0), (16, 90.0)] {
+            let found = reach(&sensor(), &coded(bits), 0.0).unwrap();
+            assert_eq!(found.least_minor_px, least_px);
+            let by_pinhole_m = 700.0 * 0.16 / least_px;
+            assert!((found.most_m / by_pinhole_m - 1.0).abs() < 0.02, "{bits}: {found:?}");
+            let ring = found.unread.unwrap();
+            assert!(ring.least_minor_px < 20.0 && ring.most_m > 1.5 * found.most_m, "{found:?}");
+        }
+        assert_eq!(reach(&sensor(), &kind(), 0.0).unwrap().unread, None);
+        let face_on = reach(&sensor(), &coded(8), 0.0).unwrap();
+        let tilted = reach(&sensor(), &coded(8), 0.8).unwrap();
+        let ratio = tilted.most_m / face_on.most_m;
+        assert!((ratio / 0.8f64.cos() - 1.0).abs() < 0.02, "{tilted:?}");
+        assert!(tilted.most_corner_m <= tilted.most_m && tilted.base_m[0] < face_on.base_m[0]);
+    }
+
+    #[test]
+    fn what_covers_an_arena_reads_its_codes() {
+        let at = (4.0, 0.0);
+        let [plain_m, coded_m] =
+            [kind(), coded(8)].map(|kind| smallest_m(&sensor(), None, &kind, at, None).unwrap());
+        assert!(plain_m < 0.5 * coded_m && (coded_m / (36.0 * 4.0 / 700.0) - 1.0).abs() < 0.02);
+        // From 3.5 m the ring is 32 px wide.
+        let mut stations = row(&[0.0]);
+        let lift = Translation3::new(0.0, 0.0, 0.5);
+        let place = &mut stations[0].place;
+        place.world_from_camera = lift * place.world_from_camera;
+        let field = Field { low_m: [-0.5, -0.4], high_m: [0.5, 0.4], height_m: 0.0, step_m: 0.1 };
+        let [plain, unread, read] = [kind(), coded(8), scaled(&coded(8), 0.2)]
+            .map(|kind| map(&stations, &kind, field).unwrap().summary().seen_share);
+        assert_eq!([plain, unread, read], [1.0, 0.0, 1.0]);
+        let wish = Wish { field, mount_m: [3.0, 3.5], views: 1, share: 1.0, most_m: None };
+        let grid = fewest(&sensor(), None, &coded(8), &wish).unwrap();
+        assert!(grid.mount_m < 3.2, "{}", grid.mount_m);
+        let refused = fewest(&sensor(), None, &coded(12), &wish).unwrap_err().to_string();
+        assert!(refused.contains("is found and its code read from"), "{refused}");
+        assert!(refused.contains("hang 3.00 to 3.50 m above it"), "{refused}");
+        let refused = smallest_m(&sensor(), None, &coded(8), (1e4, 0.0), None).unwrap_err();
+        assert!(refused.to_string().contains("found and its code read at 10000 m"), "{refused}");
+    }
+
+    #[test]
+    fn the_roundel_that_an_arena_asks_for_does_it_with_the_fewest_cameras() {
+        let field = Field { low_m: [-1.2, -0.9], high_m: [1.2, 0.9], height_m: 0.0, step_m: 0.1 };
+        let most_m = Some(1.5e-3);
+        let wish = Wish { field, mount_m: [2.0, 3.5], views: 1, share: 0.95, most_m };
+        let (outer_m, grid) = fewest_of_any_size(&sensor(), None, &kind(), &wish).unwrap();
+        // It does what is wished, and so many cameras do it with it.
+        let own = fewest(&sensor(), None, &scaled(&kind(), outer_m), &wish).unwrap();
+        assert_eq!(own.stations.len(), grid.stations.len(), "{outer_m}");
+        // Fewer do not, however large it is.
+        for larger in [1.0, 1.5, 2.5, 4.0] {
+            let found = fewest(&sensor(), None, &scaled(&kind(), larger * outer_m), &wish);
+            assert!(found.map_or(usize::MAX, |it| it.stations.len()) >= grid.stations.len());
+        }
+    }
+
+    #[test]
+    fn a_lens_that_shrinks_corners_sees_less_far_there() {
+        let mut bent = sensor();
+        let lens = Lens::PlumbBob([-0.2, 0.02, 0.0, 0.0, 0.0]);
+        let intrinsics = Intrinsics { lens, ..bent.camera.intrinsics().clone() };
+        bent.camera = Camera::new(intrinsics).unwrap();
+        let found = reach(&bent, &kind(), 0.0).unwrap();
+        assert!(found.most_corner_m < 0.95 * found.most_m, "{found:?}");
+    }
+
+    #[test]
+    fn what_cannot_be_planned_says_why() {
+        let refused = |change: &dyn Fn(&mut Sensor), kind: &Kind, tilt_rad: f64| {
+            let mut sensor = sensor();
+            change(&mut sensor);
+            reach(&sensor, kind, tilt_rad).unwrap_err().to_string()
+        };
+        let as_is = |_: &mut Sensor| {};
+        assert!(
+            refused(&|s| s.imaging.noise = -1.0, &kind(), 0.0).starts_with("noise: expected 0")
+        );
+        assert!(refused(&|s| s.imaging.blur_px = f64::NAN, &kind(), 0.0).starts_with("blur: "));
+        assert!(refused(&|s| s.imaging.white = 50.0, &kind(), 0.0).starts_with("white less black"));
+        assert!(refused(&as_is, &Kind::plain("dot", 0.16, 0.0), 0.0).contains("inner diameter"));
+        assert!(refused(&as_is, &kind(), 1.5).starts_with("tilt: expected 0 to 75 degrees"));
+        let tiny = |sensor: &mut Sensor| {
+            let intrinsics =
+                Intrinsics { width: 8, height: 8, ..sensor.camera.intrinsics().clone() };
+            sensor.camera = Camera::new(intrinsics).unwrap();
+        };
+        assert!(refused(&tiny, &kind(), 0.0).contains("is found at no distance"));
+    }
+
+    #[test]
+    fn the_smallest_roundel_does_it_and_a_smaller_one_does_not() {
+        let at = (8.0, 0.3);
+        let outer_m = smallest_m(&sensor(), None, &kind(), at, Some(2e-3)).unwrap();
+        let error_m = |outer_m: f64| {
+            let pose = reach::before(NormalizedPoint::default(), at.0, at.1);
+            let kind = scaled(&kind(), outer_m);
+            precision::expect(&sensor(), None, &kind, &pose).map(|it| it.position_m())
+        };
+        assert!(error_m(outer_m).unwrap() <= 2e-3);
+        assert!(error_m(0.98 * outer_m).is_none_or(|error_m| error_m > 2e-3));
+        let refused = smallest_m(&sensor(), None, &kind(), at, Some(1e-6)).unwrap_err();
+        assert!(refused.to_string().contains("the best of this camera is"), "{refused}");
+    }
+
+    /// Cameras along x that look straight down from 3 m.
+    fn row(places_m: &[f64]) -> Vec<Station> {
+        let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+        let station = |&x_m: &f64| Station {
+            sensor: sensor(),
+            doubt: None,
+            place: CameraPlacement {
+                world_from_camera: Rigid::from_parts(Translation3::new(x_m, 0.0, 3.0), down),
+                covariance: Covariance6::zeros(),
+            },
+            mask: Mask::default(),
+        };
+        places_m.iter().map(station).collect()
+    }
+
+    #[test]
+    fn where_two_cameras_see_a_roundel_it_is_known_better() {
+        let field = Field { low_m: [-0.5, -0.4], high_m: [0.5, 0.4], height_m: 0.2, step_m: 0.1 };
+        let one = map(&row(&[0.2]), &kind(), field).unwrap();
+        let two = map(&row(&[0.2, -0.2]), &kind(), field).unwrap();
+        assert_eq!((one.columns, one.rows, one.spots.len()), (11, 9, 99));
+        for (one, two) in one.spots.iter().zip(&two.spots) {
+            assert_eq!((one.cameras, two.cameras), (1, 2));
+            let ratio = two.deviation.unwrap().total_m / one.deviation.unwrap().total_m;
+            assert!((0.1..0.9).contains(&ratio), "{ratio}");
+        }
+        // Depth, which is upright here, is what a camera knows worst.
+        let deviation = one.spots[49].deviation.unwrap();
+        assert!(deviation.upright_m > 2.0 * deviation.level_m, "{deviation:?}");
+        let far = Field { low_m: [5.0, 5.0], high_m: [6.0, 6.0], ..field };
+        let unseen = map(&row(&[0.0]), &kind(), far).unwrap();
+        assert!(unseen.summary().seen_share == 0.0 && unseen.summary().median_m.is_nan());
+        // What each sees is what it would see alone.
+        let wide = Field { low_m: [-3.0, -1.0], high_m: [2.0, 1.0], ..field };
+        let places_m = [1.5, -1.0];
+        let both = map(&row(&places_m), &kind(), wide).unwrap();
+        let alone = places_m.map(|x| map(&row(&[x]), &kind(), wide).unwrap().summary().seen_share);
+        assert_eq!(both.seen_shares, alone);
+        assert!(0.0 < alone[0] && alone[0] < alone[1] && alone[1] < 1.0, "{alone:?}");
+        let seen = Field::seen_by(&row(&[0.0]), 0.2, 100).unwrap();
+        assert!((seen.high_m[0] - 2.8 * 320.0 / 700.0).abs() < 0.01, "{seen:?}");
+    }
+
+    #[test]
+    fn doubtful_lenses_make_a_map_worse_each_by_itself() {
+        let field = Field { low_m: [-0.5, -0.4], high_m: [0.5, 0.4], height_m: 0.2, step_m: 0.1 };
+        // Both focal lengths off together by half a percent.
+        let mut covariance = DMatrix::zeros(4, 4);
+        covariance.view_mut((0, 0), (2, 2)).fill(3.5f64.powi(2));
+        let doubt = LensDoubt { free: Vec::new(), covariance };
+        let upright_m = |places_m: &[f64], doubt: Option<&LensDoubt>| {
+            let mut stations = row(places_m);
+            stations.iter_mut().for_each(|station| station.doubt = doubt.cloned());
+            map(&stations, &kind(), field).unwrap().spots[49].deviation.unwrap().upright_m
+        };
+        let (exact_m, doubtful_m) = (upright_m(&[0.0], None), upright_m(&[0.0], Some(&doubt)));
+        let by_lens_m = (doubtful_m.powi(2) - exact_m.powi(2)).sqrt();
+        assert!((by_lens_m / (0.005 * 2.8) - 1.0).abs() < 0.1, "{exact_m} {doubtful_m}");
+        // What one lens is off by says nothing of the other.
+        let both_m = upright_m(&[0.0, 0.0], Some(&doubt));
+        assert!((both_m / doubtful_m - 0.5f64.sqrt()).abs() < 1e-6, "{both_m} {doubtful_m}");
+    }
+
+    #[test]
+    fn the_fewest_cameras_cover_the_arena() {
+        let field = Field { low_m: [-2.0, -0.85], high_m: [2.0, 0.85], height_m: 0.0, step_m: 0.1 };
+        let wish = Wish { field, mount_m: [3.0, 3.0], views: 1, share: 0.98, most_m: None };
+        let grid = fewest(&sensor(), None, &kind(), &wish).unwrap();
+        // A picture shows 2.74 x 2.06 m of the floor.
+        assert_eq!(grid.counts, [2, 1], "{:?}", grid.map.summary());
+        assert!(grid.map.summary().seen_share >= 0.98);
+        let twice = fewest(&sensor(), None, &kind(), &Wish { views: 2, ..wish }).unwrap();
+        assert!(twice.stations.len() > 2 && twice.map.summary().twice_share >= 0.98);
+        let refused = fewest(&sensor(), None, &scaled(&kind(), 0.008), &wish).unwrap_err();
+        assert!(refused.to_string().contains("hang 3.00 to 3.00 m above it"), "{refused}");
+        let low = fewest(&sensor(), None, &kind(), &Wish { mount_m: [-1.0, 2.0], ..wish });
+        assert!(low.unwrap_err().to_string().starts_with("mount: expected metres, 0.05"));
+        // Where the lowest mount is too near, a higher one does it.
+        let wide = Wish { mount_m: [0.1, 3.0], share: 0.6, ..wish };
+        assert!(fewest(&sensor(), None, &kind(), &wide).unwrap().mount_m > 1.0);
+        // An arena that all cameras together are too few for.
+        let field = Field { low_m: [-400.0; 2], high_m: [400.0; 2], ..wish.field };
+        let refused = fewest(&sensor(), None, &kind(), &Wish { field, ..wish }).unwrap_err();
+        assert!(
+            refused.to_string().contains("64 times the 6 m² that one sees from 3 m"),
+            "{refused}"
+        );
+    }
+}
