@@ -25,6 +25,10 @@ pub const HANG: Duration = Duration::from_secs(12);
 const SIGMAS: f64 = 6.0;
 /// … of the stated covariance and of what models of motion do not state, metres.
 const UNSTATED_M: f64 = 5e-3;
+/// Pauses of this process longer than this, seconds, delay messages by more than their senders state …
+const USUAL_PAUSE_S: f64 = 0.02;
+/// … while robots move this fast, m/s.
+const SPEED_M_S: f64 = 1.0;
 /// An object within this distance of a robot is taken for it, metres.
 const GATE_M: f64 = 0.3;
 /// A second track of a robot may exist for this number of snapshots while tracks begin.
@@ -57,6 +61,8 @@ pub struct Received {
     pub worst_share: f64,
     /// Longest time without a snapshot while the server ran, seconds.
     pub longest_gap_s: f64,
+    /// Longest pause of this process, seconds.
+    pub longest_pause_s: f64,
 }
 
 /// Judges snapshots one by one.
@@ -90,6 +96,16 @@ impl Judge {
     pub fn set_running(&mut self, is_running: bool) {
         self.check_gap();
         self.expected_from = is_running.then(Instant::now);
+    }
+
+    /// Notes that this process did not run for a while.
+    pub fn paused(&mut self, pause: Duration) {
+        self.received.longest_pause_s = self.received.longest_pause_s.max(pause.as_secs_f64());
+    }
+
+    /// How far a robot moves within the longest pause, metres.
+    fn paused_m(&self) -> f64 {
+        SPEED_M_S * (self.received.longest_pause_s - USUAL_PAUSE_S).max(0.0)
     }
 
     /// Notes a broken promise.
@@ -140,7 +156,7 @@ impl Judge {
         let mut at: Vec<Vec<&ObjectState>> = vec![Vec::new(); truth.len()];
         for state in snapshot.objects.iter().filter(|it| it.stage() == LifeStage::Tracked) {
             let position = state.position.as_ref().map_or_else(Vector3::zeros, vector);
-            match nearest(&position, truth) {
+            match nearest(&position, truth, GATE_M + self.paused_m()) {
                 Some(robot) => at[robot].push(state),
                 None if position.x < FAR_M => {
                     self.violate(format!(
@@ -198,7 +214,8 @@ impl Judge {
         let position = state.position.as_ref().map_or_else(Vector3::zeros, vector);
         let error = position - truth.pose.translation.vector;
         let stated = position_covariance(&state.covariance);
-        let allowed = stated.map(|it| it + Matrix3::identity() * UNSTATED_M.powi(2));
+        let unstated_m2 = UNSTATED_M.powi(2) + self.paused_m().powi(2);
+        let allowed = stated.map(|it| it + Matrix3::identity() * unstated_m2);
         let Some(square) = allowed.and_then(|allowed| normalized3(&error, &allowed)) else {
             return self.violate(format!("robot {robot} has no usable covariance"));
         };
@@ -222,11 +239,11 @@ impl Judge {
     }
 }
 
-fn nearest(position: &Vector3<f64>, truth: &[Truth]) -> Option<usize> {
+fn nearest(position: &Vector3<f64>, truth: &[Truth], gate_m: f64) -> Option<usize> {
     let distance = |robot: &usize| (truth[*robot].pose.translation.vector - position).norm();
     let nearest =
         (0..truth.len()).min_by(|one, other| distance(one).total_cmp(&distance(other)))?;
-    (distance(&nearest) < GATE_M).then_some(nearest)
+    (distance(&nearest) < gate_m).then_some(nearest)
 }
 
 /// The position's block of the upper triangle of a 6x6 covariance.

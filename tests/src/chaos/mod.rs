@@ -30,7 +30,7 @@ use std::{
     fmt,
     path::Path,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use anyhow::Context;
@@ -197,6 +197,7 @@ impl Run {
         let client = Client::connect_lazily(&client_link.url())?;
         let confirmed = Confirmed::default();
         tasks.spawn(watch(client.clone(), judge.clone()));
+        tasks.spawn(watch_pauses(judge.clone()));
         tasks.spawn(operator::change_objects(client, confirmed.clone()));
         lock(&judge).set_running(true);
         Ok(Self {
@@ -327,6 +328,16 @@ async fn watch(client: Client, judge: Arc<Mutex<Judge>>) {
             Ok(_) => {}
             Err(error) => lock(&judge).violate(format!("the honest client is rejected: {error}")),
         }
+    }
+}
+
+/// Reports to the judge how late this process runs.
+async fn watch_pauses(judge: Arc<Mutex<Judge>>) {
+    const INTERVAL: Duration = Duration::from_millis(5);
+    loop {
+        let begun = Instant::now();
+        sleep(INTERVAL).await;
+        lock(&judge).paused(begun.elapsed().saturating_sub(INTERVAL));
     }
 }
 
