@@ -8,7 +8,7 @@
 //! blur keeps, and the difference of the eigenvalues, 4 (λ₀ - λ₁) = e₀² - e₁². [`Shape::ellipse`]
 //! takes these two, which leaves σ² = λ₁ - e₁²/4 as a by-product.
 
-use crate::{camera::PixelPoint, lanes::Lane};
+use crate::{camera::PixelPoint, simd::Lane};
 
 /// A rim as imaged, in raw pixels; see [`crate::conventions`].
 #[derive(Clone, Copy, Debug, PartialEq)]

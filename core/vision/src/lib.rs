@@ -3,8 +3,8 @@
 //! | module | content |
 //! | --- | --- |
 //! | [`time`], [`id`], [`rigid`] | instants, names, rigid transforms with covariance |
-//! | `lanes` | numbers side by side, one case in each lane of a vector |
-//! | `share` | work on a frame's rings, shared among threads |
+//! | `simd` | numbers side by side, one case in each lane of a vector |
+//! | `parallel` | work on a frame's rings, shared among threads |
 //! | [`camera`] | lens models |
 //! | [`frame`] | a view of 8-bit grey pixels |
 //! | [`segment`] | windows, and moments of runs of pixels |
@@ -23,11 +23,12 @@ pub mod camera;
 pub mod ellipse;
 pub mod frame;
 pub mod id;
-mod lanes;
 pub mod marker;
+pub mod normal;
+mod parallel;
 pub mod pose;
 pub mod rigid;
-mod room;
+mod scratch;
 pub mod segment;
-mod share;
+mod simd;
 pub mod time;

@@ -15,7 +15,7 @@
 use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
 
 use super::LensError;
-use crate::lanes::{Lane, Mask, Mat2, Vec2};
+use crate::simd::{Lane, Mask, Mat2, Vec2};
 
 /// A distortion model with its coefficients, named and ordered as in ROS' `camera_info`.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -5,15 +5,15 @@
 //! (`camera::tests`, and OpenCV's numbers in `tests/golden.rs`). A point that the camera cannot see,
 //! or a pixel that no ray reaches, is a [`LensError`], never a wrong number.
 
-mod each;
 mod lens;
-mod near;
+mod nearby_rays;
+mod project_lanes;
 
 use nalgebra::{Matrix2x3, Matrix3x2, Vector2, Vector3};
 use thiserror::Error;
 
 pub use lens::Lens;
-pub(crate) use near::NearRays;
+pub(crate) use nearby_rays::NearRays;
 
 /// Largest width or height of an image; beyond it the sums of moments could lose exactness.
 pub const MAX_SIDE_PX: usize = 16_384;

@@ -11,19 +11,22 @@ use crate::{
     id::KindId,
     marker::{
         Ring,
-        abreast::{self, AbreastScratch},
-        claim::Claim,
-        code::CodeReader,
-        code::measure::{self as coded, CodedKind},
-        examine::{Probe, Rules},
+        batch::{self, AbreastScratch},
+        coded::{
+            measure::{self as coded, CodedKind},
+            reader::CodeReader,
+        },
         kind::{Kind, Pattern, Polarity, RATIO_LIMITS},
         mask::Mask,
-        measure::{MeasureScratch, measure},
-        param::{self, DetectorError, Params},
+        params::{self, DetectorError, Params},
         reject::{Reject, RejectCounts, Rejected, Rejects},
-        search::{SearchRules, SearchScratch},
+        ring::{
+            checks::{Probe, Rules},
+            measure::{MeasureScratch, measure},
+        },
+        search::{SearchRules, SearchScratch, claim::Claim},
     },
-    room::make_room,
+    scratch::make_room,
     segment::Window,
 };
 
@@ -96,7 +99,7 @@ impl Scratch {
 impl Detector {
     /// A detector of these kinds; without any, every plausible black ring is found and has no kind.
     pub fn new(kinds: Vec<Kind>, params: Params) -> Result<Self, DetectorError> {
-        param::check(&kinds, &params)?;
+        params::check(&kinds, &params)?;
         let ratios = kinds
             .iter()
             .map(Kind::ratios)
@@ -161,7 +164,7 @@ impl Detector {
         if !self.coded.is_empty() || self.kinds.is_empty() || !self.rules.similar {
             return;
         }
-        abreast::measure_each(frame, &self.rules, &self.kinds, scratch);
+        batch::measure_each(frame, &self.rules, &self.kinds, scratch);
         for ring in &mut scratch.rings {
             let center = ring.as_ref().map(|ring| ring.outer.center);
             if center.is_some_and(|center| self.mask.covers(center)) {

@@ -4,9 +4,11 @@ use crate::{
     ellipse::Ellipse,
     id::KindId,
     marker::{
+        classify::{
+            compensation::{compensated, rim_shift_px},
+            elliptical::AXIS_RATIO_LIMIT,
+        },
         code::CodeLayout,
-        elliptical::AXIS_RATIO_LIMIT,
-        rim::{compensated, rim_shift_px},
     },
 };
 
@@ -134,7 +136,7 @@ pub(crate) fn shift_limit_px(outer: &Ellipse) -> f64 {
 /// Compensation can bring any pair of rims to any ratio, so the kind cannot be chosen after it: it is
 /// the one that needs the smallest rim shift |t|, and the shift must be one that a camera can cause.
 /// No two kinds have the same ratio ([`crate::marker::DetectorError::Alike`]). Coded kinds are none of them: their
-/// white is no disc ([`crate::marker::code::measure`]).
+/// white is no disc ([`crate::marker::coded::measure`]).
 #[inline(always)]
 pub(crate) fn nearest_kind(
     kinds: &[Kind],

@@ -36,56 +36,34 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-mod abreast;
-pub(crate) mod belt;
-mod blur;
-mod chord;
-mod claim;
+mod batch;
+mod classify;
 mod code;
-mod cross;
+mod coded;
 mod detector;
-mod edge;
-mod elliptical;
-mod examine;
-mod follow;
-mod harmonic;
 mod kind;
-mod levels;
 mod mask;
-mod measure;
-mod middle;
-pub(crate) mod normal;
-mod occupied;
-mod outline;
-mod oval;
-mod param;
-mod patch;
+mod params;
 mod reject;
-pub mod rim;
-mod scan;
+mod ring;
 mod search;
-mod segments;
-mod spans;
-mod stroke;
-mod thin;
-mod threshold;
-mod tracker;
-mod weigh;
-mod zones;
+mod track;
+mod validate;
 
-pub use belt::WIDE_PX;
-pub use code::{
-    Code, CodeError, CodeLayout, CodeReader, CodeReading, Dictionary, Tooth, VotedCode,
+pub use classify::{
+    compensation::{compensated, rim_shift_px},
+    elliptical::AXIS_RATIO_LIMIT,
 };
+pub use code::{Code, CodeError, CodeLayout, CodeReading, Dictionary, Tooth, VotedCode};
+pub use coded::reader::CodeReader;
 pub use detector::{Detector, Scratch};
-pub use elliptical::AXIS_RATIO_LIMIT;
 pub use kind::{Kind, Pattern, Polarity, RATIO_LIMITS, is_measurable, tells_heading};
 pub use mask::{Mask, MaskError};
-pub use normal::Beyond;
-pub use param::{DetectorError, Mode, Params};
+pub use params::{DetectorError, Mode, Params};
 pub use reject::{MAX_REJECTED, Reject, RejectCounts, Rejected};
-pub use threshold::BinarySearch;
-pub use tracker::Tracker;
+pub use ring::pixels::edge_band::WIDE_PX;
+pub use search::threshold::BinarySearch;
+pub use track::Tracker;
 
 use crate::{
     ellipse::Ellipse,

@@ -33,7 +33,7 @@ use crate::{
     frame::Frame,
     id::KindId,
     marker::{Kind, Mode, Ring, TrackedRing},
-    share::Shares,
+    parallel::Shares,
     time::Timestamp,
 };
 

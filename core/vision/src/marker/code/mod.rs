@@ -12,23 +12,12 @@
 //! | grey levels between pixels | `light` |
 //! | a coded roundel's outline and rims | `spoke`, `contour`, `points`, `gaps`, `measure` |
 
-mod chart;
-mod contour;
 mod dictionary;
-mod gaps;
 mod layout;
-mod light;
-pub(crate) mod measure;
-mod points;
-mod profile;
-mod reader;
-mod spoke;
 mod vote;
-mod word;
 
 pub use dictionary::Dictionary;
 pub use layout::{CodeError, CodeLayout, Tooth};
-pub use reader::CodeReader;
 pub(crate) use vote::Vote;
 pub use vote::VotedCode;
 

@@ -21,7 +21,7 @@ use super::{
     scatter::scatter,
     view::Nodes,
 };
-use crate::{ellipse::Chords, frame::Frame, room::make_room};
+use crate::{ellipse::Chords, frame::Frame, scratch::make_room};
 
 /// Rows are padded to whole vectors of any width.
 pub const LANES: usize = 16;

@@ -10,7 +10,7 @@
 
 use fearless_simd::prelude::*;
 
-use crate::room::make_room;
+use crate::scratch::make_room;
 
 /// Rows and columns of a patch.
 const SIDE: usize = 4;

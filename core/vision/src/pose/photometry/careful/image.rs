@@ -8,7 +8,7 @@ use fearless_simd::{Level, Simd, dispatch};
 use fearless_simd_macros::simd;
 
 use super::super::{contour::MOST_NODES, view::Nodes};
-use crate::room::make_room;
+use crate::scratch::make_room;
 
 /// Images: fall (later d), two gradients, curvature, and the spread of either rim.
 pub const IMAGES: usize = 6;

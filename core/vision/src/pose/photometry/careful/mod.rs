@@ -41,7 +41,7 @@ use super::{
     state::{BLUR, Problem, State, UNKNOWNS, WHITE},
     window_of,
 };
-use crate::{ellipse::Ellipse, room::make_room};
+use crate::{ellipse::Ellipse, scratch::make_room};
 use cells::{Cell, Known, Products, SPREAD};
 use image::{Images, Normal};
 use pixels::Pixel;

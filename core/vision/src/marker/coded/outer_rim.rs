@@ -1,0 +1,252 @@
+//! A coded roundel's outer rim to a fraction of a pixel, from points where the grey level is halfway.
+//!
+//! Across the rim, the place of the level halfway between ring and margin is looked for at points
+//! evenly spaced in the ellipse's parameter t. How far outwards of the ellipse they lie, as a share q(t)
+//! of its size, has five harmonics that an ellipse can follow:
+//! q = α + βₓ cos t + βᵧ sin t + γ cos 2t + η sin 2t, the ellipse's map A becoming A (1 + S) with
+//! S = [α+γ η; η α-γ] and its centre moving by A β. The rest of q is how uneven the rim is.
+//!
+//! A blur of deviation σ draws the half level of a rim of curvature κ inwards by σ²κ/2; σ is told by
+//! the rim's slope, (W - B)/(√(2π) σ). B and W are seen a few pixels inside and outside of the rim, of small
+//! or tilted ones nearer, where they are mixed; by how much, the blur tells.
+//!
+//! The rim is where such a turn leaves it as it is. A ring that is followed begins where it is expected and is
+//! there in two or three turns, others begin at a rough outline.
+
+use fearless_simd::{Simd, dispatch};
+use fearless_simd_macros::simd;
+
+use crate::{
+    camera::PixelPoint,
+    ellipse::{Ellipse, Symmetric2},
+    marker::{
+        coded::{
+            rim_points::{Each, Edges, POINTS, Points, harmonics, mean, smoothed, sum, tilted},
+            sampler::Light,
+        },
+        reject::Reject,
+    },
+};
+
+/// A rim more uneven than this is partly covered, or none.
+const MOST_UNEVEN: f64 = 0.25;
+/// By turn, how far from the ellipse a point may be, as a share of the shorter semiaxis …
+const WALKS: [f64; 4] = [0.35, 0.12, 0.05, 0.02];
+/// … and pixels on top.
+const WALK_PX: f64 = 1.5;
+/// How far from where a ring is expected its points may be, pixels.
+const EXPECTED_PX: f64 = 3.0;
+/// A rim that was moved by less than this is within half a pixel of its place.
+const NEAR_PX: f64 = 0.3;
+/// Of a ring that is followed, a turn that lets it grow by less than this, pixels, tells what all later ones would add.
+const FORESEEN_PX: f64 = 0.01;
+/// Each would add this share of what the one before did, at most.
+const MOST_LEFT: f64 = 0.7;
+/// Turns in which the rim is found, at most: of a small one, whose levels are seen near its edge, each leaves
+/// up to two thirds of what it was off …
+const MOST_TURNS: usize = 14;
+/// … and the last one moves it by less than this, pixels …
+const SETTLED_PX: f64 = 0.002;
+/// … and what has its errors squared in each turn, centre and shape, by less than this.
+const SETTLING_PX: f64 = 0.02;
+/// Points without an edge, of all, at most.
+const MOST_MISSING: usize = POINTS / 6;
+/// Variance of a slope's width, px².
+const SLOPE_PX2: f64 = 1.0 / 12.0;
+/// Deviations that the slope of an edge may tell, pixels: pixels and interpolation alone give the
+/// first.
+const BLURS_PX: (f64, f64) = (0.5, 3.0);
+/// What it is taken for at first.
+const FIRST_BLUR_PX: f64 = 1.0;
+
+/// The outer rim.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Rim {
+    pub ellipse: Ellipse,
+    /// Level of the ring.
+    pub black: f64,
+    /// Deviation of the blur as the interpolated picture has it, pixels.
+    pub blur_px: f64,
+    /// Rms of the levels along the rim about halfway, as a share of the contrast, as
+    /// [`crate::marker::Ring::unevenness`].
+    pub unevenness: f64,
+}
+
+impl Rim {
+    fn about(ellipse: &Ellipse) -> Self {
+        Self { ellipse: *ellipse, black: 0.0, blur_px: FIRST_BLUR_PX, unevenness: 0.0 }
+    }
+
+    /// If it is whole.
+    fn checked(self) -> Result<Self, Reject> {
+        if self.unevenness > MOST_UNEVEN { Err(Reject::Covered) } else { Ok(self) }
+    }
+}
+
+/// The outer rim near a rough outline; `threshold` parts black from white at first.
+pub(crate) fn outer_rim(light: &Light, outline: &Ellipse, threshold: f64) -> Result<Rim, Reject> {
+    let mut rim = Rim::about(outline);
+    for turn in 0..MOST_TURNS {
+        let share = WALKS[turn.min(WALKS.len() - 1)];
+        let reach_px = WALK_PX + share * rim.ellipse.semi_minor_px;
+        let before = rim.ellipse;
+        rim = fitted(light, &rim, (turn == 0).then_some(threshold), Reach::Far(reach_px))?;
+        let grown_px = rim.ellipse.mean_radius_px() - before.mean_radius_px();
+        if turn + 1 >= WALKS.len() && grown_px.abs() < SETTLED_PX {
+            break;
+        }
+    }
+    rim.checked()
+}
+
+/// The outer rim of a ring that is followed, from where it is expected.
+pub(crate) fn followed_rim(light: &Light, expected: &Ellipse) -> Result<Rim, Reject> {
+    let mut rim = Rim::about(expected);
+    let (mut reach, mut grown_before_px) = (Reach::Near, f64::NAN);
+    for _ in 0..MOST_TURNS {
+        let before = rim.ellipse;
+        rim = match (fitted(light, &rim, None, reach), reach) {
+            // It has moved further than most do.
+            (Err(Reject::Covered), Reach::Near) => {
+                fitted(light, &rim, None, Reach::Far(EXPECTED_PX))?
+            }
+            (turned, _) => turned?,
+        };
+        let after = &mut rim.ellipse;
+        let longer_px = after.semi_major_px - before.semi_major_px;
+        let wider_px = after.semi_minor_px - before.semi_minor_px;
+        let (du, dv) = (after.center.u - before.center.u, after.center.v - before.center.v);
+        let moved_px = du.abs().max(dv.abs()).max((longer_px - wider_px).abs());
+        let grown_px = 0.5 * (longer_px + wider_px);
+        if grown_px.abs() < FORESEEN_PX && moved_px < SETTLING_PX {
+            // Not a number after the first turn.
+            let share = grown_px / grown_before_px;
+            let rest_px = grown_px * share / (1.0 - share);
+            if share.abs() < MOST_LEFT {
+                after.semi_major_px += rest_px;
+                after.semi_minor_px += rest_px;
+                break;
+            }
+            if grown_px.abs() < SETTLED_PX {
+                break;
+            }
+        }
+        grown_before_px = grown_px;
+        let is_near = moved_px.max(grown_px.abs()) < NEAR_PX;
+        reach = if is_near { Reach::Near } else { Reach::Far(EXPECTED_PX) };
+    }
+    rim.checked()
+}
+
+/// How far from a rim its points are looked for.
+#[derive(Clone, Copy, Debug)]
+enum Reach {
+    /// Within half a pixel.
+    Near,
+    /// Within so many pixels.
+    Far(f64),
+}
+
+/// One turn; the level halfway is `threshold` or what the neighbourhood says.
+fn fitted(light: &Light, rim: &Rim, threshold: Option<f64>, reach: Reach) -> Result<Rim, Reject> {
+    dispatch!(light.level, simd => fitted_with(simd, light, rim, threshold, reach))
+}
+
+#[simd]
+fn fitted_with<S: Simd>(
+    _simd: S,
+    light: &Light,
+    rim: &Rim,
+    threshold: Option<f64>,
+    reach: Reach,
+) -> Result<Rim, Reject> {
+    if light.frame.width() < 2 || light.frame.height() < 2 {
+        return Err(Reject::FrameEdge);
+    }
+    let points = Points::of(&rim.ellipse);
+    let mut half = [threshold.unwrap_or_default() as f32; POINTS];
+    let (mut black, mut contrast) = (0.0, 0.0);
+    if threshold.is_none() {
+        let (blacks, margins) =
+            points.black_and_white(light, rim.ellipse.semi_minor_px, rim.blur_px);
+        let (blacks, margins) = (tilted(&blacks), smoothed(&margins));
+        black = mean(&blacks);
+        contrast = mean(&margins) - black;
+        if contrast.is_nan() || contrast < 1.0 {
+            return Err(Reject::Contrast);
+        }
+        for index in 0..POINTS {
+            half[index] = 0.5 * (blacks[index] + margins[index]);
+        }
+    }
+    let edges = match reach {
+        Reach::Near => Edges::near(light, &points, &half),
+        Reach::Far(reach_px) => Edges::far(light, &points, &half, reach_px),
+    };
+    if edges.missing > MOST_MISSING {
+        return Err(Reject::Covered);
+    }
+    let mut shares = edges.out_px;
+    for (index, share) in shares.iter_mut().enumerate() {
+        let drawn_px = points.drawn_per_px[index] * (rim.blur_px * rim.blur_px) as f32;
+        let seen = if edges.slope[index] > 0.0 { *share + drawn_px } else { 0.0 };
+        *share = seen / points.height_px[index];
+    }
+    // A slope over a pixel is that of an edge blurred by a pixel more.
+    let seen = (POINTS - edges.missing) as f64;
+    let steep = mean(&edges.slope) * POINTS as f64;
+    let seen_px = contrast * seen / (steep * std::f64::consts::TAU.sqrt());
+    let blur_px = (seen_px * seen_px - SLOPE_PX2).sqrt();
+    let of_slope = blur_px.max(BLURS_PX.0).min(BLURS_PX.1);
+    let blur_px = if threshold.is_none() { of_slope } else { FIRST_BLUR_PX };
+    let (ellipse, rest_px) = moved(&rim.ellipse, &points, &shares).ok_or(Reject::Profile)?;
+    // What an edge strays, in levels; points without one stray by half the contrast.
+    let strays = rest_px / (std::f64::consts::TAU.sqrt() * blur_px);
+    let gone = edges.missing as f64 / POINTS as f64;
+    let unevenness = (strays * strays + 0.25 * gone).sqrt();
+    Ok(Rim { ellipse, black, blur_px, unevenness })
+}
+
+/// The ellipse that follows the points, and the rms of what they stray from it, pixels.
+#[inline(always)]
+fn moved(ellipse: &Ellipse, points: &Points, shares: &Each) -> Option<(Ellipse, f64)> {
+    let bases = harmonics();
+    let alpha = mean(shares);
+    let [x, y, gamma, eta] =
+        bases.each_ref().map(|basis| 2.0 * sum(|at| shares[at] * basis[at]) / POINTS as f64);
+    let [whole, by_x, by_y, by_p, by_q] = [alpha, x, y, gamma, eta].map(|it| it as f32);
+    let mut rest = [0.0; POINTS];
+    let [xs, ys, ps, qs] = bases;
+    for index in 0..POINTS {
+        let followed =
+            whole + by_x * xs[index] + by_y * ys[index] + by_p * ps[index] + by_q * qs[index];
+        let off_px = (shares[index] - followed) * points.height_px[index];
+        rest[index] = off_px * off_px;
+    }
+    let (sin, cos) = ellipse.angle_rad.sin_cos();
+    let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
+    let major = (a * cos, a * sin);
+    let minor = (-b * sin, b * cos);
+    let column = |p: f64, q: f64| (major.0 * p + minor.0 * q, major.1 * p + minor.1 * q);
+    let (shift_u, shift_v) = column(x, y);
+    let columns = [column(1.0 + alpha + gamma, eta), column(eta, 1.0 + alpha - gamma)];
+    let center = PixelPoint { u: ellipse.center.u + shift_u, v: ellipse.center.v + shift_v };
+    let ellipse = of_columns(center, columns);
+    ellipse.is_valid().then(|| (ellipse, mean(&rest).sqrt()))
+}
+
+/// The image of the unit circle under the map of these columns.
+pub(super) fn of_columns(center: PixelPoint, [p, q]: [(f64, f64); 2]) -> Ellipse {
+    let matrix = Symmetric2 {
+        uu: p.0 * p.0 + q.0 * q.0,
+        uv: p.0 * p.1 + q.0 * q.1,
+        vv: p.1 * p.1 + q.1 * q.1,
+    };
+    let (long, short, angle_rad) = matrix.eigen();
+    Ellipse {
+        center,
+        semi_major_px: long.max(0.0).sqrt(),
+        semi_minor_px: short.max(0.0).sqrt(),
+        angle_rad,
+    }
+}

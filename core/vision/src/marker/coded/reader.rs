@@ -1,0 +1,269 @@
+//! Reads a code.
+//!
+//! The profile round the teeth gives the likeliest identity (`word`). Its template, blurred as the
+//! image is, is then fitted to the profile: its phase to a small part of a sample, and its amplitude.
+//! With the correlation ρ of the two, the profile's likelihood, its noise unknown, is
+//! (1 - ρ²)^(-n/2) for n independent levels, two a bit; so the reading's confidence against a rival
+//! whose correlation is ρ′ is 1 / (1 + ((1 - ρ²)/(1 - ρ′²))^(n/2)). A profile that is not this code's
+//! whatever the rivals (a plain disc, clutter, a half covered ring) has a low ρ or a wrong amplitude,
+//! and is refused.
+
+use fearless_simd::Level;
+
+use crate::{
+    frame::Frame,
+    marker::{
+        Ring,
+        code::{Code, CodeError, CodeLayout, CodeReading, Dictionary},
+        coded::{
+            decode::{self, Found},
+            plane_map::Chart,
+            profile::{Directions, Levels, MAX_SAMPLES, Profile},
+            sampler::Light,
+        },
+    },
+};
+
+/// Deviation of the blur that a template has, pixels: the middle of what is usual, since a ring does
+/// not know its own.
+const USUAL_BLUR_PX: f64 = 0.8;
+/// What samples that share pixels err by together, radians: of 20,000 readings each of 8 to 16 bits beside
+/// what each sample's own error makes (`cargo run -p roundel-tests --bin codes`).
+const SHARED_RAD: f64 = 8e-4;
+/// Least ρ² of a reading …
+const LEAST_FIT: f32 = 0.7;
+/// … least and largest amplitude, as a share of half the ring's contrast …
+const AMPLITUDES: (f32, f32) = (0.4, 1.6);
+/// … and least confidence.
+const LEAST_CONFIDENCE: f64 = 0.99;
+/// The template is smoothed in steps; each has at most this share of a sample squared.
+const STEP_SPREAD: f32 = 0.6;
+const MAX_STEPS: usize = 8;
+/// Fewest samples a slot, and what they are apart where there is room for more, pixels.
+const LEAST_PER_SLOT: usize = 4;
+const STEP_PX: f64 = 2.0;
+/// Steps of Gauss and Newton to the phase.
+const PHASE_TURNS: usize = 2;
+
+/// Reads the codes of one layout.
+#[derive(Clone, Debug)]
+pub struct CodeReader {
+    dictionary: Dictionary,
+    own_distances: Vec<u8>,
+    /// By samples a slot, from the fewest on.
+    directions: Vec<Directions>,
+    ratio: f64,
+}
+
+impl CodeReader {
+    /// A reader of a layout's codes; `ratio` is the white disc's diameter over the outer one,
+    /// [`CodeLayout::RATIO`] as WhyCode prints them.
+    pub fn new(layout: CodeLayout, ratio: f64) -> Result<Self, CodeError> {
+        let dictionary = layout.codes()?;
+        let own = |(code, _): (Code, u16)| dictionary.own_distance(code.number).unwrap_or(1);
+        let own_distances = dictionary.iter().map(own).collect();
+        let slots = 2 * usize::from(layout.bits);
+        let core = CodeLayout::CORE_SHARE * ratio;
+        let directions = (LEAST_PER_SLOT..=MAX_SAMPLES / slots)
+            .map(|per_slot| Directions::new(slots * per_slot, core, ratio))
+            .collect();
+        Ok(Self { dictionary, own_distances, directions, ratio })
+    }
+
+    /// The identities that it tells apart.
+    pub fn dictionary(&self) -> &Dictionary {
+        &self.dictionary
+    }
+
+    /// What the teeth inside a ring say; `None` if they cannot be read.
+    pub fn read(&self, frame: &Frame, ring: &Ring) -> Option<CodeReading> {
+        let chart = Chart::new(&ring.outer, ring.inner.center, self.ratio);
+        let levels = Levels {
+            black: ring.black,
+            white: ring.white,
+            polarity: ring.polarity,
+            blur_px: USUAL_BLUR_PX,
+        };
+        let light = Light { frame, level: Level::new(), inverted: false };
+        Some(self.read_in(&light, &chart, &levels)?.seen_in(&chart, self.ratio))
+    }
+
+    /// The same in a chart.
+    pub(crate) fn read_in(&self, light: &Light, chart: &Chart, levels: &Levels) -> Option<Read> {
+        let profile = self.directions_for(chart).profile(light, chart, levels)?;
+        let found = decode::find(&profile, &self.dictionary, &self.own_distances)?;
+        let fit = self.fit(&profile, &found)?;
+        let confidence = self.confidence(&found, fit.square);
+        if fit.square < LEAST_FIT
+            || fit.amplitude < AMPLITUDES.0
+            || fit.amplitude > AMPLITUDES.1
+            || confidence < LEAST_CONFIDENCE
+        {
+            return None;
+        }
+        let pair = profile.len as f64 / f64::from(self.dictionary.layout().bits);
+        // A sample stands for the half on either side of it.
+        let zero = found.phase as f64 - 0.5 + f64::from(fit.phase) - pair * f64::from(found.shift);
+        let step_rad = std::f64::consts::TAU / profile.len as f64;
+        Some(Read {
+            code: found.code,
+            word: self.dictionary.word(found.code.number)?,
+            zero_rad: step_rad * zero,
+            deviation_rad: (step_rad * f64::from(fit.deviation)).hypot(SHARED_RAD),
+            confidence,
+            corrected: found.corrected,
+        })
+    }
+
+    /// As many samples as the teeth's circumference asks for.
+    fn directions_for(&self, chart: &Chart) -> &Directions {
+        let middle = 0.5 * (1.0 + CodeLayout::CORE_SHARE) * self.ratio;
+        let around_px = std::f64::consts::TAU * middle * chart.reach_px();
+        let slots = 2.0 * f64::from(self.dictionary.layout().bits);
+        let per_slot = (around_px / (STEP_PX * slots)) as usize + 1;
+        let most = self.directions.len() - 1;
+        &self.directions[per_slot.saturating_sub(LEAST_PER_SLOT).min(most)]
+    }
+
+    fn confidence(&self, found: &Found, square: f32) -> f64 {
+        let rival = (found.rival / found.score).clamp(0.0, 1.0);
+        let (best, rival) = (f64::from(square), f64::from(square * rival * rival));
+        let levels = 2.0 * f64::from(self.dictionary.layout().bits);
+        1.0 / (1.0 + ((1.0 - best) / (1.0 - rival)).powf(0.5 * levels))
+    }
+
+    /// The blurred template of what was found, fitted.
+    fn fit(&self, profile: &Profile, found: &Found) -> Option<Fit> {
+        let len = profile.len;
+        let mut template = self.template(found, len);
+        smooth(&mut template[..len], profile);
+        let template = &template[..len];
+        let white = &profile.white[..len];
+        let power: f32 = white.iter().map(|p| p * p).sum();
+        let mut fit = Fit { phase: 0.0, amplitude: 0.0, square: 0.0, deviation: 0.0 };
+        let mut shifted = [0.0f32; MAX_SAMPLES];
+        for turn in 0..=PHASE_TURNS {
+            shift(template, fit.phase, &mut shifted[..len]);
+            let model = &shifted[..len];
+            let energy: f32 = model.iter().map(|m| m * m).sum();
+            let common: f32 = model.iter().zip(white).map(|(m, p)| m * p).sum();
+            if !(energy > 0.0 && common > 0.0 && power > 0.0) {
+                return None;
+            }
+            fit.amplitude = common / energy;
+            fit.square = (common / energy) * (common / power);
+            if turn == PHASE_TURNS {
+                break;
+            }
+            let (mut along, mut steep) = (0.0, 0.0);
+            for index in 0..len {
+                let before = model[if index == 0 { len - 1 } else { index - 1 }];
+                let after = model[if index + 1 == len { 0 } else { index + 1 }];
+                let slope = 0.5 * (after - before);
+                along += slope * white[index];
+                steep += slope * slope;
+            }
+            // The template is orthogonal to its slope, so the profile's own part of it is the shift.
+            let change = -along / (fit.amplitude * steep);
+            fit.phase = (fit.phase + change).clamp(-1.0, 1.0);
+            let left = (1.0 - fit.square).max(0.0) * power / len as f32;
+            fit.deviation = (left / steep).sqrt() / fit.amplitude;
+        }
+        Some(fit)
+    }
+
+    /// The word's slots on the profile's samples, sharp.
+    fn template(&self, found: &Found, len: usize) -> [f32; MAX_SAMPLES] {
+        let bits = self.dictionary.layout().bits;
+        let per_slot = len / (2 * usize::from(bits));
+        let mut template = [0.0; MAX_SAMPLES];
+        let mut place = found.phase;
+        for bit in (0..bits).rev() {
+            let first = if found.word >> bit & 1 == 1 { 1.0 } else { -1.0 };
+            for level in [first, -first] {
+                for _ in 0..per_slot {
+                    template[place] = level;
+                    place = if place + 1 == len { 0 } else { place + 1 };
+                }
+            }
+        }
+        template
+    }
+}
+
+/// A reading in a chart.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Read {
+    code: Code,
+    /// As printed.
+    pub word: u16,
+    /// Of the print's x axis, counter-clockwise on the print from the chart's first one.
+    pub zero_rad: f64,
+    deviation_rad: f64,
+    confidence: f64,
+    corrected: u8,
+}
+
+impl Read {
+    /// The reading as the image has it.
+    pub fn seen_in(&self, chart: &Chart, ratio: f64) -> CodeReading {
+        let (sin, cos) = (-self.zero_rad).sin_cos();
+        CodeReading {
+            code: self.code,
+            word: Some(self.word),
+            zero: chart.image((ratio * cos, ratio * sin)),
+            opposite: chart.image((-ratio * cos, -ratio * sin)),
+            yaw_deviation_rad: self.deviation_rad,
+            confidence: self.confidence,
+            corrected: self.corrected,
+        }
+    }
+}
+
+/// How a template fits a profile.
+#[derive(Clone, Copy, Debug)]
+struct Fit {
+    /// Samples that the profile is ahead of the template.
+    phase: f32,
+    /// The profile's size in units of the template.
+    amplitude: f32,
+    /// ρ².
+    square: f32,
+    /// Standard deviation of the phase, samples.
+    deviation: f32,
+}
+
+/// Blurs a template by each sample's own spread: steps of (a, 1 - 2a, a), whose variance is 2a.
+fn smooth(template: &mut [f32], profile: &Profile) {
+    let len = template.len();
+    let spread = &profile.spread[..len];
+    let most = spread.iter().fold(0.0f32, |most, &s| most.max(s));
+    let steps = ((most / STEP_SPREAD).ceil() as usize).clamp(1, MAX_STEPS);
+    let mut shares = [0.0f32; MAX_SAMPLES];
+    for (share, &spread) in shares.iter_mut().zip(spread) {
+        *share = (0.5 * spread / steps as f32).min(0.5 * STEP_SPREAD);
+    }
+    let mut padded = [0.0f32; MAX_SAMPLES + 2];
+    for _ in 0..steps {
+        padded[1..=len].copy_from_slice(template);
+        (padded[0], padded[len + 1]) = (template[len - 1], template[0]);
+        for (index, value) in template.iter_mut().enumerate() {
+            let (before, here, after) = (padded[index], padded[index + 1], padded[index + 2]);
+            *value = here + shares[index] * (before - 2.0 * here + after);
+        }
+    }
+}
+
+/// The template moved ahead by a part of a sample.
+fn shift(template: &[f32], by: f32, shifted: &mut [f32]) {
+    let len = template.len();
+    let share = by.abs();
+    for (index, value) in shifted.iter_mut().enumerate() {
+        let other = if by > 0.0 {
+            template[if index == 0 { len - 1 } else { index - 1 }]
+        } else {
+            template[if index + 1 == len { 0 } else { index + 1 }]
+        };
+        *value = template[index] + share * (other - template[index]);
+    }
+}

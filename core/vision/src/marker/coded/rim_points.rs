@@ -1,0 +1,294 @@
+//! Points along a coded roundel's outer rim: levels about them, and where these are halfway.
+//!
+//! Each array is gone through from one end to the other, for the compiler to take several points at once.
+
+use std::sync::LazyLock;
+
+use crate::{
+    ellipse::Ellipse,
+    marker::coded::sampler::{Light, Places},
+    normal::normal_each,
+};
+
+/// Points of the outer rim.
+pub(super) const POINTS: usize = 48;
+/// Where ring and margin have their levels, pixels from the rim, at least and at most, and between those a
+/// share of the shorter semiaxis: the margin may be hardly wider. As far inside as outside, where the levels
+/// are mixed alike and the one halfway is that of the whole levels.
+const LEVEL_PX: (f64, f64) = (1.0, 2.5);
+const LEVEL_SHARE: f64 = 0.14;
+/// How wide the ring is, as a share of the radius.
+const RING_SHARE: f64 = 0.4;
+/// What blur leaves of the contrast between those levels, at least.
+const LEAST_LEFT: f32 = 0.5;
+/// Centres are counted from pixels no further away than this: with a frame's side that is no overflow.
+const FARTHEST_PX: f64 = 1e6;
+/// Least slope of an edge, grey levels a pixel.
+const LEAST_SLOPE: f64 = 1.0;
+
+/// A number for each point.
+pub(super) type Each = [f32; POINTS];
+
+/// cos t and sin t of the points, cos 2t and sin 2t.
+static HARMONICS: LazyLock<[Each; 4]> = LazyLock::new(|| {
+    let turn = |index: usize| std::f64::consts::TAU * index as f64 / POINTS as f64;
+    [
+        std::array::from_fn(|index| turn(index).cos() as f32),
+        std::array::from_fn(|index| turn(index).sin() as f32),
+        std::array::from_fn(|index| turn(2 * index).cos() as f32),
+        std::array::from_fn(|index| turn(2 * index).sin() as f32),
+    ]
+});
+
+/// cos t, sin t, cos 2t and sin 2t of the points.
+#[inline(always)]
+pub(super) fn harmonics() -> &'static [Each; 4] {
+    &HARMONICS
+}
+
+/// The points of a rim.
+pub(super) struct Points {
+    /// Of which places are counted, in the frame.
+    origin: (i32, i32),
+    u: Each,
+    v: Each,
+    /// Unit normal outwards.
+    normal_u: Each,
+    normal_v: Each,
+    /// Normal part of the way from the centre, pixels.
+    pub height_px: Each,
+    /// What a blur draws the half level inwards by, over its square: half the curvature.
+    pub drawn_per_px: Each,
+}
+
+impl Points {
+    #[inline(always)]
+    pub fn of(ellipse: &Ellipse) -> Self {
+        // What is further away is beyond any frame's edge.
+        let whole = |center: f64| center.floor().clamp(-FARTHEST_PX, FARTHEST_PX) as i32;
+        let origin = (whole(ellipse.center.u), whole(ellipse.center.v));
+        let (middle_u, middle_v) = (
+            (ellipse.center.u - f64::from(origin.0)) as f32,
+            (ellipse.center.v - f64::from(origin.1)) as f32,
+        );
+        let (sin_tilt, cos_tilt) = ellipse.angle_rad.sin_cos();
+        let (sin_tilt, cos_tilt) = (sin_tilt as f32, cos_tilt as f32);
+        let (a, b) = (ellipse.semi_major_px as f32, ellipse.semi_minor_px as f32);
+        let (per_a, per_b) = (1.0 / a, 1.0 / b);
+        let bend = 0.5 * (per_a * per_b) * (per_a * per_b);
+        let [mut u, mut v, mut normal_u, mut normal_v] = [[0.0; POINTS]; 4];
+        let [mut height_px, mut drawn_per_px] = [[0.0; POINTS]; 2];
+        let [cos, sin, ..] = harmonics();
+        for index in 0..POINTS {
+            let (cos, sin) = (cos[index], sin[index]);
+            let (x, y) = (a * cos, b * sin);
+            u[index] = middle_u + (x * cos_tilt - y * sin_tilt);
+            v[index] = middle_v + (x * sin_tilt + y * cos_tilt);
+            let (x, y) = (cos * per_a, sin * per_b);
+            let height = 1.0 / (x * x + y * y).sqrt();
+            normal_u[index] = (x * cos_tilt - y * sin_tilt) * height;
+            normal_v[index] = (x * sin_tilt + y * cos_tilt) * height;
+            height_px[index] = height;
+            drawn_per_px[index] = bend * height * height * height;
+        }
+        Self { origin, u, v, normal_u, normal_v, height_px, drawn_per_px }
+    }
+
+    /// Levels so far outwards of each point.
+    #[inline(always)]
+    fn levels(&self, light: &Light, out_px: &Each) -> Each {
+        let mut places = Places { origin: self.origin, u: self.u, v: self.v };
+        for (index, out_px) in out_px.iter().enumerate() {
+            places.u[index] += out_px * self.normal_u[index];
+            places.v[index] += out_px * self.normal_v[index];
+        }
+        light.each(&places)
+    }
+
+    /// The level so far outwards of one of them.
+    fn level(&self, light: &Light, index: usize, out_px: f64) -> f64 {
+        let along = |origin: i32, place: &Each, normal: &Each| {
+            f64::from(origin) + f64::from(place[index]) + out_px * f64::from(normal[index])
+        };
+        light.at(
+            along(self.origin.0, &self.u, &self.normal_u),
+            along(self.origin.1, &self.v, &self.normal_v),
+        )
+    }
+
+    /// Levels of ring and margin, without what blur mixes of one into the other.
+    #[inline(always)]
+    pub fn black_and_white(&self, light: &Light, semi_minor_px: f64, blur_px: f64) -> (Each, Each) {
+        let aside_px = (LEVEL_SHARE * semi_minor_px).clamp(LEVEL_PX.0, LEVEL_PX.1);
+        let blacks = self.levels(light, &[-aside_px as f32; POINTS]);
+        let margins = self.levels(light, &[aside_px as f32; POINTS]);
+        let (mut pure_blacks, mut pure_margins) = (blacks, margins);
+        let (aside_px, blur_px) = (aside_px as f32, blur_px as f32);
+        let (to_blurs, ring_share) = (1.0 / blur_px, RING_SHARE as f32);
+        let share = |px: f32| normal_each(px * to_blurs).1;
+        for index in 0..POINTS {
+            let drawn_px = self.drawn_per_px[index] * blur_px * blur_px;
+            let height_px = self.height_px[index];
+            let to_teeth_px = ring_share * height_px + drawn_px / (1.0 - ring_share) - aside_px;
+            // What of the margin's light is seen there, of the gaps' and of the black.
+            let of_margin = share(drawn_px - aside_px) + 0.5 * share(-to_teeth_px);
+            let of_black = share(-drawn_px - aside_px);
+            let seen = margins[index] - blacks[index];
+            let contrast = seen / (1.0 - of_margin - of_black).max(LEAST_LEFT);
+            pure_blacks[index] -= of_margin * contrast;
+            pure_margins[index] += of_black * contrast;
+        }
+        (pure_blacks, pure_margins)
+    }
+}
+
+/// Where levels cross those halfway.
+pub(super) struct Edges {
+    /// How far outwards of the points.
+    pub out_px: Each,
+    /// How steep they are there; 0 where there is no edge.
+    pub slope: Each,
+    pub missing: usize,
+}
+
+impl Edges {
+    /// Within half a pixel; what seems to be further off than a whole one is none.
+    #[inline(always)]
+    pub fn near(light: &Light, points: &Points, half: &Each) -> Self {
+        Self::about(light, points, half, (&[0.0; POINTS], &[true; POINTS], 1.0))
+    }
+
+    /// As [`crossing`] finds them, at all points at once where they are within a pixel.
+    #[inline(always)]
+    pub fn far(light: &Light, points: &Points, half: &Each, reach_px: f64) -> Self {
+        let here = points.levels(light, &[0.0; POINTS]);
+        let inside = points.levels(light, &[-1.0; POINTS]);
+        let outside = points.levels(light, &[1.0; POINTS]);
+        let (mut out_px, mut is_near) = ([0.0; POINTS], [true; POINTS]);
+        for index in 0..POINTS {
+            let level = here[index] - half[index];
+            let is_inside = level >= 0.0;
+            let next = if is_inside { inside[index] } else { outside[index] } - half[index];
+            let step = if is_inside { -1.0 } else { 1.0 };
+            out_px[index] = step * level / (level - next);
+            is_near[index] = (next < 0.0) != (level < 0.0);
+        }
+        let mut is_seen = [true; POINTS];
+        for index in 0..POINTS {
+            if !is_near[index] {
+                let profile =
+                    |out_px: f64| points.level(light, index, out_px) - f64::from(half[index]);
+                let found = walked(profile, reach_px);
+                is_seen[index] = found.is_some();
+                out_px[index] = found.unwrap_or_default() as f32;
+            }
+        }
+        Self::about(light, points, half, (&out_px, &is_seen, f32::INFINITY))
+    }
+
+    /// From levels half a pixel to either side of where they are thought to be, and at most so far from there.
+    #[inline(always)]
+    fn about(
+        light: &Light,
+        points: &Points,
+        half: &Each,
+        (thought_px, is_seen, most_px): (&Each, &[bool; POINTS], f32),
+    ) -> Self {
+        let [mut before, mut after] = [*thought_px; 2];
+        for index in 0..POINTS {
+            before[index] -= 0.5;
+            after[index] += 0.5;
+        }
+        let (before, after) = (points.levels(light, &before), points.levels(light, &after));
+        let (mut slope, mut out_px) = ([0.0; POINTS], *thought_px);
+        let mut missing = 0;
+        for index in 0..POINTS {
+            let (before, after) = (before[index] - half[index], after[index] - half[index]);
+            let steep = after - before;
+            let beyond = -0.5 * (before + after) / steep;
+            let is_edge = is_seen[index] && steep >= LEAST_SLOPE as f32 && beyond.abs() <= most_px;
+            missing += usize::from(!is_edge);
+            slope[index] = if is_edge { steep } else { 0.0 };
+            out_px[index] += beyond.clamp(-0.5, 0.5);
+        }
+        Self { out_px, slope, missing }
+    }
+}
+
+/// Means over neighbours: less noise, and what light varies stays.
+#[inline(always)]
+pub(super) fn smoothed(levels: &Each) -> Each {
+    const SIDE: usize = 3;
+    let mut round = [0.0; POINTS + 2 * SIDE];
+    round[SIDE..SIDE + POINTS].copy_from_slice(levels);
+    round[..SIDE].copy_from_slice(&levels[POINTS - SIDE..]);
+    round[SIDE + POINTS..].copy_from_slice(&levels[..SIDE]);
+    let mut means = [0.0; POINTS];
+    for by in 0..=2 * SIDE {
+        for (mean, level) in means.iter_mut().zip(&round[by..by + POINTS]) {
+            *mean += level / (2 * SIDE + 1) as f32;
+        }
+    }
+    means
+}
+
+/// The plane through them: what a light varies, and not what teeth near by add here and there.
+#[inline(always)]
+pub(super) fn tilted(levels: &Each) -> Each {
+    let [cos, sin, ..] = harmonics();
+    let mean = mean(levels) as f32;
+    let x = (2.0 * sum(|index| levels[index] * cos[index]) / POINTS as f64) as f32;
+    let y = (2.0 * sum(|index| levels[index] * sin[index]) / POINTS as f64) as f32;
+    let mut plane = [0.0; POINTS];
+    for (index, level) in plane.iter_mut().enumerate() {
+        *level = mean + x * cos[index] + y * sin[index];
+    }
+    plane
+}
+
+/// Where a rising profile crosses zero, nearest to 0, and how steeply; `None` if not within reach.
+pub(super) fn crossing(profile: impl Fn(f64) -> f64, reach_px: f64) -> Option<(f64, f64)> {
+    let place = walked(&profile, reach_px)?;
+    // Once more, even to both sides.
+    let (before, after) = (profile(place - 0.5), profile(place + 0.5));
+    let slope = after - before;
+    if slope.is_nan() || slope < LEAST_SLOPE {
+        return None;
+    }
+    Some((place - (0.5 * (before + after) / slope).clamp(-0.5, 0.5), slope))
+}
+
+/// Between which whole steps from 0 it crosses, and where if it is straight there.
+fn walked(profile: impl Fn(f64) -> f64, reach_px: f64) -> Option<f64> {
+    let mut place = 0.0;
+    let mut level = profile(0.0);
+    let step = if level < 0.0 { 1.0 } else { -1.0 };
+    loop {
+        let next = profile(place + step);
+        if (next < 0.0) != (level < 0.0) {
+            return Some(place + step * level / (level - next));
+        }
+        (place, level) = (place + step, next);
+        if place.abs() > reach_px {
+            return None;
+        }
+    }
+}
+
+/// Sum of what each point gives, eight of them side by side.
+#[inline(always)]
+pub(super) fn sum(of: impl Fn(usize) -> f32) -> f64 {
+    const LANES: usize = 8;
+    let mut sums = [0.0; LANES];
+    for first in (0..POINTS).step_by(LANES) {
+        for (lane, sum) in sums.iter_mut().enumerate() {
+            *sum += f64::from(of(first + lane));
+        }
+    }
+    sums.iter().sum()
+}
+
+#[inline(always)]
+pub(super) fn mean(levels: &Each) -> f64 {
+    sum(|index| levels[index]) / POINTS as f64
+}

@@ -1,0 +1,163 @@
+//! A coded roundel's white disc, from its rim's parts between teeth.
+//!
+//! In the middle of each slot without a tooth the place of half the level is looked for along a ray of the
+//! print. Teeth on both sides take some of the white away by blur: at distances a and b from their sides,
+//! in blurs, a share Φ(a) + Φ(b) - 1 is left, and the level halfway is lower by as much. How white a gap
+//! is, is seen well inside it, less what core and ring add and take there.
+//!
+//! A blur of deviation σ draws the half level of a rim of curvature κ inwards by κ/2 times the mean square
+//! of what it mixes along the rim. Between teeth that is a normal distribution cut off at both sides,
+//!
+//!   σ² (1 - (a φ(a) + b φ(b)) / (Φ(a) + Φ(b) - 1)).
+//!
+//! What is seen on the rim is seen on its white side half, a mean of √(2/π) σ further in, where gaps are
+//! narrower. Size and centre are fitted; the shape is that of the outer rim as the chart carries it.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::{
+    marker::{
+        code::CodeLayout,
+        coded::{plane_map::Chart, rim_points::crossing, sampler::Light},
+    },
+    normal::normal_each,
+};
+
+/// Turns in which the rim is found, at most …
+const TURNS: usize = 2;
+/// … the last of which moves it by less than this, pixels.
+const SETTLED_PX: f64 = 0.05;
+/// Where the level of a gap is taken, as a share of the white disc's radius.
+const LEVEL_AT: f64 = 0.8;
+/// Steps by which the chart's derivatives are taken, as a share of the radius.
+const STEP: f64 = 0.02;
+/// The edge is at most so far from where it is looked for, pixels.
+const REACH_PX: f64 = 3.0;
+/// √(2/π): so many deviations inside of an edge lies the mean of what is seen there, where gaps are narrower.
+const MEAN_INSIDE: f64 = 0.797_884_560_8;
+/// No disc is seen further from where the chart has it, in units of the outer rim's radius.
+const FARTHEST_SHIFT: f64 = 0.1;
+/// A gap of which blur leaves less than this is none.
+const LEAST_OPEN: f64 = 0.2;
+
+/// A gap between teeth, or one slot of it, in the chart.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Gap {
+    /// cos and sin of its middle's angle.
+    pub direction: (f64, f64),
+    /// Angles to the next teeth on both sides, radians.
+    pub to_teeth_rad: (f64, f64),
+}
+
+/// The white disc's rim, in the chart.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Disc {
+    /// In units of the outer rim's radius.
+    pub radius: f64,
+    /// Where its middle is seen, from where the chart has it.
+    pub shift: (f64, f64),
+}
+
+/// The white disc's rim, by the gaps between teeth; `black` is the ring's level. `None` without enough gaps.
+pub(crate) fn disc(
+    light: &Light,
+    chart: &Chart,
+    ratio: f64,
+    gaps: impl Iterator<Item = Gap> + Clone,
+    (black, blur_px): (f64, f64),
+) -> Option<Disc> {
+    let mut radius = ratio;
+    let mut shift = (0.0, 0.0);
+    for _ in 0..TURNS {
+        let mut normal = Matrix3::<f64>::zeros();
+        let mut right = Vector3::<f64>::zeros();
+        for gap in gaps.clone() {
+            let seen = SeenGap::new(chart, radius, shift, &gap);
+            let Some((share, weight)) = seen.outwards(light, black, blur_px) else { continue };
+            let (cos, sin) = gap.direction;
+            let row = Vector3::new(1.0, cos, sin);
+            normal += row * row.transpose() * weight;
+            right += row * (share * weight);
+        }
+        let change = normal.cholesky()?.solve(&right);
+        let moved_px = change.amax() * radius * chart.reach_px();
+        shift = (shift.0 + radius * change[1], shift.1 + radius * change[2]);
+        radius *= 1.0 + change[0];
+        if moved_px < SETTLED_PX {
+            break;
+        }
+    }
+    let fits = radius > 0.5 * ratio
+        && radius < 0.5 * (1.0 + ratio)
+        && shift.0.hypot(shift.1) < FARTHEST_SHIFT;
+    fits.then_some(Disc { radius, shift })
+}
+
+/// A gap as imaged.
+struct SeenGap {
+    to_teeth_rad: (f64, f64),
+    /// Where its middle meets the rim, and where its level is taken, pixels.
+    rim: (f64, f64),
+    inside: (f64, f64),
+    /// Along the ray, for a whole radius.
+    along: (f64, f64),
+    /// Along the rim, for a radian.
+    aside: (f64, f64),
+}
+
+impl SeenGap {
+    fn new(chart: &Chart, radius: f64, shift: (f64, f64), gap: &Gap) -> Self {
+        let (cos, sin) = gap.direction;
+        let at = |x: f64, y: f64| {
+            let image = chart.image((radius * x + shift.0, radius * y + shift.1));
+            (image.u, image.v)
+        };
+        let rim = at(cos, sin);
+        let by = |to: (f64, f64)| ((to.0 - rim.0) / STEP, (to.1 - rim.1) / STEP);
+        Self {
+            to_teeth_rad: gap.to_teeth_rad,
+            rim,
+            inside: at(LEVEL_AT * cos, LEVEL_AT * sin),
+            along: by(at((1.0 + STEP) * cos, (1.0 + STEP) * sin)),
+            aside: by(at(cos - STEP * sin, sin + STEP * cos)),
+        }
+    }
+
+    /// How far outwards the edge lies, as a share of the radius, and how much that weighs; `None` where
+    /// there is no edge.
+    fn outwards(&self, light: &Light, black: f64, blur_px: f64) -> Option<(f64, f64)> {
+        let length = |(u, v): (f64, f64)| (u * u + v * v).sqrt();
+        let (along_px, aside_px) = (length(self.along), length(self.aside));
+        let area = (self.along.0 * self.aside.1 - self.along.1 * self.aside.0).abs();
+        if !(along_px > 0.0 && aside_px > 0.0 && area > 0.0) {
+            return None;
+        }
+        // Across the rim, for a whole radius, and across a ray, for a radian, in blurs.
+        let (size, turn) = (area / aside_px / blur_px, area / along_px / blur_px);
+        let (one, other) = (self.to_teeth_rad.0 * turn, self.to_teeth_rad.1 * turn);
+        let normal = |z: f64| {
+            let (density, share) = normal_each(z as f32);
+            (f64::from(density), f64::from(share))
+        };
+        let open = |at: f64| normal(one * at).1 + normal(other * at).1 - 1.0;
+        let cut_off = one * normal(one).0 + other * normal(other).0;
+        let at_rim = open(1.0) - MEAN_INSIDE * cut_off / size;
+        if at_rim < LEAST_OPEN {
+            return None;
+        }
+        // At its place the level has lost to the ring and gained from the core as well.
+        let from_core = normal((CodeLayout::CORE_SHARE - LEVEL_AT) * size).1;
+        let from_ring = normal((LEVEL_AT - 1.0) * size).1;
+        let expected = open(LEVEL_AT) * (1.0 - from_ring - from_core) + from_core;
+        let level = light.at(self.inside.0, self.inside.1) - black;
+        let half = black + 0.5 * level * at_rim / expected;
+        let (du, dv) = (self.along.0 / along_px, self.along.1 / along_px);
+        let dark =
+            |out_px: f64| half - light.at(self.rim.0 + out_px * du, self.rim.1 + out_px * dv);
+        let (out_px, _) = crossing(dark, REACH_PX)?;
+        // The rim's second derivative by its angle is a radius, inwards: κ = area/aside³.
+        let drawn_px = 0.5 * blur_px * blur_px * (1.0 - cut_off / at_rim) * area / aside_px.powi(3);
+        let share = out_px / along_px + drawn_px * aside_px / area;
+        Some((share, (at_rim * size).powi(2)))
+    }
+}

@@ -1,0 +1,302 @@
+//! The tests that a ring passes, cheapest first (paper, sections 3.1 and 3.3, algorithm 2): sizes and
+//! areas as counted, then the shapes of disc and roundel, as weighed by grey levels
+//! ([`crate::marker::ring::subpixel::moments`]): against their boxes, concentricity, roundness, similarity.
+//!
+//! Eq. (1) counts the pixels of an elliptic ring from its box, s = π/4 b_u b_v (d_o² - d_i²)/d_o².
+//! That holds while an axis of the ellipse is along u; turned by 45° a ring tilted to 60° has a box
+//! of 5/4 times the size. With the correlation c of u and v over the segment,
+//!
+//!   s = π/4 b_u b_v √(1 - c²) (1 - d_i²/d_o²),   c² = C_uv² / (C_uu C_vv)
+//!
+//! holds for every angle (the box of the ellipse with the matrix M has the half sides √M_uu, √M_vv,
+//! its area is π √det M). The tests below use this form.
+//!
+//! Eq. (5) compares the pixels counted with those of the moments' ellipse. It holds for filled
+//! ellipses, so s and the moments are those of black and white together: the moments of the ring
+//! alone would be those of an ellipse √(1 + d_i²/d_o²) times as large. Weighed moments hold the blur as
+//! well, so the test allows for as much of it as a camera may have.
+
+use crate::{
+    ellipse::{Ellipse, Shape, Symmetric2},
+    marker::{
+        kind::Polarity,
+        reject::Reject,
+        ring::pixels::{predicted::Expected, segment_fill::Extent},
+    },
+    segment::Window,
+};
+
+/// Relative tolerance ρ_tol of eq. (2); a pixel of each side of the box comes on top.
+const BOX_TOLERANCE: f64 = 0.15;
+/// Relative tolerance ρ_prec of eq. (5), and what a rim of r pixels adds to it as 1/r.
+pub(crate) const ROUNDNESS_TOLERANCE: (f64, f64) = (0.02, 0.6);
+/// Distance of the centres as a share of the outer mean radius, and in pixels on top.
+pub(crate) const CENTER_TOLERANCE: (f64, f64) = (0.06, 0.4);
+/// Perspective moves the centres apart along the shorter axis, the more the shorter the focal length;
+/// this is the shortest that is allowed for, pixels …
+const LEAST_FOCAL_PX: f64 = 350.0;
+/// … and far from the picture's middle, where it stretches what is seen, along the longer axis by
+/// this share of that.
+const ASIDE_SHARE: f64 = 0.4;
+/// Difference of the two normalized shapes, and what a disc of r pixels adds to it as 1/r. Of 1,600
+/// rendered rings from 10 px on, two thirds of this is the most.
+pub(crate) const SIMILARITY_TOLERANCE: (f64, f64) = (0.06, 0.3);
+/// Largest variance that blur and the pixels' width add to a shape, px²: a blur of 1.2 px.
+pub(crate) const MOST_SPREAD_PX2: f64 = 1.5;
+/// Pixels that a rim may be off by at any threshold, in the ratio of diameters.
+const RATIO_RIM_PX: f64 = 0.8;
+
+/// How far levels may lie beyond what a pixel can hold: a share of the contrast, and grey levels.
+pub(crate) const LEVEL_TOLERANCE: (f64, f64) = (0.1, 10.0);
+
+/// What a roundel must look like.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Rules {
+    /// Smallest and largest ratio of inner to outer diameter.
+    pub ratios: (f64, f64),
+    /// Whether disc and ring must have the same shape; where a kind's disc is elliptical, those of plain
+    /// kinds must.
+    pub similar: bool,
+    /// Smallest shorter semiaxis of the outer rim, pixels.
+    pub min_semi_minor_px: f64,
+    /// Smallest ratio of the semiaxes.
+    pub min_axis_ratio: f64,
+    /// Smallest difference of white and black.
+    pub min_contrast: f64,
+}
+
+/// Where to look, and with which threshold.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Probe {
+    pub center: (usize, usize),
+    pub threshold: u8,
+    pub bounds: Window,
+    /// Of a white ring all levels, the threshold too, are counted from white.
+    pub polarity: Polarity,
+    /// Where the rims of a ring that is followed ought to be.
+    pub expected: Option<Expected>,
+}
+
+impl Probe {
+    /// The threshold in the frame's own levels.
+    #[inline(always)]
+    pub fn frame_threshold(&self) -> u8 {
+        match self.polarity {
+            Polarity::BlackRing => self.threshold,
+            Polarity::WhiteRing => 0u8.wrapping_sub(self.threshold),
+        }
+    }
+}
+
+/// What counting says of a segment: its pixels, and the sides of its box.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Counted {
+    pub pixels: f64,
+    pub width: f64,
+    pub height: f64,
+}
+
+impl Counted {
+    pub fn new(pixels: u32, extent: &Extent) -> Self {
+        let (width, height) = (extent.width() as f64, extent.height() as f64);
+        Self { pixels: f64::from(pixels), width, height }
+    }
+
+    /// Pixels of a segment as a share of those of an ellipse in its box, eqs. (1) and (2) with the
+    /// correction for turned ellipses: 1 for a disc, 1 - d_i²/d_o² for a ring.
+    fn box_share(&self, c: &Symmetric2) -> f64 {
+        let upright = (c.determinant() / (c.uu * c.vv)).sqrt();
+        self.pixels / (std::f64::consts::FRAC_PI_4 * self.width * self.height * upright)
+    }
+
+    fn box_tolerance(&self) -> f64 {
+        BOX_TOLERANCE + 1.0 / self.width + 1.0 / self.height
+    }
+}
+
+/// Tests of what was counted: the black segment's size, and the ratio of the segments' areas, from
+/// which follows that of the diameters (algorithm 2).
+pub(crate) fn check_counts(black: &Counted, white: &Counted, rules: &Rules) -> Result<(), Reject> {
+    let smallest_side = 2.0 * rules.min_semi_minor_px - 1.0;
+    if black.width.min(black.height) < smallest_side {
+        return Err(Reject::TooSmall);
+    }
+    let (black, white) = (black.pixels, white.pixels);
+    let ratio = (white / (white + black)).sqrt();
+    let radius_px = ((white + black) * std::f64::consts::FRAC_1_PI).sqrt();
+    let slack = RATIO_RIM_PX / radius_px;
+    let (least, most) = rules.ratios;
+    if ratio < least - slack || ratio > most + slack { Err(Reject::AreaRatio) } else { Ok(()) }
+}
+
+/// Tests of both shapes against their boxes, eqs. (1), (2).
+pub(crate) fn check_boxes(
+    (black, outer): (&Counted, &Shape),
+    (white, inner): (&Counted, &Shape),
+    rules: &Rules,
+) -> Result<(), Reject> {
+    let filled = black.box_share(&outer.covariance);
+    let tolerance = black.box_tolerance();
+    let (most, least) = (1.0 - rules.ratios.0.powi(2), 1.0 - rules.ratios.1.powi(2));
+    if !(least * (1.0 - tolerance)..=most * (1.0 + tolerance)).contains(&filled) {
+        return Err(Reject::BlackBox);
+    }
+    let filled = white.box_share(&inner.covariance);
+    if (filled - 1.0).abs() > white.box_tolerance() { Err(Reject::WhiteBox) } else { Ok(()) }
+}
+
+/// Tests of the shapes: size, tilt, concentricity, eq. (5), similarity. Whether both shapes are similar,
+/// where they need not be.
+#[inline(always)]
+pub(crate) fn check_shapes(
+    (outer, outer_rim): (&Shape, &Ellipse),
+    (inner, inner_rim): (&Shape, &Ellipse),
+    rules: &Rules,
+) -> Result<bool, Reject> {
+    if outer_rim.semi_minor_px < rules.min_semi_minor_px {
+        return Err(Reject::TooSmall);
+    }
+    if outer_rim.semi_minor_px < rules.min_axis_ratio * outer_rim.semi_major_px {
+        return Err(Reject::Tilt);
+    }
+    check_centers((outer, outer_rim), (inner, inner_rim))?;
+    for (shape, rim) in [(outer, outer_rim), (inner, inner_rim)] {
+        let tolerance = ROUNDNESS_TOLERANCE.0 + ROUNDNESS_TOLERANCE.1 / rim.semi_minor_px;
+        // By eq. (5) a spread of σ² makes an ellipse's moments those of one larger by this share.
+        let share = 2.0 * (rim.semi_major_px.powi(-2) + rim.semi_minor_px.powi(-2));
+        let spread_px2 = shape.spread_px2_of(rim);
+        if spread_px2 * share < -tolerance || (spread_px2 - MOST_SPREAD_PX2) * share > tolerance {
+            return Err(Reject::Roundness);
+        }
+    }
+    let similar = are_similar((outer, outer_rim), (inner, inner_rim));
+    if rules.similar && !similar { Err(Reject::Similarity) } else { Ok(similar) }
+}
+
+/// Levels without the blur are those of some light: what fits no ring's model has others.
+#[inline(always)]
+pub(crate) fn check_levels(black: f64, white: f64, rules: &Rules) -> Result<(), Reject> {
+    let contrast = white - black;
+    let beyond = LEVEL_TOLERANCE.0 * contrast + LEVEL_TOLERANCE.1;
+    // Not a number fails as well.
+    let plausible = contrast >= rules.min_contrast && black >= -beyond && white <= 255.0 + beyond;
+    if plausible { Ok(()) } else { Err(Reject::Contrast) }
+}
+
+/// Of a circle with the semiaxes a, b in a picture of the focal length f, tilted by θ, the image's
+/// centre lies (a²/f) sin θ cos θ off that of the circle, along the shorter axis, where cos θ = b/a;
+/// of the disc's rim it is less by the square of the ratio of diameters.
+#[inline(always)]
+fn check_centers(
+    (outer, outer_rim): (&Shape, &Ellipse),
+    (inner, inner_rim): (&Shape, &Ellipse),
+) -> Result<(), Reject> {
+    let (du, dv) = (outer.center.u - inner.center.u, outer.center.v - inner.center.v);
+    let tolerance = CENTER_TOLERANCE.0 * outer_rim.mean_radius_px() + CENTER_TOLERANCE.1;
+    if du * du + dv * dv <= tolerance * tolerance {
+        return Ok(());
+    }
+    let (a, b) = (outer_rim.semi_major_px, outer_rim.semi_minor_px);
+    let ratio2 = inner_rim.semi_major_px * inner_rim.semi_minor_px / (a * b);
+    let perspective_px = (a * a - b * b).sqrt() * b / a * (1.0 - ratio2) * a / LEAST_FOCAL_PX;
+    let (sin, cos) = outer_rim.angle_rad.sin_cos();
+    let (along_major, along_minor) = (du * cos + dv * sin, dv * cos - du * sin);
+    let beyond = |px: f64, allowed_px: f64| (px.abs() - allowed_px).max(0.0);
+    let along_minor = beyond(along_minor, perspective_px);
+    let along_major = beyond(along_major, ASIDE_SHARE * perspective_px);
+    if along_major * along_major + along_minor * along_minor > tolerance * tolerance {
+        Err(Reject::Concentricity)
+    } else {
+        Ok(())
+    }
+}
+
+/// Both rims are images of circles in one plane, so their shapes are the same but for perspective.
+#[inline(always)]
+fn are_similar(
+    (outer, outer_rim): (&Shape, &Ellipse),
+    (inner, inner_rim): (&Shape, &Ellipse),
+) -> bool {
+    let (o, i) = (outer.matrix_of(outer_rim), inner.matrix_of(inner_rim));
+    // Of determinant 1.
+    let of = 1.0 / (outer_rim.semi_major_px * outer_rim.semi_minor_px);
+    let inf = 1.0 / (inner_rim.semi_major_px * inner_rim.semi_minor_px);
+    let along = 0.5 * ((o.uu - o.vv) * of - (i.uu - i.vv) * inf);
+    let askew = o.uv * of - i.uv * inf;
+    // Of a flat ellipse the same error of a pixel changes the normalized matrix more.
+    let flat = outer_rim.semi_major_px / outer_rim.semi_minor_px;
+    let (share, rim_px) = SIMILARITY_TOLERANCE;
+    let tolerance = (share + rim_px / inner_rim.semi_minor_px) * flat;
+    along * along + askew * askew <= tolerance * tolerance
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        camera::PixelPoint,
+        ellipse::{Chords, Moments},
+        marker::ring::pixels::segment_fill::Span,
+        segment::Sums,
+    };
+
+    /// A black segment and its hole, as sets of pixel centres inside ellipses, counted, and the shapes
+    /// of black and white together and of the hole; sums of the black alone.
+    fn ring(angle_rad: f64, tilt: f64, ratio: f64) -> ([(Counted, Shape); 2], Sums) {
+        let rim = |scale: f64| {
+            Chords::new(&Ellipse {
+                center: PixelPoint { u: 60.3, v: 59.8 },
+                semi_major_px: 50.0 * scale,
+                semi_minor_px: 50.0 * scale * tilt,
+                angle_rad,
+            })
+        };
+        let (outer, inner) = (rim(1.0), rim(ratio));
+        let (mut black, mut white) = (Sums::default(), Sums::default());
+        let mut boxes = [Extent { top: 999, bottom: 0, columns: Span { first: 999, end: 0 } }; 2];
+        for v in 0..120 {
+            let columns = |(from, to): (f64, f64)| (from.ceil() as i64, to.ceil() as i64);
+            let o = columns(outer.span(f64::from(v)));
+            let i = columns(inner.span(f64::from(v)));
+            black.add_run(v.into(), o.0, i.0.clamp(o.0, o.1));
+            black.add_run(v.into(), i.1.clamp(o.0, o.1), o.1);
+            white.add_run(v.into(), i.0, i.1);
+            for (extent, (first, end)) in boxes.iter_mut().zip([o, i]) {
+                if first < end {
+                    extent.columns.first = extent.columns.first.min(first as u32);
+                    extent.columns.end = extent.columns.end.max(end as u32);
+                    extent.top = extent.top.min(v as usize);
+                    extent.bottom = v as usize + 1;
+                }
+            }
+        }
+        let shape = |sums: &Sums| Moments::from(sums).shape((0, 0)).unwrap();
+        let outer = (Counted::new(black.n as u32, &boxes[0]), shape(&black.joined(&white)));
+        ([outer, (Counted::new(white.n as u32, &boxes[1]), shape(&white))], black)
+    }
+
+    #[test]
+    fn equation_1_holds_at_every_angle() {
+        for step in 0..12 {
+            let angle = f64::from(step) * 0.26;
+            let ([(black, outer), (white, inner)], _) = ring(angle, 0.5, 0.4);
+            let found = black.box_share(&outer.covariance);
+            assert!((found - (1.0 - 0.16)).abs() < 0.05, "{angle} {found}");
+            let found = white.box_share(&inner.covariance);
+            assert!((found - 1.0).abs() < 0.09, "{angle} {found}");
+        }
+        // The form in print is off by a quarter where the ellipse stands askew.
+        let ([(black, _), _], _) = ring(std::f64::consts::FRAC_PI_4, 0.5, 0.4);
+        let printed = std::f64::consts::FRAC_PI_4 * black.width * black.height * (1.0 - 0.16);
+        assert!(printed / black.pixels > 1.2);
+    }
+
+    #[test]
+    fn equation_5_needs_black_and_white_together() {
+        let ([(_, outer), _], black) = ring(0.4, 0.7, 0.5);
+        assert!((outer.roundness() - 1.0).abs() < 0.01);
+        // Of the ring alone: (1 + r²) / (1 - r²) with r² = 1/4.
+        let black = Moments::from(&black).shape((0, 0)).unwrap();
+        assert!((black.roundness() - 1.25 / 0.75).abs() < 0.02);
+    }
+}

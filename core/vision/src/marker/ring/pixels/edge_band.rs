@@ -1,0 +1,294 @@
+//! Which pixels of a roundel count by their grey level, which wholly, and which tell the levels.
+//!
+//! A rim's *belt* are the pixels within about two pixels of it, the blurred edge. Everything inside
+//! counts as one, everything outside not at all, so noise comes from the belt alone; and since the
+//! belt reaches as far to either side, what blur carries beyond it on one side it lacks on the other.
+//!
+//! | pixels | from the inside out | for |
+//! | --- | --- | --- |
+//! | `disc_core` | the disc, two pixels within | white level of the disc |
+//! | `disc_belt` | two pixels to either side of the disc's rim | the disc's moments |
+//! | `ring_core` | black and disc, two pixels within the outer rim | the roundel's moments |
+//! | `black` | `ring_core` beyond the disc's belt | black level |
+//! | `ring_belt` | two pixels to either side of the outer rim | the roundel's moments |
+//! | `thin_core`, `thin_belt` | one pixel to either side of the outer rim | the same, where the margin is narrow |
+//! | `half_belt` | the part of that inside the rim | the same, where there is hardly a margin |
+//! | `near`, `far` | one pixel each, beyond that belt | white level of the margin |
+//!
+//! Where the black is so thin that none of it lies beyond the belts, its level is that of the pixels
+//! nearest to its middle.
+//!
+//! Distances are grown and shrunk pixel by pixel, by turns with the eight and the four nearest
+//! neighbours, which makes an octagon: two pixels along the axes, 2.1 diagonally. Where the black is too
+//! thin for two belts they end in its middle.
+
+use fearless_simd::Simd;
+use fearless_simd_macros::simd;
+
+use crate::marker::ring::pixels::{
+    patch::{PADDING_ROWS, Patch},
+    segment_fill::{Extent, Span},
+};
+
+/// Rows beside a roundel that belong to its belts and to the margin looked at.
+const REACH: usize = 5;
+/// Pixels that a belt reaches beyond its segment along the axes.
+pub(crate) const BELT_PX: usize = 2;
+/// Mean distance over all directions that a rim moves by a step to the four nearest neighbours …
+pub(crate) const CROSS_PX: f64 = 0.90;
+/// … to the eight nearest …
+pub(crate) const THIN_PX: f64 = 1.27;
+/// … and by both.
+pub const WIDE_PX: f64 = 2.17;
+/// Fewer pixels tell no level of the disc …
+pub(crate) const LEAST_WHITE: u32 = 4;
+/// … and none of the black.
+pub(crate) const LEAST_BLACK: u32 = 8;
+
+/// Sets of pixels as bits, words of rows one after the other, rows from `top` of the patch on.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Belts<'a> {
+    pub top: usize,
+    /// The disc, and the roundel, by their thresholds.
+    pub white: &'a [u64],
+    pub whole: &'a [u64],
+    pub disc_core: &'a [u64],
+    pub disc_belt: &'a [u64],
+    pub ring_core: &'a [u64],
+    pub ring_belt: &'a [u64],
+    pub thin_core: &'a [u64],
+    pub thin_belt: &'a [u64],
+    pub half_belt: &'a [u64],
+    pub black: &'a [u64],
+    pub near: &'a [u64],
+    pub far: &'a [u64],
+    /// Distance from the disc's rim at which its core begins.
+    pub core_px: f64,
+    /// Width of the belts' sides in the black.
+    pub inside_px: f64,
+    /// Distance of `black` from both rims.
+    pub black_px: f64,
+}
+
+/// Memory of [`Belts::round`].
+pub(crate) type BeltScratch = Vec<u64>;
+
+const PLANES: usize = 13;
+
+/// Words of the belts of a patch with so many words a row and so many rows; those about expected rims
+/// need fewer.
+pub(crate) fn most_words(words: usize, rows: usize) -> usize {
+    PLANES * (rows + PADDING_ROWS) * words
+}
+
+impl<'a> Belts<'a> {
+    /// The sets of a disc and the ring round it.
+    #[simd]
+    pub fn round<S: Simd>(
+        simd: S,
+        patch: &Patch,
+        disc: (&Extent, &[Span]),
+        ring: (&Extent, &[Span]),
+        scratch: &'a mut BeltScratch,
+    ) -> Self {
+        let top = ring.0.top.saturating_sub(REACH);
+        let bottom = (ring.0.bottom + REACH).min(patch.rows());
+        let words = patch.words;
+        // An empty row before and after, so that every row has two neighbours.
+        let length = (bottom - top + 2) * words;
+        if scratch.len() < PLANES * length {
+            scratch.resize(PLANES * length, 0);
+        }
+        let mut planes = scratch.chunks_exact_mut(length);
+        let [
+            white,
+            whole,
+            disc_core,
+            disc_belt,
+            ring_core,
+            ring_belt,
+            black,
+            near,
+            far,
+            more,
+            less,
+            thin,
+            half,
+        ] = std::array::from_fn(|_| planes.next().expect("room was made for all planes"));
+        let pixels = top * words..bottom * words;
+        fill(white, disc, (top, words));
+        let inner = words..length - words;
+        for (disc, white) in white[inner.clone()].iter_mut().zip(&patch.white[pixels.clone()]) {
+            *disc &= white;
+        }
+        fill(whole, ring, (top, words));
+
+        let grid = Grid { words };
+        grid.shrink::<SQUARE>(white, less);
+        grid.shrink::<CROSS>(less, disc_core);
+        let mut core_px = WIDE_PX;
+        if pixels_in(disc_core) < LEAST_WHITE {
+            grid.shrink::<CROSS>(white, disc_core);
+            core_px = CROSS_PX;
+        }
+        if pixels_in(disc_core) < LEAST_WHITE {
+            disc_core.copy_from_slice(white);
+            core_px = 0.0;
+        }
+        grid.grow::<SQUARE>(white, more);
+        grid.grow::<CROSS>(more, disc_belt);
+        grid.shrink::<SQUARE>(whole, less);
+        grid.shrink::<CROSS>(less, ring_core);
+        let mut inside_px = WIDE_PX;
+        if disc_belt.iter().zip(&*ring_core).fold(0, |all, (disc, core)| all | disc & !core) != 0 {
+            disc_belt.copy_from_slice(more);
+            combine(ring_core, less, more, |less, more| less | more);
+            inside_px = THIN_PX;
+        }
+        let mut black_px = inside_px;
+        combine(black, ring_core, disc_belt, |core, disc| core & !disc);
+        if pixels_in(black) < LEAST_BLACK {
+            grid.grow::<CROSS>(white, near);
+            grid.shrink::<CROSS>(whole, far);
+            combine(black, far, near, |whole, white| whole & !white);
+            black_px = CROSS_PX;
+        }
+        if pixels_in(black) < LEAST_BLACK {
+            combine(black, whole, white, |whole, white| whole & !white);
+            black_px = 0.0;
+        }
+        disc_belt.iter_mut().zip(&*disc_core).for_each(|(belt, core)| *belt &= !core);
+
+        // From the outer rim outwards, each without what is inside it and beyond the frame.
+        grid.grow::<SQUARE>(whole, more);
+        grid.grow::<CROSS>(more, ring_belt);
+        grid.grow::<CROSS>(ring_belt, near);
+        grid.grow::<SQUARE>(near, far);
+        far.iter_mut().zip(&*near).for_each(|(far, near)| *far &= !near);
+        near.iter_mut().zip(&*ring_belt).for_each(|(near, belt)| *near &= !belt);
+        ring_belt.iter_mut().zip(&*ring_core).for_each(|(belt, core)| *belt &= !core);
+        combine(thin, more, less, |more, less| more & !less);
+        combine(half, whole, less, |whole, less| whole & !less);
+        for plane in [&mut *ring_belt, thin, near, far] {
+            let known = patch.white[pixels.clone()].iter().zip(&patch.black[pixels.clone()]);
+            for (bits, (white, black)) in plane[inner.clone()].iter_mut().zip(known) {
+                *bits &= white | black;
+            }
+        }
+        let rows = |plane: &'a mut [u64]| -> &'a [u64] { &plane[words..length - words] };
+        Self {
+            top,
+            white: rows(white),
+            whole: rows(whole),
+            disc_core: rows(disc_core),
+            disc_belt: rows(disc_belt),
+            ring_core: rows(ring_core),
+            ring_belt: rows(ring_belt),
+            thin_core: rows(less),
+            thin_belt: rows(thin),
+            half_belt: rows(half),
+            black: rows(black),
+            near: rows(near),
+            far: rows(far),
+            core_px,
+            inside_px,
+            black_px,
+        }
+    }
+}
+
+/// Number of pixels in a set.
+#[inline(always)]
+pub(crate) fn pixels_in(set: &[u64]) -> u32 {
+    set.iter().map(|bits| bits.count_ones()).sum()
+}
+
+#[inline(always)]
+fn combine(to: &mut [u64], a: &[u64], b: &[u64], with: impl Fn(u64, u64) -> u64) {
+    to.iter_mut().zip(a.iter().zip(b)).for_each(|(to, (&a, &b))| *to = with(a, b));
+}
+
+/// A segment's spans as bits.
+#[inline(always)]
+fn fill(plane: &mut [u64], (extent, spans): (&Extent, &[Span]), (top, words): (usize, usize)) {
+    let (before, rest) = plane.split_at_mut((extent.top - top + 1) * words);
+    let (rows, after) = rest.split_at_mut(extent.height() * words);
+    before.fill(0);
+    after.fill(0);
+    let spans = &spans[extent.top..extent.bottom];
+    if words == 1 {
+        rows.iter_mut().zip(spans).for_each(|(bits, span)| *bits = span.bits(0));
+    } else {
+        for (row, span) in rows.chunks_exact_mut(words).zip(spans) {
+            row.iter_mut().enumerate().for_each(|(word, bits)| *bits = span.bits(word));
+        }
+    }
+}
+
+/// The eight nearest neighbours.
+const SQUARE: bool = true;
+/// The four nearest neighbours.
+const CROSS: bool = false;
+
+/// Rows of words.
+#[derive(Clone, Copy, Debug)]
+struct Grid {
+    words: usize,
+}
+
+impl Grid {
+    /// A set with all neighbours of its pixels.
+    #[inline(always)]
+    fn grow<const ALL: bool>(self, from: &[u64], to: &mut [u64]) {
+        self.each(from, to, |at, left, right| at | left | right, |a, b| a | b, ALL);
+    }
+
+    /// A set without the pixels that have a neighbour outside of it.
+    #[inline(always)]
+    fn shrink<const ALL: bool>(self, from: &[u64], to: &mut [u64]) {
+        self.each(from, to, |at, left, right| at & left & right, |a, b| a & b, ALL);
+    }
+
+    #[inline(always)]
+    fn each(
+        self,
+        from: &[u64],
+        to: &mut [u64],
+        along: impl Fn(u64, u64, u64) -> u64,
+        across: impl Fn(u64, u64) -> u64,
+        all: bool,
+    ) {
+        let (words, length) = (self.words, to.len());
+        let from = &from[..length];
+        to[..words].fill(0);
+        to[length - words..].fill(0);
+        if words == 1 {
+            let side = |bits: u64| along(bits, bits << 1, bits >> 1);
+            for v in 1..length - 1 {
+                let (above, here, below) = (from[v - 1], from[v], from[v + 1]);
+                to[v] = if all {
+                    across(across(side(above), side(here)), side(below))
+                } else {
+                    across(across(above, side(here)), below)
+                };
+            }
+            return;
+        }
+        let row = |v: usize| &from[v * words..(v + 1) * words];
+        let side = |row: &[u64], at: usize| {
+            let before = if at == 0 { 0 } else { row[at - 1] >> 63 };
+            let after = if at + 1 == words { 0 } else { row[at + 1] << 63 };
+            along(row[at], row[at] << 1 | before, row[at] >> 1 | after)
+        };
+        for (v, to) in to.chunks_exact_mut(words).enumerate().skip(1).take(length / words - 2) {
+            let (above, here, below) = (row(v - 1), row(v), row(v + 1));
+            for (at, to) in to.iter_mut().enumerate() {
+                *to = if all {
+                    across(across(side(above, at), side(here, at)), side(below, at))
+                } else {
+                    across(across(above[at], side(here, at)), below[at])
+                };
+            }
+        }
+    }
+}

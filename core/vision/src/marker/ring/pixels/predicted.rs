@@ -1,0 +1,386 @@
+//! The belts of a ring that is followed, from where its rims are expected.
+//!
+//! A ring seldom changes its shape from one frame to the next, so its rims need not be traced: the
+//! belts of [`crate::marker::ring::pixels::edge_band`] follow from the two ellipses of the frame before, once it is known
+//! how far they have moved. That the white disc says: the middle of the white pixels within the ellipse
+//! halfway between the rims is its centre to a tenth of a pixel (rms; a disc of 12 px), wherever it went
+//! in the black. Where it went far it is looked for twice, since of a disc that has left that ellipse in
+//! part only the rest is seen at first.
+//!
+//! Nothing is taken for granted: every pixel between the belts must be on its side of the threshold,
+//! black in the ring, white in the disc and in the margin beside the belt. That is more than
+//! [`crate::marker::ring::pixels::segment_fill`] asks for (no bridge, however narrow, leads out of such a ring), and whoever
+//! weighs the rims must find them in the middle of their belts ([`Expected::is_met`]). What fails either
+//! is looked at by its segments.
+
+use fearless_simd::{Simd, prelude::*};
+use fearless_simd_macros::simd;
+
+use crate::{
+    ellipse::Ellipse,
+    marker::ring::pixels::{
+        edge_band::{BeltScratch, Belts, CROSS_PX, LEAST_BLACK, LEAST_WHITE, WIDE_PX, pixels_in},
+        ellipse_mask::{Area, LANES, Oval, Placed, Rim, Rows},
+        patch::{Patch, WORD_PX},
+    },
+};
+
+/// Rims may lie so far from where they were expected, pixels, before their belts are drawn anew; a belt
+/// of a blur of 0.7 px then still holds all but two thousandths of a pixel of its rim's light.
+const OFF_PX: f64 = 0.5;
+/// Least width of the black, where it is narrowest: two belts, and something between them.
+const LEAST_RING_PX: f64 = 2.0 * WIDE_PX + 0.75;
+/// Least shorter semiaxis of the disc.
+const LEAST_DISC_PX: f64 = WIDE_PX + 1.0;
+
+/// Rims as they were, and where they are expected.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Expected {
+    pub outer: Rim,
+    pub inner: Rim,
+}
+
+/// Whether a belt about a rim holds the one found.
+fn is_met(rim: &Ellipse, found: &Ellipse) -> bool {
+    let (du, dv) = (found.center.u - rim.center.u, found.center.v - rim.center.v);
+    let longer_px = (found.semi_major_px - rim.semi_major_px).abs();
+    let wider_px = (found.semi_minor_px - rim.semi_minor_px).abs();
+    let turn_rad = (found.angle_rad - rim.angle_rad).abs();
+    let turn_rad = turn_rad.min(std::f64::consts::PI - turn_rad);
+    let turned_px = turn_rad * (found.semi_major_px - found.semi_minor_px);
+    du * du + dv * dv <= OFF_PX * OFF_PX && longer_px + wider_px + turned_px <= 2.0 * OFF_PX
+}
+
+impl Expected {
+    /// Rims where they are.
+    pub fn new(outer: &Ellipse, inner: &Ellipse) -> Self {
+        Self { outer: Rim::new(outer), inner: Rim::new(inner) }
+    }
+
+    /// These rims moved by so many pixels.
+    pub fn moved(mut self, du: f64, dv: f64) -> Self {
+        for rim in [&mut self.outer, &mut self.inner] {
+            rim.ellipse.center.u += du;
+            rim.ellipse.center.v += dv;
+        }
+        self
+    }
+
+    /// Whether belts about these rims hold the rims found.
+    pub fn is_met(&self, outer: &Ellipse, inner: &Ellipse) -> bool {
+        is_met(&self.outer.ellipse, outer) && is_met(&self.inner.ellipse, inner)
+    }
+}
+
+/// What is needed to weigh the rims.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Followed<'a> {
+    pub belts: Belts<'a>,
+    /// Where both rims' belts lie, in the belts' rows.
+    pub outer: Area,
+    pub inner: Area,
+    /// A pixel in the middle, its column even, in the belts' rows.
+    pub middle: (usize, usize),
+}
+
+const PLANES: usize = 7;
+
+/// Where belts begin and end, from the inside out: the disc's, the ring's, and those of the margin.
+#[inline(always)]
+pub(crate) fn belt_ovals(outer: &Placed, inner: &Placed) -> [Oval; 6] {
+    [
+        inner.grown(-WIDE_PX),
+        inner.grown(WIDE_PX),
+        outer.grown(-WIDE_PX),
+        outer.grown(WIDE_PX),
+        outer.grown(WIDE_PX + CROSS_PX),
+        outer.grown(2.0 * WIDE_PX),
+    ]
+}
+
+/// The belts about expected rims of which the disc has been found; `None` where they would not lie in
+/// the patch, where the black is too narrow for them, and where the pixels between them are not black or
+/// white as they ought to be.
+#[simd]
+pub(crate) fn belts_about<'a, S: Simd>(
+    simd: S,
+    patch: &Patch,
+    expected: &Expected,
+    scratch: &'a mut BeltScratch,
+) -> Option<Followed<'a>> {
+    let (outer, inner) = (Placed::new(&expected.outer, patch), Placed::new(&expected.inner, patch));
+    let words = patch.words;
+    let ovals = belt_ovals(&outer, &inner);
+    let (top, bottom) = ovals[5].rows(patch.rows())?;
+    ovals[5].area(patch, top)?;
+    // Rows are drawn by sixteen; of the last ones none is needed.
+    let room = (bottom - top).next_multiple_of(LANES) * words;
+    if scratch.len() < PLANES * room {
+        scratch.resize(PLANES * room, 0);
+    }
+    let mut planes = scratch.chunks_exact_mut(room);
+    let mut planes: [&mut [u64]; PLANES] =
+        std::array::from_fn(|_| planes.next().expect("room was made for all planes"));
+    // They all lie in the last one, which does not reach the patch's edge.
+    let is_only = words == 1;
+    let mut wrong = Rows::none(simd);
+    for row in (0..bottom - top).step_by(LANES) {
+        // Closures over vectors are not sure to become part of this function.
+        let (first, columns) = (top + row, words * WORD_PX);
+        let core = ovals[0].chords(simd, first, columns);
+        let disc = ovals[1].chords(simd, first, columns);
+        let ring = ovals[2].chords(simd, first, columns);
+        let whole = ovals[3].chords(simd, first, columns);
+        let beside = ovals[4].chords(simd, first, columns);
+        let beyond = ovals[5].chords(simd, first, columns);
+        for word in 0..words {
+            let (core, disc) = (core.bits(simd, word, is_only), disc.bits(simd, word, is_only));
+            let (ring, whole) = (ring.bits(simd, word, is_only), whole.bits(simd, word, is_only));
+            let (beside, beyond) =
+                (beside.bits(simd, word, is_only), beyond.bits(simd, word, is_only));
+            let white = Rows::load(simd, &patch.white, ((top + row) * words + word, words));
+            let (black, near) = (ring.without(disc), beside.without(whole));
+            wrong = wrong
+                .with(core.with(near).without(white))
+                .with(black.within(white))
+                .with(disc.without(ring));
+            let at = (row * words + word, words);
+            let [disc_core, disc_belt, ring_core, ring_belt, between, margin, far] = &mut planes;
+            core.store(disc_core, at);
+            disc.without(core).store(disc_belt, at);
+            ring.store(ring_core, at);
+            whole.without(ring).store(ring_belt, at);
+            black.store(between, at);
+            near.store(margin, at);
+            beyond.without(beside).store(far, at);
+        }
+    }
+    let length = (bottom - top) * words;
+    let [disc_core, disc_belt, ring_core, ring_belt, black, near, far] =
+        planes.map(|plane| &plane[..length]);
+    if wrong.any() || pixels_in(disc_core) < LEAST_WHITE || pixels_in(black) < LEAST_BLACK {
+        return None;
+    }
+    Some(Followed {
+        outer: ovals[3].area(patch, top)?,
+        inner: ovals[1].area(patch, top)?,
+        middle: (outer.u as usize & !1, outer.v as usize - top),
+        belts: Belts {
+            top,
+            white: &[],
+            whole: &[],
+            disc_core,
+            disc_belt,
+            ring_core,
+            ring_belt,
+            thin_core: &[],
+            thin_belt: &[],
+            half_belt: &[],
+            black,
+            near,
+            far,
+            core_px: WIDE_PX,
+            inside_px: WIDE_PX,
+            black_px: WIDE_PX,
+        },
+    })
+}
+
+/// How far the disc has moved from where it was expected; `None` where it is not seen, or the ring is
+/// none to be followed.
+#[simd]
+pub(crate) fn motion<S: Simd>(simd: S, patch: &Patch, expected: &Expected) -> Option<(f64, f64)> {
+    let ring_px = expected.outer.ellipse.semi_minor_px - expected.inner.ellipse.semi_minor_px;
+    if ring_px < LEAST_RING_PX || expected.inner.ellipse.semi_minor_px < LEAST_DISC_PX {
+        return None;
+    }
+    let half_px = 0.5 * ring_px;
+    let mut rim = Placed::new(&expected.inner, patch);
+    let (from_u, from_v) = (rim.u, rim.v);
+    for _ in 0..2 {
+        let (u, v) = white_middle(simd, patch, &rim.grown(half_px))?;
+        let (du, dv) = (u - rim.u, v - rim.v);
+        (rim.u, rim.v) = (u, v);
+        // The ellipse's own margin of black was left to either side.
+        if du * du + dv * dv < 0.5 * half_px * half_px {
+            break;
+        }
+    }
+    Some((rim.u - from_u, rim.v - from_v))
+}
+
+/// Mean place of the white pixels in an ellipse, each row's being one run.
+#[simd]
+fn white_middle<S: Simd>(simd: S, patch: &Patch, oval: &Oval) -> Option<(f64, f64)> {
+    let words = patch.words;
+    let (top, bottom) = oval.rows(patch.rows())?;
+    let is_only = words == 1 && oval.area(patch, top).is_some();
+    let (mut pixels, mut twice_u, mut sum_v) = (0u32, 0u32, 0u32);
+    for row in (top..bottom).step_by(LANES) {
+        let chords = oval.chords(simd, row, words * WORD_PX);
+        for word in 0..words {
+            let white = Rows::load(simd, &patch.white, (row * words + word, words));
+            let Rows(a, b) = chords.bits(simd, word, is_only).within(white);
+            let mut rows = [0; LANES];
+            a.store_slice(&mut rows[..8]);
+            b.store_slice(&mut rows[8..]);
+            for (lane, bits) in rows.into_iter().enumerate() {
+                let count = bits.count_ones();
+                // Of a run the middle is that of its ends; without pixels neither counts.
+                let ends = bits.trailing_zeros() + 63 - bits.leading_zeros().min(63);
+                pixels += count;
+                twice_u += count * (ends + 2 * (word * WORD_PX) as u32);
+                sum_v += count * (row + lane) as u32;
+            }
+        }
+    }
+    let per = 1.0 / f64::from(pixels);
+    (pixels >= LEAST_WHITE).then(|| (0.5 * f64::from(twice_u) * per, f64::from(sum_v) * per))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{camera::PixelPoint, frame::Frame, marker::kind::Polarity, segment::Window};
+    use fearless_simd::{Level, dispatch};
+    use proptest::prelude::*;
+
+    const SIDE: usize = 150;
+
+    fn ring(u: f64, v: f64, (major, flat, angle_rad): (f64, f64, f64)) -> Expected {
+        let rim = |semi_major_px: f64| Ellipse {
+            center: PixelPoint { u, v },
+            semi_major_px,
+            semi_minor_px: semi_major_px * flat,
+            angle_rad,
+        };
+        Expected::new(&rim(major), &rim(0.4 * major))
+    }
+
+    /// A picture of the ring, and the window of so many columns round it.
+    fn patch(ring: &Expected, columns: usize) -> Patch {
+        let inside = |rim: &Rim, u: usize, v: usize| {
+            rim.ellipse.contains(PixelPoint { u: u as f64, v: v as f64 })
+        };
+        let pixel = |at: usize| {
+            let (u, v) = (at % SIDE, at / SIDE);
+            let is_black = inside(&ring.outer, u, v) && !inside(&ring.inner, u, v);
+            if is_black { 40u8 } else { 200 }
+        };
+        let pixels: Vec<u8> = (0..SIDE * SIDE).map(pixel).collect();
+        let frame = Frame::new(&pixels, SIDE, SIDE, SIDE).unwrap();
+        let left = (ring.outer.ellipse.center.u as usize).saturating_sub(columns / 2);
+        let window = Window { left, top: 5, right: (left + columns).min(SIDE), bottom: 145 };
+        let mut patch = Patch::default();
+        let with = (120, Polarity::BlackRing);
+        dispatch!(Level::new(), simd => Patch::load(simd, &mut patch, &frame, window, with));
+        patch
+    }
+
+    fn belts<'a>(
+        patch: &Patch,
+        expected: &Expected,
+        scratch: &'a mut BeltScratch,
+    ) -> Option<Followed<'a>> {
+        dispatch!(Level::new(), simd => belts_about(simd, patch, expected, scratch))
+    }
+
+    proptest! {
+        #[test]
+        fn belts_are_ellipses_grown_and_shrunk(
+            u in 60.0..90.0f64,
+            v in 60.0..90.0f64,
+            major in 14.0..40.0f64,
+            flat in 0.75..1.0f64,
+            angle_rad in -1.5..1.5f64,
+        ) {
+            let expected = ring(u, v, (major, flat, angle_rad));
+            let patch = patch(&expected, if major < 24.0 { 64 } else { 100 });
+            let mut scratch = BeltScratch::new();
+            let found = belts(&patch, &expected, &mut scratch).unwrap();
+            let Belts { top, disc_core, disc_belt, ring_core, ring_belt, black, near, far, .. } =
+                found.belts;
+            let (outer, inner) = (expected.outer.ellipse, expected.inner.ellipse);
+            let edges = [
+                inner.grown(-WIDE_PX),
+                inner.grown(WIDE_PX),
+                outer.grown(-WIDE_PX),
+                outer.grown(WIDE_PX),
+                outer.grown(WIDE_PX + CROSS_PX),
+                outer.grown(2.0 * WIDE_PX),
+            ];
+            for at in 0..disc_core.len() * WORD_PX {
+                let (row, column) = (at / (WORD_PX * patch.words), at % (WORD_PX * patch.words));
+                let place = PixelPoint {
+                    u: (patch.window.left + column) as f64,
+                    v: (patch.window.top + top + row) as f64,
+                };
+                // Rounding may go either way on an edge itself.
+                let on_edge = |e: &Ellipse| e.grown(1e-4).contains(place) != e.grown(-1e-4).contains(place);
+                if edges.iter().any(on_edge) {
+                    continue;
+                }
+                let [core, disc, within, whole, beside, beyond] = edges.map(|e| e.contains(place));
+                let ours = [disc_core, disc_belt, ring_core, ring_belt, black, near, far]
+                    .map(|set| set[at / WORD_PX] >> (at % WORD_PX) & 1 == 1);
+                let plain = [
+                    core,
+                    disc && !core,
+                    within,
+                    whole && !within,
+                    within && !disc,
+                    beside && !whole,
+                    beyond && !beside,
+                ];
+                prop_assert_eq!(ours, plain, "{:?}", place);
+                for area in [(&found.outer, whole), (&found.inner, disc)] {
+                    let Area { rows, columns } = area.0;
+                    let held = (rows.0..rows.1).contains(&row) && (columns.0..columns.1).contains(&column);
+                    prop_assert!(held || !area.1);
+                }
+            }
+        }
+
+        #[test]
+        fn the_disc_says_where_the_ring_has_gone(
+            // Further away its far side leaves what is looked at, and the ring is left to its segments.
+            away_px in 0.0..4.0f64,
+            towards_rad in -3.2..3.2f64,
+            flat in 0.8..1.0f64,
+            angle_rad in -1.5..1.5f64,
+        ) {
+            let (du, dv) = (away_px * towards_rad.cos(), away_px * towards_rad.sin());
+            let there = ring(72.3 + du, 75.6 + dv, (15.0, flat, angle_rad));
+            let expected = ring(72.3, 75.6, (15.0, flat, angle_rad));
+            let patch = patch(&there, 64);
+            let moved = dispatch!(Level::new(), simd => motion(simd, &patch, &expected)).unwrap();
+            prop_assert!((moved.0 - du).hypot(moved.1 - dv) < 0.4, "{moved:?} {du} {dv}");
+        }
+    }
+
+    #[test]
+    fn rings_that_are_not_there_or_bridged_are_left_to_their_segments() {
+        let expected = ring(72.3, 75.6, (15.0, 0.9, 0.3));
+        let mut scratch = BeltScratch::new();
+        let whole = patch(&expected, 64);
+        assert!(belts(&whole, &expected, &mut scratch).is_some());
+        assert!(belts(&whole, &expected.moved(4.0, 0.0), &mut scratch).is_none());
+        let found = belts(&whole, &expected, &mut scratch).unwrap().belts;
+        // One pixel is enough, wherever its place between the belts is.
+        for (set, white) in [(found.near, false), (found.disc_core, false), (found.black, true)] {
+            let at = set.iter().position(|&bits| bits != 0).unwrap();
+            let pixel = 1 << set[at].trailing_zeros();
+            let mut spoilt = patch(&expected, 64);
+            spoilt.white[found.top * spoilt.words + at] ^= pixel;
+            assert_eq!(spoilt.white[found.top * spoilt.words + at] & pixel != 0, white);
+            assert!(belts(&spoilt, &expected, &mut BeltScratch::new()).is_none());
+        }
+    }
+
+    #[test]
+    fn thin_rings_are_not_followed_by_belts() {
+        let thin = ring(72.3, 75.6, (8.0, 0.9, 0.3));
+        let patch = patch(&thin, 64);
+        assert!(dispatch!(Level::new(), simd => motion(simd, &patch, &thin)).is_none());
+    }
+}

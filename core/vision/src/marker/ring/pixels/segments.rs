@@ -1,0 +1,135 @@
+//! The two segments of a ring in a patch: its disc, and the black round it.
+//!
+//! The disc is followed from the probe's centre, and the black from the disc ([`crate::marker::ring::pixels::segment_fill`]);
+//! counts then refuse what is too small, too large or of the wrong ratio ([`crate::marker::ring::checks`]).
+
+use fearless_simd::Simd;
+use fearless_simd_macros::simd;
+
+use crate::{
+    frame::Frame,
+    marker::{
+        reject::Reject,
+        ring::{
+            checks::{Counted, Rules, check_counts},
+            pixels::{
+                patch::Patch,
+                segment_fill::{Bits, Extent, Span, Spill, follow_disc, follow_ring},
+            },
+        },
+    },
+    scratch::make_room,
+};
+
+/// Rows of both segments, by the patch's rows.
+#[derive(Debug, Default)]
+pub(crate) struct Spans {
+    pub discs: Vec<Span>,
+    pub rings: Vec<Span>,
+}
+
+impl Spans {
+    /// Room for so many rows.
+    pub fn make_room(&mut self, rows: usize) {
+        make_room(&mut self.discs, rows);
+        make_room(&mut self.rings, rows);
+    }
+}
+
+/// Where both segments lie, and how many pixels they have.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Segments {
+    pub disc: Extent,
+    pub ring: Extent,
+    pub of_disc: Counted,
+    pub of_ring: Counted,
+}
+
+impl Segments {
+    /// The disc round a pixel of the frame, or near it, and its ring.
+    #[simd]
+    pub fn find<S: Simd>(
+        simd: S,
+        frame: &Frame,
+        patch: &Patch,
+        center: (usize, usize),
+        rules: &Rules,
+        Spans { discs, rings }: &mut Spans,
+    ) -> Result<Self, Reject> {
+        let (rows, columns) = (patch.rows(), patch.columns());
+        if discs.len() < rows {
+            discs.resize(rows, Span::default());
+            rings.resize(rows, Span::default());
+        }
+        let center = (center.0 - patch.window.left, center.1 - patch.window.top);
+        let white = Bits::new(&patch.white, patch.words, (rows, columns));
+        let black = Bits::new(&patch.black, patch.words, (rows, columns));
+        let disc = seeds(patch, center)
+            .map(|seed| follow_disc(simd, &white, seed, discs))
+            .find(|disc| disc.is_ok())
+            .unwrap_or(Err(Spill::Seed));
+        let disc = disc.map_err(|spill| match spill {
+            Spill::Seed => Reject::NoWhite,
+            Spill::Edge(_) => Reject::WhiteTooLarge,
+        })?;
+        let ring =
+            follow_ring(simd, &black, (&disc, discs), rings).map_err(|spill| match spill {
+                Spill::Seed => Reject::NoBlack,
+                Spill::Edge(extent) if at_frame_edge(frame, patch, &extent) => Reject::FrameEdge,
+                Spill::Edge(_) => Reject::BlackTooLarge,
+            })?;
+        let (of_disc, of_ring) = counts(patch, (&disc, discs), (&ring, rings));
+        check_counts(&of_ring, &of_disc, rules)?;
+        Ok(Self { disc, ring, of_disc, of_ring })
+    }
+}
+
+/// White pixels to begin the disc with: the centre if it is white. A small ring that moved may have its
+/// black there; then the nearest white ones along row and column.
+fn seeds(patch: &Patch, (u, v): (usize, usize)) -> impl Iterator<Item = (u32, usize)> {
+    let white = |u: usize, v: usize| patch.white[v * patch.words + u / 64] >> (u % 64) & 1 == 1;
+    let seeds = if white(u, v) {
+        [Some((u, v)), None, None, None]
+    } else {
+        let left = (0..u).rev().find(|&u| white(u, v)).map(|u| (u, v));
+        let right = (u + 1..patch.columns()).find(|&u| white(u, v)).map(|u| (u, v));
+        let up = (0..v).rev().find(|&v| white(u, v)).map(|v| (u, v));
+        let down = (v + 1..patch.rows()).find(|&v| white(u, v)).map(|v| (u, v));
+        [left, right, up, down]
+    };
+    seeds.into_iter().flatten().map(|(u, v)| (u as u32, v))
+}
+
+/// Whether a segment has reached an edge of the patch that is one of the frame's.
+fn at_frame_edge(frame: &Frame, patch: &Patch, extent: &Extent) -> bool {
+    let window = &patch.window;
+    (extent.columns.first == 0 && window.left == 0)
+        || (extent.columns.end as usize == patch.columns() && window.right == frame.width())
+        || (extent.top == 0 && window.top == 0)
+        || (extent.bottom == patch.rows() && window.bottom == frame.height())
+}
+
+/// Pixels of the disc and of the black round it.
+#[inline(always)]
+fn counts(patch: &Patch, disc: (&Extent, &[Span]), ring: (&Extent, &[Span])) -> (Counted, Counted) {
+    (count(patch.words, disc, &patch.white), count(patch.words, ring, &patch.black))
+}
+
+#[inline(always)]
+fn count(words: usize, (extent, spans): (&Extent, &[Span]), bits: &[u64]) -> Counted {
+    let spans = &spans[extent.top..extent.bottom];
+    let bits = &bits[extent.top * words..extent.bottom * words];
+    let mut pixels = 0;
+    if words == 1 {
+        for (bits, span) in bits.iter().zip(spans) {
+            pixels += (bits & span.bits(0)).count_ones();
+        }
+    } else {
+        for (row, span) in bits.chunks_exact(words).zip(spans) {
+            for (word, bits) in row.iter().enumerate() {
+                pixels += (bits & span.bits(word)).count_ones();
+            }
+        }
+    }
+    Counted::new(pixels, extent)
+}

@@ -1,0 +1,353 @@
+//! What blur does to levels and sums taken between cuts, and how it is undone.
+//!
+//! Blur of the deviation σ carries light across a straight edge. Beyond a cut at the distance d from the
+//! edge lies the area m = ∫ Φ(-x/σ) dx of it a pixel of rim, x from d on; with z = d/σ that is
+//! σ (φ(z) - z Φ(-z)), and of the spread σ² each side lacks a share of 2 s, s = ∫ x Φ(-x/σ) dx / σ²
+//! ([`Beyond`]). So, of a rim of radius r in whose belt (from r - d to r + d) grey levels count:
+//!
+//! - A level, taken from n pixels beyond a cut, is off towards the other one by the share
+//!   ε = 2π r' m / n of the contrast, r' the radius of the cut.
+//! - The filled rim then gets too much by 2π ε (r - d/2) d of the level inside, and too little by
+//!   2π ε (r + d/2) d of the level outside.
+//! - It lacks the 2π (r + d) m that lies outside the belt, and has 2π (r - d) m too much inside.
+//! - Its spread comes out as σ² (1 - 4 s) - (ε + ε) d².
+//!
+//! The last line, for both rims, gives σ; the others then say by how much the rims are to be grown.
+//! σ contains the pixels' own width, as the spread does.
+
+use fearless_simd::Simd;
+use fearless_simd_macros::simd;
+
+use crate::{
+    ellipse::{Ellipse, Moments, Shape},
+    marker::ring::{
+        pixels::{edge_band::WIDE_PX, ellipse_mask::Rim},
+        subpixel::{moments::Grey, thin_ring::Depths},
+    },
+    normal::Beyond,
+    simd::Lane,
+};
+
+/// Deviation of the blurred edge, pixels, where the measured one is out of this range: pixels behind a
+/// sharp lens have the least.
+const BLUR_LIMITS_PX: (f64, f64) = (0.4, 1.7);
+/// Least distance from a rim of levels that are unmixed, pixels.
+const LEAST_DISTANCE_PX: f64 = 0.5;
+/// Largest share of the other level that a level is taken to hold.
+const MOST_MIXED: f64 = 0.3;
+/// Turns in which σ and what it mixes are found.
+const TURNS: usize = 2;
+
+/// How far from a rim grey levels count, inside and outside, pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Cuts {
+    pub inside_px: f64,
+    pub outside_px: f64,
+}
+
+/// A rim as weighed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Weighed {
+    pub shape: Shape,
+    pub rim: Ellipse,
+    pub cuts: Cuts,
+}
+
+impl Weighed {
+    /// From the weighted sums over pixels counted from `origin`; `None` if they are those of no shape.
+    #[inline(always)]
+    pub fn new(sums: &Moments, origin: (usize, usize), cuts: Cuts) -> Option<Self> {
+        let shape = sums.shape(origin)?;
+        Some(Self { shape, rim: shape.ellipse(), cuts })
+    }
+
+    /// What its blur depends on.
+    #[inline(always)]
+    fn seen(&self) -> Seen<f64> {
+        Seen {
+            radius_px: rim_radius_px(self.rim.semi_major_px, self.rim.semi_minor_px),
+            spread_px2: self.shape.spread_px2_of(&self.rim),
+            cuts: self.cuts,
+        }
+    }
+
+    /// With its matrix.
+    pub fn oval(&self) -> Rim {
+        Rim { ellipse: self.rim, matrix: self.shape.matrix_of(&self.rim) }
+    }
+}
+
+/// A level, and how far from a rim it is taken.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Taken<T = f64> {
+    pub level: T,
+    /// Number of pixels.
+    pub pixels: T,
+    pub distance_px: f64,
+}
+
+impl Taken {
+    pub fn new(grey: Grey, distance_px: f64) -> Self {
+        Self { level: grey.mean(), pixels: f64::from(grey.pixels), distance_px }
+    }
+}
+
+/// Levels of black and disc, and the margin's, which is `None` where it is taken to be as white as the
+/// disc.
+pub(crate) type AllTaken<'a, T = f64> = (&'a Taken<T>, &'a Taken<T>, Option<&'a Taken<T>>);
+
+/// Levels and rims without the blur.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Unblurred {
+    pub outer: Ellipse,
+    pub inner: Ellipse,
+    pub black: f64,
+    pub white: f64,
+}
+
+/// Undoes the blur. `thin` has the black's pixels of a ring whose blur reaches all of them.
+#[simd]
+pub(crate) fn unblur<S: Simd>(
+    simd: S,
+    (outer, inner): (&Weighed, &Weighed),
+    levels: AllTaken,
+    thin: Option<&Depths>,
+) -> Unblurred {
+    let (black, white, _) = levels;
+    let rims = (outer.seen(), inner.seen());
+    let mut lifted = Lifted::none(rims.1.spread_px2);
+    for _ in 0..TURNS {
+        let blur = Blur::new(lifted.spread_px2);
+        let black_share = thin.map(|depths| {
+            let (grown_px, blur_px) = (lifted.grown_px, blur.deviation_px);
+            let level = Depths::level(simd, depths, white.level, grown_px, blur_px);
+            let share = (black.level - level) / (white.level - level);
+            share.clamp(-MOST_MIXED, MOST_MIXED)
+        });
+        lifted = lifted.turn((&rims.0, &rims.1), levels, &blur, black_share);
+    }
+    let (black, white) = lifted.levels(black.level, white.level);
+    let (outer, inner) = (outer.rim.grown(lifted.grown_px.0), inner.rim.grown(lifted.grown_px.1));
+    Unblurred { outer, inner, black, white }
+}
+
+/// A rim as weighed: all of it that its blur depends on.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Seen<T> {
+    /// [`rim_radius_px`].
+    pub radius_px: T,
+    /// [`Shape::spread_px2`].
+    pub spread_px2: T,
+    pub cuts: Cuts,
+}
+
+/// Radius of the circle whose circumference is about that of an ellipse with these semiaxes.
+#[inline(always)]
+pub(crate) fn rim_radius_px<T: Lane>(a: T, b: T) -> T {
+    ((a * a + b * b) * 0.5).root()
+}
+
+/// What blur has done, as known so far.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Lifted<T> {
+    /// What the rims are to be grown by, the outer one first.
+    pub grown_px: (T, T),
+    /// The blur's variance.
+    spread_px2: T,
+    mixed: Mixed<T>,
+}
+
+impl<T: Lane> Lifted<T> {
+    /// Nothing yet, of a rim of this spread.
+    #[inline(always)]
+    pub fn none(spread_px2: T) -> Self {
+        let none = spread_px2.splat(0.0);
+        let mixed = Mixed { black: none, white: none, margin: none };
+        Self { grown_px: (none, none), spread_px2, mixed }
+    }
+
+    /// What is known of rims with wide belts, each level's cut beyond them.
+    #[inline(always)]
+    pub fn of_wide((outer, inner): (&Seen<T>, &Seen<T>), levels: AllTaken<T>) -> Self {
+        let mut lifted = Self::none(inner.spread_px2);
+        for _ in 0..TURNS {
+            let blur = Blur::new(lifted.spread_px2);
+            lifted = lifted.turn((outer, inner), levels, &blur, None);
+        }
+        lifted
+    }
+
+    /// Known better by one turn. `black_share` is by how much a thin ring's level is off.
+    #[inline(always)]
+    fn turn(
+        &self,
+        (outer, inner): (&Seen<T>, &Seen<T>),
+        (black, white, margin): AllTaken<T>,
+        blur: &Blur<T>,
+        black_share: Option<T>,
+    ) -> Self {
+        let (r_o, r_i) = (outer.radius_px, inner.radius_px);
+        let mixed = Mixed::new((r_o, r_i), (black, white, margin), black_share, blur);
+        // Weights are shares of the contrast as measured.
+        let scale = (-mixed.white - mixed.black + 1.0).under(1.0);
+        let (of_outer, of_inner) = (
+            Edge { seen: outer, mixed: (mixed.black * scale, mixed.margin * scale) },
+            Edge { seen: inner, mixed: (mixed.white * scale, mixed.black * scale) },
+        );
+        let none = r_o.splat(0.0);
+        let none = Leak { area: none, spread_px2: none };
+        let leaks = match black_share {
+            Some(_) => {
+                let width_px = r_o + self.grown_px.0 - r_i - self.grown_px.1;
+                let (near, far) = (outer.cuts.inside_px, inner.cuts.outside_px);
+                (
+                    Leak::new(r_i, width_px - near, near, blur),
+                    Leak::new(-r_o, width_px - far, far, blur),
+                )
+            }
+            None => (none, none),
+        };
+        let spread_px2 = (of_outer.spread_px2(&leaks.0, blur), of_inner.spread_px2(&leaks.1, blur));
+        Self {
+            grown_px: (of_outer.growth_px(&leaks.0, blur), of_inner.growth_px(&leaks.1, blur)),
+            // Without a margin, something else is in the outer one.
+            spread_px2: match margin {
+                Some(_) => (spread_px2.0 + spread_px2.1) * 0.5,
+                None => spread_px2.1,
+            },
+            mixed,
+        }
+    }
+
+    /// Black and white without the blur.
+    #[inline(always)]
+    pub fn levels(&self, black: T, white: T) -> (T, T) {
+        let contrast = (white - black) / (-self.mixed.white - self.mixed.black + 1.0);
+        (black - self.mixed.black * contrast, white + self.mixed.white * contrast)
+    }
+}
+
+/// Shares of the contrast by which the levels are off.
+#[derive(Clone, Copy, Debug)]
+struct Mixed<T> {
+    black: T,
+    white: T,
+    margin: T,
+}
+
+impl<T: Lane> Mixed<T> {
+    #[inline(always)]
+    fn new(
+        (r_o, r_i): (T, T),
+        (black, white, margin): AllTaken<T>,
+        black_share: Option<T>,
+        blur: &Blur<T>,
+    ) -> Self {
+        // Both rims give light to the black, one from each side.
+        let of_black = match black_share {
+            Some(share) => share,
+            None => blur.share(black, r_o + r_i),
+        };
+        let of_white = blur.share(white, r_i - white.distance_px);
+        let of_margin = match margin {
+            Some(margin) => blur.share(margin, r_o + margin.distance_px),
+            None => of_white,
+        };
+        Self { black: of_black, white: of_white, margin: of_margin }
+    }
+}
+
+/// Light of the other rim in a rim's belt, where the black is thin.
+#[derive(Clone, Copy, Debug)]
+struct Leak<T> {
+    /// What it adds to the area over 2π, px².
+    area: T,
+    /// What it adds to σ².
+    spread_px2: T,
+}
+
+impl<T: Lane> Leak<T> {
+    /// From a rim of this radius, negative if the black is inside of it, to a belt that begins so far
+    /// from it, and reaches so far into the black.
+    #[inline(always)]
+    fn new(radius_px: T, distance_px: T, reach_px: f64, blur: &Blur<T>) -> Self {
+        let moved_px = Beyond::new(distance_px, blur.deviation_px).moved_px;
+        Self {
+            // Of the disc's light the roundel's weights lose what the disc's own would gain.
+            area: -(radius_px + distance_px) * moved_px,
+            spread_px2: moved_px * (2.0 * reach_px),
+        }
+    }
+}
+
+/// A rim, and the shares by which the levels (inside, outside) are off.
+#[derive(Clone, Copy, Debug)]
+struct Edge<'a, T> {
+    seen: &'a Seen<T>,
+    mixed: (T, T),
+}
+
+impl<T: Lane> Edge<'_, T> {
+    /// σ² from the spread between the cuts.
+    #[inline(always)]
+    fn spread_px2(&self, leak: &Leak<T>, blur: &Blur<T>) -> T {
+        let (near, far) = (self.seen.cuts.inside_px, self.seen.cuts.outside_px);
+        let (inside, outside) = self.mixed;
+        let beyond = blur.beyond(near).spread + blur.beyond(far).spread;
+        let spread_px2 = self.seen.spread_px2 - leak.spread_px2;
+        let share = -(beyond * 2.0) + 1.0;
+        (spread_px2 + inside * near * near + outside * far * far) / share.larger(share.splat(0.3))
+    }
+
+    /// What the rim is to be grown by.
+    #[inline(always)]
+    fn growth_px(&self, leak: &Leak<T>, blur: &Blur<T>) -> T {
+        let (near, far) = (self.seen.cuts.inside_px, self.seen.cuts.outside_px);
+        let (inside, outside) = self.mixed;
+        let r = self.seen.radius_px;
+        let outer = (r + far) * blur.beyond(far).moved_px;
+        let inner = (r - near) * blur.beyond(near).moved_px;
+        let levels = outside * (r + 0.5 * far) * far - inside * (r - 0.5 * near) * near;
+        (outer - inner + levels - leak.area) / r
+    }
+}
+
+/// A blur, with what it carries past the cut that most rims have.
+#[derive(Clone, Copy, Debug)]
+struct Blur<T> {
+    deviation_px: T,
+    wide: Beyond<T>,
+}
+
+impl<T: Lane> Blur<T> {
+    #[inline(always)]
+    fn new(spread_px2: T) -> Self {
+        let (least, most) = BLUR_LIMITS_PX;
+        let deviation_px = spread_px2.larger(spread_px2.splat(0.0)).root();
+        let deviation_px =
+            deviation_px.larger(spread_px2.splat(least)).smaller(spread_px2.splat(most));
+        Self { deviation_px, wide: Beyond::new(spread_px2.splat(WIDE_PX), deviation_px) }
+    }
+
+    #[inline(always)]
+    fn beyond(&self, distance_px: f64) -> Beyond<T> {
+        if distance_px == WIDE_PX {
+            self.wide
+        } else {
+            Beyond::new(self.deviation_px.splat(distance_px), self.deviation_px)
+        }
+    }
+
+    /// Share of the contrast by which a level is off, whose cut has this radius.
+    #[inline(always)]
+    fn share(&self, taken: &Taken<T>, radius_px: T) -> T {
+        // So near to the edge, levels tell more of how a camera sharpens than of its blur.
+        if taken.distance_px < LEAST_DISTANCE_PX {
+            return radius_px.splat(0.0);
+        }
+        let moved_px = self.beyond(taken.distance_px).moved_px;
+        let radius_px = radius_px.larger(radius_px.splat(0.0));
+        let share = radius_px * std::f64::consts::TAU * moved_px;
+        (share / taken.pixels).smaller(share.splat(MOST_MIXED))
+    }
+}

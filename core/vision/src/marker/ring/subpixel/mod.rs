@@ -1,0 +1,223 @@
+//! Both rims by the grey levels of their belts, with all tests of them.
+//!
+//! In: belts, drawn by segments or about expected rims. Out: both rims without the blur, and what else the outer
+//! one says; steps 4 and 5 of [`crate::marker::ring::measure`].
+
+pub(crate) mod blur;
+pub(crate) mod levels;
+pub(crate) mod moments;
+pub(crate) mod thin_ring;
+pub(crate) mod unevenness;
+
+use fearless_simd::Simd;
+use fearless_simd_macros::simd;
+
+use crate::{
+    camera::PixelPoint,
+    ellipse::Symmetric2,
+    frame::Frame,
+    marker::{
+        reject::Reject,
+        ring::{
+            checks::{Counted, Probe, Rules, check_boxes, check_levels, check_shapes},
+            pixels::{
+                edge_band::{Belts, THIN_PX, WIDE_PX, pixels_in},
+                ellipse_mask::Area,
+                patch::{Patch, WORD_PX},
+            },
+            subpixel::{
+                blur::{Cuts, Taken, Unblurred, Weighed, unblur},
+                levels::Levels,
+                moments::{Weights, moments},
+                thin_ring::Depths,
+                unevenness::{Pixels, unevenness},
+            },
+        },
+    },
+};
+
+/// Turns in which a thin ring's black level and its rims are found.
+const THIN_TURNS: usize = 2;
+/// Deviation of a blurred edge where none is measured, pixels.
+const USUAL_BLUR_PX: f64 = 0.75;
+/// Least distance of the outer rim from the frame's edge, pixels.
+pub(crate) const EDGE_PX: f64 = 1.0;
+
+/// What is known of the outer rim besides its ellipse.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Outline {
+    /// As in [`crate::marker::Ring`].
+    pub unevenness: f64,
+    /// Both rims have the same shape.
+    pub similar: bool,
+    /// Only what lies inside of the threshold's edge was weighed.
+    pub cut: bool,
+}
+
+/// Belts with what is needed to weigh by them.
+pub(crate) struct Places<'a> {
+    pub belts: Belts<'a>,
+    /// A pixel in the middle, its column even, in the belts' rows.
+    pub middle: (usize, usize),
+    pub outer: Area,
+    pub inner: Area,
+    /// What was counted of black and disc, where segments were followed.
+    pub counted: Option<(&'a Counted, &'a Counted)>,
+}
+
+/// Both rims by grey levels, with all tests of them.
+#[simd]
+pub(crate) fn weigh<S: Simd>(
+    simd: S,
+    frame: &Frame,
+    probe: &Probe,
+    rules: &Rules,
+    (patch, places): (&Patch, &Places),
+    depths: &mut Depths,
+) -> Result<(Unblurred, Outline), Reject> {
+    let Places { belts, middle, .. } = places;
+    let (words, window) = (patch.words, &patch.window);
+    let first = belts.top * words;
+    let grey = &patch.grey[first..first + belts.disc_core.len()];
+    let levels = Levels::new(simd, grey, belts, words, *middle);
+    let (black, white) = (levels.black.mean(), levels.disc.mean());
+    let contrast = white - black;
+    if contrast.is_nan() || contrast < rules.min_contrast {
+        return Err(Reject::Contrast);
+    }
+    let margin = levels.margin();
+    // The belts of a narrow margin are those of segments.
+    if margin.is_none() && places.counted.is_none() {
+        return Err(Reject::Contrast);
+    }
+    let cut_px = cut_px(f64::from(probe.threshold) - 0.5, black, white);
+    let cut = margin.is_none() && !levels.has_near_margin();
+    let (of_outer, cuts) = match margin {
+        Some(_) => (
+            (belts.ring_core, belts.ring_belt),
+            Cuts { inside_px: belts.inside_px, outside_px: WIDE_PX },
+        ),
+        None if !cut => {
+            ((belts.thin_core, belts.thin_belt), Cuts { inside_px: THIN_PX, outside_px: THIN_PX })
+        }
+        None => {
+            ((belts.thin_core, belts.half_belt), Cuts { inside_px: THIN_PX, outside_px: cut_px })
+        }
+    };
+    let around = Cuts { inside_px: belts.core_px, outside_px: belts.inside_px };
+    let zones = Zones {
+        grey,
+        words,
+        origin: (window.left + middle.0, window.top + belts.top + middle.1),
+        middle: *middle,
+        outer: (of_outer, cuts, places.outer),
+        inner: ((belts.disc_core, belts.disc_belt), around, places.inner),
+        white: (margin.map_or(white, |margin| margin.mean()), white),
+    };
+    let mut outer = zones.outer(simd, black)?;
+    let mut inner = zones.inner(simd, black)?;
+    let of_white = Taken::new(levels.disc, belts.core_px);
+    let of_margin = margin.map(|margin| Taken::new(margin, WIDE_PX));
+    let mut of_black = Taken::new(levels.black, belts.black_px);
+    let thin = belts.black_px < WIDE_PX;
+    let origin = (window.left, window.top + belts.top);
+    let mut found;
+    let mut turn = 0;
+    loop {
+        if thin {
+            let sets = (grey, belts.whole, belts.white);
+            Depths::measure(simd, depths, sets, words, origin, (&outer.oval(), &inner.oval()));
+        }
+        let levels = (&of_black, &of_white, of_margin.as_ref());
+        found = unblur(simd, (&outer, &inner), levels, thin.then_some(&*depths));
+        if !thin || turn == THIN_TURNS {
+            break;
+        }
+        turn += 1;
+        of_black.level = found.black;
+        (outer, inner) = (zones.outer(simd, of_black.level)?, zones.inner(simd, of_black.level)?);
+    }
+
+    check_levels(found.black, found.white, rules)?;
+    if let Some((of_ring, of_disc)) = places.counted {
+        check_boxes((of_ring, &outer.shape), (of_disc, &inner.shape), rules)?;
+    }
+    let similar = check_shapes((&outer.shape, &outer.rim), (&inner.shape, &inner.rim), rules)?;
+    let matrix = outer.shape.matrix_of(&outer.rim);
+    check_edge(frame, outer.shape.center, &matrix)?;
+    let pixels = Pixels::of(patch);
+    let unevenness = unevenness(simd, &pixels, outer.shape.center, &matrix, contrast)?;
+    if margin.is_some() {
+        let belts = (pixels_in(of_outer.1), pixels_in(belts.disc_belt));
+        let (of_outer, of_inner) = levels.movement((&outer, &inner), belts, contrast);
+        for (rim, moved) in [(&mut found.outer, of_outer), (&mut found.inner, of_inner)] {
+            rim.center.u -= moved.u;
+            rim.center.v -= moved.v;
+        }
+    }
+    Ok((found, Outline { unevenness, similar, cut }))
+}
+
+/// The pixels by which both rims are weighed.
+struct Zones<'a> {
+    grey: &'a [[u8; WORD_PX]],
+    words: usize,
+    /// The pixel that sums are counted from, in the frame and in the rows.
+    origin: (usize, usize),
+    middle: (usize, usize),
+    /// Core and belt of each rim, where the belt ends, and what holds it.
+    outer: ((&'a [u64], &'a [u64]), Cuts, Area),
+    inner: ((&'a [u64], &'a [u64]), Cuts, Area),
+    /// Level outside of the roundel, and of the disc.
+    white: (f64, f64),
+}
+
+impl Zones<'_> {
+    #[inline(always)]
+    fn outer<S: Simd>(&self, simd: S, black: f64) -> Result<Weighed, Reject> {
+        let weights = Weights::between(self.white.0, black);
+        let sums = moments(
+            simd,
+            self.grey,
+            self.outer.0,
+            (self.words, &self.outer.2),
+            self.middle,
+            weights,
+        );
+        Weighed::new(&sums, self.origin, self.outer.1).ok_or(Reject::TooSmall)
+    }
+
+    #[inline(always)]
+    fn inner<S: Simd>(&self, simd: S, black: f64) -> Result<Weighed, Reject> {
+        let weights = Weights::between(black, self.white.1);
+        let sums = moments(
+            simd,
+            self.grey,
+            self.inner.0,
+            (self.words, &self.inner.2),
+            self.middle,
+            weights,
+        );
+        Weighed::new(&sums, self.origin, self.inner.1).ok_or(Reject::TooSmall)
+    }
+}
+
+/// How far outside of the rim the threshold cuts its blurred edge, for a usual blur.
+#[inline(always)]
+fn cut_px(threshold: f64, black: f64, white: f64) -> f64 {
+    // σ Φ⁻¹(1/2 + p), by its series.
+    let p = ((threshold - black) / (white - black) - 0.5).clamp(-0.4, 0.4);
+    let pi = std::f64::consts::PI;
+    USUAL_BLUR_PX * (2.0 * pi).sqrt() * (p + p * p * p * pi / 3.0)
+}
+
+/// Whether the rim lies far enough from the frame's edge to be measured.
+#[inline(always)]
+fn check_edge(frame: &Frame, center: PixelPoint, matrix: &Symmetric2) -> Result<(), Reject> {
+    let (half_u, half_v) = (matrix.uu.sqrt() + EDGE_PX, matrix.vv.sqrt() + EDGE_PX);
+    let inside = center.u >= half_u
+        && center.v >= half_v
+        && center.u + half_u <= (frame.width() - 1) as f64
+        && center.v + half_v <= (frame.height() - 1) as f64;
+    if inside { Ok(()) } else { Err(Reject::FrameEdge) }
+}

@@ -1,0 +1,189 @@
+//! The black level of a ring so thin that the blur of its rims reaches every pixel of it.
+//!
+//! How much of white a pixel holds depends on where it lies, so each of the ring is asked for its
+//! distances d_o and d_i from both rims. For rims that are nearly straight the light there is
+//! B + (W - B) x, x = Φ(-d_o/σ) + Φ(-d_i/σ). Means over the pixels round the middle, where x is least,
+//! each weighted by 1 - |d_o - d_i|/2h, give B = (Ī - x̄ W)/(1 - x̄).
+//!
+//! The distance from the ellipse q(x) = 1, q(x)² = xᵀ M⁻¹ x, is (q - 1)/|∇q| to first order.
+
+use fearless_simd::Simd;
+use fearless_simd_macros::simd;
+
+use crate::{
+    marker::ring::pixels::{ellipse_mask, patch::WORD_PX},
+    scratch::make_room,
+};
+
+/// h: how far from the middle pixels count, pixels.
+const HALF_WIDTH_PX: f32 = 1.0;
+/// Largest share of white that the black is taken to hold.
+const MOST_MIXED: f64 = 0.4;
+
+/// Pixels that are looked at together.
+const LANES: usize = 16;
+
+/// Black pixels of a thin ring across its rim, at most.
+const MOST_ACROSS: usize = 8;
+
+/// Pixels of the black.
+#[derive(Clone, Copy, Debug, Default)]
+struct Depths16 {
+    /// Distances from the outer and the inner rim, pixels; at first, places of the pixels.
+    outer_px: [f32; LANES],
+    inner_px: [f32; LANES],
+    grey: [f32; LANES],
+    weight: [f32; LANES],
+}
+
+/// The black pixels of a thin ring.
+#[derive(Debug, Default)]
+pub(crate) struct Depths {
+    depths: Vec<Depths16>,
+}
+
+impl Depths {
+    /// Room for the largest thin ring of a frame.
+    pub fn make_room(&mut self, width: usize, height: usize) {
+        make_room(&mut self.depths, 2 * (width + height) * MOST_ACROSS / LANES);
+    }
+
+    /// Those of the whole roundel that are not the white disc, in rows of the frame, the first of them
+    /// `first.1`, its columns from `first.0` on.
+    #[simd]
+    pub fn measure<S: Simd>(
+        simd: S,
+        Self { depths }: &mut Self,
+        (grey, whole, white): (&[[u8; WORD_PX]], &[u64], &[u64]),
+        words: usize,
+        first: (usize, usize),
+        (outer, inner): (&ellipse_mask::Rim, &ellipse_mask::Rim),
+    ) {
+        let _ = simd;
+        depths.clear();
+        let mut pixels = Depths16::default();
+        let mut lane = 0;
+        for (at, (grey, (whole, white))) in grey.iter().zip(whole.iter().zip(white)).enumerate() {
+            let mut bits = whole & !white;
+            let (row, word) = (at / words, at % words);
+            while bits != 0 {
+                let column = bits.trailing_zeros() as usize;
+                bits &= bits - 1;
+                pixels.outer_px[lane] = (word * WORD_PX + column) as f32;
+                pixels.inner_px[lane] = row as f32;
+                pixels.grey[lane] = f32::from(grey[column]);
+                pixels.weight[lane] = 1.0;
+                lane += 1;
+                if lane == LANES {
+                    depths.push(pixels);
+                    (pixels, lane) = (Depths16::default(), 0);
+                }
+            }
+        }
+        depths.push(pixels);
+        let (outer, inner) = (Rim::new(outer, first), Rim::new(inner, first));
+        for pixels in depths {
+            for lane in 0..LANES {
+                let at = (pixels.outer_px[lane], pixels.inner_px[lane]);
+                let (outer_px, inner_px) = (-outer.distance_px(at), inner.distance_px(at));
+                let weight = 1.0 - (outer_px - inner_px).abs() / (2.0 * HALF_WIDTH_PX);
+                pixels.outer_px[lane] = outer_px;
+                pixels.inner_px[lane] = inner_px;
+                pixels.weight[lane] *= weight.max(0.0);
+            }
+        }
+    }
+
+    /// B, if white has this level, the rims are further out by so much (outer, inner) and the blur has
+    /// this deviation. Not a number without pixels.
+    #[simd]
+    pub fn level<S: Simd>(
+        simd: S,
+        Self { depths }: &Self,
+        white: f64,
+        grown_px: (f64, f64),
+        blur_px: f64,
+    ) -> f64 {
+        let _ = simd;
+        let scale = (1.0 / blur_px) as f32;
+        let (by_outer, by_inner) = (grown_px.0 as f32, -grown_px.1 as f32);
+        let [mut weights, mut greys, mut mixed] = [[0.0f32; LANES]; 3];
+        for pixels in depths {
+            for lane in 0..LANES {
+                let weight = pixels.weight[lane];
+                let share = tail((pixels.outer_px[lane] + by_outer) * scale)
+                    + tail((pixels.inner_px[lane] + by_inner) * scale);
+                weights[lane] += weight;
+                greys[lane] += weight * pixels.grey[lane];
+                mixed[lane] += weight * share;
+            }
+        }
+        let sum = |lanes: &[f32; LANES]| f64::from(lanes.iter().sum::<f32>());
+        let (weights, greys, mixed) = (sum(&weights), sum(&greys), sum(&mixed));
+        let mixed = (mixed / weights).min(MOST_MIXED);
+        (greys / weights - mixed * white) / (1.0 - mixed)
+    }
+}
+
+/// Φ(-z), to 1e-3: a logistic curve of z³ and z (Bowling and others 2009), its exponential as the
+/// power (1 + y/1024)^1024, which vectors can do.
+#[inline(always)]
+fn tail(z: f32) -> f32 {
+    let y = z * (1.5976 + 0.070_56 * z * z);
+    let mut power = (1.0 + y * (1.0 / 1024.0)).max(0.0);
+    for _ in 0..10 {
+        power *= power;
+    }
+    1.0 / (1.0 + power)
+}
+
+/// A rim to take distances from.
+#[derive(Clone, Copy)]
+struct Rim {
+    /// Centre, pixels from the first one.
+    u: f32,
+    v: f32,
+    /// M⁻¹.
+    uu: f32,
+    uv: f32,
+    vv: f32,
+}
+
+impl Rim {
+    fn new(
+        ellipse_mask::Rim { ellipse, matrix }: &ellipse_mask::Rim,
+        first: (usize, usize),
+    ) -> Self {
+        let scale = 1.0 / matrix.determinant();
+        Self {
+            u: (ellipse.center.u - first.0 as f64) as f32,
+            v: (ellipse.center.v - first.1 as f64) as f32,
+            uu: (scale * matrix.vv) as f32,
+            uv: (-scale * matrix.uv) as f32,
+            vv: (scale * matrix.uu) as f32,
+        }
+    }
+
+    /// Positive outside.
+    #[inline(always)]
+    fn distance_px(&self, (u, v): (f32, f32)) -> f32 {
+        let (x, y) = (u - self.u, v - self.v);
+        let (gx, gy) = (self.uu * x + self.uv * y, self.uv * x + self.vv * y);
+        let squared = x * gx + y * gy;
+        (squared - squared.sqrt()) / (gx * gx + gy * gy).sqrt()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_tail_is_that_of_the_normal_distribution() {
+        for (z, known) in [(0.0, 0.5), (0.5, 0.308_538), (1.0, 0.158_655), (2.0, 0.022_750)] {
+            assert!((tail(z) - known).abs() < 1e-3, "{z}: {}", tail(z));
+            assert!((tail(-z) - (1.0 - known)).abs() < 1e-3, "{z}: {}", tail(-z));
+        }
+        assert!(tail(40.0) == 0.0 && tail(-40.0) == 1.0);
+    }
+}

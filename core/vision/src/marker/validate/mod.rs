@@ -1,0 +1,5 @@
+//! Tests of newly found rings.
+
+pub(crate) mod disc_center;
+pub(crate) mod letter;
+pub(crate) mod outline;
