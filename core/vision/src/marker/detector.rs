@@ -7,6 +7,7 @@
 use fearless_simd::Level;
 
 use crate::{
+    camera::PixelPoint,
     frame::Frame,
     id::KindId,
     marker::{
@@ -21,15 +22,30 @@ use crate::{
         params::{self, DetectorError, Params},
         reject::{Reject, RejectCounts, Rejected, Rejects},
         ring::{
-            checks::{Probe, Rules},
             measure::{MeasureScratch, measure},
+            probe::{Probe, Rules},
         },
-        search::{SearchRules, SearchScratch, claim::Claim},
+        search::{
+            SearchRules, SearchScratch,
+            claim::Claim,
+            cross::{Candidate, cross},
+            hits::{Hit, find_hits},
+            row_edges::ROW_STEP,
+            threshold::BinarySearch,
+        },
+        validate::{
+            disc_center::check_middle, elliptical_disc::check_disc, letter::check_stroke,
+            outline::check_rims,
+        },
     },
     scratch::make_room,
     segment::Window,
 };
 
+/// Depth of the binary search that a promising candidate is given.
+const SEARCH_DEPTH: u32 = 2;
+/// A ring may reach this share, and so many pixels, beyond where its chords have it.
+const BEYOND: (f64, f64) = (1.25, 3.0);
 /// Finds rings of the given kinds.
 #[derive(Clone, Debug)]
 pub struct Detector {
@@ -201,6 +217,118 @@ impl Detector {
         }
         let plain = measure(frame, probe, &self.rules, &self.kinds, scratch);
         plain.or_else(|reject| coded.map_err(|_| reject))
+    }
+}
+
+impl Detector {
+    /// Appends to `found` the rings whose disc crosses `window` and that no claim covers, and claims
+    /// them, until there are `most` of them.
+    pub(crate) fn search(&self, frame: &Frame, window: Window, most: usize, scratch: &mut Scratch) {
+        scratch.make_room(frame, self.params().max_roundels);
+        let mut memory = std::mem::take(&mut scratch.search);
+        let SearchScratch { row, hits, claimed } = &mut memory;
+        claimed.clear(window);
+        scratch.claims.iter().for_each(|claim| claimed.add(claim));
+        let rules = &self.search_rules.seen_in(frame.width());
+        for v in (window.top..window.bottom).step_by(ROW_STEP) {
+            if scratch.found.len() >= most {
+                break;
+            }
+            row.read(self.level, frame, v, &window, rules.step);
+            for &polarity in &self.polarities {
+                find_hits(row, &rules.hit_in(v), polarity, hits);
+                for hit in &mut hits.hits {
+                    hit.u += window.left;
+                    if scratch.found.len() >= most || claimed.contains(hit.u, v) {
+                        continue;
+                    }
+                    if let Some(ring) = self.try_hit(frame, (hit, v), polarity, rules, scratch) {
+                        let claim = Claim::new(&ring);
+                        claimed.add(&claim);
+                        scratch.claims.push(claim);
+                        scratch.found.push(ring);
+                    }
+                }
+            }
+        }
+        scratch.search = memory;
+    }
+
+    /// The ring whose disc a hit is, at the first threshold of the binary search that shows it.
+    fn try_hit(
+        &self,
+        frame: &Frame,
+        (hit, v): (&Hit, usize),
+        polarity: Polarity,
+        rules: &SearchRules,
+        scratch: &mut Scratch,
+    ) -> Option<Ring> {
+        let center = PixelPoint { u: hit.u as f64, v: v as f64 };
+        let mut rejected =
+            Rejected { center, half_box_px: (hit.half_px, hit.half_px), reject: Reject::Masked };
+        if self.mask.covers(center) {
+            scratch.rejects.add(rejected);
+            return None;
+        }
+        let mut first = None;
+        for threshold in BinarySearch::new(hit.black, hit.white, SEARCH_DEPTH) {
+            let tried = cross(frame, (hit, v), threshold, &rules.cross, polarity);
+            let tried = tried.and_then(|candidate| {
+                let (u, v) = candidate.center;
+                rejected.center = PixelPoint { u: u as f64, v: v as f64 };
+                rejected.half_box_px = candidate.half_box_px;
+                self.measure_candidate(frame, &candidate, polarity, scratch)
+            });
+            match tried {
+                Ok(ring) => return Some(ring),
+                Err(reject) => {
+                    first = first.or(Some(reject));
+                    // A further threshold helps only where rims were bridged.
+                    if reject != Reject::BlackTooLarge && reject != Reject::WhiteTooLarge {
+                        break;
+                    }
+                }
+            }
+        }
+        scratch.rejects.add(Rejected { reject: first.unwrap_or(Reject::Contrast), ..rejected });
+        None
+    }
+
+    fn measure_candidate(
+        &self,
+        frame: &Frame,
+        candidate: &Candidate,
+        polarity: Polarity,
+        scratch: &mut Scratch,
+    ) -> Result<Ring, Reject> {
+        let (half_u, half_v) = candidate.half_box_px;
+        let reach = |half: f64| half * BEYOND.0 + BEYOND.1;
+        let center = candidate.ring_center;
+        let probe = Probe {
+            center: candidate.center,
+            threshold: candidate.threshold,
+            bounds: Window::around(frame, center, (reach(half_u), reach(half_v))),
+            polarity,
+            expected: None,
+        };
+        let ring = self.measure(frame, &probe, &mut scratch.measure)?;
+        let pattern = self.kind_of(&ring).map_or(Pattern::Plain, |kind| kind.pattern);
+        let smooth = !matches!(pattern, Pattern::Coded(_));
+        check_rims(frame, &ring, smooth)?;
+        if smooth {
+            check_middle(frame, &ring)?;
+        }
+        match (pattern, self.kind_of(&ring)) {
+            (Pattern::Elliptical { .. }, Some(kind)) => check_disc(&ring, kind)?,
+            (Pattern::Plain, _) => check_stroke(&ring)?,
+            _ => (),
+        }
+        let covered = scratch.claims.iter().any(|claim| claim.covers(&ring));
+        if covered { Err(Reject::Claimed) } else { Ok(ring) }
+    }
+
+    fn kind_of(&self, ring: &Ring) -> Option<&Kind> {
+        ring.kind.and_then(|kind| self.kinds().get(usize::from(kind.0)))
     }
 }
 

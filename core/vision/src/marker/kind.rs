@@ -1,20 +1,13 @@
 //! Kinds of roundel, told apart by the ratio of their diameters (paper, section 3.4).
 
-use crate::{
-    ellipse::Ellipse,
-    id::KindId,
-    marker::{
-        classify::{
-            compensation::{compensated, rim_shift_px},
-            elliptical::AXIS_RATIO_LIMIT,
-        },
-        code::CodeLayout,
-    },
-};
+use crate::marker::code::CodeLayout;
 
 /// Ratios of inner to outer diameter that a roundel may have: outside of them either the disc or the
 /// ring is too thin to be measured.
 pub const RATIO_LIMITS: (f64, f64) = (0.2, 0.8);
+
+/// A disc whose shorter diameter is more than this of its longer one is no ellipse to a camera.
+pub const AXIS_RATIO_LIMIT: f64 = 0.9;
 
 /// Of ratios: diameters that are said to be at a limit are there, whatever rounding does to them (no printer comes near).
 const RATIO_ROUNDING: f64 = 1e-6;
@@ -29,12 +22,6 @@ pub fn is_measurable(ratio: f64) -> bool {
 pub fn tells_heading(axis_ratio: f64) -> bool {
     axis_ratio <= AXIS_RATIO_LIMIT + RATIO_ROUNDING
 }
-
-/// Rims may be off by this share of the outer radius …
-pub(crate) const SHIFT_SHARE: f64 = 0.02;
-/// … and by this many pixels before a ring is no longer taken for the kind: saturated white blooms
-/// by half a pixel and more at each rim.
-pub(crate) const SHIFT_PX: f64 = 0.7;
 
 /// The print. Plain kinds are told apart by the ratio of their diameters (paper, section 3.4).
 #[derive(Clone, Debug, PartialEq)]
@@ -121,68 +108,5 @@ impl Kind {
             }
             Pattern::Plain | Pattern::Coded(_) => (self.ratio(), self.ratio()),
         }
-    }
-}
-
-/// How far the rims of a kind may be off, pixels.
-#[inline(always)]
-pub(crate) fn shift_limit_px(outer: &Ellipse) -> f64 {
-    SHIFT_PX + SHIFT_SHARE * outer.mean_radius_px()
-}
-
-/// The plain kind of a polarity that two rims belong to, and the rims with their compensation (paper, section 3.5) for
-/// that kind; `None` if no kind is near enough.
-///
-/// Compensation can bring any pair of rims to any ratio, so the kind cannot be chosen after it: it is
-/// the one that needs the smallest rim shift |t|, and the shift must be one that a camera can cause.
-/// No two kinds have the same ratio ([`crate::marker::DetectorError::Alike`]). Coded kinds are none of them: their
-/// white is no disc ([`crate::marker::coded::measure`]).
-#[inline(always)]
-pub(crate) fn nearest_kind(
-    kinds: &[Kind],
-    polarity: Polarity,
-    outer: &Ellipse,
-    inner: &Ellipse,
-) -> Option<(KindId, Ellipse, Ellipse)> {
-    let limit_px = shift_limit_px(outer);
-    let mut best: Option<(usize, f64)> = None;
-    let plain = |kind: &Kind| matches!(kind.pattern, Pattern::Plain) && kind.polarity == polarity;
-    for (index, kind) in kinds.iter().enumerate().filter(|(_, kind)| plain(kind)) {
-        let Some(shift_px) = rim_shift_px(outer, inner, kind.ratio()) else { continue };
-        let nearer = best.is_none_or(|(_, known)| shift_px.abs() < known.abs());
-        if shift_px.abs() <= limit_px && nearer {
-            best = Some((index, shift_px));
-        }
-    }
-    let (index, shift_px) = best?;
-    let (outer, inner) = compensated(outer, inner, shift_px)?;
-    Some((KindId(index as u16), outer, inner))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::camera::PixelPoint;
-
-    fn circle(radius: f64) -> Ellipse {
-        Ellipse {
-            center: PixelPoint { u: 50.0, v: 50.0 },
-            semi_major_px: radius,
-            semi_minor_px: radius,
-            angle_rad: 0.0,
-        }
-    }
-
-    #[test]
-    fn the_nearest_ratio_wins_and_a_far_one_is_refused() {
-        let kind = |inner_diameter_m| Kind::plain("", 1.0, inner_diameter_m);
-        let kinds = [kind(0.4), kind(0.5), kind(0.6)];
-        let find = |inner| {
-            nearest_kind(&kinds, Polarity::BlackRing, &circle(20.0), &circle(inner)).map(|k| k.0)
-        };
-        assert_eq!(find(8.3), Some(KindId(0)));
-        assert_eq!(find(9.7), Some(KindId(1)));
-        assert_eq!(find(12.6), Some(KindId(2)));
-        assert_eq!(find(15.0), None);
     }
 }

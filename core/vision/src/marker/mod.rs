@@ -50,14 +50,13 @@ mod search;
 mod track;
 mod validate;
 
-pub use classify::{
-    compensation::{compensated, rim_shift_px},
-    elliptical::AXIS_RATIO_LIMIT,
-};
+pub use classify::compensation::{compensated, rim_shift_px};
 pub use code::{Code, CodeError, CodeLayout, CodeReading, Dictionary, Tooth, VotedCode};
 pub use coded::reader::CodeReader;
 pub use detector::{Detector, Scratch};
-pub use kind::{Kind, Pattern, Polarity, RATIO_LIMITS, is_measurable, tells_heading};
+pub use kind::{
+    AXIS_RATIO_LIMIT, Kind, Pattern, Polarity, RATIO_LIMITS, is_measurable, tells_heading,
+};
 pub use mask::{Mask, MaskError};
 pub use params::{DetectorError, Mode, Params};
 pub use reject::{MAX_REJECTED, Reject, RejectCounts, Rejected};

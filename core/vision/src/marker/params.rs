@@ -3,9 +3,8 @@
 use thiserror::Error;
 
 use crate::marker::{
-    classify::elliptical::AXIS_RATIO_LIMIT,
     code::CodeError,
-    kind::{Kind, Pattern, RATIO_LIMITS, is_measurable, tells_heading},
+    kind::{AXIS_RATIO_LIMIT, Kind, Pattern, RATIO_LIMITS, is_measurable, tells_heading},
 };
 
 /// Ratios of diameters that differ by less are the same to a camera.

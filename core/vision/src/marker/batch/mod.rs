@@ -11,6 +11,7 @@
 //! No vector may pass through `array::map` here: that is compiled for any processor, and costs all of it.
 
 mod accumulate;
+mod planes;
 mod rims;
 mod row_sums;
 mod shapes;
@@ -20,7 +21,8 @@ use fearless_simd::{Level, Simd, SimdFrom, dispatch, f64x8};
 use fearless_simd_macros::simd;
 
 use crate::marker::batch::{
-    accumulate::{Planes, tally},
+    accumulate::tally,
+    planes::Planes,
     rims::Rims,
     shapes::Oval,
     table::{RINGS, Table},
@@ -34,13 +36,13 @@ use crate::{
         Ring,
         kind::Kind,
         ring::{
-            checks::{Probe, Rules},
             measure::{RETHRESHOLD_SHARE, own_threshold},
             pixels::{
                 ellipse_mask::Rim,
                 patch::Patch,
                 predicted::{Expected, motion},
             },
+            probe::{Probe, Rules},
             subpixel::unevenness::{Pixels, unevenness},
         },
     },

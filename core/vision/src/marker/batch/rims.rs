@@ -6,13 +6,17 @@ use crate::marker::batch::{
 };
 use crate::{
     marker::{
-        classify::compensation::shift_px,
-        kind::{Kind, Pattern, Polarity, SHIFT_PX, SHIFT_SHARE},
+        classify::{
+            compensation::shift_px,
+            plain::{SHIFT_PX, SHIFT_SHARE},
+        },
+        kind::{Kind, Pattern, Polarity},
         ring::{
             checks::{
-                CENTER_TOLERANCE, LEVEL_TOLERANCE, MOST_SPREAD_PX2, ROUNDNESS_TOLERANCE, Rules,
+                CENTER_TOLERANCE, LEVEL_TOLERANCE, MOST_SPREAD_PX2, ROUNDNESS_TOLERANCE,
                 SIMILARITY_TOLERANCE,
             },
+            probe::Rules,
             subpixel::{EDGE_PX, blur::Lifted, levels::gradient},
         },
     },
@@ -174,7 +178,7 @@ fn is_rim<T: Lane>(rim: &Oval<T>) -> T::Mask {
     rim.b.is_positive() & rim.b.at_most(rim.a) & rim.angle_rad.at_most(rim.angle_rad)
 }
 
-/// The kinds that rims are nearest to, as in [`crate::marker::kind::nearest_kind`].
+/// The kinds that rims are nearest to, as in [`crate::marker::classify::plain::nearest_kind`].
 struct Nearest<T: Lane> {
     kind: T,
     shift_px: T,

@@ -5,7 +5,7 @@
 
 use fearless_simd::{Simd, i16x32, i32x16, mask8x64, mask16x32, prelude::*, u8x64, u16x32};
 
-use crate::marker::batch::accumulate::{HALF_PX, Planes};
+use crate::marker::batch::planes::{HALF_PX, Planes};
 
 /// Where pixels come from, and what multiplies them.
 pub(super) struct Source<'a, S: Simd> {

@@ -31,27 +31,20 @@ use crate::{
     ellipse::Ellipse,
     id::KindId,
     marker::{
-        Ring,
-        classify::compensation::{compensated, rim_shift_px},
-        kind::{Kind, Pattern, Polarity, shift_limit_px},
-        reject::Reject,
-        validate::letter,
+        classify::{
+            compensation::{compensated, rim_shift_px},
+            plain::shift_limit_px,
+        },
+        kind::{Kind, Pattern, Polarity},
     },
 };
-
-/// A disc whose shorter diameter is more than this of its longer one is no ellipse to a camera.
-pub const AXIS_RATIO_LIMIT: f64 = 0.9;
 
 /// How far the disc's rim may be off the kind's by its quotient of axes: pixels of the longer semiaxis,
 /// and a share of it, which perspective takes …
 const QUOTIENT_LIMIT: (f64, f64) = (0.6, 0.04);
 /// … in full where the outer rim's longer semiaxis is of so many pixels, less as the square below.
 const PERSPECTIVE_PX: f64 = 40.0;
-/// The same of a small disc that is newly found, in what it is measured together with unevenness; the
-/// first where the disc is rounder than its kind.
-const SCALES_PX: (f64, f64) = (0.2, 0.4);
-
-/// As [`crate::marker::kind::nearest_kind`], among plain kinds, if the rims are similar, and those with
+/// As [`crate::marker::classify::plain::nearest_kind`], among plain kinds, if the rims are similar, and those with
 /// elliptical discs.
 pub(crate) fn nearest_kind(
     kinds: &[Kind],
@@ -86,19 +79,8 @@ pub(crate) fn nearest_kind(
     best.map(|(_, found)| found)
 }
 
-/// That a newly found ring of a kind with an elliptical disc is no print.
-pub(crate) fn check_disc(ring: &Ring, kind: &Kind) -> Result<(), Reject> {
-    let Ring { outer, inner, unevenness, .. } = ring;
-    if inner.semi_minor_px > letter::SMALL_PX {
-        return Ok(());
-    }
-    let off_px = off_share(kind, outer, inner) * inner.semi_major_px;
-    let scale_px = if off_px < 0.0 { SCALES_PX.0 } else { SCALES_PX.1 };
-    letter::check_both(off_px / scale_px, *unevenness)
-}
-
 /// The share e by which the disc's longer axis is off the kind's, by the quotient of axes.
-fn off_share(kind: &Kind, outer: &Ellipse, inner: &Ellipse) -> f64 {
+pub(crate) fn off_share(kind: &Kind, outer: &Ellipse, inner: &Ellipse) -> f64 {
     let (least, most) = kind.ratios();
     0.5 * (quotient(outer, inner) * least / most).ln()
 }
@@ -113,7 +95,7 @@ fn quotient(outer: &Ellipse, inner: &Ellipse) -> f64 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use proptest::prelude::*;
 
     use super::*;
@@ -121,7 +103,7 @@ mod tests {
 
     /// A disc with the ratios p, q, its longer axis at `turn_rad` on the print, which is tilted about an
     /// axis at `about_rad`; both rims moved by `shift_px`.
-    fn rims(
+    pub(crate) fn rims(
         radius_px: f64,
         (p, q): (f64, f64),
         turn_rad: f64,
@@ -194,21 +176,5 @@ mod tests {
             nearest_kind(&kinds, Polarity::BlackRing, similar, (&outer, &inner)).is_some()
         };
         assert!(found(true) && !found(false));
-    }
-
-    #[test]
-    fn small_discs_that_are_off_or_uneven_are_refused() {
-        let pattern = Pattern::Elliptical { minor_diameter_m: 0.4 };
-        let kind = Kind { pattern, ..Kind::plain("", 1.0, 0.6) };
-        let verdict = |(p, q), unevenness| {
-            let (outer, inner) = rims(7.0, (p, q), 0.4, (0.9, 0.3), 0.0);
-            check_disc(&Ring { unevenness, ..Ring::of_rims(outer, inner) }, &kind)
-        };
-        assert_eq!(verdict((0.6, 0.4), 0.06), Ok(()));
-        assert_eq!(verdict((0.64, 0.375), 0.03), Ok(()));
-        assert_eq!(verdict((0.64, 0.375), 0.08), Err(Reject::Similarity));
-        assert_eq!(verdict((0.56, 0.43), 0.03), Err(Reject::Similarity));
-        assert_eq!(verdict((0.7, 0.34), 0.02), Err(Reject::Similarity));
-        assert_eq!(verdict((0.6, 0.4), 0.1), Err(Reject::Similarity));
     }
 }

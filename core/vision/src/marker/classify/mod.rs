@@ -2,3 +2,4 @@
 
 pub(crate) mod compensation;
 pub(crate) mod elliptical;
+pub(crate) mod plain;

@@ -6,8 +6,9 @@
 //! of every one before, and numbered from 1; this is WhyCode's order, so numbers agree with its prints.
 
 use crate::marker::code::{
-    Code,
+    Code, CodeError,
     layout::{CodeLayout, Tooth},
+    necklace::{is_periodic, least_distance, necklaces, rotated},
 };
 
 /// All identities of a layout, and a table from words to identities.
@@ -20,9 +21,17 @@ pub struct Dictionary {
     table: Vec<(u16, u8)>,
 }
 
+impl CodeLayout {
+    /// All identities of this layout.
+    pub fn codes(&self) -> Result<Dictionary, CodeError> {
+        self.check()?;
+        Ok(Dictionary::new(*self))
+    }
+}
+
 impl Dictionary {
     /// The identities of a layout that has passed its check.
-    pub(super) fn new(layout: CodeLayout) -> Self {
+    fn new(layout: CodeLayout) -> Self {
         let bits = layout.bits;
         let mut near = Excluded::new(bits, layout.min_distance);
         let mut words = Vec::new();
@@ -95,36 +104,6 @@ impl Dictionary {
     }
 }
 
-/// The largest distance that leaves two identities or more.
-pub(super) fn most_distance(bits: u8) -> u8 {
-    // The first identity is the smallest necklace, 0…01; what matters is how far another can be.
-    let first = 1;
-    let others = necklaces(bits).filter(|&word| word != first && !is_periodic(word, bits));
-    others.map(|word| least_distance(first, word, bits)).max().unwrap_or(1)
-}
-
-/// Rotation to the left by `shift` < `bits` bits.
-pub(super) fn rotated(word: u16, shift: u8, bits: u8) -> u16 {
-    let (word, mask) = (u32::from(word), (1u32 << bits) - 1);
-    ((word << shift | word >> (bits - shift)) & mask) as u16
-}
-
-/// Words that are the smallest of their rotations, rising.
-fn necklaces(bits: u8) -> impl Iterator<Item = u16> {
-    let last = ((1u32 << bits) - 1) as u16;
-    (0..=last).filter(move |&word| (1..bits).all(|shift| rotated(word, shift, bits) >= word))
-}
-
-fn is_periodic(word: u16, bits: u8) -> bool {
-    (1..bits).any(|shift| rotated(word, shift, bits) == word)
-}
-
-fn least_distance(one: u16, other: u16, bits: u8) -> u8 {
-    (0..bits).fold(bits, |least, shift| {
-        least.min((one ^ rotated(other, shift, bits)).count_ones() as u8)
-    })
-}
-
 /// Words that are too near to an identity.
 struct Excluded {
     is_near: Vec<bool>,
@@ -153,7 +132,6 @@ impl Excluded {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::marker::code::CodeError;
 
     fn codes(bits: u8, min_distance: u8) -> Result<Dictionary, CodeError> {
         CodeLayout { bits, min_distance }.codes()

@@ -10,7 +10,7 @@ use std::f64::consts::PI;
 
 use thiserror::Error;
 
-use crate::marker::code::dictionary::{Dictionary, most_distance};
+use crate::marker::code::necklace::most_distance;
 
 /// How codes of a kind are printed: WhyCode's Manchester code of `bits` bits, whose rotation-minimal
 /// numbers are the identities.
@@ -77,12 +77,6 @@ impl CodeLayout {
             return Err(CodeError::Distance { bits, found: min_distance, most });
         }
         Ok(())
-    }
-
-    /// All identities of this layout.
-    pub fn codes(&self) -> Result<Dictionary, CodeError> {
-        self.check()?;
-        Ok(Dictionary::new(*self))
     }
 
     /// The teeth of a word of this layout, in order; those of neighbouring slots are one.

@@ -14,6 +14,7 @@
 
 mod dictionary;
 mod layout;
+mod necklace;
 mod vote;
 
 pub use dictionary::Dictionary;

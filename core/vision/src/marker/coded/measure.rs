@@ -20,23 +20,25 @@ use crate::{
     id::KindId,
     marker::{
         Ring,
-        classify::compensation::{compensated, rim_shift_px},
+        classify::{
+            compensation::{compensated, rim_shift_px},
+            plain::shift_limit_px,
+        },
         code::CodeLayout,
         coded::{
             outer_rim::{Rim, followed_rim, of_columns, outer_rim},
             outline::{offset, outline},
             plane_map::Chart,
             profile::Levels,
-            reader::CodeReader,
-            reader::Read,
+            reader::{CodeReader, Read},
             sampler::Light,
             white_disc::{Disc, Gap, disc},
         },
-        kind::{Polarity, shift_limit_px},
+        kind::Polarity,
         reject::Reject,
         ring::{
-            checks::{Probe, Rules},
             pixels::predicted::Expected,
+            probe::{Probe, Rules},
         },
     },
 };

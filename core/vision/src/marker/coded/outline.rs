@@ -20,7 +20,7 @@ use crate::{
             sampler::Light,
         },
         reject::Reject,
-        ring::checks::Probe,
+        ring::probe::Probe,
     },
 };
 

@@ -19,11 +19,9 @@
 use crate::{
     ellipse::{Ellipse, Shape, Symmetric2},
     marker::{
-        kind::Polarity,
         reject::Reject,
-        ring::pixels::{predicted::Expected, segment_fill::Extent},
+        ring::{pixels::segments::Counted, probe::Rules},
     },
-    segment::Window,
 };
 
 /// Relative tolerance ρ_tol of eq. (2); a pixel of each side of the box comes on top.
@@ -49,59 +47,7 @@ const RATIO_RIM_PX: f64 = 0.8;
 /// How far levels may lie beyond what a pixel can hold: a share of the contrast, and grey levels.
 pub(crate) const LEVEL_TOLERANCE: (f64, f64) = (0.1, 10.0);
 
-/// What a roundel must look like.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Rules {
-    /// Smallest and largest ratio of inner to outer diameter.
-    pub ratios: (f64, f64),
-    /// Whether disc and ring must have the same shape; where a kind's disc is elliptical, those of plain
-    /// kinds must.
-    pub similar: bool,
-    /// Smallest shorter semiaxis of the outer rim, pixels.
-    pub min_semi_minor_px: f64,
-    /// Smallest ratio of the semiaxes.
-    pub min_axis_ratio: f64,
-    /// Smallest difference of white and black.
-    pub min_contrast: f64,
-}
-
-/// Where to look, and with which threshold.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Probe {
-    pub center: (usize, usize),
-    pub threshold: u8,
-    pub bounds: Window,
-    /// Of a white ring all levels, the threshold too, are counted from white.
-    pub polarity: Polarity,
-    /// Where the rims of a ring that is followed ought to be.
-    pub expected: Option<Expected>,
-}
-
-impl Probe {
-    /// The threshold in the frame's own levels.
-    #[inline(always)]
-    pub fn frame_threshold(&self) -> u8 {
-        match self.polarity {
-            Polarity::BlackRing => self.threshold,
-            Polarity::WhiteRing => 0u8.wrapping_sub(self.threshold),
-        }
-    }
-}
-
-/// What counting says of a segment: its pixels, and the sides of its box.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Counted {
-    pub pixels: f64,
-    pub width: f64,
-    pub height: f64,
-}
-
 impl Counted {
-    pub fn new(pixels: u32, extent: &Extent) -> Self {
-        let (width, height) = (extent.width() as f64, extent.height() as f64);
-        Self { pixels: f64::from(pixels), width, height }
-    }
-
     /// Pixels of a segment as a share of those of an ellipse in its box, eqs. (1) and (2) with the
     /// correction for turned ellipses: 1 for a disc, 1 - d_i²/d_o² for a ring.
     fn box_share(&self, c: &Symmetric2) -> f64 {
@@ -236,7 +182,7 @@ mod tests {
     use crate::{
         camera::PixelPoint,
         ellipse::{Chords, Moments},
-        marker::ring::pixels::segment_fill::Span,
+        marker::ring::pixels::segment_fill::{Extent, Span},
         segment::Sums,
     };
 

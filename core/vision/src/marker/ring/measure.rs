@@ -35,11 +35,11 @@ use crate::{
     frame::Frame,
     marker::{
         Ring,
-        classify::elliptical,
-        kind::{Kind, RATIO_LIMITS, nearest_kind},
+        classify::{elliptical, plain::nearest_kind},
+        kind::{Kind, RATIO_LIMITS},
         reject::Reject,
         ring::{
-            checks::{Probe, Rules},
+            checks::check_counts,
             pixels::{
                 edge_band::{self, BELT_PX, BeltScratch, Belts},
                 ellipse_mask::Area,
@@ -48,6 +48,7 @@ use crate::{
                 segment_fill::Extent,
                 segments::{Segments, Spans},
             },
+            probe::{Probe, Rules},
             subpixel::{Outline, Places, blur::Unblurred, thin_ring::Depths, weigh},
         },
     },
@@ -181,8 +182,9 @@ fn rims<S: Simd>(
     scratch: &mut MeasureScratch,
 ) -> Result<(Unblurred, Outline), Reject> {
     let MeasureScratch { patch, spans, belts, depths, .. } = scratch;
-    let segments = Segments::find(simd, frame, patch, probe.center, rules, spans)?;
+    let segments = Segments::find(simd, frame, patch, probe.center, spans)?;
     let Segments { disc, ring, of_disc, of_ring } = &segments;
+    check_counts(of_ring, of_disc, rules)?;
     let belts = Belts::round(simd, patch, (disc, &spans.discs), (ring, &spans.rings), belts);
     let middle = |first: usize, end: usize| (first + end) / 2;
     let columns = &ring.columns;

@@ -3,4 +3,5 @@
 pub(crate) mod checks;
 pub(crate) mod measure;
 pub(crate) mod pixels;
+pub(crate) mod probe;
 pub(crate) mod subpixel;

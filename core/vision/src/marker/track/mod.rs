@@ -21,7 +21,7 @@ use crate::{
         detector::{Detector, MOST_ROOM, Scratch},
         kind::Polarity,
         reject::{Reject, RejectCounts, Rejected},
-        ring::{checks::Probe, pixels::predicted::Expected},
+        ring::{pixels::predicted::Expected, probe::Probe},
         search::{claim::Claim, row_edges::ROW_STEP},
         track::occupied::Occupied,
     },

@@ -10,12 +10,9 @@ use crate::{
     frame::Frame,
     marker::{
         reject::Reject,
-        ring::{
-            checks::{Counted, Rules, check_counts},
-            pixels::{
-                patch::Patch,
-                segment_fill::{Bits, Extent, Span, Spill, follow_disc, follow_ring},
-            },
+        ring::pixels::{
+            patch::Patch,
+            segment_fill::{Bits, Extent, Span, Spill, follow_disc, follow_ring},
         },
     },
     scratch::make_room,
@@ -36,6 +33,21 @@ impl Spans {
     }
 }
 
+/// What counting says of a segment: its pixels, and the sides of its box.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Counted {
+    pub pixels: f64,
+    pub width: f64,
+    pub height: f64,
+}
+
+impl Counted {
+    pub fn new(pixels: u32, extent: &Extent) -> Self {
+        let (width, height) = (extent.width() as f64, extent.height() as f64);
+        Self { pixels: f64::from(pixels), width, height }
+    }
+}
+
 /// Where both segments lie, and how many pixels they have.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Segments {
@@ -53,7 +65,6 @@ impl Segments {
         frame: &Frame,
         patch: &Patch,
         center: (usize, usize),
-        rules: &Rules,
         Spans { discs, rings }: &mut Spans,
     ) -> Result<Self, Reject> {
         let (rows, columns) = (patch.rows(), patch.columns());
@@ -79,7 +90,6 @@ impl Segments {
                 Spill::Edge(_) => Reject::BlackTooLarge,
             })?;
         let (of_disc, of_ring) = counts(patch, (&disc, discs), (&ring, rings));
-        check_counts(&of_ring, &of_disc, rules)?;
         Ok(Self { disc, ring, of_disc, of_ring })
     }
 }

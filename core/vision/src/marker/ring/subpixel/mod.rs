@@ -19,12 +19,14 @@ use crate::{
     marker::{
         reject::Reject,
         ring::{
-            checks::{Counted, Probe, Rules, check_boxes, check_levels, check_shapes},
+            checks::{check_boxes, check_levels, check_shapes},
             pixels::{
                 edge_band::{Belts, THIN_PX, WIDE_PX, pixels_in},
                 ellipse_mask::Area,
                 patch::{Patch, WORD_PX},
+                segments::Counted,
             },
+            probe::{Probe, Rules},
             subpixel::{
                 blur::{Cuts, Taken, Unblurred, Weighed, unblur},
                 levels::Levels,

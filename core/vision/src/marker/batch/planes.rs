@@ -1,0 +1,54 @@
+//! Sets of pixels of one ring.
+
+use fearless_simd::Simd;
+
+use crate::marker::ring::pixels::ellipse_mask::{Chords, Rows};
+
+/// Columns that a disc's belt may have.
+pub(super) const HALF_PX: usize = 32;
+/// Most rows of a ring's belts and margin: what is summed then fits into 32 bits.
+pub(super) const MOST_ROWS: usize = 64;
+/// Sets of pixels, a word a row.
+#[derive(Clone, Debug)]
+pub(super) struct Planes {
+    pub disc_core: [u64; MOST_ROWS],
+    pub disc_belt: [u64; MOST_ROWS],
+    pub ring_belt: [u64; MOST_ROWS],
+    pub black: [u64; MOST_ROWS],
+    pub near: [u64; MOST_ROWS],
+    pub far: [u64; MOST_ROWS],
+}
+
+impl Default for Planes {
+    fn default() -> Self {
+        let none = [0; MOST_ROWS];
+        let (disc_core, disc_belt, ring_belt) = (none, none, none);
+        Self { disc_core, disc_belt, ring_belt, black: none, near: none, far: none }
+    }
+}
+
+impl Planes {
+    /// Stores sixteen rows between the ellipses' ends, and gives what of them is not as white or black as it
+    /// ought to be.
+    #[inline(always)]
+    pub fn store<S: Simd>(
+        &mut self,
+        simd: S,
+        chords: [&Chords<S>; 6],
+        white: Rows<S>,
+        row: usize,
+    ) -> Rows<S> {
+        let [core, disc, ring, whole, beside, beyond] = chords;
+        let (core, disc) = (core.word(simd), disc.word(simd));
+        let (ring, whole) = (ring.word(simd), whole.word(simd));
+        let (beside, beyond) = (beside.word(simd), beyond.word(simd));
+        let (black, near) = (ring.without(disc), beside.without(whole));
+        core.store(&mut self.disc_core, (row, 1));
+        disc.without(core).store(&mut self.disc_belt, (row, 1));
+        whole.without(ring).store(&mut self.ring_belt, (row, 1));
+        black.store(&mut self.black, (row, 1));
+        near.store(&mut self.near, (row, 1));
+        beyond.without(beside).store(&mut self.far, (row, 1));
+        core.with(near).without(white).with(black.within(white)).with(disc.without(ring))
+    }
+}
