@@ -45,9 +45,9 @@ fn upper_tail<T: Lane>(z: T, density: T) -> T {
 /// φ(z) and Φ(z) to 1e-5, in operations that the compiler can do for several numbers at once.
 #[inline(always)]
 pub(crate) fn normal_each(z: f32) -> (f32, f32) {
-    const LEAST_POWER: f32 = -120.0;
+    const MIN_POWER: f32 = -120.0;
     // 2^x = 2^n 2^f, f in [0, 1), by its series.
-    let power = (-0.5 * std::f32::consts::LOG2_E * z * z).max(LEAST_POWER);
+    let power = (-0.5 * std::f32::consts::LOG2_E * z * z).max(MIN_POWER);
     let whole = floor(power);
     let rest = (power - whole as f32) * std::f32::consts::LN_2;
     let mut value = 1.0 + rest * (1.0 / 7.0);

@@ -10,26 +10,26 @@ use rayon::prelude::*;
 
 /// Memory of each thread that may take part; what a panic has left is overwritten by who uses it next.
 #[derive(Debug)]
-pub(crate) struct Shares<S> {
+pub(crate) struct PerThread<S> {
     each: Vec<Mutex<S>>,
 }
 
-impl<S> Default for Shares<S> {
+impl<S> Default for PerThread<S> {
     fn default() -> Self {
         Self { each: Vec::new() }
     }
 }
 
 /// There is nothing to tell: memory of its own.
-impl<S> Clone for Shares<S> {
+impl<S> Clone for PerThread<S> {
     fn clone(&self) -> Self {
         Self::default()
     }
 }
 
-impl<S: Default + Send> Shares<S> {
+impl<S: Default + Send> PerThread<S> {
     /// Memory of the caller's thread.
-    pub fn own(&mut self) -> &mut S {
+    pub fn first(&mut self) -> &mut S {
         if self.each.is_empty() {
             self.each.push(Mutex::default());
         }
@@ -38,7 +38,7 @@ impl<S: Default + Send> Shares<S> {
 
     /// `work` on all items, so many of them at a time at most: with memory of the thread that it runs on, and the first
     /// one's place among all.
-    pub fn work<T: Send>(
+    pub fn for_each_chunk<T: Send>(
         &mut self,
         items: &mut [T],
         at_a_time: usize,
@@ -51,7 +51,7 @@ impl<S: Default + Send> Shares<S> {
             self.each.resize_with(threads, Mutex::default);
         }
         if threads == 1 {
-            let memory = self.own();
+            let memory = self.first();
             for (number, items) in items.chunks_mut(at_a_time).enumerate() {
                 work(memory, number * at_a_time, items);
             }
@@ -75,19 +75,19 @@ mod tests {
     use super::*;
 
     /// Each item becomes its place, and its thread's memory counts it.
-    fn places(shares: &mut Shares<usize>, count: usize, at_a_time: usize) -> Vec<usize> {
+    fn places(shares: &mut PerThread<usize>, count: usize, at_a_time: usize) -> Vec<usize> {
         let mut items = vec![usize::MAX; count];
-        let most = AtomicUsize::new(0);
-        let used = |shares: &mut Shares<usize>| -> usize {
+        let max = AtomicUsize::new(0);
+        let used = |shares: &mut PerThread<usize>| -> usize {
             shares.each.iter_mut().map(|used| *used.get_mut().unwrap()).sum()
         };
         let before = used(shares);
-        shares.work(&mut items, at_a_time, |used, first, items| {
+        shares.for_each_chunk(&mut items, at_a_time, |used, first, items| {
             *used += items.len();
-            most.fetch_max(items.len(), Ordering::Relaxed);
+            max.fetch_max(items.len(), Ordering::Relaxed);
             items.iter_mut().enumerate().for_each(|(place, item)| *item = first + place);
         });
-        assert!(most.into_inner() <= at_a_time);
+        assert!(max.into_inner() <= at_a_time);
         assert_eq!(used(shares) - before, count);
         items
     }
@@ -95,7 +95,7 @@ mod tests {
     #[test]
     fn each_item_is_worked_on_once_in_a_pool_and_outside() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
-        let mut shares = Shares::default();
+        let mut shares = PerThread::default();
         for (count, at_a_time) in [(0, 1), (1, 1), (7, 2), (40, 3), (16, 8), (8, 8)] {
             let expected: Vec<usize> = (0..count).collect();
             assert_eq!(places(&mut shares, count, at_a_time), expected);
@@ -110,8 +110,8 @@ mod tests {
         let (barrier, mut items) = (std::sync::Barrier::new(2), [0; 2]);
         // Each waits for the other: one after the other they never got past it.
         pool.install(|| {
-            let mut shares = Shares::<()>::default();
-            shares.work(&mut items, 1, |(), first, items| {
+            let mut shares = PerThread::<()>::default();
+            shares.for_each_chunk(&mut items, 1, |(), first, items| {
                 barrier.wait();
                 items[0] = first + 1;
             });

@@ -18,10 +18,10 @@ pub const UNKNOWN_ANGLE_VARIANCE_RAD2: f64 = std::f64::consts::PI * std::f64::co
 pub const SMALL_SQUARED: f64 = 0.01;
 
 /// Of what points straight down less than this points aside, squared: its smallest rotation is any.
-const LEAST_ACROSS: f64 = 1e-30;
+const MIN_ACROSS: f64 = 1e-30;
 
 /// Nearer to half a turn the closed forms of the smallest rotation lose digits: 1 + cos.
-const LEAST_COSINE: f64 = 0.01;
+const MIN_COSINE: f64 = 0.01;
 
 /// Carries a covariance into another frame by the rotation of a known rigid motion.
 pub fn rotate_covariance(rotation: &UnitQuaternion<f64>, covariance: &Covariance6) -> Covariance6 {
@@ -82,7 +82,7 @@ pub fn orientation_of_normal(normal: &Vector3<f64>) -> UnitQuaternion<f64> {
     let across = normal.x * normal.x + normal.y * normal.y;
     let length = (across + normal.z * normal.z).sqrt();
     let cosine = if normal.z >= 0.0 { length + normal.z } else { across / (length - normal.z) };
-    if across < LEAST_ACROSS * length && normal.z < 0.0 {
+    if across < MIN_ACROSS * length && normal.z < 0.0 {
         return UnitQuaternion::from_quaternion(Quaternion::new(0.0, 1.0, 0.0, 0.0));
     }
     UnitQuaternion::new_normalize(Quaternion::new(cosine, -normal.y, normal.x, 0.0))
@@ -100,7 +100,7 @@ pub fn turn_about_z(cosine: f64, sine: f64) -> UnitQuaternion<f64> {
 /// The matrix of the smallest rotation from one unit vector to another; `None` where they are nearly opposite.
 pub fn smallest_rotation(from: &Vector3<f64>, to: &Vector3<f64>) -> Option<Matrix3<f64>> {
     let cosine = 1.0 + from.dot(to);
-    (cosine > LEAST_COSINE).then(|| {
+    (cosine > MIN_COSINE).then(|| {
         let cross = from.cross(to).cross_matrix();
         Matrix3::identity() + cross + cross * cross / cosine
     })
@@ -113,7 +113,7 @@ pub fn smallest_rotation_of(
     vector: &Vector3<f64>,
 ) -> Option<Vector3<f64>> {
     let cosine = 1.0 + from.dot(to);
-    (cosine > LEAST_COSINE).then(|| {
+    (cosine > MIN_COSINE).then(|| {
         let axis = from.cross(to);
         let across = axis.cross(vector);
         vector + across + axis.cross(&across) / cosine

@@ -21,7 +21,7 @@ const MAX_TURNS: usize = 12;
 /// What a point may be off, as a share of the points' distance from the middle.
 const TOLERANCE: f64 = 1e-9;
 /// Angles from the middle, radians, beyond which each pixel is solved for itself.
-const MOST_RAD: f64 = 0.5;
+const MAX_RAD: f64 = 0.5;
 
 /// Rays near one, structure of arrays: (x, y, 1) for planar models, unit vectors for `equidistant`.
 #[derive(Clone, Copy, Debug)]
@@ -173,19 +173,19 @@ impl Camera {
         }
         let mut settled = settles(
             size,
-            size.at_most(zero.splat(MOST_RAD)),
+            size.at_most(zero.splat(MAX_RAD)),
             #[inline(always)]
             |open| {
-                let mut most = zero;
+                let mut max = zero;
                 for i in 0..N {
                     let angle = angle_rad + turned[i];
                     let s = angle * angle;
                     let value = angle * (s * (s * (s * (s * k[3] + k[2]) + k[1]) + k[0]) + 1.0);
                     let by = (radius[i] - value) * per_slope;
                     turned[i] = T::choose(open, turned[i] + by, turned[i]);
-                    most = largest(most, by.size());
+                    max = largest(max, by.size());
                 }
-                most
+                max
             },
         );
         let mut z = [zero; N];
@@ -257,11 +257,11 @@ fn planar_turn<T: Lane, const N: usize>(
         y[i] = T::choose(open, py + by.y, py);
         steps[i] = by.x.size() + by.y.size();
     }
-    let mut most = inverse.m11.splat(0.0);
+    let mut max = inverse.m11.splat(0.0);
     for step in steps {
-        most = largest(most, step);
+        max = largest(max, step);
     }
-    most
+    max
 }
 
 /// The larger one; not a number if the second is not.

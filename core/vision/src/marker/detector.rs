@@ -12,7 +12,7 @@ use crate::{
     id::KindId,
     marker::{
         Ring,
-        batch::{self, AbreastScratch},
+        batch::{self, BatchScratch},
         coded::{
             measure::{self as coded, CodedKind},
             reader::CodeReader,
@@ -34,11 +34,11 @@ use crate::{
             threshold::BinarySearch,
         },
         validate::{
-            disc_center::check_middle, elliptical_disc::check_disc, letter::check_stroke,
+            disc_center::check_center, elliptical_disc::check_disc, letter::check_letter,
             outline::check_rims,
         },
     },
-    scratch::make_room,
+    scratch::reserve_total,
     segment::Window,
 };
 
@@ -62,7 +62,7 @@ pub struct Detector {
 }
 
 /// Rings of a frame that there is room for from the start, at most.
-pub(crate) const MOST_ROOM: usize = 1024;
+pub(crate) const MAX_ROOM: usize = 1024;
 
 /// Memory of detection, kept from frame to frame. The first frame of a size takes room for whatever may
 /// turn up in any other, address space of about three frames; nothing is allocated from then on, and
@@ -72,7 +72,7 @@ pub struct Scratch {
     /// Width and height of the frames that there is room for.
     size: (usize, usize),
     pub(crate) measure: MeasureScratch,
-    pub(crate) abreast: AbreastScratch,
+    pub(crate) batch: BatchScratch,
     pub(crate) search: SearchScratch,
     pub(crate) found: Vec<Ring>,
     pub(crate) claims: Vec<Claim>,
@@ -81,18 +81,18 @@ pub struct Scratch {
 
 impl Scratch {
     /// Room for what a frame can show: rings as large as itself, and an edge at each pixel of a row.
-    pub(crate) fn make_room(&mut self, frame: &Frame, max_roundels: usize) {
+    pub(crate) fn reserve(&mut self, frame: &Frame, max_roundels: usize) {
         let size = (frame.width(), frame.height());
         if self.size == size {
             return;
         }
         self.size = size;
-        self.measure.make_room(size);
-        self.abreast.make_room(size.1);
-        self.search.make_room(size.0);
-        let most = max_roundels.min(MOST_ROOM);
-        make_room(&mut self.found, most);
-        make_room(&mut self.claims, most);
+        self.measure.reserve(size);
+        self.batch.reserve(size.1);
+        self.search.reserve(size.0);
+        let max = max_roundels.min(MAX_ROOM);
+        reserve_total(&mut self.found, max);
+        reserve_total(&mut self.claims, max);
     }
 
     /// Candidates of the newest frame that died, by stage.
@@ -145,7 +145,7 @@ impl Detector {
     }
 
     /// The same detector; without any kinds it looks for rings of this polarity, instead of black ones.
-    pub fn with_polarity_of_any(mut self, polarity: Polarity) -> Self {
+    pub fn with_default_polarity(mut self, polarity: Polarity) -> Self {
         if self.kinds.is_empty() {
             self.polarities = vec![polarity];
         }
@@ -173,14 +173,14 @@ impl Detector {
 
     /// Rings at the scratch's probes that are just where they are expected, side by side; others are left
     /// to [`Detector::measure`].
-    pub(crate) fn measure_each(&self, frame: &Frame, scratch: &mut AbreastScratch) {
+    pub(crate) fn measure_batch(&self, frame: &Frame, scratch: &mut BatchScratch) {
         for ring in &mut scratch.rings {
             *ring = None;
         }
         if !self.coded.is_empty() || self.kinds.is_empty() || !self.rules.similar {
             return;
         }
-        batch::measure_each(frame, &self.rules, &self.kinds, scratch);
+        batch::measure_batch(frame, &self.rules, &self.kinds, scratch);
         for ring in &mut scratch.rings {
             let center = ring.as_ref().map(|ring| ring.outer.center);
             if center.is_some_and(|center| self.mask.covers(center)) {
@@ -223,15 +223,15 @@ impl Detector {
 impl Detector {
     /// Appends to `found` the rings whose disc crosses `window` and that no claim covers, and claims
     /// them, until there are `most` of them.
-    pub(crate) fn search(&self, frame: &Frame, window: Window, most: usize, scratch: &mut Scratch) {
-        scratch.make_room(frame, self.params().max_roundels);
+    pub(crate) fn search(&self, frame: &Frame, window: Window, max: usize, scratch: &mut Scratch) {
+        scratch.reserve(frame, self.params().max_roundels);
         let mut memory = std::mem::take(&mut scratch.search);
         let SearchScratch { row, hits, claimed } = &mut memory;
         claimed.clear(window);
         scratch.claims.iter().for_each(|claim| claimed.add(claim));
-        let rules = &self.search_rules.seen_in(frame.width());
+        let rules = &self.search_rules.for_width(frame.width());
         for v in (window.top..window.bottom).step_by(ROW_STEP) {
-            if scratch.found.len() >= most {
+            if scratch.found.len() >= max {
                 break;
             }
             row.read(self.level, frame, v, &window, rules.step);
@@ -239,10 +239,11 @@ impl Detector {
                 find_hits(row, &rules.hit_in(v), polarity, hits);
                 for hit in &mut hits.hits {
                     hit.u += window.left;
-                    if scratch.found.len() >= most || claimed.contains(hit.u, v) {
+                    if scratch.found.len() >= max || claimed.contains(hit.u, v) {
                         continue;
                     }
-                    if let Some(ring) = self.try_hit(frame, (hit, v), polarity, rules, scratch) {
+                    if let Some(ring) = self.measure_hit(frame, (hit, v), polarity, rules, scratch)
+                    {
                         let claim = Claim::new(&ring);
                         claimed.add(&claim);
                         scratch.claims.push(claim);
@@ -255,7 +256,7 @@ impl Detector {
     }
 
     /// The ring whose disc a hit is, at the first threshold of the binary search that shows it.
-    fn try_hit(
+    fn measure_hit(
         &self,
         frame: &Frame,
         (hit, v): (&Hit, usize),
@@ -272,14 +273,14 @@ impl Detector {
         }
         let mut first = None;
         for threshold in BinarySearch::new(hit.black, hit.white, SEARCH_DEPTH) {
-            let tried = cross(frame, (hit, v), threshold, &rules.cross, polarity);
-            let tried = tried.and_then(|candidate| {
+            let measured = cross(frame, (hit, v), threshold, &rules.cross, polarity);
+            let measured = measured.and_then(|candidate| {
                 let (u, v) = candidate.center;
                 rejected.center = PixelPoint { u: u as f64, v: v as f64 };
                 rejected.half_box_px = candidate.half_box_px;
                 self.measure_candidate(frame, &candidate, polarity, scratch)
             });
-            match tried {
+            match measured {
                 Ok(ring) => return Some(ring),
                 Err(reject) => {
                     first = first.or(Some(reject));
@@ -309,18 +310,18 @@ impl Detector {
             threshold: candidate.threshold,
             bounds: Window::around(frame, center, (reach(half_u), reach(half_v))),
             polarity,
-            expected: None,
+            predicted: None,
         };
         let ring = self.measure(frame, &probe, &mut scratch.measure)?;
         let pattern = self.kind_of(&ring).map_or(Pattern::Plain, |kind| kind.pattern);
         let smooth = !matches!(pattern, Pattern::Coded(_));
         check_rims(frame, &ring, smooth)?;
         if smooth {
-            check_middle(frame, &ring)?;
+            check_center(frame, &ring)?;
         }
         match (pattern, self.kind_of(&ring)) {
             (Pattern::Elliptical { .. }, Some(kind)) => check_disc(&ring, kind)?,
-            (Pattern::Plain, _) => check_stroke(&ring)?,
+            (Pattern::Plain, _) => check_letter(&ring)?,
             _ => (),
         }
         let covered = scratch.claims.iter().any(|claim| claim.covers(&ring));

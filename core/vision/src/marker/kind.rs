@@ -14,12 +14,12 @@ const RATIO_ROUNDING: f64 = 1e-6;
 
 /// Whether a disc may have this share of the outer diameter ([`RATIO_LIMITS`], both included).
 pub fn is_measurable(ratio: f64) -> bool {
-    let (least, most) = RATIO_LIMITS;
-    (least - RATIO_ROUNDING..=most + RATIO_ROUNDING).contains(&ratio)
+    let (min, max) = RATIO_LIMITS;
+    (min - RATIO_ROUNDING..=max + RATIO_ROUNDING).contains(&ratio)
 }
 
 /// Whether an elliptical disc's shorter diameter may be this share of its longer one ([`AXIS_RATIO_LIMIT`] included).
-pub fn tells_heading(axis_ratio: f64) -> bool {
+pub fn shows_heading(axis_ratio: f64) -> bool {
     axis_ratio <= AXIS_RATIO_LIMIT + RATIO_ROUNDING
 }
 
@@ -95,8 +95,8 @@ impl Kind {
     /// Ratio of the disc's diameter to the outer one, of an elliptical disc that of the circle of the
     /// same area.
     pub(crate) fn mean_ratio(&self) -> f64 {
-        let (least, most) = self.ratios();
-        (least * most).sqrt()
+        let (min, max) = self.ratios();
+        (min * max).sqrt()
     }
 
     /// The least and the largest ratio of the disc's diameter to the outer one: the same unless the disc

@@ -8,7 +8,7 @@
 //! | one ring, wherever it is thought to be | `measure` | 3.1, 3.3 |
 //! | its pixels as words of bits | `patch` | 3.2 |
 //! | disc and black, followed by runs | `segments`, `spans` | 3.1, algorithm 1 |
-//! | the pixels near its rims | `belt`, `levels` | – |
+//! | the pixels near its rims | `band`, `levels` | – |
 //! | the same of a ring that is followed | `follow`, `oval` | – |
 //! | several of these, side by side | `abreast` | – |
 //! | rims to a fraction of a pixel | `weigh`, `blur`, `normal` | eqs. (4), (6) |
@@ -55,7 +55,7 @@ pub use code::{Code, CodeError, CodeLayout, CodeReading, Dictionary, Tooth, Vote
 pub use coded::reader::CodeReader;
 pub use detector::{Detector, Scratch};
 pub use kind::{
-    AXIS_RATIO_LIMIT, Kind, Pattern, Polarity, RATIO_LIMITS, is_measurable, tells_heading,
+    AXIS_RATIO_LIMIT, Kind, Pattern, Polarity, RATIO_LIMITS, is_measurable, shows_heading,
 };
 pub use mask::{Mask, MaskError};
 pub use params::{DetectorError, Mode, Params};
@@ -111,7 +111,7 @@ impl Ring {
 
     /// What was measured of a black ring in a picture with its levels turned over, if that was done.
     #[inline(always)]
-    fn seen_as(self, polarity: Polarity) -> Self {
+    fn with_polarity(self, polarity: Polarity) -> Self {
         match polarity {
             Polarity::BlackRing => self,
             Polarity::WhiteRing => Self {

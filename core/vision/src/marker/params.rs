@@ -4,11 +4,11 @@ use thiserror::Error;
 
 use crate::marker::{
     code::CodeError,
-    kind::{AXIS_RATIO_LIMIT, Kind, Pattern, RATIO_LIMITS, is_measurable, tells_heading},
+    kind::{AXIS_RATIO_LIMIT, Kind, Pattern, RATIO_LIMITS, is_measurable, shows_heading},
 };
 
 /// Ratios of diameters that differ by less are the same to a camera.
-const LEAST_DIFFERENCE: f64 = 0.005;
+const MIN_DIFFERENCE: f64 = 0.005;
 
 /// What is worth more: time or precision.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -93,10 +93,10 @@ pub enum DetectorError {
     /// Two kinds that look the same.
     #[error(
         "roundels {one:?} and {other:?} cannot be told apart: expected plain ones to differ by \
-         {LEAST_DIFFERENCE} in the ratio of their diameters, elliptical ones in one of their two \
+         {MIN_DIFFERENCE} in the ratio of their diameters, elliptical ones in one of their two \
          ratios, and coded ones in their number of bits"
     )]
-    Alike {
+    Indistinguishable {
         /// Name of the one kind.
         one: String,
         /// Name of the other.
@@ -140,28 +140,23 @@ pub(crate) fn check(kinds: &[Kind], params: &Params) -> Result<(), DetectorError
             return Err(DetectorError::Diameters { name, inner_m, outer_m });
         }
         if let Pattern::Elliptical { minor_diameter_m: minor_m } = kind.pattern
-            && !(is_measurable(minor_m / outer_m) && tells_heading(minor_m / inner_m))
+            && !(is_measurable(minor_m / outer_m) && shows_heading(minor_m / inner_m))
         {
             let (name, major_m) = (kind.name.clone(), inner_m);
             return Err(DetectorError::Elliptical { name, minor_m, major_m, outer_m });
         }
     }
     for (index, one) in kinds.iter().enumerate() {
-        if let Some(other) = kinds[..index].iter().find(|other| are_alike(one, other)) {
+        if let Some(other) = kinds[..index].iter().find(|other| are_indistinguishable(one, other)) {
             let (one, other) = (other.name.clone(), one.name.clone());
-            return Err(DetectorError::Alike { one, other });
+            return Err(DetectorError::Indistinguishable { one, other });
         }
     }
     let param = |name, expected, found: f64, ok: bool| {
         if ok { Ok(()) } else { Err(DetectorError::Param { name, expected, found }) }
     };
-    let least = params.min_semi_minor_px;
-    param(
-        "min_semi_minor_px",
-        "a finite number of at least 3",
-        least,
-        (3.0..1e4).contains(&least),
-    )?;
+    let min = params.min_semi_minor_px;
+    param("min_semi_minor_px", "a finite number of at least 3", min, (3.0..1e4).contains(&min))?;
     let ratio = params.min_axis_ratio;
     param("min_axis_ratio", "0.1 to 1", ratio, (0.1..=1.0).contains(&ratio))?;
     let contrast = params.min_contrast;
@@ -171,8 +166,8 @@ pub(crate) fn check(kinds: &[Kind], params: &Params) -> Result<(), DetectorError
 }
 
 /// Whether nothing tells the two kinds apart.
-fn are_alike(one: &Kind, other: &Kind) -> bool {
-    let same = |one: f64, other: f64| (one - other).abs() < LEAST_DIFFERENCE;
+fn are_indistinguishable(one: &Kind, other: &Kind) -> bool {
+    let same = |one: f64, other: f64| (one - other).abs() < MIN_DIFFERENCE;
     let same_ratio = same(one.ratio(), other.ratio());
     let same_pattern = match (one.pattern, other.pattern) {
         (Pattern::Plain, Pattern::Plain) => same_ratio,
@@ -205,21 +200,28 @@ mod tests {
     /// As prints are said in millimetres, whose quotients are not quite 0.2, 0.8 and 0.9.
     #[test]
     fn the_limits_of_diameters_are_among_them() {
-        let said = |outer_mm: f64, inner_mm: f64| kind(outer_mm * 1e-3, inner_mm * 1e-3);
+        let printed = |outer_mm: f64, inner_mm: f64| kind(outer_mm * 1e-3, inner_mm * 1e-3);
         let elliptical = |outer_mm, inner_mm, minor_mm: f64| Kind {
             pattern: Pattern::Elliptical { minor_diameter_m: minor_mm * 1e-3 },
-            ..said(outer_mm, inner_mm)
+            ..printed(outer_mm, inner_mm)
         };
-        let is_taken = |kind: Kind| check(&[kind], &Params::default()).is_ok();
+        let is_accepted = |kind: Kind| check(&[kind], &Params::default()).is_ok();
         assert!(
-            [50.0, 7.0, 30.0, 15.0].into_iter().all(|outer| is_taken(said(outer, 0.2 * outer)))
+            [50.0, 7.0, 30.0, 15.0]
+                .into_iter()
+                .all(|outer| is_accepted(printed(outer, 0.2 * outer)))
         );
-        assert!([25.0, 50.0, 35.0].into_iter().all(|outer| is_taken(said(outer, 0.8 * outer))));
-        assert!(is_taken(elliptical(50.0, 20.0, 10.0)) && is_taken(elliptical(100.0, 70.0, 63.0)));
-        // A hundredth of a millimetre beyond is beyond.
-        assert!(!is_taken(said(50.0, 9.99)) && !is_taken(said(25.0, 20.01)));
         assert!(
-            !is_taken(elliptical(50.0, 20.0, 9.99)) && !is_taken(elliptical(100.0, 70.0, 63.01))
+            [25.0, 50.0, 35.0].into_iter().all(|outer| is_accepted(printed(outer, 0.8 * outer)))
+        );
+        assert!(
+            is_accepted(elliptical(50.0, 20.0, 10.0)) && is_accepted(elliptical(100.0, 70.0, 63.0))
+        );
+        // A hundredth of a millimetre beyond is beyond.
+        assert!(!is_accepted(printed(50.0, 9.99)) && !is_accepted(printed(25.0, 20.01)));
+        assert!(
+            !is_accepted(elliptical(50.0, 20.0, 9.99))
+                && !is_accepted(elliptical(100.0, 70.0, 63.01))
         );
     }
 
@@ -232,7 +234,7 @@ mod tests {
         assert_eq!(check(&[elliptical(0.064), kind(0.16, 0.08)], &Params::default()), Ok(()));
         assert_eq!(check(&[elliptical(0.064), elliptical(0.07)], &Params::default()), Ok(()));
         let alike = check(&[elliptical(0.064), elliptical(0.0643)], &Params::default());
-        assert!(matches!(alike, Err(DetectorError::Alike { .. })));
+        assert!(matches!(alike, Err(DetectorError::Indistinguishable { .. })));
         for minor_m in [0.03, 0.094, f64::NAN, -0.05] {
             let error = check(&[elliptical(minor_m)], &Params::default()).unwrap_err();
             assert!(error.to_string().contains("shorter diameter"), "{error}");

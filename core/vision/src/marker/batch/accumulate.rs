@@ -1,9 +1,9 @@
 //! All that is summed over the pixels of a ring that is followed, in one pass over their rows.
 //!
 //! Which pixels count, and what for, is that of [`crate::marker::ring::pixels::edge_band`]. As long as one word holds a row, sums
-//! need not wait for the levels that weigh them: with w = α + γ I in a belt and 1 in the core,
+//! need not wait for the levels that weigh them: with w = α + γ I in a band and 1 in the core,
 //!
-//!   Σ w uᵃ vᵇ = γ Σ_belt I uᵃ vᵇ + α Σ_belt uᵃ vᵇ + Σ_core uᵃ vᵇ,
+//!   Σ w uᵃ vᵇ = γ Σ_band I uᵃ vᵇ + α Σ_band uᵃ vᵇ + Σ_core uᵃ vᵇ,
 //!
 //! where the last two follow from the ends of each row ([`crate::marker::ring::pixels::ellipse_mask`]): of n columns with the middle
 //! m/2, Σ u = n m/2 and Σ u² = n (3 m² + n² - 1)/12. Everything is an integer, so nothing is rounded.
@@ -12,7 +12,7 @@ use fearless_simd::{Simd, f32x16, i16x32, i32x16, prelude::*, u8x64};
 use fearless_simd_macros::simd;
 
 use crate::marker::batch::{
-    planes::{HALF_PX, MOST_ROWS, Planes},
+    planes::{HALF_PX, MAX_ROWS, Planes},
     row_sums::{Columns, Source, Sums},
     table::{Row, TOTALS, Table},
 };
@@ -20,10 +20,12 @@ use crate::{
     frame::Frame,
     marker::ring::{
         pixels::{
-            edge_band::{LEAST_BLACK, LEAST_WHITE},
-            ellipse_mask::{Area, Chords, LANE, LANES as ROWS_AT_ONCE, Placed, Rows},
+            edge_band::{MIN_BLACK, MIN_WHITE},
+            ellipse_mask::{
+                Area, LANE_NUMBERS, LANES as ROWS_AT_ONCE, PatchEllipse, RowBits, RowSpans,
+            },
             patch::{Patch, WORD_PX},
-            predicted::{Expected, belt_ovals},
+            predicted::{PredictedRims, band_ellipses},
         },
         probe::Probe,
     },
@@ -33,18 +35,18 @@ use crate::{
 const REVERSED: [usize; 16] = [0, 8, 4, 12, 2, 10, 6, 14, 1, 9, 5, 13, 3, 11, 7, 15];
 
 /// Sums up the ring about expected rims of which the disc has been found, into a column of the table;
-/// `false`, as in [`crate::marker::ring::pixels::predicted::belts_about`], where that is no such ring, or too large a one.
+/// `false`, as in [`crate::marker::ring::pixels::predicted::bands_about`], where that is no such ring, or too large a one.
 #[simd]
-pub(super) fn tally<S: Simd>(
+pub(super) fn accumulate_ring<S: Simd>(
     simd: S,
     frame: &Frame,
     (patch, probe): (&Patch, &Probe),
-    expected: &Expected,
+    predicted: &PredictedRims,
     planes: &mut Planes,
     (table, ring): (&mut Table, usize),
 ) -> bool {
-    let Some(drawn) = draw(simd, patch, expected, planes) else { return false };
-    let Drawn { top, bottom, disc, disc_column, middle, of_ovals, of_halves } = drawn;
+    let Some(drawn) = draw(simd, patch, predicted, planes) else { return false };
+    let DrawnBands { top, bottom, disc, disc_column, middle, ellipse_sums, half_counts } = drawn;
     let window = &patch.window;
     let (pixels, stride) = frame.pixels();
     let pixels = &pixels[(window.top + top) * stride + window.left..];
@@ -71,10 +73,10 @@ pub(super) fn tally<S: Simd>(
     let of_grey = sums.vectors(simd, &of_top, middle.0);
     let mut all = [i32x16::splat(simd, 0); TOTALS];
     all[..21].copy_from_slice(&of_grey);
-    all[21..24].copy_from_slice(&of_halves);
-    for oval in 0..4 {
+    all[21..24].copy_from_slice(&half_counts);
+    for ellipse in 0..4 {
         for k in 0..6 {
-            all[Row::Ovals as usize + 6 * oval + k] = of_ovals[oval][k].to_int();
+            all[Row::Ellipses as usize + 6 * ellipse + k] = ellipse_sums[ellipse][k].to_int();
         }
     }
     let mut totals = [0; TOTALS];
@@ -85,8 +87,8 @@ pub(super) fn tally<S: Simd>(
             totals[vector] = sums[lane];
         }
     }
-    let pixels = |oval: usize| totals[Row::Ovals as usize + 6 * oval] as u32;
-    if pixels(0) < LEAST_WHITE || pixels(2) - pixels(1) < LEAST_BLACK {
+    let pixels = |ellipse: usize| totals[Row::Ellipses as usize + 6 * ellipse] as u32;
+    if pixels(0) < MIN_WHITE || pixels(2) - pixels(1) < MIN_BLACK {
         return false;
     }
     table.set_totals(ring, totals);
@@ -113,43 +115,44 @@ fn total<S: Simd>(vectors: &[i32x16<S>; 16]) -> i32x16<S> {
     sums[0]
 }
 
-/// What drawing the belts has told.
-struct Drawn<S: Simd> {
-    /// Of all belts, in the patch.
+/// What drawing the bands has told.
+struct DrawnBands<S: Simd> {
+    /// Of all bands, in the patch.
     top: usize,
     bottom: usize,
-    /// First row of the disc's belt and the row after the last, from `top` on.
+    /// First row of the disc's band and the row after the last, from `top` on.
     disc: (usize, usize),
     /// First of [`HALF_PX`] columns that hold it.
     disc_column: usize,
     /// A pixel in the middle, its column even.
     middle: (usize, usize),
-    of_ovals: [[f32x16<S>; 6]; 4],
+    ellipse_sums: [[f32x16<S>; 6]; 4],
     /// Pixels of near and far margin, and those to the left and above of the middle of black and margin;
     /// the second ones in the upper halves.
-    of_halves: [i32x16<S>; 3],
+    half_counts: [i32x16<S>; 3],
 }
 
-/// The belts about expected rims.
+/// The bands about expected rims.
 #[simd]
 fn draw<S: Simd>(
     simd: S,
     patch: &Patch,
-    expected: &Expected,
+    predicted: &PredictedRims,
     planes: &mut Planes,
-) -> Option<Drawn<S>> {
-    let (outer, inner) = (Placed::new(&expected.outer, patch), Placed::new(&expected.inner, patch));
-    let ovals = belt_ovals(&outer, &inner);
-    let (top, bottom) = ovals[5].rows(patch.rows())?;
-    ovals[5].area(patch, top)?;
-    if bottom - top > MOST_ROWS {
+) -> Option<DrawnBands<S>> {
+    let (outer, inner) =
+        (PatchEllipse::new(&predicted.outer, patch), PatchEllipse::new(&predicted.inner, patch));
+    let ellipses = band_ellipses(&outer, &inner);
+    let (top, bottom) = ellipses[5].rows(patch.rows())?;
+    ellipses[5].area(patch, top)?;
+    if bottom - top > MAX_ROWS {
         return None;
     }
-    let rows = ovals[1].rows(patch.rows())?;
+    let rows = ellipses[1].rows(patch.rows())?;
     if rows.0 < top || rows.1 > bottom {
         return None;
     }
-    let Area { rows: disc, columns } = ovals[1].area(patch, top)?;
+    let Area { rows: disc, columns } = ellipses[1].area(patch, top)?;
     let disc_column = columns.0.min(WORD_PX - HALF_PX);
     if columns.1 > disc_column + HALF_PX {
         return None;
@@ -158,44 +161,52 @@ fn draw<S: Simd>(
     if middle.1 < disc.0 || middle.1 > disc.1 {
         return None;
     }
-    let mut wrong = Rows::none(simd);
-    let mut of_ovals = [[f32x16::splat(simd, 0.0); 6]; 4];
+    let mut wrong = RowBits::none(simd);
+    let mut ellipse_sums = [[f32x16::splat(simd, 0.0); 6]; 4];
     let none = i32x16::splat(simd, 0);
-    let mut of_halves = [none; 3];
+    let mut half_counts = [none; 3];
     let left = middle.0 as i32;
     for row in (0..bottom - top).step_by(ROWS_AT_ONCE) {
-        let v = f32x16::load_array(simd, LANE) + (row as f32 - middle.1 as f32);
+        let v = f32x16::load_array(simd, LANE_NUMBERS) + (row as f32 - middle.1 as f32);
         let first = top + row;
-        let core = ovals[0].chords_within(simd, first);
-        let inside = ovals[1].chords_within(simd, first);
-        let ring = ovals[2].chords_within(simd, first);
-        let whole = ovals[3].chords_within(simd, first);
-        let beside = ovals[4].chords_within(simd, first);
-        let beyond = ovals[5].chords_within(simd, first);
-        add_chords(&mut of_ovals[0], &core, v, left);
-        add_chords(&mut of_ovals[1], &inside, v, left);
-        add_chords(&mut of_ovals[2], &ring, v, left);
-        add_chords(&mut of_ovals[3], &whole, v, left);
+        let core = ellipses[0].row_spans_in_word(simd, first);
+        let inside = ellipses[1].row_spans_in_word(simd, first);
+        let ring = ellipses[2].row_spans_in_word(simd, first);
+        let whole = ellipses[3].row_spans_in_word(simd, first);
+        let beside = ellipses[4].row_spans_in_word(simd, first);
+        let beyond = ellipses[5].row_spans_in_word(simd, first);
+        add_chords(&mut ellipse_sums[0], &core, v, left);
+        add_chords(&mut ellipse_sums[1], &inside, v, left);
+        add_chords(&mut ellipse_sums[2], &ring, v, left);
+        add_chords(&mut ellipse_sums[3], &whole, v, left);
         let is_above = v.simd_lt(f32x16::splat(simd, 0.0));
         let black_above = is_above.select(ring.pixels() - inside.pixels(), none);
         let margin_above = is_above.select(beyond.pixels() - whole.pixels(), none);
         let black_before = ring.pixels_before(left) - inside.pixels_before(left);
         let margin_before = beyond.pixels_before(left) - whole.pixels_before(left);
         let far = beyond.pixels() - beside.pixels();
-        of_halves[0] += beside.pixels() - whole.pixels() + (far << 16);
-        of_halves[1] += black_before + (black_above << 16);
-        of_halves[2] += margin_before + (margin_above << 16);
+        half_counts[0] += beside.pixels() - whole.pixels() + (far << 16);
+        half_counts[1] += black_before + (black_above << 16);
+        half_counts[2] += margin_before + (margin_above << 16);
 
-        let white = Rows::load(simd, &patch.white, (first, 1));
-        let chords = [&core, &inside, &ring, &whole, &beside, &beyond];
-        wrong = wrong.with(planes.store(simd, chords, white, row));
+        let white = RowBits::load(simd, &patch.white, (first, 1));
+        let row_spans = [&core, &inside, &ring, &whole, &beside, &beyond];
+        wrong = wrong.with(planes.store(simd, row_spans, white, row));
     }
-    (!wrong.any()).then_some(Drawn { top, bottom, disc, disc_column, middle, of_ovals, of_halves })
+    (!wrong.any()).then_some(DrawnBands {
+        top,
+        bottom,
+        disc,
+        disc_column,
+        middle,
+        ellipse_sums,
+        half_counts,
+    })
 }
 
 /// Adds to the sums of 1, v, v², m, m v and 3 m² + n² - 1 over an ellipse's pixels.
 #[inline(always)]
-fn add_chords<S: Simd>(sums: &mut [f32x16<S>; 6], rows: &Chords<S>, v: f32x16<S>, middle: i32) {
+fn add_chords<S: Simd>(sums: &mut [f32x16<S>; 6], rows: &RowSpans<S>, v: f32x16<S>, middle: i32) {
     let (first, end) = rows.ends();
     let (n, m) = ((end - first).to_float::<f32x16<S>>(), first + end - (2 * middle + 1));
     let m = m.to_float::<f32x16<S>>();
@@ -217,8 +228,8 @@ mod tests {
         marker::{
             kind::Polarity,
             ring::pixels::{
-                edge_band::{BeltScratch, Belts},
-                predicted::belts_about,
+                edge_band::{BandScratch, EdgeBands},
+                predicted::bands_about,
             },
         },
         segment::Window,
@@ -233,7 +244,7 @@ mod tests {
     const STRIDE: usize = 107;
 
     /// Levels of a ring with noise, and of anything beyond the last column.
-    fn picture(ring: &Expected, polarity: Polarity, seed: u64) -> Vec<u8> {
+    fn picture(ring: &PredictedRims, polarity: Polarity, seed: u64) -> Vec<u8> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let pixel = |at: usize| {
             let place = PixelPoint { u: (at % STRIDE) as f64, v: (at / STRIDE) as f64 };
@@ -264,7 +275,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn sums_are_those_of_the_belts(
+        fn sums_are_those_of_the_bands(
             (u, v) in (45.0..55.0f64, 45.0..55.0f64),
             semi_major_px in 12.0..24.0f64,
             flat in 0.6..1.0f64,
@@ -280,63 +291,63 @@ mod tests {
                 semi_minor_px: semi_major_px * flat * share,
                 angle_rad,
             };
-            let expected = Expected::new(&rim(1.0), &rim(ratio));
+            let predicted = PredictedRims::new(&rim(1.0), &rim(ratio));
             let polarity = if is_white { Polarity::WhiteRing } else { Polarity::BlackRing };
-            let bytes = picture(&expected, polarity, seed);
+            let bytes = picture(&predicted, polarity, seed);
             let frame = Frame::new(&bytes, SIDE, SIDE, STRIDE).unwrap();
             let bounds = Window { left: 18, top: 15, right: 80, bottom: 85 };
             let (center, threshold) = ((u as usize, v as usize), 120);
-            let probe = Probe { center, threshold, bounds, polarity, expected: None };
+            let probe = Probe { center, threshold, bounds, polarity, predicted: None };
             let (mut patch, mut words) = (Patch::default(), Patch::default());
             let (mut planes, mut table) = (Planes::default(), Table::default());
-            let mut scratch = BeltScratch::new();
+            let mut scratch = BandScratch::new();
             let level = if is_baseline { Level::baseline() } else { Level::new() };
-            let (summed, found) = dispatch!(level, simd => {
+            let (accumulated, found) = dispatch!(level, simd => {
                 Patch::load(simd, &mut patch, &frame, bounds, (threshold, polarity));
                 assert!(Patch::threshold(simd, &mut words, &frame, bounds, (threshold, polarity)));
                 let to = (&mut table, 3);
-                let summed = tally(simd, &frame, (&words, &probe), &expected, &mut planes, to);
-                (summed, belts_about(simd, &patch, &expected, &mut scratch))
+                let accumulated = accumulate_ring(simd, &frame, (&words, &probe), &predicted, &mut planes, to);
+                (accumulated, bands_about(simd, &patch, &predicted, &mut scratch))
             });
             prop_assert_eq!(patch.window, words.window);
             prop_assert_eq!(&patch.white[..patch.rows()], &words.white[..patch.rows()]);
-            prop_assert_eq!(summed, found.is_some());
+            prop_assert_eq!(accumulated, found.is_some());
             let Some(found) = found else { return Ok(()) };
             let (middle_u, middle_v) = (found.middle.0 as f64, found.middle.1 as f64);
-            let Belts { top, disc_core, disc_belt, ring_core, ring_belt, black, near, far, .. } =
-                found.belts;
+            let EdgeBands { top, disc_core, disc_band, ring_core, ring_band, black, near, far, .. } =
+                found.bands;
             let of = |set: &[u64]| pixels(set, &patch.grey[top..]);
             let at = |row: Row, after: usize| table.row(row, after)[3];
-            for (row, belt, reach) in [
-                (Row::OuterBelt, of(ring_belt), at(Row::OuterReach, 0)),
-                (Row::InnerBelt, of(disc_belt), at(Row::InnerReach, 0)),
+            for (row, band, reach) in [
+                (Row::OuterBand, of(ring_band), at(Row::OuterReach, 0)),
+                (Row::InnerBand, of(disc_band), at(Row::InnerReach, 0)),
             ] {
                 let t = |v: f64| reach - (v - middle_v);
                 let plain = [
-                    sum(&belt, |_, _, level| level),
-                    sum(&belt, |_, v, level| level * t(v)),
-                    sum(&belt, |_, v, level| level * t(v) * (t(v) + 1.0) / 2.0),
-                    sum(&belt, |u, _, level| level * (u - middle_u)),
-                    sum(&belt, |u, v, level| level * (u - middle_u) * t(v)),
-                    sum(&belt, |u, _, level| level * (u - middle_u).powi(2)),
+                    sum(&band, |_, _, level| level),
+                    sum(&band, |_, v, level| level * t(v)),
+                    sum(&band, |_, v, level| level * t(v) * (t(v) + 1.0) / 2.0),
+                    sum(&band, |u, _, level| level * (u - middle_u)),
+                    sum(&band, |u, v, level| level * (u - middle_u) * t(v)),
+                    sum(&band, |u, _, level| level * (u - middle_u).powi(2)),
                 ];
                 prop_assert_eq!([0, 1, 2, 3, 4, 5].map(|k| at(row, k)), plain);
             }
             let both = |a: &[u64], b: &[u64]| {
                 pixels(&a.iter().zip(b).map(|(a, b)| a | b).collect::<Vec<_>>(), &patch.grey[top..])
             };
-            let ovals =
-                [of(disc_core), both(disc_core, disc_belt), of(ring_core), both(ring_core, ring_belt)];
-            for (index, oval) in ovals.iter().enumerate() {
+            let ellipses =
+                [of(disc_core), both(disc_core, disc_band), of(ring_core), both(ring_core, ring_band)];
+            for (index, ellipse) in ellipses.iter().enumerate() {
                 let plain = [
-                    sum(oval, |_, _, _| 1.0),
-                    sum(oval, |_, v, _| v - middle_v),
-                    sum(oval, |_, v, _| (v - middle_v).powi(2)),
-                    sum(oval, |u, _, _| 2.0 * (u - middle_u)),
-                    sum(oval, |u, v, _| 2.0 * (u - middle_u) * (v - middle_v)),
-                    sum(oval, |u, _, _| 12.0 * (u - middle_u).powi(2)),
+                    sum(ellipse, |_, _, _| 1.0),
+                    sum(ellipse, |_, v, _| v - middle_v),
+                    sum(ellipse, |_, v, _| (v - middle_v).powi(2)),
+                    sum(ellipse, |u, _, _| 2.0 * (u - middle_u)),
+                    sum(ellipse, |u, v, _| 2.0 * (u - middle_u) * (v - middle_v)),
+                    sum(ellipse, |u, _, _| 12.0 * (u - middle_u).powi(2)),
                 ];
-                prop_assert_eq!([0, 1, 2, 3, 4, 5].map(|k| at(Row::Ovals, 6 * index + k)), plain);
+                prop_assert_eq!([0, 1, 2, 3, 4, 5].map(|k| at(Row::Ellipses, 6 * index + k)), plain);
             }
             let margin = both(near, far);
             let is_left = |u: f64, of: f64| if u < middle_u { of } else { 0.0 };

@@ -21,10 +21,10 @@ use fearless_simd::{Level, Simd, SimdFrom, dispatch, f64x8};
 use fearless_simd_macros::simd;
 
 use crate::marker::batch::{
-    accumulate::tally,
+    accumulate::accumulate_ring,
     planes::Planes,
     rims::Rims,
-    shapes::Oval,
+    shapes::LaneEllipse,
     table::{RINGS, Table},
 };
 use crate::{
@@ -38,9 +38,9 @@ use crate::{
         ring::{
             measure::{RETHRESHOLD_SHARE, own_threshold},
             pixels::{
-                ellipse_mask::Rim,
+                ellipse_mask::RimEllipse,
                 patch::Patch,
-                predicted::{Expected, motion},
+                predicted::{PredictedRims, disc_motion},
             },
             probe::{Probe, Rules},
             subpixel::unevenness::{Pixels, unevenness},
@@ -52,60 +52,60 @@ use crate::{
 
 /// Memory of measuring rings side by side.
 #[derive(Debug)]
-pub(crate) struct AbreastScratch {
+pub(crate) struct BatchScratch {
     level: Level,
     patch: Patch,
     planes: Planes,
     table: Table,
     /// Where rings are thought to be.
-    pub probes: [Option<Probe>; TOGETHER],
+    pub probes: [Option<Probe>; BATCH_SIZE],
     /// Those found there.
-    pub rings: [Option<Ring>; TOGETHER],
+    pub rings: [Option<Ring>; BATCH_SIZE],
     /// Of their outer and inner rims, [`crate::ellipse::Ellipse::matrix`].
-    matrices: [[Symmetric2; 2]; TOGETHER],
+    matrices: [[Symmetric2; 2]; BATCH_SIZE],
 }
 
-impl Default for AbreastScratch {
+impl Default for BatchScratch {
     fn default() -> Self {
         let (patch, planes, table) = Default::default();
-        let (probes, rings) = ([None; TOGETHER], [None; TOGETHER]);
-        let matrices = [[Symmetric2::default(); 2]; TOGETHER];
+        let (probes, rings) = ([None; BATCH_SIZE], [None; BATCH_SIZE]);
+        let matrices = [[Symmetric2::default(); 2]; BATCH_SIZE];
         Self { level: Level::new(), patch, planes, table, probes, rings, matrices }
     }
 }
 
-impl AbreastScratch {
+impl BatchScratch {
     /// Room for windows as high as frames of this height.
-    pub fn make_room(&mut self, height: usize) {
-        self.patch.make_room(1, height);
+    pub fn reserve(&mut self, height: usize) {
+        self.patch.reserve(1, height);
     }
 
     /// The rims of the ring found at a place.
-    pub fn rims(&self, place: usize) -> Option<Expected> {
+    pub fn rims(&self, place: usize) -> Option<PredictedRims> {
         let ring = self.rings[place].as_ref()?;
         let [outer, inner] = self.matrices[place];
-        Some(Expected {
-            outer: Rim { ellipse: ring.outer, matrix: outer },
-            inner: Rim { ellipse: ring.inner, matrix: inner },
+        Some(PredictedRims {
+            outer: RimEllipse { ellipse: ring.outer, matrix: outer },
+            inner: RimEllipse { ellipse: ring.inner, matrix: inner },
         })
     }
 }
 
 /// Rings that are measured together.
-pub(crate) const TOGETHER: usize = RINGS;
+pub(crate) const BATCH_SIZE: usize = RINGS;
 
 /// A ring that has been summed up.
 #[derive(Clone, Copy, Debug)]
-struct Summed<'a> {
+struct Accumulated<'a> {
     /// The place of its probe.
     place: usize,
     probe: &'a Probe,
-    found: Spotted,
+    found: Located,
 }
 
 /// Where a ring's disc is.
 #[derive(Clone, Copy, Debug)]
-struct Spotted {
+struct Located {
     /// How far it has moved from where it was expected, pixels.
     moved_px: (f64, f64),
     window: Window,
@@ -113,11 +113,11 @@ struct Spotted {
 
 /// Finds, at the scratch's probes, the rings of plain kinds with similar rims that are just where they are
 /// expected. A ring comes out the same whichever are beside it.
-pub(crate) fn measure_each(
+pub(crate) fn measure_batch(
     frame: &Frame,
     rules: &Rules,
     kinds: &[Kind],
-    scratch: &mut AbreastScratch,
+    scratch: &mut BatchScratch,
 ) {
     dispatch!(scratch.level, simd => measure_with(simd, frame, (rules, kinds), scratch));
 }
@@ -127,16 +127,16 @@ fn measure_with<S: Simd>(
     simd: S,
     frame: &Frame,
     (rules, kinds): (&Rules, &[Kind]),
-    scratch: &mut AbreastScratch,
+    scratch: &mut BatchScratch,
 ) {
-    let AbreastScratch { patch, planes, table, probes, rings, matrices, .. } = scratch;
-    let mut summed = [const { None }; TOGETHER];
+    let BatchScratch { patch, planes, table, probes, rings, matrices, .. } = scratch;
+    let mut accumulated = [const { None }; BATCH_SIZE];
     let mut count = 0;
     for (place, probe) in probes.iter().enumerate() {
         let Some(probe) = probe else { continue };
         let to = (&mut *table, count);
-        if let Some(found) = sum_up(simd, frame, probe, (patch, planes), to) {
-            summed[count] = Some(Summed { place, probe, found });
+        if let Some(found) = accumulate_probe(simd, frame, probe, (patch, planes), to) {
+            accumulated[count] = Some(Accumulated { place, probe, found });
             count += 1;
         }
     }
@@ -146,33 +146,33 @@ fn measure_with<S: Simd>(
         // Eight take longer than one, and not as long as two.
         1 => {
             let rims = Rims::of(0.0, table, size, (rules, kinds));
-            finish(simd, frame, &summed, &rims, (rings, matrices));
+            finish(simd, frame, &accumulated, &rims, (rings, matrices));
         }
         _ => {
             let rims = Rims::of(f64x8::simd_from(simd, 0.0), table, size, (rules, kinds));
-            finish(simd, frame, &summed, &rims, (rings, matrices));
+            finish(simd, frame, &accumulated, &rims, (rings, matrices));
         }
     }
 }
 
 /// Sums up the ring at a probe if it is there.
 #[simd]
-fn sum_up<S: Simd>(
+fn accumulate_probe<S: Simd>(
     simd: S,
     frame: &Frame,
     probe: &Probe,
     (patch, planes): (&mut Patch, &mut Planes),
     to: (&mut Table, usize),
-) -> Option<Spotted> {
-    let expected = probe.expected.as_ref()?;
+) -> Option<Located> {
+    let predicted = probe.predicted.as_ref()?;
     let with = (probe.frame_threshold(), probe.polarity);
     if !Patch::threshold(simd, patch, frame, probe.bounds, with) {
         return None;
     }
-    let moved_px = motion(simd, patch, expected)?;
-    let expected = expected.moved(moved_px.0, moved_px.1);
-    let is_one = tally(simd, frame, (patch, probe), &expected, planes, to);
-    is_one.then_some(Spotted { moved_px, window: patch.window })
+    let moved_px = disc_motion(simd, patch, predicted)?;
+    let predicted = predicted.moved(moved_px.0, moved_px.1);
+    let is_one = accumulate_ring(simd, frame, (patch, probe), &predicted, planes, to);
+    is_one.then_some(Located { moved_px, window: patch.window })
 }
 
 /// The rings whose rims are good.
@@ -180,13 +180,13 @@ fn sum_up<S: Simd>(
 fn finish<S: Simd, T: Lane>(
     simd: S,
     frame: &Frame,
-    summed: &[Option<Summed>; TOGETHER],
+    accumulated: &[Option<Accumulated>; BATCH_SIZE],
     rims: &Rims<T>,
-    (rings, matrices): (&mut [Option<Ring>; TOGETHER], &mut [[Symmetric2; 2]; TOGETHER]),
+    (rings, matrices): (&mut [Option<Ring>; BATCH_SIZE], &mut [[Symmetric2; 2]; BATCH_SIZE]),
 ) {
-    for (lane, summed) in summed.iter().enumerate() {
-        let Some(Summed { place, probe, found }) = summed else { break };
-        if !rims.known.is_set(lane) || !is_met(probe, found.moved_px, &rims.raw, lane) {
+    for (lane, accumulated) in accumulated.iter().enumerate() {
+        let Some(Accumulated { place, probe, found }) = accumulated else { break };
+        if !rims.valid.is_set(lane) || !is_near(probe, found.moved_px, &rims.raw, lane) {
             continue;
         }
         let (black, white) = (rims.black.lane(lane), rims.white.lane(lane));
@@ -212,20 +212,25 @@ fn finish<S: Simd, T: Lane>(
             unevenness,
             ..Ring::of_rims(outer.at(lane), inner.at(lane))
         };
-        rings[*place] = Some(ring.seen_as(probe.polarity));
+        rings[*place] = Some(ring.with_polarity(probe.polarity));
         matrices[*place] = [outer.matrix_at(lane), inner.matrix_at(lane)];
     }
 }
 
-/// Whether the rims in a lane are in the middle of their belts.
+/// Whether the rims in a lane are in the middle of their bands.
 #[inline(always)]
-fn is_met<T: Lane>(probe: &Probe, (du, dv): (f64, f64), rims: &[Oval<T>; 2], lane: usize) -> bool {
+fn is_near<T: Lane>(
+    probe: &Probe,
+    (du, dv): (f64, f64),
+    rims: &[LaneEllipse<T>; 2],
+    lane: usize,
+) -> bool {
     let (mut outer, mut inner) = (rims[0].at(lane), rims[1].at(lane));
     for found in [&mut outer, &mut inner] {
         found.center.u -= du;
         found.center.v -= dv;
     }
-    probe.expected.as_ref().is_some_and(|expected| expected.is_met(&outer, &inner))
+    probe.predicted.as_ref().is_some_and(|predicted| predicted.is_near(&outer, &inner))
 }
 
 #[cfg(test)]
@@ -277,7 +282,7 @@ mod tests {
     }
 
     /// Eight rings, every other one white, and their probes.
-    fn picture(rings: &[(Ellipse, f64, (f64, f64))]) -> (Vec<u8>, [Option<Probe>; TOGETHER]) {
+    fn picture(rings: &[(Ellipse, f64, (f64, f64))]) -> (Vec<u8>, [Option<Probe>; BATCH_SIZE]) {
         let polarity = |place: usize| [Polarity::BlackRing, Polarity::WhiteRing][place / 2 % 2];
         let corner = |place: usize| ((place % 4 * CELL) as f64, (place / 4 * CELL) as f64);
         let level = |u: f64, v: f64| {
@@ -304,14 +309,14 @@ mod tests {
         let probe = |place: usize| {
             let (rim, ratio, off) = rings[place];
             let (left, top) = corner(place);
-            let expected =
-                Expected::new(&rim, &scaled(&rim, ratio)).moved(left + off.0, top + off.1);
-            let PixelPoint { u, v } = expected.outer.ellipse.center;
+            let predicted =
+                PredictedRims::new(&rim, &scaled(&rim, ratio)).moved(left + off.0, top + off.1);
+            let PixelPoint { u, v } = predicted.outer.ellipse.center;
             let bounds = Window::around(&frame, (u, v), (31.0, 31.0));
             let center = (u as usize, v as usize);
             let threshold = if polarity(place) == Polarity::BlackRing { 118 } else { 138 };
-            let (polarity, expected) = (polarity(place), Some(expected));
-            Some(Probe { center, threshold, bounds, polarity, expected })
+            let (polarity, predicted) = (polarity(place), Some(predicted));
+            Some(Probe { center, threshold, bounds, polarity, predicted })
         };
         let probes = std::array::from_fn(probe);
         (bytes, probes)
@@ -320,20 +325,20 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(24))]
         #[test]
-        fn rings_are_those_measured_alone(rings in proptest::collection::vec(ring(), TOGETHER)) {
+        fn rings_are_those_measured_alone(rings in proptest::collection::vec(ring(), BATCH_SIZE)) {
             let (bytes, probes) = picture(&rings);
             let frame = Frame::new(&bytes, SIDE, 2 * CELL, SIDE).unwrap();
             let kinds = [0.4, 0.5].map(|ratio| Kind::plain("black", 0.1, 0.1 * ratio));
             let white = kinds.clone().map(|kind| Kind { polarity: Polarity::WhiteRing, ..kind });
             let kinds = [kinds, white].concat();
             for level in [Level::new(), Level::baseline()] {
-                let mut scratch = AbreastScratch { level, probes, ..AbreastScratch::default() };
-                measure_each(&frame, &rules(), &kinds, &mut scratch);
+                let mut scratch = BatchScratch { level, probes, ..BatchScratch::default() };
+                measure_batch(&frame, &rules(), &kinds, &mut scratch);
                 let found = scratch.rings;
                 // Some are left to themselves, few of them.
-                prop_assert!(found.iter().flatten().count() >= TOGETHER - 2, "{:?}", found);
+                prop_assert!(found.iter().flatten().count() >= BATCH_SIZE - 2, "{:?}", found);
                 let mut alone = MeasureScratch::default();
-                for place in 0..TOGETHER {
+                for place in 0..BATCH_SIZE {
                     let Some(ring) = &found[place] else { continue };
                     let probe = probes[place].as_ref().unwrap();
                     let plain = measure(&frame, probe, &rules(), &kinds, &mut alone).unwrap();
@@ -354,11 +359,11 @@ mod tests {
                         prop_assert!((ours - plain).abs() < 1e-4, "{ours} {plain}");
                     }
                     // To the last bit, whichever are beside it.
-                    scratch.probes = [None; TOGETHER];
-                    scratch.probes[TOGETHER - 1 - place] = probes[place];
-                    scratch.rings = [None; TOGETHER];
-                    measure_each(&frame, &rules(), &kinds, &mut scratch);
-                    prop_assert_eq!(scratch.rings[TOGETHER - 1 - place], Some(*ring));
+                    scratch.probes = [None; BATCH_SIZE];
+                    scratch.probes[BATCH_SIZE - 1 - place] = probes[place];
+                    scratch.rings = [None; BATCH_SIZE];
+                    measure_batch(&frame, &rules(), &kinds, &mut scratch);
+                    prop_assert_eq!(scratch.rings[BATCH_SIZE - 1 - place], Some(*ring));
                 }
             }
         }

@@ -2,28 +2,28 @@
 
 use fearless_simd::Simd;
 
-use crate::marker::ring::pixels::ellipse_mask::{Chords, Rows};
+use crate::marker::ring::pixels::ellipse_mask::{RowBits, RowSpans};
 
-/// Columns that a disc's belt may have.
+/// Columns that a disc's band may have.
 pub(super) const HALF_PX: usize = 32;
-/// Most rows of a ring's belts and margin: what is summed then fits into 32 bits.
-pub(super) const MOST_ROWS: usize = 64;
+/// Most rows of a ring's bands and margin: what is summed then fits into 32 bits.
+pub(super) const MAX_ROWS: usize = 64;
 /// Sets of pixels, a word a row.
 #[derive(Clone, Debug)]
 pub(super) struct Planes {
-    pub disc_core: [u64; MOST_ROWS],
-    pub disc_belt: [u64; MOST_ROWS],
-    pub ring_belt: [u64; MOST_ROWS],
-    pub black: [u64; MOST_ROWS],
-    pub near: [u64; MOST_ROWS],
-    pub far: [u64; MOST_ROWS],
+    pub disc_core: [u64; MAX_ROWS],
+    pub disc_band: [u64; MAX_ROWS],
+    pub ring_band: [u64; MAX_ROWS],
+    pub black: [u64; MAX_ROWS],
+    pub near: [u64; MAX_ROWS],
+    pub far: [u64; MAX_ROWS],
 }
 
 impl Default for Planes {
     fn default() -> Self {
-        let none = [0; MOST_ROWS];
-        let (disc_core, disc_belt, ring_belt) = (none, none, none);
-        Self { disc_core, disc_belt, ring_belt, black: none, near: none, far: none }
+        let none = [0; MAX_ROWS];
+        let (disc_core, disc_band, ring_band) = (none, none, none);
+        Self { disc_core, disc_band, ring_band, black: none, near: none, far: none }
     }
 }
 
@@ -34,18 +34,18 @@ impl Planes {
     pub fn store<S: Simd>(
         &mut self,
         simd: S,
-        chords: [&Chords<S>; 6],
-        white: Rows<S>,
+        row_spans: [&RowSpans<S>; 6],
+        white: RowBits<S>,
         row: usize,
-    ) -> Rows<S> {
-        let [core, disc, ring, whole, beside, beyond] = chords;
+    ) -> RowBits<S> {
+        let [core, disc, ring, whole, beside, beyond] = row_spans;
         let (core, disc) = (core.word(simd), disc.word(simd));
         let (ring, whole) = (ring.word(simd), whole.word(simd));
         let (beside, beyond) = (beside.word(simd), beyond.word(simd));
         let (black, near) = (ring.without(disc), beside.without(whole));
         core.store(&mut self.disc_core, (row, 1));
-        disc.without(core).store(&mut self.disc_belt, (row, 1));
-        whole.without(ring).store(&mut self.ring_belt, (row, 1));
+        disc.without(core).store(&mut self.disc_band, (row, 1));
+        whole.without(ring).store(&mut self.ring_band, (row, 1));
         black.store(&mut self.black, (row, 1));
         near.store(&mut self.near, (row, 1));
         beyond.without(beside).store(&mut self.far, (row, 1));

@@ -1,7 +1,7 @@
 //! Rims of rings side by side without the blur, with the tests that they pass and their kinds.
 
 use crate::marker::batch::{
-    shapes::{Levels, Oval, Place, Shape, read},
+    shapes::{LaneEllipse, Levels, RimRows, Shape, read},
     table::{Row, Table},
 };
 use crate::{
@@ -13,11 +13,11 @@ use crate::{
         kind::{Kind, Pattern, Polarity},
         ring::{
             checks::{
-                CENTER_TOLERANCE, LEVEL_TOLERANCE, MOST_SPREAD_PX2, ROUNDNESS_TOLERANCE,
+                CENTER_TOLERANCE, LEVEL_TOLERANCE, MAX_SPREAD_PX2, ROUNDNESS_TOLERANCE,
                 SIMILARITY_TOLERANCE,
             },
             probe::Rules,
-            subpixel::{EDGE_PX, blur::Lifted, levels::gradient},
+            subpixel::{EDGE_PX, blur::BlurCorrection, levels::gradient},
         },
     },
     simd::Lane,
@@ -26,17 +26,17 @@ use crate::{
 /// Rings' rims, with all that is told beside them.
 pub(super) struct Rims<T: Lane> {
     /// Whether all of it is good.
-    pub known: T::Mask,
+    pub valid: T::Mask,
     /// Outer and inner rim without the blur.
-    pub raw: [Oval<T>; 2],
+    pub raw: [LaneEllipse<T>; 2],
     /// The same as the kind has them.
-    pub compensated: [Oval<T>; 2],
+    pub compensated: [LaneEllipse<T>; 2],
     pub kind: T,
     pub black: T,
     pub white: T,
     /// Before the blur was undone.
     pub contrast: T,
-    /// Place and matrix of the outer rim before that.
+    /// RimRows and matrix of the outer rim before that.
     pub edge: [T; 5],
 }
 
@@ -51,37 +51,46 @@ impl<T: Lane> Rims<T> {
         let levels = Levels::of(zero, table);
         let (black, white, margin) = (&levels.black, &levels.white, &levels.margin);
         let contrast = white.level - black.level;
-        let of_outer = Place { belt: Row::OuterBelt, reach: Row::OuterReach, ovals: (2, 3) };
-        let of_inner = Place { belt: Row::InnerBelt, reach: Row::InnerReach, ovals: (0, 1) };
+        let of_outer = RimRows { band: Row::OuterBand, reach: Row::OuterReach, ellipses: (2, 3) };
+        let of_inner = RimRows { band: Row::InnerBand, reach: Row::InnerReach, ellipses: (0, 1) };
         let outer = Shape::of(table, &of_outer, (margin.level, black.level));
         let inner = Shape::of(table, &of_inner, (black.level, white.level));
-        let (seen_outer, seen_inner) = (outer.seen(), inner.seen());
-        let lifted = Lifted::of_wide((&seen_outer, &seen_inner), (black, white, Some(margin)));
-        let (black, white) = lifted.levels(black.level, white.level);
+        let (outer_spread, inner_spread) = (outer.spread(), inner.spread());
+        let correction =
+            BlurCorrection::of_wide((&outer_spread, &inner_spread), (black, white, Some(margin)));
+        let (black, white) = correction.levels(black.level, white.level);
 
-        let spreads = (seen_outer.spread_px2, seen_inner.spread_px2);
+        let spreads = (outer_spread.spread_px2, inner_spread.spread_px2);
         let good = zero.splat(rules.min_contrast).at_most(contrast)
-            & levels.known
-            & outer.known
-            & inner.known
+            & levels.valid
+            & outer.valid
+            & inner.valid
             & are_levels(black, white, rules)
             & are_shapes(&outer, &inner, spreads, rules)
             & is_within(size, &outer);
         let radii = ((outer.rim.a * outer.rim.b).root(), (inner.rim.a * inner.rim.b).root());
         let along = gradient(levels.slopes, radii);
         let raw = [
-            moved(&outer, radii.0, -contrast, along).grown(lifted.grown_px.0),
-            moved(&inner, radii.1, contrast, along).grown(lifted.grown_px.1),
+            moved(&outer, radii.0, -contrast, along).grown(correction.grown_px.0),
+            moved(&inner, radii.1, contrast, along).grown(correction.grown_px.1),
         ];
         let is_white = read(zero, table, Row::IsWhite, 0);
         let nearest = Nearest::of(&raw, is_white, kinds);
         let compensated = [
-            Oval { a: raw[0].a + nearest.shift_px, b: raw[0].b + nearest.shift_px, ..raw[0] },
-            Oval { a: raw[1].a - nearest.shift_px, b: raw[1].b - nearest.shift_px, ..raw[1] },
+            LaneEllipse {
+                a: raw[0].a + nearest.shift_px,
+                b: raw[0].b + nearest.shift_px,
+                ..raw[0]
+            },
+            LaneEllipse {
+                a: raw[1].a - nearest.shift_px,
+                b: raw[1].b - nearest.shift_px,
+                ..raw[1]
+            },
         ];
         let [uu, uv, vv] = outer.matrix;
         Self {
-            known: good & nearest.known & are_rims(&compensated),
+            valid: good & nearest.valid & are_rims(&compensated),
             raw,
             compensated,
             kind: nearest.kind,
@@ -95,10 +104,10 @@ impl<T: Lane> Rims<T> {
 
 /// Back to where the light's gradient has not moved it, as in [`crate::marker::ring::subpixel::levels::Levels::movement`].
 #[inline(always)]
-fn moved<T: Lane>(shape: &Shape<T>, radius_px: T, contrast: T, along: (T, T)) -> Oval<T> {
-    let scale = shape.belt * radius_px / (contrast * shape.area_px2);
+fn moved<T: Lane>(shape: &Shape<T>, radius_px: T, contrast: T, along: (T, T)) -> LaneEllipse<T> {
+    let scale = shape.band * radius_px / (contrast * shape.area_px2);
     let rim = shape.rim;
-    Oval {
+    LaneEllipse {
         u: rim.u - scale * shape.matrix[0].root() * along.0,
         v: rim.v - scale * shape.matrix[2].root() * along.1,
         ..rim
@@ -147,11 +156,11 @@ fn are_shapes<T: Lane>(
 
 /// Eq. (5), with the blur.
 #[inline(always)]
-fn is_round<T: Lane>(rim: &Oval<T>, spread_px2: T) -> T::Mask {
+fn is_round<T: Lane>(rim: &LaneEllipse<T>, spread_px2: T) -> T::Mask {
     let tolerance = rim.b.under(ROUNDNESS_TOLERANCE.1) + ROUNDNESS_TOLERANCE.0;
     let share = ((rim.a * rim.a).under(1.0) + (rim.b * rim.b).under(1.0)) * 2.0;
     (-tolerance).at_most(spread_px2 * share)
-        & ((spread_px2 - MOST_SPREAD_PX2) * share).at_most(tolerance)
+        & ((spread_px2 - MAX_SPREAD_PX2) * share).at_most(tolerance)
 }
 
 /// Whether the rim lies far enough from the frame's edge to be measured.
@@ -167,13 +176,13 @@ fn is_within<T: Lane>((width, height): (usize, usize), shape: &Shape<T>) -> T::M
 
 /// Whether both are ellipses, the second one the smaller.
 #[inline(always)]
-fn are_rims<T: Lane>([outer, inner]: &[Oval<T>; 2]) -> T::Mask {
+fn are_rims<T: Lane>([outer, inner]: &[LaneEllipse<T>; 2]) -> T::Mask {
     is_rim(outer) & is_rim(inner) & inner.a.below(outer.a) & inner.b.below(outer.b)
 }
 
 /// Whether it is an ellipse; its centre lies in the frame.
 #[inline(always)]
-fn is_rim<T: Lane>(rim: &Oval<T>) -> T::Mask {
+fn is_rim<T: Lane>(rim: &LaneEllipse<T>) -> T::Mask {
     // What is not a number is not at most itself.
     rim.b.is_positive() & rim.b.at_most(rim.a) & rim.angle_rad.at_most(rim.angle_rad)
 }
@@ -182,15 +191,15 @@ fn is_rim<T: Lane>(rim: &Oval<T>) -> T::Mask {
 struct Nearest<T: Lane> {
     kind: T,
     shift_px: T,
-    known: T::Mask,
+    valid: T::Mask,
 }
 
 impl<T: Lane> Nearest<T> {
     #[inline(always)]
-    fn of([outer, inner]: &[Oval<T>; 2], is_white: T, kinds: &[Kind]) -> Self {
+    fn of([outer, inner]: &[LaneEllipse<T>; 2], is_white: T, kinds: &[Kind]) -> Self {
         let limit_px = (outer.a * outer.b).root() * SHIFT_SHARE + SHIFT_PX;
         let far = limit_px.splat(f64::INFINITY);
-        let mut nearest = Self { kind: far, shift_px: far, known: far.below(far) };
+        let mut nearest = Self { kind: far, shift_px: far, valid: far.below(far) };
         for (index, kind) in kinds.iter().enumerate() {
             if !matches!(kind.pattern, Pattern::Plain) {
                 continue;
@@ -204,7 +213,7 @@ impl<T: Lane> Nearest<T> {
                 & is_same;
             nearest.kind = T::choose(is_nearer, far.splat(index as f64), nearest.kind);
             nearest.shift_px = T::choose(is_nearer, shift_px, nearest.shift_px);
-            nearest.known = nearest.known | is_nearer;
+            nearest.valid = nearest.valid | is_nearer;
         }
         nearest
     }

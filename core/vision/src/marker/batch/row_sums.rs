@@ -1,6 +1,6 @@
-//! The pass over a ring's rows: moments of its belts, and sums of the levels of its parts.
+//! The pass over a ring's rows: moments of its bands, and sums of the levels of its parts.
 //!
-//! Rows are not multiplied by v. With t counting them from the last one, of each row's sum d the sums over all
+//! RowBits are not multiplied by v. With t counting them from the last one, of each row's sum d the sums over all
 //! rows up to it, and the sums of those, add up to Σ d t and Σ d t (t + 1)/2.
 
 use fearless_simd::{Simd, i16x32, i32x16, mask8x64, mask16x32, prelude::*, u8x64, u16x32};
@@ -48,7 +48,7 @@ fn by_turns<S: Simd>(pixels: u8x64<S>) -> [i16x32<S>; 2] {
     [(pairs & 0xff).bitcast(), (pairs >> 8).bitcast()]
 }
 
-/// The six sums of a belt.
+/// The six sums of a band.
 #[derive(Clone, Copy)]
 struct Moments<S: Simd> {
     sums: [i32x16<S>; 6],
@@ -109,7 +109,7 @@ impl<S: Simd> Sums<S> {
         }
     }
 
-    /// Adds these rows, of which the disc's belt has some or none.
+    /// Adds these rows, of which the disc's band has some or none.
     #[inline(always)]
     pub fn add<const HAS_DISC: bool>(
         &mut self,
@@ -122,7 +122,7 @@ impl<S: Simd> Sums<S> {
             let line = &source.pixels[row * source.stride..];
             let pixels = line.first_chunk().expect("the patch is the frame's");
             let pixels = u8x64::load_array(simd, *pixels) ^ source.flip;
-            let [even, odd] = by_turns(only(simd, pixels, planes.ring_belt[row]));
+            let [even, odd] = by_turns(only(simd, pixels, planes.ring_band[row]));
             self.outer.add([
                 (even + odd).pairwise_dot_product(source.ones),
                 even.pairwise_dot_product(source.even.u) + odd.pairwise_dot_product(source.odd.u),
@@ -135,24 +135,24 @@ impl<S: Simd> Sums<S> {
             let [even, odd] = by_turns(far);
             self.far_square += even.pairwise_dot_product(even) + odd.pairwise_dot_product(odd);
             if HAS_DISC {
-                self.add_disc(simd, source, line, [planes.disc_belt[row], planes.disc_core[row]]);
+                self.add_disc(simd, source, line, [planes.disc_band[row], planes.disc_core[row]]);
             }
         }
     }
 
     /// Adds a row of the disc, of which half a word is enough.
     #[inline(always)]
-    fn add_disc(&mut self, simd: S, source: &Source<S>, line: &[u8], [belt, core]: [u64; 2]) {
+    fn add_disc(&mut self, simd: S, source: &Source<S>, line: &[u8], [band, core]: [u64; 2]) {
         let pixels: &[u8; HALF_PX] =
             line[source.disc_column..].first_chunk().expect("the columns are the patch's");
         let pixels = i16x32::from_fn(simd, |column| i16::from(pixels[column])) ^ source.disc_flip;
         let none = i16x32::splat(simd, 0);
-        let set = (belt >> source.disc_column) & u64::from(u32::MAX);
-        let of_belt = mask16x32::from_bitmask(simd, set).select(pixels, none);
+        let set = (band >> source.disc_column) & u64::from(u32::MAX);
+        let of_band = mask16x32::from_bitmask(simd, set).select(pixels, none);
         self.inner.add([
-            of_belt.pairwise_dot_product(source.ones),
-            of_belt.pairwise_dot_product(source.disc.u),
-            of_belt.pairwise_dot_product(source.disc.uu),
+            of_band.pairwise_dot_product(source.ones),
+            of_band.pairwise_dot_product(source.disc.u),
+            of_band.pairwise_dot_product(source.disc.uu),
         ]);
         let set = (core >> source.disc_column) & u64::from(u32::MAX);
         let of_core = mask16x32::from_bitmask(simd, set).select(pixels, none);

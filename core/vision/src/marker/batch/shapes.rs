@@ -7,7 +7,7 @@ use crate::{
     marker::ring::{
         pixels::edge_band::WIDE_PX,
         subpixel::{
-            blur::{Cuts, Seen, Taken, rim_radius_px},
+            blur::{Cuts, LevelSample, RimSpread, rim_radius_px},
             levels::{MARGIN_DEVIATION, MARGIN_FALL, Slope},
         },
     },
@@ -16,7 +16,7 @@ use crate::{
 
 /// An ellipse.
 #[derive(Clone, Copy)]
-pub(super) struct Oval<T> {
+pub(super) struct LaneEllipse<T> {
     pub u: T,
     pub v: T,
     pub a: T,
@@ -26,7 +26,7 @@ pub(super) struct Oval<T> {
     pub along: (T, T),
 }
 
-impl<T: Lane> Oval<T> {
+impl<T: Lane> LaneEllipse<T> {
     #[inline(always)]
     pub fn at(&self, lane: usize) -> Ellipse {
         Ellipse {
@@ -49,30 +49,30 @@ impl<T: Lane> Oval<T> {
     /// As [`Ellipse::grown`].
     #[inline(always)]
     pub fn grown(&self, by_px: T) -> Self {
-        let least = by_px.splat(0.01);
-        Self { a: (self.a + by_px).larger(least), b: (self.b + by_px).larger(least), ..*self }
+        let min = by_px.splat(0.01);
+        Self { a: (self.a + by_px).larger(min), b: (self.b + by_px).larger(min), ..*self }
     }
 }
 
 /// A rim as weighed; see [`crate::ellipse::Shape`].
 pub(super) struct Shape<T: Lane> {
     pub area_px2: T,
-    /// Pixels of its belt.
-    pub belt: T,
+    /// Pixels of its band.
+    pub band: T,
     covariance: [T; 3],
-    pub rim: Oval<T>,
+    pub rim: LaneEllipse<T>,
     /// [`Ellipse::matrix`].
     pub matrix: [T; 3],
-    pub known: T::Mask,
+    pub valid: T::Mask,
 }
 
-/// Grey levels of the parts.
+/// GreySum levels of the parts.
 pub(super) struct Levels<T: Lane> {
-    pub black: Taken<T>,
-    pub white: Taken<T>,
-    pub margin: Taken<T>,
+    pub black: LevelSample<T>,
+    pub white: LevelSample<T>,
+    pub margin: LevelSample<T>,
     pub slopes: (Slope<T>, Slope<T>),
-    pub known: T::Mask,
+    pub valid: T::Mask,
 }
 
 /// A row of the table.
@@ -114,11 +114,12 @@ impl<T: Lane> Levels<T> {
     /// As [`crate::marker::ring::subpixel::levels::Levels`] has them.
     #[inline(always)]
     pub fn of(zero: T, table: &Table) -> Self {
-        let disc_pixels = read(zero, table, Row::Ovals, 0);
-        let black_pixels = read(zero, table, Row::Ovals, 12) - read(zero, table, Row::Ovals, 6);
-        let of_disc = read(zero, table, Row::Disc, 0);
+        let disc_pixels = read(zero, table, Row::Ellipses, 0);
+        let black_pixels =
+            read(zero, table, Row::Ellipses, 12) - read(zero, table, Row::Ellipses, 6);
+        let disc_size = read(zero, table, Row::Disc, 0);
         let of_black = read(zero, table, Row::Black, 0);
-        let (white, black) = (of_disc / disc_pixels, of_black / black_pixels);
+        let (white, black) = (disc_size / disc_pixels, of_black / black_pixels);
         let contrast = white - black;
         let near = Half::of(zero, table, (Row::Near, Row::NearPixels));
         let far = Half::of(zero, table, (Row::Far, Row::FarPixels));
@@ -131,7 +132,7 @@ impl<T: Lane> Levels<T> {
         let falls = (contrast * MARGIN_FALL.0 + MARGIN_FALL.1).below(fall);
         let both = Half { sum: near.sum + far.sum, pixels: near.pixels + far.pixels };
         let is_near = fall.is_positive();
-        let margin = Taken {
+        let margin = LevelSample {
             level: T::choose(is_near, near.mean(), both.mean()),
             pixels: T::choose(is_near, near.pixels, both.pixels),
             distance_px: WIDE_PX,
@@ -144,11 +145,11 @@ impl<T: Lane> Levels<T> {
         let top = Half::of(zero, table, (Row::MarginTop, Row::MarginTopPixels));
         let of_margin = (both.slope(&left), both.slope(&top));
         Self {
-            black: Taken { level: black, pixels: black_pixels, distance_px: WIDE_PX },
-            white: Taken { level: white, pixels: disc_pixels, distance_px: WIDE_PX },
+            black: LevelSample { level: black, pixels: black_pixels, distance_px: WIDE_PX },
+            white: LevelSample { level: white, pixels: disc_pixels, distance_px: WIDE_PX },
             margin,
             slopes: (of_black, of_margin),
-            known: variance.at_most(limit) & !falls,
+            valid: variance.at_most(limit) & !falls,
         }
     }
 }
@@ -165,32 +166,32 @@ fn read_six<T: Lane>(zero: T, table: &Table, row: Row, after: usize) -> [T; 6] {
 
 /// Sums of 1, v, v², u, uv, u² over an ellipse's pixels.
 #[inline(always)]
-fn counted<T: Lane>(zero: T, table: &Table, oval: usize) -> [T; 6] {
-    let [n, nv, nvv, nm, nmv, squares] = read_six(zero, table, Row::Ovals, 6 * oval);
+fn sizes<T: Lane>(zero: T, table: &Table, ellipse: usize) -> [T; 6] {
+    let [n, nv, nvv, nm, nmv, squares] = read_six(zero, table, Row::Ellipses, 6 * ellipse);
     [n, nv, nvv, nm * 0.5, nmv * 0.5, squares * (1.0 / 12.0)]
 }
 
 /// One of the rims: where its sums are.
-pub(super) struct Place {
-    pub belt: Row,
+pub(super) struct RimRows {
+    pub band: Row,
     pub reach: Row,
-    /// The ellipses that end its core and its belt.
-    pub ovals: (usize, usize),
+    /// The ellipses that end its core and its band.
+    pub ellipses: (usize, usize),
 }
 
 impl<T: Lane> Shape<T> {
-    /// Weighed from 0 at one level to 1 at the other.
+    /// WeighedRim from 0 at one level to 1 at the other.
     #[inline(always)]
-    pub fn of(table: &Table, place: &Place, (from, to): (T, T)) -> Self {
+    pub fn of(table: &Table, place: &RimRows, (from, to): (T, T)) -> Self {
         let gain = (to - from).under(1.0);
         let offset = -(gain * from);
         let reach = read(gain, table, place.reach, 0);
         // From rows counted from the last one to rows counted from the middle.
-        let [n, t, tt, nu, tu, uu] = read_six(gain, table, place.belt, 0);
+        let [n, t, tt, nu, tu, uu] = read_six(gain, table, place.band, 0);
         let vv = reach * reach * n - reach * t * 2.0 + tt * 2.0 - t;
         let grey = [n, reach * n - t, vv, nu, reach * nu - tu, uu];
-        let core = counted(gain, table, place.ovals.0);
-        let both = counted(gain, table, place.ovals.1);
+        let core = sizes(gain, table, place.ellipses.0);
+        let both = sizes(gain, table, place.ellipses.1);
         let mut sums = core;
         for (k, sum) in sums.iter_mut().enumerate() {
             *sum = grey[k] * gain + (both[k] - core[k]) * offset + core[k];
@@ -200,7 +201,7 @@ impl<T: Lane> Shape<T> {
         let per = area_px2.under(1.0);
         let (u, v) = (nu * per, nv * per);
         let (uu, uv, vv) = (nuu * per - u * u, nuv * per - u * v, nvv * per - v * v);
-        let known = area_px2.is_positive() & uu.is_positive() & (uu * vv - uv * uv).is_positive();
+        let valid = area_px2.is_positive() & uu.is_positive() & (uu * vv - uv * uv).is_positive();
         let (x, y) = ((uu - vv) * 0.5, uv);
         let radius = (x * x + y * y).root();
         let [a, b] = semiaxes_px(area_px2, radius * 2.0);
@@ -212,7 +213,7 @@ impl<T: Lane> Shape<T> {
         let turned = y.angle_from(x) * 0.5;
         let quarter = std::f64::consts::FRAC_PI_2;
         let is_back = turned.at_most(turned.splat(-quarter));
-        let rim = Oval {
+        let rim = LaneEllipse {
             u: read(gain, table, Row::MiddleU, 0) + u,
             v: read(gain, table, Row::MiddleV, 0) + v,
             a,
@@ -223,16 +224,16 @@ impl<T: Lane> Shape<T> {
         let mean = (a * a + b * b) * 0.5;
         let half = (uu - vv) * 2.0;
         let matrix = [mean + half, uv * 4.0, mean - half];
-        Self { area_px2, belt: both[0] - core[0], covariance: [uu, uv, vv], rim, matrix, known }
+        Self { area_px2, band: both[0] - core[0], covariance: [uu, uv, vv], rim, matrix, valid }
     }
 
     /// What its blur depends on.
     #[inline(always)]
-    pub fn seen(&self) -> Seen<T> {
+    pub fn spread(&self) -> RimSpread<T> {
         let (a, b) = (self.rim.a, self.rim.b);
         let [uu, _, vv] = self.covariance;
         let cuts = Cuts { inside_px: WIDE_PX, outside_px: WIDE_PX };
         let spread_px2 = (uu + vv) * 0.5 - (a * a + b * b) * 0.125;
-        Seen { radius_px: rim_radius_px(a, b), spread_px2, cuts }
+        RimSpread { radius_px: rim_radius_px(a, b), spread_px2, cuts }
     }
 }

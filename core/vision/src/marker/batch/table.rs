@@ -15,8 +15,8 @@ pub(super) struct Table {
 #[derive(Clone, Copy, Debug)]
 #[repr(usize)]
 pub(super) enum Row {
-    OuterBelt = 0,
-    InnerBelt = 6,
+    OuterBand = 0,
+    InnerBand = 6,
     FarSquare = 12,
     Disc,
     Black,
@@ -29,12 +29,12 @@ pub(super) enum Row {
     NearPixels,
     BlackLeftPixels,
     MarginLeftPixels,
-    /// Of the four ellipses that end disc's core and belt, and the roundel's.
-    Ovals,
+    /// Of the four ellipses that end disc's core and band, and the roundel's.
+    Ellipses,
     FarPixels = TOTALS,
     BlackTopPixels,
     MarginTopPixels,
-    /// Rows from the middle to the last one of the outer belt.
+    /// RowBits from the middle to the last one of the outer band.
     OuterReach,
     InnerReach,
     /// The middle's place in the frame.

@@ -67,8 +67,8 @@ pub(crate) fn nearest_kind(
         let Some((outer, inner)) = compensated(outer, inner, shift_px) else { continue };
         let off = off_share(kind, &outer, &inner);
         let perspective = (outer.semi_major_px / PERSPECTIVE_PX).min(1.0).powi(2);
-        let most_px = QUOTIENT_LIMIT.0 + QUOTIENT_LIMIT.1 * perspective * inner.semi_major_px;
-        if shift_px.abs() > limit_px || off.abs() * inner.semi_major_px > most_px {
+        let max_px = QUOTIENT_LIMIT.0 + QUOTIENT_LIMIT.1 * perspective * inner.semi_major_px;
+        if shift_px.abs() > limit_px || off.abs() * inner.semi_major_px > max_px {
             continue;
         }
         let distance_px = shift_px.hypot(off * inner.semi_minor_px);
@@ -81,8 +81,8 @@ pub(crate) fn nearest_kind(
 
 /// The share e by which the disc's longer axis is off the kind's, by the quotient of axes.
 pub(crate) fn off_share(kind: &Kind, outer: &Ellipse, inner: &Ellipse) -> f64 {
-    let (least, most) = kind.ratios();
-    0.5 * (quotient(outer, inner) * least / most).ln()
+    let (min, max) = kind.ratios();
+    0.5 * (quotient(outer, inner) * min / max).ln()
 }
 
 /// p/q, the disc's longer axis over the shorter one on the print.
@@ -144,15 +144,15 @@ pub(crate) mod tests {
                 ..Kind::plain("", 1.0, major)
             };
             let kinds = [kind(0.6, 0.4), Kind::plain("", 1.0, 0.5), kind(0.7, 0.45), kind(0.6, 0.5)];
-            let (least, most) = kinds[drawn].ratios();
+            let (min, max) = kinds[drawn].ratios();
             // A disc of 3 px whose rims are moved by more is as much another of these kinds with less.
             let shift_px = shift * (radius_px / 75.0).min(0.3);
             let tilt = (cos_tilt, about_rad);
-            let (outer, inner) = rims(radius_px, (most, least), turn_rad, tilt, shift_px);
+            let (outer, inner) = rims(radius_px, (max, min), turn_rad, tilt, shift_px);
             let found = nearest_kind(&kinds, Polarity::BlackRing, true, (&outer, &inner));
             let (found, _, inner) = found.unwrap();
             prop_assert_eq!(found, KindId(drawn as u16));
-            let (_, exact) = rims(radius_px, (most, least), turn_rad, tilt, 0.0);
+            let (_, exact) = rims(radius_px, (max, min), turn_rad, tilt, 0.0);
             // A shift of both axes is no shift of an ellipse that is no circle's: little is left.
             prop_assert!((inner.semi_major_px - exact.semi_major_px).abs() < 0.05);
             let alone = [kinds[drawn].clone()];

@@ -26,7 +26,7 @@ pub(crate) fn shift_limit_px(outer: &Ellipse) -> f64 {
 ///
 /// Compensation can bring any pair of rims to any ratio, so the kind cannot be chosen after it: it is
 /// the one that needs the smallest rim shift |t|, and the shift must be one that a camera can cause.
-/// No two kinds have the same ratio ([`crate::marker::DetectorError::Alike`]). Coded kinds are none of them: their
+/// No two kinds have the same ratio ([`crate::marker::DetectorError::Indistinguishable`]). Coded kinds are none of them: their
 /// white is no disc ([`crate::marker::coded::measure`]).
 #[inline(always)]
 pub(crate) fn nearest_kind(

@@ -8,7 +8,7 @@
 use crate::marker::code::{
     Code, CodeError,
     layout::{CodeLayout, Tooth},
-    necklace::{is_periodic, least_distance, necklaces, rotated},
+    necklace::{is_periodic, necklaces, rotated, rotation_distance},
 };
 
 /// All identities of a layout, and a table from words to identities.
@@ -93,7 +93,7 @@ impl Dictionary {
     pub fn distance(&self, number: u16) -> Option<u8> {
         let word = self.word(number)?;
         let others = self.words.iter().filter(|&&other| other != word);
-        others.map(|&other| least_distance(word, other, self.layout.bits)).min()
+        others.map(|&other| rotation_distance(word, other, self.layout.bits)).min()
     }
 
     /// Bits in which an identity differs from its own rotations, at least: what a wrong yaw costs.
@@ -163,10 +163,10 @@ mod tests {
     fn distances_hold_and_no_further_code_would_fit() {
         for (bits, min_distance) in [(8, 1), (8, 2), (9, 3), (11, 4)] {
             let dictionary = codes(bits, min_distance).unwrap();
-            let least = (1..=dictionary.len() as u16).map(|n| dictionary.distance(n).unwrap());
-            assert!(least.min().unwrap() >= min_distance, "{bits} {min_distance}");
+            let min = (1..=dictionary.len() as u16).map(|n| dictionary.distance(n).unwrap());
+            assert!(min.min().unwrap() >= min_distance, "{bits} {min_distance}");
             for word in necklaces(bits).filter(|&word| !is_periodic(word, bits)) {
-                let near = |&other: &u16| least_distance(word, other, bits) < min_distance;
+                let near = |&other: &u16| rotation_distance(word, other, bits) < min_distance;
                 let taken = dictionary.words.contains(&word);
                 assert!(taken || dictionary.words.iter().any(near), "{bits} {min_distance} {word}");
             }

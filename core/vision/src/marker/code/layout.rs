@@ -10,7 +10,7 @@ use std::f64::consts::PI;
 
 use thiserror::Error;
 
-use crate::marker::code::necklace::most_distance;
+use crate::marker::code::necklace::max_distance;
 
 /// How codes of a kind are printed: WhyCode's Manchester code of `bits` bits, whose rotation-minimal
 /// numbers are the identities.
@@ -36,14 +36,14 @@ pub enum CodeError {
         found: u8,
     },
     /// No two codes are that different.
-    #[error("expected a Hamming distance of 1 to {most} for codes of {bits} bits, found {found}")]
+    #[error("expected a Hamming distance of 1 to {max} for codes of {bits} bits, found {found}")]
     Distance {
         /// The code's bits.
         bits: u8,
         /// As asked for.
         found: u8,
         /// The largest distance that leaves two identities or more.
-        most: u8,
+        max: u8,
     },
 }
 
@@ -72,9 +72,9 @@ impl CodeLayout {
         if bits < Self::BITS.0 || bits > Self::BITS.1 {
             return Err(CodeError::Bits { found: bits });
         }
-        let most = most_distance(bits);
-        if min_distance == 0 || min_distance > most {
-            return Err(CodeError::Distance { bits, found: min_distance, most });
+        let max = max_distance(bits);
+        if min_distance == 0 || min_distance > max {
+            return Err(CodeError::Distance { bits, found: min_distance, max });
         }
         Ok(())
     }
@@ -138,11 +138,11 @@ mod tests {
             "expected codes of 5 to 16 bits, found 17"
         );
         for bits in 5..=16 {
-            let Err(CodeError::Distance { most, .. }) = layout(bits, 200).check() else {
+            let Err(CodeError::Distance { max, .. }) = layout(bits, 200).check() else {
                 panic!("{bits} bits at a distance of 200");
             };
-            assert!(layout(bits, most).codes().unwrap().len() >= 2);
-            assert!(layout(bits, most + 1).codes().is_err());
+            assert!(layout(bits, max).codes().unwrap().len() >= 2);
+            assert!(layout(bits, max + 1).codes().is_err());
             assert!(layout(bits, 0).codes().is_err());
         }
     }

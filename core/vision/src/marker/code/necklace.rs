@@ -1,11 +1,11 @@
 //! Words up to rotation: a necklace is the smallest of a word's rotations.
 
 /// The largest distance that leaves two identities or more.
-pub(super) fn most_distance(bits: u8) -> u8 {
+pub(super) fn max_distance(bits: u8) -> u8 {
     // The first identity is the smallest necklace, 0…01; what matters is how far another can be.
     let first = 1;
     let others = necklaces(bits).filter(|&word| word != first && !is_periodic(word, bits));
-    others.map(|word| least_distance(first, word, bits)).max().unwrap_or(1)
+    others.map(|word| rotation_distance(first, word, bits)).max().unwrap_or(1)
 }
 
 /// Rotation to the left by `shift` < `bits` bits.
@@ -24,8 +24,7 @@ pub(super) fn is_periodic(word: u16, bits: u8) -> bool {
     (1..bits).any(|shift| rotated(word, shift, bits) == word)
 }
 
-pub(super) fn least_distance(one: u16, other: u16, bits: u8) -> u8 {
-    (0..bits).fold(bits, |least, shift| {
-        least.min((one ^ rotated(other, shift, bits)).count_ones() as u8)
-    })
+pub(super) fn rotation_distance(one: u16, other: u16, bits: u8) -> u8 {
+    (0..bits)
+        .fold(bits, |min, shift| min.min((one ^ rotated(other, shift, bits)).count_ones() as u8))
 }

@@ -4,14 +4,14 @@
 //! others. Sums over a track's frames give the code that most speaks for. What one frame can say is
 //! bounded, since a scratch or a shadow misleads many frames alike; and what is known is bounded, so
 //! that a track whose roundel has been exchanged learns it: a code long established gives way after
-//! [`KNOWN`] / 2 / [`SPOKEN`] frames that agree on another one, and never to a single frame.
+//! [`MAX_LOG_ODDS`] / 2 / [`MAX_FRAME_LOG_ODDS`] frames that agree on another one, and never to a single frame.
 
 use crate::marker::code::{Code, CodeReading};
 
 /// Log-odds that one frame speaks for at most: a likelihood of 0.998.
-const SPOKEN: f64 = 6.0;
+const MAX_FRAME_LOG_ODDS: f64 = 6.0;
 /// Log-odds that a code is known by at most.
-const KNOWN: f64 = 36.0;
+const MAX_LOG_ODDS: f64 = 36.0;
 /// Codes that one track weighs against each other.
 const RIVALS: usize = 3;
 
@@ -35,22 +35,22 @@ impl Vote {
     /// Takes a frame's reading.
     pub fn add(&mut self, reading: &CodeReading) {
         let doubt = (1.0 - reading.confidence).max(f64::MIN_POSITIVE);
-        let spoken = (reading.confidence / doubt).ln().clamp(0.0, SPOKEN);
-        let mut is_known = false;
+        let log_odds = (reading.confidence / doubt).ln().clamp(0.0, MAX_FRAME_LOG_ODDS);
+        let mut is_rival = false;
         for (code, sum) in self.rivals.iter_mut().flatten() {
             if *code == reading.code {
-                *sum = (*sum + spoken).min(KNOWN);
-                is_known = true;
+                *sum = (*sum + log_odds).min(MAX_LOG_ODDS);
+                is_rival = true;
             } else {
-                *sum -= spoken;
+                *sum -= log_odds;
             }
         }
         for rival in &mut self.rivals {
             *rival = rival.filter(|(_, sum)| *sum > 0.0);
         }
-        if !is_known && spoken > 0.0 {
+        if !is_rival && log_odds > 0.0 {
             // The places are in order, and a free one comes last.
-            self.rivals[RIVALS - 1] = Some((reading.code, spoken));
+            self.rivals[RIVALS - 1] = Some((reading.code, log_odds));
         }
         let sum = |rival: &Option<(Code, f64)>| rival.map_or(0.0, |(_, sum)| sum);
         // Stable: of two that are level, the one known before stays.

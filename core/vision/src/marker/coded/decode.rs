@@ -20,7 +20,7 @@ const WEAKEST: usize = 4;
 
 /// An identity as found in a profile.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Found {
+pub(crate) struct DecodedWord {
     pub code: Code,
     /// The word, from its first bit in the profile on.
     pub word: u16,
@@ -37,11 +37,11 @@ pub(crate) struct Found {
 }
 
 /// The likeliest identity; `None` if there is none near the likeliest word.
-pub(crate) fn find(
+pub(crate) fn decode(
     profile: &Profile,
     dictionary: &Dictionary,
     own_distances: &[u8],
-) -> Option<Found> {
+) -> Option<DecodedWord> {
     let bits = usize::from(dictionary.layout().bits);
     let per_slot = profile.len / (2 * bits);
     let differences = differences(profile, per_slot);
@@ -65,7 +65,7 @@ pub(crate) fn find(
     // already would be turned back.
     let number = usize::from(found.code.number);
     let apart = dictionary.layout().min_distance.min(own_distances[number - 1]);
-    found.rival = found.score - 2.0 * least_change(&evidence[..bits], found.word, apart);
+    found.rival = found.score - 2.0 * min_change(&evidence[..bits], found.word, apart);
     let turn = 2 * per_slot;
     for (other, &score) in by_phase.iter().enumerate() {
         let apart = (other + turn - phase) % turn;
@@ -95,12 +95,12 @@ fn differences(profile: &Profile, per_slot: usize) -> [f32; MAX_SAMPLES] {
 }
 
 /// The identity that asks for the least evidence to be turned over; its score is what that costs.
-fn nearest(evidence: &[f32], dictionary: &Dictionary) -> Option<Found> {
+fn nearest(evidence: &[f32], dictionary: &Dictionary) -> Option<DecodedWord> {
     let bits = evidence.len();
-    let most = dictionary.layout().min_distance.saturating_sub(1).into();
+    let max = dictionary.layout().min_distance.saturating_sub(1).into();
     let word = evidence.iter().fold(0u16, |word, &d| word << 1 | u16::from(d < 0.0));
     let of = |code, word, shift, cost: f32, corrected| {
-        Some(Found { code, word, shift, phase: 0, score: -2.0 * cost, corrected, rival: 0.0 })
+        Some(DecodedWord { code, word, shift, phase: 0, score: -2.0 * cost, corrected, rival: 0.0 })
     };
     if let Some((code, shift)) = dictionary.find(word) {
         return of(code, word, shift, 0.0, 0);
@@ -108,7 +108,7 @@ fn nearest(evidence: &[f32], dictionary: &Dictionary) -> Option<Found> {
     let weakest = weakest(evidence);
     let mut best: Option<(f32, u16, u8)> = None;
     for choice in 1u16..1 << WEAKEST {
-        if choice.count_ones() > most {
+        if choice.count_ones() > max {
             continue;
         }
         let (mut cost, mut turned) = (0.0, word);
@@ -118,7 +118,7 @@ fn nearest(evidence: &[f32], dictionary: &Dictionary) -> Option<Found> {
                 turned ^= 1 << (bits - 1 - bit);
             }
         }
-        let is_cheaper = best.is_none_or(|(least, ..)| cost < least);
+        let is_cheaper = best.is_none_or(|(min, ..)| cost < min);
         if is_cheaper && dictionary.find(turned).is_some() {
             best = Some((cost, turned, choice.count_ones() as u8));
         }
@@ -147,7 +147,7 @@ fn weakest(evidence: &[f32]) -> [usize; WEAKEST] {
 }
 
 /// What turning over `count` bits of the word costs at least, in evidence.
-fn least_change(evidence: &[f32], word: u16, count: u8) -> f32 {
+fn min_change(evidence: &[f32], word: u16, count: u8) -> f32 {
     let bits = evidence.len();
     let mut costs = [0.0f32; MAX_BITS];
     for (bit, (cost, &d)) in costs.iter_mut().zip(evidence).enumerate() {
@@ -187,7 +187,7 @@ mod tests {
             for (code, word) in dictionary.iter() {
                 for phase in 0..8 * usize::from(bits) {
                     let profile = profile(word, bits.into(), 4, phase);
-                    let found = find(&profile, &dictionary, &own).unwrap();
+                    let found = decode(&profile, &dictionary, &own).unwrap();
                     assert_eq!((found.code, found.corrected), (code, 0));
                     let zero =
                         (found.phase + profile.len - 8 * usize::from(found.shift)) % profile.len;
@@ -209,7 +209,7 @@ mod tests {
             *white *= if index == 0 { -1.0 } else { -0.1 };
         }
         let own = vec![4; dictionary.len()];
-        let found = find(&profile, &dictionary, &own).unwrap();
+        let found = decode(&profile, &dictionary, &own).unwrap();
         assert_eq!((found.code, found.corrected, found.word), (code, 1, word));
         assert!(found.rival < found.score);
     }

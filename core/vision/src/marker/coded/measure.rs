@@ -26,18 +26,18 @@ use crate::{
         },
         code::CodeLayout,
         coded::{
-            outer_rim::{Rim, followed_rim, of_columns, outer_rim},
+            outer_rim::{OuterRim, followed_rim, of_columns, outer_rim},
             outline::{offset, outline},
-            plane_map::Chart,
+            plane_map::PlaneMap,
             profile::Levels,
-            reader::{CodeReader, Read},
-            sampler::Light,
+            reader::{CodeReader, DecodedRing},
+            sampler::Sampler,
             white_disc::{Disc, Gap, disc},
         },
         kind::Polarity,
         reject::Reject,
         ring::{
-            pixels::predicted::Expected,
+            pixels::predicted::PredictedRims,
             probe::{Probe, Rules},
         },
     },
@@ -67,8 +67,8 @@ pub(crate) struct CodedKind {
 }
 
 /// A ring whose teeth have not been read yet.
-struct Toothed {
-    rim: Rim,
+struct CodedOutline {
+    rim: OuterRim,
     offset: (f64, f64),
     white: f64,
 }
@@ -83,10 +83,10 @@ pub(crate) fn measure(
     level: Level,
 ) -> Result<Ring, Reject> {
     let kinds = || kinds.iter().filter(|kind| kind.polarity == probe.polarity);
-    if let Some(expected) = &probe.expected {
+    if let Some(predicted) = &probe.predicted {
         let read = kinds()
-            .filter_map(|kind| followed(&light_of(frame, kind, level), expected, rules, kind));
-        if let Some(ring) = read.reduce(surer) {
+            .filter_map(|kind| followed(&sampler_for(frame, kind, level), predicted, rules, kind));
+        if let Some(ring) = read.reduce(more_certain) {
             return Ok(ring);
         }
     }
@@ -95,9 +95,9 @@ pub(crate) fn measure(
     let mut count = 0;
     for kind in kinds() {
         count += 1;
-        last = measure_kind(&light_of(frame, kind, level), probe, rules, kind);
+        last = measure_kind(&sampler_for(frame, kind, level), probe, rules, kind);
         let Ok(ring) = last else { continue };
-        best = Some(best.map_or(ring, |best| surer(best, ring)));
+        best = Some(best.map_or(ring, |best| more_certain(best, ring)));
     }
     match best {
         Some(ring) if ring.code.is_some() || count == 1 => Ok(ring),
@@ -107,67 +107,76 @@ pub(crate) fn measure(
 }
 
 /// The one with the more certain code, the first of two that are level.
-fn surer(one: Ring, other: Ring) -> Ring {
+fn more_certain(one: Ring, other: Ring) -> Ring {
     let confidence = |ring: &Ring| ring.code.map_or(0.0, |code| code.confidence);
     if confidence(&other) > confidence(&one) { other } else { one }
 }
 
 /// A ring that is where it is expected, if it is read there.
-fn followed(light: &Light, expected: &Expected, rules: &Rules, kind: &CodedKind) -> Option<Ring> {
-    let (outer, inner) = (&expected.outer.ellipse, &expected.inner.ellipse);
-    let rim = followed_rim(light, outer).ok()?;
-    check_size(light.frame, &rim.ellipse, rules).ok()?;
-    let white = white(light, &rim, rules, kind.ratio).ok()?;
+fn followed(
+    sampler: &Sampler,
+    predicted: &PredictedRims,
+    rules: &Rules,
+    kind: &CodedKind,
+) -> Option<Ring> {
+    let (outer, inner) = (&predicted.outer.ellipse, &predicted.inner.ellipse);
+    let rim = followed_rim(sampler, outer).ok()?;
+    check_size(sampler.frame, &rim.ellipse, rules).ok()?;
+    let white = white(sampler, &rim, rules, kind.ratio).ok()?;
     let PixelPoint { u, v } = rim.ellipse.center;
     // How far perspective moves the centres apart hardly changes.
     let center = PixelPoint {
         u: u + inner.center.u - outer.center.u,
         v: v + inner.center.v - outer.center.v,
     };
-    let offset = Chart::new(&rim.ellipse, center, kind.ratio).offset();
-    let ring = ring_of(light, &Toothed { rim, offset, white }, kind).ok()?;
+    let offset = PlaneMap::new(&rim.ellipse, center, kind.ratio).offset();
+    let ring = decode_ring(sampler, &CodedOutline { rim, offset, white }, kind).ok()?;
     ring.code.is_some().then_some(ring)
 }
 
-fn light_of<'a, 'f>(frame: &'a Frame<'f>, kind: &CodedKind, level: Level) -> Light<'a, 'f> {
-    Light { frame, level, inverted: kind.polarity == Polarity::WhiteRing }
+fn sampler_for<'a, 'f>(frame: &'a Frame<'f>, kind: &CodedKind, level: Level) -> Sampler<'a, 'f> {
+    Sampler { frame, level, inverted: kind.polarity == Polarity::WhiteRing }
 }
 
 fn measure_kind(
-    light: &Light,
+    sampler: &Sampler,
     probe: &Probe,
     rules: &Rules,
     kind: &CodedKind,
 ) -> Result<Ring, Reject> {
-    let toothed = toothed(light, probe, rules, kind.ratio)?;
-    let ring = ring_of(light, &toothed, kind)?;
-    if ring.code.is_none() && !is_half_white(light, &toothed, kind.ratio) {
+    let toothed = toothed(sampler, probe, rules, kind.ratio)?;
+    let ring = decode_ring(sampler, &toothed, kind)?;
+    if ring.code.is_none() && !is_half_white(sampler, &toothed, kind.ratio) {
         return Err(Reject::Profile);
     }
     Ok(ring)
 }
 
 /// What the teeth say, and the white disc's rim.
-fn ring_of(light: &Light, toothed: &Toothed, kind: &CodedKind) -> Result<Ring, Reject> {
-    let Toothed { rim, white, .. } = toothed;
-    let chart = Chart::with_offset(&rim.ellipse, toothed.offset);
+fn decode_ring(
+    sampler: &Sampler,
+    toothed: &CodedOutline,
+    kind: &CodedKind,
+) -> Result<Ring, Reject> {
+    let CodedOutline { rim, white, .. } = toothed;
+    let plane = PlaneMap::with_offset(&rim.ellipse, toothed.offset);
     let (black, white) =
-        if light.inverted { (255.0 - white, 255.0 - rim.black) } else { (rim.black, *white) };
+        if sampler.inverted { (255.0 - white, 255.0 - rim.black) } else { (rim.black, *white) };
     let blur_px = (rim.blur_px * rim.blur_px - PIXEL_PX2).max(0.1).sqrt();
     let levels = Levels { black, white, polarity: kind.polarity, blur_px };
-    let read = kind.reader.read_in(light, &chart, &levels);
-    let disc = read.as_ref().and_then(|read| seen_disc(light, &chart, kind, rim, read));
+    let read = kind.reader.read_in(sampler, &plane, &levels);
+    let disc = read.as_ref().and_then(|read| fit_white_disc(sampler, &plane, kind, rim, read));
     let disc = disc.unwrap_or(Disc { radius: kind.ratio, shift: (0.0, 0.0) });
-    let outer = outer_compensated(&rim.ellipse, disc.radius, kind.ratio)?;
+    let outer = compensated_outer(&rim.ellipse, disc.radius, kind.ratio)?;
     let (center, columns) =
-        Chart::with_offset(&outer, toothed.offset).circle(disc.shift, kind.ratio);
+        PlaneMap::with_offset(&outer, toothed.offset).circle(disc.shift, kind.ratio);
     let inner = of_columns(center, columns);
     if !inner.is_valid() {
         return Err(Reject::Profile);
     }
     // The centre is known better now than when the teeth were read; their angles do not depend on it.
-    let code =
-        read.map(|read| read.seen_in(&Chart::new(&outer, inner.center, kind.ratio), kind.ratio));
+    let code = read
+        .map(|read| read.in_image(&PlaneMap::new(&outer, inner.center, kind.ratio), kind.ratio));
     Ok(Ring {
         kind: Some(kind.id),
         threshold: (0.5 * (black + white)).round().clamp(1.0, 255.0) as u8,
@@ -181,20 +190,25 @@ fn ring_of(light: &Light, toothed: &Toothed, kind: &CodedKind) -> Result<Ring, R
 }
 
 /// Outline, outer rim and levels.
-fn toothed(light: &Light, probe: &Probe, rules: &Rules, ratio: f64) -> Result<Toothed, Reject> {
-    let outline = outline(light.frame, probe, light.inverted)?;
-    let rim = outer_rim(light, &outline, f64::from(probe.threshold))?;
-    check_size(light.frame, &rim.ellipse, rules)?;
-    let white = white(light, &rim, rules, ratio)?;
-    let offset = offset(light, &rim.ellipse, ratio, 0.5 * (rim.black + white));
-    Ok(Toothed { rim, offset, white })
+fn toothed(
+    sampler: &Sampler,
+    probe: &Probe,
+    rules: &Rules,
+    ratio: f64,
+) -> Result<CodedOutline, Reject> {
+    let outline = outline(sampler.frame, probe, sampler.inverted)?;
+    let rim = outer_rim(sampler, &outline, f64::from(probe.threshold))?;
+    check_size(sampler.frame, &rim.ellipse, rules)?;
+    let white = white(sampler, &rim, rules, ratio)?;
+    let offset = offset(sampler, &rim.ellipse, ratio, 0.5 * (rim.black + white));
+    Ok(CodedOutline { rim, offset, white })
 }
 
 /// Level of the white core.
-fn white(light: &Light, rim: &Rim, rules: &Rules, ratio: f64) -> Result<f64, Reject> {
-    let chart = Chart::with_offset(&rim.ellipse, (0.0, 0.0));
+fn white(sampler: &Sampler, rim: &OuterRim, rules: &Rules, ratio: f64) -> Result<f64, Reject> {
+    let plane = PlaneMap::with_offset(&rim.ellipse, (0.0, 0.0));
     let core = CodeLayout::CORE_SHARE * ratio;
-    let white = mean_at(light, &chart, CORE_SHARE.min(0.5 * core), CORE_POINTS);
+    let white = mean_at(sampler, &plane, CORE_SHARE.min(0.5 * core), CORE_POINTS);
     let contrast = white - rim.black;
     if contrast.is_nan() || contrast < rules.min_contrast {
         return Err(Reject::Contrast);
@@ -203,12 +217,12 @@ fn white(light: &Light, rim: &Rim, rules: &Rules, ratio: f64) -> Result<f64, Rej
 }
 
 /// Whether the annulus between core and rim is half white, as that of any code is.
-fn is_half_white(light: &Light, toothed: &Toothed, ratio: f64) -> bool {
-    let Toothed { rim, offset, white } = toothed;
+fn is_half_white(sampler: &Sampler, toothed: &CodedOutline, ratio: f64) -> bool {
+    let CodedOutline { rim, offset, white } = toothed;
     let core = CodeLayout::CORE_SHARE * ratio;
-    let chart = Chart::with_offset(&rim.ellipse, *offset);
+    let plane = PlaneMap::with_offset(&rim.ellipse, *offset);
     HALF_WHITE_AT.iter().all(|place| {
-        let level = mean_at(light, &chart, core + place * (ratio - core), HALF_WHITE_POINTS);
+        let level = mean_at(sampler, &plane, core + place * (ratio - core), HALF_WHITE_POINTS);
         ((level - rim.black) / (white - rim.black) - 0.5).abs() <= HALF_WHITE_TOLERANCE
     })
 }
@@ -230,18 +244,18 @@ fn check_size(frame: &Frame, outer: &Ellipse, rules: &Rules) -> Result<(), Rejec
 }
 
 /// Mean level of evenly spaced points of a circle.
-fn mean_at(light: &Light, chart: &Chart, radius: f64, points: usize) -> f64 {
+fn mean_at(sampler: &Sampler, plane: &PlaneMap, radius: f64, points: usize) -> f64 {
     let level = |index: usize| {
         let (sin, cos) = (std::f64::consts::TAU * index as f64 / points as f64).sin_cos();
-        let at = chart.image((radius * cos, radius * sin));
-        light.at(at.u, at.v)
+        let at = plane.image((radius * cos, radius * sin));
+        sampler.at(at.u, at.v)
     };
     (0..points).map(level).sum::<f64>() / points as f64
 }
 
 /// The outer rim, moved by what makes the disc as large as it is printed: what blooms, or was printed too
 /// fat, moves both rims towards the black alike.
-fn outer_compensated(outer: &Ellipse, disc: f64, ratio: f64) -> Result<Ellipse, Reject> {
+fn compensated_outer(outer: &Ellipse, disc: f64, ratio: f64) -> Result<Ellipse, Reject> {
     let seen = Ellipse {
         semi_major_px: disc * outer.semi_major_px,
         semi_minor_px: disc * outer.semi_minor_px,
@@ -255,12 +269,12 @@ fn outer_compensated(outer: &Ellipse, disc: f64, ratio: f64) -> Result<Ellipse, 
 }
 
 /// The white disc's rim between the teeth that were read.
-fn seen_disc(
-    light: &Light,
-    chart: &Chart,
+fn fit_white_disc(
+    sampler: &Sampler,
+    plane: &PlaneMap,
     kind: &CodedKind,
-    rim: &Rim,
-    read: &Read,
+    rim: &OuterRim,
+    read: &DecodedRing,
 ) -> Option<Disc> {
     let bits = u32::from(kind.reader.dictionary().layout().bits);
     let slot_rad = std::f64::consts::PI / f64::from(bits);
@@ -275,5 +289,5 @@ fn seen_disc(
             to_teeth_rad: (to_tooth(is_tooth(slot + 2 * bits - 1)), to_tooth(is_tooth(slot + 1))),
         }
     });
-    disc(light, chart, kind.ratio, gaps, (rim.black, rim.blur_px))
+    disc(sampler, plane, kind.ratio, gaps, (rim.black, rim.blur_px))
 }

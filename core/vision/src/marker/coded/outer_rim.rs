@@ -21,15 +21,15 @@ use crate::{
     ellipse::{Ellipse, Symmetric2},
     marker::{
         coded::{
-            rim_points::{Each, Edges, POINTS, Points, harmonics, mean, smoothed, sum, tilted},
-            sampler::Light,
+            rim_points::{Edges, POINTS, PerPoint, Points, harmonics, mean, smoothed, sum, tilted},
+            sampler::Sampler,
         },
         reject::Reject,
     },
 };
 
 /// A rim more uneven than this is partly covered, or none.
-const MOST_UNEVEN: f64 = 0.25;
+const MAX_UNEVEN: f64 = 0.25;
 /// By turn, how far from the ellipse a point may be, as a share of the shorter semiaxis …
 const WALKS: [f64; 4] = [0.35, 0.12, 0.05, 0.02];
 /// … and pixels on top.
@@ -40,17 +40,17 @@ const EXPECTED_PX: f64 = 3.0;
 const NEAR_PX: f64 = 0.3;
 /// Of a ring that is followed, a turn that lets it grow by less than this, pixels, tells what all later ones would add.
 const FORESEEN_PX: f64 = 0.01;
-/// Each would add this share of what the one before did, at most.
-const MOST_LEFT: f64 = 0.7;
+/// PerPoint would add this share of what the one before did, at most.
+const MAX_LEFT: f64 = 0.7;
 /// Turns in which the rim is found, at most: of a small one, whose levels are seen near its edge, each leaves
 /// up to two thirds of what it was off …
-const MOST_TURNS: usize = 14;
+const MAX_TURNS: usize = 14;
 /// … and the last one moves it by less than this, pixels …
 const SETTLED_PX: f64 = 0.002;
 /// … and what has its errors squared in each turn, centre and shape, by less than this.
 const SETTLING_PX: f64 = 0.02;
 /// Points without an edge, of all, at most.
-const MOST_MISSING: usize = POINTS / 6;
+const MAX_MISSING: usize = POINTS / 6;
 /// Variance of a slope's width, px².
 const SLOPE_PX2: f64 = 1.0 / 12.0;
 /// Deviations that the slope of an edge may tell, pixels: pixels and interpolation alone give the
@@ -61,7 +61,7 @@ const FIRST_BLUR_PX: f64 = 1.0;
 
 /// The outer rim.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Rim {
+pub(crate) struct OuterRim {
     pub ellipse: Ellipse,
     /// Level of the ring.
     pub black: f64,
@@ -72,25 +72,29 @@ pub(crate) struct Rim {
     pub unevenness: f64,
 }
 
-impl Rim {
+impl OuterRim {
     fn about(ellipse: &Ellipse) -> Self {
         Self { ellipse: *ellipse, black: 0.0, blur_px: FIRST_BLUR_PX, unevenness: 0.0 }
     }
 
     /// If it is whole.
     fn checked(self) -> Result<Self, Reject> {
-        if self.unevenness > MOST_UNEVEN { Err(Reject::Covered) } else { Ok(self) }
+        if self.unevenness > MAX_UNEVEN { Err(Reject::Covered) } else { Ok(self) }
     }
 }
 
 /// The outer rim near a rough outline; `threshold` parts black from white at first.
-pub(crate) fn outer_rim(light: &Light, outline: &Ellipse, threshold: f64) -> Result<Rim, Reject> {
-    let mut rim = Rim::about(outline);
-    for turn in 0..MOST_TURNS {
+pub(crate) fn outer_rim(
+    sampler: &Sampler,
+    outline: &Ellipse,
+    threshold: f64,
+) -> Result<OuterRim, Reject> {
+    let mut rim = OuterRim::about(outline);
+    for turn in 0..MAX_TURNS {
         let share = WALKS[turn.min(WALKS.len() - 1)];
         let reach_px = WALK_PX + share * rim.ellipse.semi_minor_px;
         let before = rim.ellipse;
-        rim = fitted(light, &rim, (turn == 0).then_some(threshold), Reach::Far(reach_px))?;
+        rim = fitted(sampler, &rim, (turn == 0).then_some(threshold), Reach::Far(reach_px))?;
         let grown_px = rim.ellipse.mean_radius_px() - before.mean_radius_px();
         if turn + 1 >= WALKS.len() && grown_px.abs() < SETTLED_PX {
             break;
@@ -100,15 +104,15 @@ pub(crate) fn outer_rim(light: &Light, outline: &Ellipse, threshold: f64) -> Res
 }
 
 /// The outer rim of a ring that is followed, from where it is expected.
-pub(crate) fn followed_rim(light: &Light, expected: &Ellipse) -> Result<Rim, Reject> {
-    let mut rim = Rim::about(expected);
+pub(crate) fn followed_rim(sampler: &Sampler, expected: &Ellipse) -> Result<OuterRim, Reject> {
+    let mut rim = OuterRim::about(expected);
     let (mut reach, mut grown_before_px) = (Reach::Near, f64::NAN);
-    for _ in 0..MOST_TURNS {
+    for _ in 0..MAX_TURNS {
         let before = rim.ellipse;
-        rim = match (fitted(light, &rim, None, reach), reach) {
+        rim = match (fitted(sampler, &rim, None, reach), reach) {
             // It has moved further than most do.
             (Err(Reject::Covered), Reach::Near) => {
-                fitted(light, &rim, None, Reach::Far(EXPECTED_PX))?
+                fitted(sampler, &rim, None, Reach::Far(EXPECTED_PX))?
             }
             (turned, _) => turned?,
         };
@@ -122,7 +126,7 @@ pub(crate) fn followed_rim(light: &Light, expected: &Ellipse) -> Result<Rim, Rej
             // Not a number after the first turn.
             let share = grown_px / grown_before_px;
             let rest_px = grown_px * share / (1.0 - share);
-            if share.abs() < MOST_LEFT {
+            if share.abs() < MAX_LEFT {
                 after.semi_major_px += rest_px;
                 after.semi_minor_px += rest_px;
                 break;
@@ -148,19 +152,24 @@ enum Reach {
 }
 
 /// One turn; the level halfway is `threshold` or what the neighbourhood says.
-fn fitted(light: &Light, rim: &Rim, threshold: Option<f64>, reach: Reach) -> Result<Rim, Reject> {
-    dispatch!(light.level, simd => fitted_with(simd, light, rim, threshold, reach))
+fn fitted(
+    sampler: &Sampler,
+    rim: &OuterRim,
+    threshold: Option<f64>,
+    reach: Reach,
+) -> Result<OuterRim, Reject> {
+    dispatch!(sampler.level, simd => fitted_with(simd, sampler, rim, threshold, reach))
 }
 
 #[simd]
 fn fitted_with<S: Simd>(
     _simd: S,
-    light: &Light,
-    rim: &Rim,
+    sampler: &Sampler,
+    rim: &OuterRim,
     threshold: Option<f64>,
     reach: Reach,
-) -> Result<Rim, Reject> {
-    if light.frame.width() < 2 || light.frame.height() < 2 {
+) -> Result<OuterRim, Reject> {
+    if sampler.frame.width() < 2 || sampler.frame.height() < 2 {
         return Err(Reject::FrameEdge);
     }
     let points = Points::of(&rim.ellipse);
@@ -168,7 +177,7 @@ fn fitted_with<S: Simd>(
     let (mut black, mut contrast) = (0.0, 0.0);
     if threshold.is_none() {
         let (blacks, margins) =
-            points.black_and_white(light, rim.ellipse.semi_minor_px, rim.blur_px);
+            points.black_and_white(sampler, rim.ellipse.semi_minor_px, rim.blur_px);
         let (blacks, margins) = (tilted(&blacks), smoothed(&margins));
         black = mean(&blacks);
         contrast = mean(&margins) - black;
@@ -180,10 +189,10 @@ fn fitted_with<S: Simd>(
         }
     }
     let edges = match reach {
-        Reach::Near => Edges::near(light, &points, &half),
-        Reach::Far(reach_px) => Edges::far(light, &points, &half, reach_px),
+        Reach::Near => Edges::near(sampler, &points, &half),
+        Reach::Far(reach_px) => Edges::far(sampler, &points, &half, reach_px),
     };
-    if edges.missing > MOST_MISSING {
+    if edges.missing > MAX_MISSING {
         return Err(Reject::Covered);
     }
     let mut shares = edges.out_px;
@@ -204,12 +213,12 @@ fn fitted_with<S: Simd>(
     let strays = rest_px / (std::f64::consts::TAU.sqrt() * blur_px);
     let gone = edges.missing as f64 / POINTS as f64;
     let unevenness = (strays * strays + 0.25 * gone).sqrt();
-    Ok(Rim { ellipse, black, blur_px, unevenness })
+    Ok(OuterRim { ellipse, black, blur_px, unevenness })
 }
 
 /// The ellipse that follows the points, and the rms of what they stray from it, pixels.
 #[inline(always)]
-fn moved(ellipse: &Ellipse, points: &Points, shares: &Each) -> Option<(Ellipse, f64)> {
+fn moved(ellipse: &Ellipse, points: &Points, shares: &PerPoint) -> Option<(Ellipse, f64)> {
     let bases = harmonics();
     let alpha = mean(shares);
     let [x, y, gamma, eta] =

@@ -16,8 +16,8 @@ use crate::{
     marker::{
         code::CodeLayout,
         coded::{
-            plane_map::{Chart, MAX_OFFSET},
-            sampler::Light,
+            plane_map::{MAX_OFFSET, PlaneMap},
+            sampler::Sampler,
         },
         reject::Reject,
         ring::probe::Probe,
@@ -28,7 +28,7 @@ use crate::{
 const SPOKES: usize = 40;
 /// Black that ends before so large a share of the spoke is its own, give or take a pixel, is a tooth
 /// whose corner it cuts: the ring has 280 of 700.
-const LEAST_BLACK: f64 = 0.3;
+const MIN_BLACK: f64 = 0.3;
 /// Spokes that look for the centre, twice.
 const INNER_SPOKES: usize = 30;
 const TURNS: usize = 2;
@@ -98,7 +98,7 @@ fn walk(frame: &Frame, probe: &Probe, (du, dv): (f64, f64), flip: u8) -> Result<
     loop {
         let begin = edge(end + 1.0, true).ok_or(Reject::NoBlack)?;
         end = edge(begin + 1.5, false).ok_or(beyond)?;
-        if end - begin + 1.0 >= LEAST_BLACK * end {
+        if end - begin + 1.0 >= MIN_BLACK * end {
             return Ok(end);
         }
     }
@@ -117,15 +117,15 @@ fn add_triangle(moments: &mut Moments, p: (f64, f64), q: (f64, f64)) {
 
 /// The chart's d, by the circles that the black begins on: one of radius ρ is seen round d (1 - ρ²).
 /// `half` is the level between black and white.
-pub(crate) fn offset(light: &Light, outer: &Ellipse, ratio: f64, half: f64) -> (f64, f64) {
+pub(crate) fn offset(sampler: &Sampler, outer: &Ellipse, ratio: f64, half: f64) -> (f64, f64) {
     let core = CodeLayout::CORE_SHARE * ratio;
     let step = STEP_PX / outer.mean_radius_px();
     let mut d = (0.0, 0.0);
     for side in SIDE {
-        let chart = Chart::with_offset(outer, d);
+        let plane = PlaneMap::with_offset(outer, d);
         let level = |radius: f64, (sin, cos): (f64, f64)| {
-            let at = chart.image((radius * cos, radius * sin));
-            light.at(at.u, at.v)
+            let at = plane.image((radius * cos, radius * sin));
+            sampler.at(at.u, at.v)
         };
         let (mut xx, mut xy, mut yy, mut x, mut y) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for index in 0..INNER_SPOKES {

@@ -21,7 +21,7 @@ const TURNS: usize = 4;
 
 /// A roundel's plane, its outer rim the unit circle, as imaged.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Chart {
+pub(crate) struct PlaneMap {
     center: (f64, f64),
     /// Columns of A: the semiaxes, pixels.
     major_px: (f64, f64),
@@ -31,7 +31,7 @@ pub(crate) struct Chart {
     root: f64,
 }
 
-impl Chart {
+impl PlaneMap {
     /// By the outer rim, and by where the centre of a concentric circle's image lies; `ratio` is its
     /// radius over the outer one.
     pub fn new(outer: &Ellipse, inner_center: PixelPoint, ratio: f64) -> Self {
@@ -191,9 +191,9 @@ mod tests {
                 PixelPoint { u: p.x / p.z, v: p.y / p.z }
             };
             let (outer, inner) = (seen(&plane_to_image, 1.0), seen(&plane_to_image, 0.6));
-            let chart = Chart::new(&outer, inner.center, 0.6);
+            let plane = PlaneMap::new(&outer, inner.center, 0.6);
             // One point fixes the turn; then all others must agree.
-            let first = chart.plane(pixel(0.5, 0.0));
+            let first = plane.plane(pixel(0.5, 0.0));
             prop_assert!((first.0.hypot(first.1) - 0.5).abs() < 1e-5);
             let turned_rad = first.1.atan2(first.0);
             for k in 0..12 {
@@ -202,10 +202,10 @@ mod tests {
                 let pixel = pixel(radius * cos, radius * sin);
                 // The print's y is turned round, so its angles count the other way.
                 let (sin, cos) = (turned_rad - f64::from(k) * 0.7).sin_cos();
-                let there = chart.image((radius * cos, radius * sin));
+                let there = plane.image((radius * cos, radius * sin));
                 let off_px = (there.u - pixel.u).hypot(there.v - pixel.v);
                 prop_assert!(off_px < 1e-5 * outer.semi_major_px, "{} px", off_px);
-                let back = chart.plane(there);
+                let back = plane.plane(there);
                 prop_assert!((back.0 - radius * cos).abs() < 1e-9);
                 prop_assert!((back.1 - radius * sin).abs() < 1e-9);
             }
@@ -220,10 +220,10 @@ mod tests {
             semi_minor_px: 10.0,
             angle_rad: 0.3,
         };
-        let chart = Chart::new(&outer, PixelPoint { u: 90.0, v: 0.0 }, 0.6);
-        let center = chart.plane(outer.center);
+        let plane = PlaneMap::new(&outer, PixelPoint { u: 90.0, v: 0.0 }, 0.6);
+        let center = plane.plane(outer.center);
         assert!(center.0.hypot(center.1) < 0.301);
-        let chart = Chart::new(&outer, PixelPoint { u: f64::NAN, v: 0.0 }, 0.6);
-        assert_eq!(chart.image((0.0, 0.0)), outer.center);
+        let plane = PlaneMap::new(&outer, PixelPoint { u: f64::NAN, v: 0.0 }, 0.6);
+        assert_eq!(plane.image((0.0, 0.0)), outer.center);
     }
 }

@@ -13,7 +13,7 @@ use crate::{
     frame::Frame,
     marker::{
         Polarity,
-        coded::{plane_map::Chart, sampler::Light},
+        coded::{plane_map::PlaneMap, sampler::Sampler},
     },
     simd::floor,
 };
@@ -21,17 +21,17 @@ use crate::{
 /// Most samples that a profile has.
 pub(crate) const MAX_SAMPLES: usize = 128;
 /// Where the annulus is sampled, as shares of its width from the core.
-const PLACES: [f64; 3] = [0.3, 0.5, 0.7];
+const CIRCLES: [f64; 3] = [0.3, 0.5, 0.7];
 /// Variance that a pixel's width and the interpolation between pixels add to the blur, px².
 const SAMPLING_PX2: f32 = 1.0 / 12.0 + 1.0 / 6.0;
 /// Variance that the turned circles add, squared samples.
-const SAMPLE: f32 = 1.0 / 12.0;
+const SAMPLE_VARIANCE: f32 = 1.0 / 12.0;
 
 /// Where samples lie in the chart, the same for every roundel of a layout.
 #[derive(Clone, Debug)]
 pub(crate) struct Directions {
     /// By circle, the outermost last; angles on the print count the other way.
-    circles: [Vec<(f32, f32)>; PLACES.len()],
+    circles: [Vec<(f32, f32)>; CIRCLES.len()],
     /// The outermost circle's radius.
     reach: f64,
 }
@@ -60,16 +60,16 @@ impl Directions {
     /// `samples` directions for an annulus from `core` to `rim` times the outer radius.
     pub fn new(samples: usize, core: f64, rim: f64) -> Self {
         let step_rad = std::f64::consts::TAU / samples as f64;
-        let radius = |circle: usize| core + PLACES[circle] * (rim - core);
+        let radius = |circle: usize| core + CIRCLES[circle] * (rim - core);
         let circle = |circle: usize| {
-            let part = (circle as f64 + 0.5) / PLACES.len() as f64 - 0.5;
+            let part = (circle as f64 + 0.5) / CIRCLES.len() as f64 - 0.5;
             let place = |index: usize| {
                 let (sin, cos) = (-step_rad * (index as f64 + part)).sin_cos();
                 ((radius(circle) * cos) as f32, (radius(circle) * sin) as f32)
             };
             (0..samples).map(place).collect()
         };
-        Self { circles: std::array::from_fn(circle), reach: radius(PLACES.len() - 1) }
+        Self { circles: std::array::from_fn(circle), reach: radius(CIRCLES.len() - 1) }
     }
 
     /// Samples once round.
@@ -79,8 +79,8 @@ impl Directions {
 
     /// The profile of one roundel; `None` if the annulus is not wholly inside the frame, or the levels
     /// are none.
-    pub fn profile(&self, light: &Light, chart: &Chart, levels: &Levels) -> Option<Profile> {
-        dispatch!(light.level, simd => self.profile_with(simd, light.frame, chart, levels))
+    pub fn profile(&self, sampler: &Sampler, plane: &PlaneMap, levels: &Levels) -> Option<Profile> {
+        dispatch!(sampler.level, simd => self.profile_with(simd, sampler.frame, plane, levels))
     }
 
     #[simd]
@@ -88,13 +88,13 @@ impl Directions {
         &self,
         _simd: S,
         frame: &Frame,
-        chart: &Chart,
+        plane: &PlaneMap,
         levels: &Levels,
     ) -> Option<Profile> {
         let contrast = levels.white - levels.black;
         let sign = if levels.polarity == Polarity::BlackRing { 1.0 } else { -1.0 };
-        let scale = (sign * 2.0 / contrast / PLACES.len() as f64) as f32;
-        if !(scale.is_finite() && self.fits(frame, chart)) {
+        let scale = (sign * 2.0 / contrast / CIRCLES.len() as f64) as f32;
+        if !(scale.is_finite() && self.fits(frame, plane)) {
             return None;
         }
         let len = self.len();
@@ -102,17 +102,18 @@ impl Directions {
         let mut places = [(0.0f32, 0.0f32); MAX_SAMPLES];
         for (circle, points) in self.circles.iter().enumerate() {
             for (place, &point) in places.iter_mut().zip(points) {
-                *place = chart.image_f32(point);
+                *place = plane.image_f32(point);
             }
             for (sum, &(u, v)) in profile.white.iter_mut().zip(&places[..len]) {
                 *sum += level_at(frame.pixels(), u, v);
             }
-            if circle == PLACES.len() / 2 {
+            if circle == CIRCLES.len() / 2 {
                 let variance_px2 = (levels.blur_px * levels.blur_px) as f32 + SAMPLING_PX2;
                 for index in 0..len {
                     let (from, to) = (places[index], places[(index + 1) % len]);
                     let (du, dv) = (to.0 - from.0, to.1 - from.1);
-                    profile.spread[index] = variance_px2 / (du * du + dv * dv).max(1e-3) + SAMPLE;
+                    profile.spread[index] =
+                        variance_px2 / (du * du + dv * dv).max(1e-3) + SAMPLE_VARIANCE;
                 }
             }
         }
@@ -123,8 +124,8 @@ impl Directions {
     }
 
     /// Whether all samples have four pixels round them.
-    fn fits(&self, frame: &Frame, chart: &Chart) -> bool {
-        let (low, high) = chart.bounds(self.reach);
+    fn fits(&self, frame: &Frame, plane: &PlaneMap) -> bool {
+        let (low, high) = plane.bounds(self.reach);
         low.u >= 0.0
             && low.v >= 0.0
             && high.u < (frame.width() - 1) as f64

@@ -16,10 +16,10 @@ use crate::{
         Ring,
         code::{Code, CodeError, CodeLayout, CodeReading, Dictionary},
         coded::{
-            decode::{self, Found},
-            plane_map::Chart,
+            decode::{self, DecodedWord},
+            plane_map::PlaneMap,
             profile::{Directions, Levels, MAX_SAMPLES, Profile},
-            sampler::Light,
+            sampler::Sampler,
         },
     },
 };
@@ -31,16 +31,16 @@ const USUAL_BLUR_PX: f64 = 0.8;
 /// what each sample's own error makes (`cargo run -p roundel-tests --bin codes`).
 const SHARED_RAD: f64 = 8e-4;
 /// Least ρ² of a reading …
-const LEAST_FIT: f32 = 0.7;
+const MIN_FIT: f32 = 0.7;
 /// … least and largest amplitude, as a share of half the ring's contrast …
 const AMPLITUDES: (f32, f32) = (0.4, 1.6);
 /// … and least confidence.
-const LEAST_CONFIDENCE: f64 = 0.99;
+const MIN_CONFIDENCE: f64 = 0.99;
 /// The template is smoothed in steps; each has at most this share of a sample squared.
 const STEP_SPREAD: f32 = 0.6;
 const MAX_STEPS: usize = 8;
 /// Fewest samples a slot, and what they are apart where there is room for more, pixels.
-const LEAST_PER_SLOT: usize = 4;
+const MIN_PER_SLOT: usize = 4;
 const STEP_PX: f64 = 2.0;
 /// Steps of Gauss and Newton to the phase.
 const PHASE_TURNS: usize = 2;
@@ -64,7 +64,7 @@ impl CodeReader {
         let own_distances = dictionary.iter().map(own).collect();
         let slots = 2 * usize::from(layout.bits);
         let core = CodeLayout::CORE_SHARE * ratio;
-        let directions = (LEAST_PER_SLOT..=MAX_SAMPLES / slots)
+        let directions = (MIN_PER_SLOT..=MAX_SAMPLES / slots)
             .map(|per_slot| Directions::new(slots * per_slot, core, ratio))
             .collect();
         Ok(Self { dictionary, own_distances, directions, ratio })
@@ -77,27 +77,32 @@ impl CodeReader {
 
     /// What the teeth inside a ring say; `None` if they cannot be read.
     pub fn read(&self, frame: &Frame, ring: &Ring) -> Option<CodeReading> {
-        let chart = Chart::new(&ring.outer, ring.inner.center, self.ratio);
+        let plane = PlaneMap::new(&ring.outer, ring.inner.center, self.ratio);
         let levels = Levels {
             black: ring.black,
             white: ring.white,
             polarity: ring.polarity,
             blur_px: USUAL_BLUR_PX,
         };
-        let light = Light { frame, level: Level::new(), inverted: false };
-        Some(self.read_in(&light, &chart, &levels)?.seen_in(&chart, self.ratio))
+        let sampler = Sampler { frame, level: Level::new(), inverted: false };
+        Some(self.read_in(&sampler, &plane, &levels)?.in_image(&plane, self.ratio))
     }
 
     /// The same in a chart.
-    pub(crate) fn read_in(&self, light: &Light, chart: &Chart, levels: &Levels) -> Option<Read> {
-        let profile = self.directions_for(chart).profile(light, chart, levels)?;
-        let found = decode::find(&profile, &self.dictionary, &self.own_distances)?;
+    pub(crate) fn read_in(
+        &self,
+        sampler: &Sampler,
+        plane: &PlaneMap,
+        levels: &Levels,
+    ) -> Option<DecodedRing> {
+        let profile = self.directions_for(plane).profile(sampler, plane, levels)?;
+        let found = decode::decode(&profile, &self.dictionary, &self.own_distances)?;
         let fit = self.fit(&profile, &found)?;
         let confidence = self.confidence(&found, fit.square);
-        if fit.square < LEAST_FIT
+        if fit.square < MIN_FIT
             || fit.amplitude < AMPLITUDES.0
             || fit.amplitude > AMPLITUDES.1
-            || confidence < LEAST_CONFIDENCE
+            || confidence < MIN_CONFIDENCE
         {
             return None;
         }
@@ -105,7 +110,7 @@ impl CodeReader {
         // A sample stands for the half on either side of it.
         let zero = found.phase as f64 - 0.5 + f64::from(fit.phase) - pair * f64::from(found.shift);
         let step_rad = std::f64::consts::TAU / profile.len as f64;
-        Some(Read {
+        Some(DecodedRing {
             code: found.code,
             word: self.dictionary.word(found.code.number)?,
             zero_rad: step_rad * zero,
@@ -116,16 +121,16 @@ impl CodeReader {
     }
 
     /// As many samples as the teeth's circumference asks for.
-    fn directions_for(&self, chart: &Chart) -> &Directions {
+    fn directions_for(&self, plane: &PlaneMap) -> &Directions {
         let middle = 0.5 * (1.0 + CodeLayout::CORE_SHARE) * self.ratio;
-        let around_px = std::f64::consts::TAU * middle * chart.reach_px();
+        let around_px = std::f64::consts::TAU * middle * plane.reach_px();
         let slots = 2.0 * f64::from(self.dictionary.layout().bits);
         let per_slot = (around_px / (STEP_PX * slots)) as usize + 1;
-        let most = self.directions.len() - 1;
-        &self.directions[per_slot.saturating_sub(LEAST_PER_SLOT).min(most)]
+        let max = self.directions.len() - 1;
+        &self.directions[per_slot.saturating_sub(MIN_PER_SLOT).min(max)]
     }
 
-    fn confidence(&self, found: &Found, square: f32) -> f64 {
+    fn confidence(&self, found: &DecodedWord, square: f32) -> f64 {
         let rival = (found.rival / found.score).clamp(0.0, 1.0);
         let (best, rival) = (f64::from(square), f64::from(square * rival * rival));
         let levels = 2.0 * f64::from(self.dictionary.layout().bits);
@@ -133,7 +138,7 @@ impl CodeReader {
     }
 
     /// The blurred template of what was found, fitted.
-    fn fit(&self, profile: &Profile, found: &Found) -> Option<Fit> {
+    fn fit(&self, profile: &Profile, found: &DecodedWord) -> Option<Fit> {
         let len = profile.len;
         let mut template = self.template(found, len);
         smooth(&mut template[..len], profile);
@@ -173,7 +178,7 @@ impl CodeReader {
     }
 
     /// The word's slots on the profile's samples, sharp.
-    fn template(&self, found: &Found, len: usize) -> [f32; MAX_SAMPLES] {
+    fn template(&self, found: &DecodedWord, len: usize) -> [f32; MAX_SAMPLES] {
         let bits = self.dictionary.layout().bits;
         let per_slot = len / (2 * usize::from(bits));
         let mut template = [0.0; MAX_SAMPLES];
@@ -193,7 +198,7 @@ impl CodeReader {
 
 /// A reading in a chart.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Read {
+pub(crate) struct DecodedRing {
     code: Code,
     /// As printed.
     pub word: u16,
@@ -204,15 +209,15 @@ pub(crate) struct Read {
     corrected: u8,
 }
 
-impl Read {
+impl DecodedRing {
     /// The reading as the image has it.
-    pub fn seen_in(&self, chart: &Chart, ratio: f64) -> CodeReading {
+    pub fn in_image(&self, plane: &PlaneMap, ratio: f64) -> CodeReading {
         let (sin, cos) = (-self.zero_rad).sin_cos();
         CodeReading {
             code: self.code,
             word: Some(self.word),
-            zero: chart.image((ratio * cos, ratio * sin)),
-            opposite: chart.image((-ratio * cos, -ratio * sin)),
+            zero: plane.image((ratio * cos, ratio * sin)),
+            opposite: plane.image((-ratio * cos, -ratio * sin)),
             yaw_deviation_rad: self.deviation_rad,
             confidence: self.confidence,
             corrected: self.corrected,
@@ -237,8 +242,8 @@ struct Fit {
 fn smooth(template: &mut [f32], profile: &Profile) {
     let len = template.len();
     let spread = &profile.spread[..len];
-    let most = spread.iter().fold(0.0f32, |most, &s| most.max(s));
-    let steps = ((most / STEP_SPREAD).ceil() as usize).clamp(1, MAX_STEPS);
+    let max = spread.iter().fold(0.0f32, |max, &s| max.max(s));
+    let steps = ((max / STEP_SPREAD).ceil() as usize).clamp(1, MAX_STEPS);
     let mut shares = [0.0f32; MAX_SAMPLES];
     for (share, &spread) in shares.iter_mut().zip(spread) {
         *share = (0.5 * spread / steps as f32).min(0.5 * STEP_SPREAD);

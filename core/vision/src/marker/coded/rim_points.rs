@@ -1,12 +1,12 @@
 //! Points along a coded roundel's outer rim: levels about them, and where these are halfway.
 //!
-//! Each array is gone through from one end to the other, for the compiler to take several points at once.
+//! PerPoint array is gone through from one end to the other, for the compiler to take several points at once.
 
 use std::sync::LazyLock;
 
 use crate::{
     ellipse::Ellipse,
-    marker::coded::sampler::{Light, Places},
+    marker::coded::sampler::{SamplePoints, Sampler},
     normal::normal_each,
 };
 
@@ -20,17 +20,17 @@ const LEVEL_SHARE: f64 = 0.14;
 /// How wide the ring is, as a share of the radius.
 const RING_SHARE: f64 = 0.4;
 /// What blur leaves of the contrast between those levels, at least.
-const LEAST_LEFT: f32 = 0.5;
+const MIN_LEFT: f32 = 0.5;
 /// Centres are counted from pixels no further away than this: with a frame's side that is no overflow.
-const FARTHEST_PX: f64 = 1e6;
+const MAX_ORIGIN_PX: f64 = 1e6;
 /// Least slope of an edge, grey levels a pixel.
-const LEAST_SLOPE: f64 = 1.0;
+const MIN_SLOPE: f64 = 1.0;
 
 /// A number for each point.
-pub(super) type Each = [f32; POINTS];
+pub(super) type PerPoint = [f32; POINTS];
 
 /// cos t and sin t of the points, cos 2t and sin 2t.
-static HARMONICS: LazyLock<[Each; 4]> = LazyLock::new(|| {
+static HARMONICS: LazyLock<[PerPoint; 4]> = LazyLock::new(|| {
     let turn = |index: usize| std::f64::consts::TAU * index as f64 / POINTS as f64;
     [
         std::array::from_fn(|index| turn(index).cos() as f32),
@@ -42,7 +42,7 @@ static HARMONICS: LazyLock<[Each; 4]> = LazyLock::new(|| {
 
 /// cos t, sin t, cos 2t and sin 2t of the points.
 #[inline(always)]
-pub(super) fn harmonics() -> &'static [Each; 4] {
+pub(super) fn harmonics() -> &'static [PerPoint; 4] {
     &HARMONICS
 }
 
@@ -50,22 +50,22 @@ pub(super) fn harmonics() -> &'static [Each; 4] {
 pub(super) struct Points {
     /// Of which places are counted, in the frame.
     origin: (i32, i32),
-    u: Each,
-    v: Each,
+    u: PerPoint,
+    v: PerPoint,
     /// Unit normal outwards.
-    normal_u: Each,
-    normal_v: Each,
+    normal_u: PerPoint,
+    normal_v: PerPoint,
     /// Normal part of the way from the centre, pixels.
-    pub height_px: Each,
+    pub height_px: PerPoint,
     /// What a blur draws the half level inwards by, over its square: half the curvature.
-    pub drawn_per_px: Each,
+    pub drawn_per_px: PerPoint,
 }
 
 impl Points {
     #[inline(always)]
     pub fn of(ellipse: &Ellipse) -> Self {
         // What is further away is beyond any frame's edge.
-        let whole = |center: f64| center.floor().clamp(-FARTHEST_PX, FARTHEST_PX) as i32;
+        let whole = |center: f64| center.floor().clamp(-MAX_ORIGIN_PX, MAX_ORIGIN_PX) as i32;
         let origin = (whole(ellipse.center.u), whole(ellipse.center.v));
         let (middle_u, middle_v) = (
             (ellipse.center.u - f64::from(origin.0)) as f32,
@@ -96,21 +96,21 @@ impl Points {
 
     /// Levels so far outwards of each point.
     #[inline(always)]
-    fn levels(&self, light: &Light, out_px: &Each) -> Each {
-        let mut places = Places { origin: self.origin, u: self.u, v: self.v };
+    fn levels(&self, sampler: &Sampler, out_px: &PerPoint) -> PerPoint {
+        let mut points = SamplePoints { origin: self.origin, u: self.u, v: self.v };
         for (index, out_px) in out_px.iter().enumerate() {
-            places.u[index] += out_px * self.normal_u[index];
-            places.v[index] += out_px * self.normal_v[index];
+            points.u[index] += out_px * self.normal_u[index];
+            points.v[index] += out_px * self.normal_v[index];
         }
-        light.each(&places)
+        sampler.each(&points)
     }
 
     /// The level so far outwards of one of them.
-    fn level(&self, light: &Light, index: usize, out_px: f64) -> f64 {
-        let along = |origin: i32, place: &Each, normal: &Each| {
+    fn level(&self, sampler: &Sampler, index: usize, out_px: f64) -> f64 {
+        let along = |origin: i32, place: &PerPoint, normal: &PerPoint| {
             f64::from(origin) + f64::from(place[index]) + out_px * f64::from(normal[index])
         };
-        light.at(
+        sampler.at(
             along(self.origin.0, &self.u, &self.normal_u),
             along(self.origin.1, &self.v, &self.normal_v),
         )
@@ -118,10 +118,15 @@ impl Points {
 
     /// Levels of ring and margin, without what blur mixes of one into the other.
     #[inline(always)]
-    pub fn black_and_white(&self, light: &Light, semi_minor_px: f64, blur_px: f64) -> (Each, Each) {
+    pub fn black_and_white(
+        &self,
+        sampler: &Sampler,
+        semi_minor_px: f64,
+        blur_px: f64,
+    ) -> (PerPoint, PerPoint) {
         let aside_px = (LEVEL_SHARE * semi_minor_px).clamp(LEVEL_PX.0, LEVEL_PX.1);
-        let blacks = self.levels(light, &[-aside_px as f32; POINTS]);
-        let margins = self.levels(light, &[aside_px as f32; POINTS]);
+        let blacks = self.levels(sampler, &[-aside_px as f32; POINTS]);
+        let margins = self.levels(sampler, &[aside_px as f32; POINTS]);
         let (mut pure_blacks, mut pure_margins) = (blacks, margins);
         let (aside_px, blur_px) = (aside_px as f32, blur_px as f32);
         let (to_blurs, ring_share) = (1.0 / blur_px, RING_SHARE as f32);
@@ -134,7 +139,7 @@ impl Points {
             let of_margin = share(drawn_px - aside_px) + 0.5 * share(-to_teeth_px);
             let of_black = share(-drawn_px - aside_px);
             let seen = margins[index] - blacks[index];
-            let contrast = seen / (1.0 - of_margin - of_black).max(LEAST_LEFT);
+            let contrast = seen / (1.0 - of_margin - of_black).max(MIN_LEFT);
             pure_blacks[index] -= of_margin * contrast;
             pure_margins[index] += of_black * contrast;
         }
@@ -145,25 +150,25 @@ impl Points {
 /// Where levels cross those halfway.
 pub(super) struct Edges {
     /// How far outwards of the points.
-    pub out_px: Each,
+    pub out_px: PerPoint,
     /// How steep they are there; 0 where there is no edge.
-    pub slope: Each,
+    pub slope: PerPoint,
     pub missing: usize,
 }
 
 impl Edges {
     /// Within half a pixel; what seems to be further off than a whole one is none.
     #[inline(always)]
-    pub fn near(light: &Light, points: &Points, half: &Each) -> Self {
-        Self::about(light, points, half, (&[0.0; POINTS], &[true; POINTS], 1.0))
+    pub fn near(sampler: &Sampler, points: &Points, half: &PerPoint) -> Self {
+        Self::about(sampler, points, half, (&[0.0; POINTS], &[true; POINTS], 1.0))
     }
 
     /// As [`crossing`] finds them, at all points at once where they are within a pixel.
     #[inline(always)]
-    pub fn far(light: &Light, points: &Points, half: &Each, reach_px: f64) -> Self {
-        let here = points.levels(light, &[0.0; POINTS]);
-        let inside = points.levels(light, &[-1.0; POINTS]);
-        let outside = points.levels(light, &[1.0; POINTS]);
+    pub fn far(sampler: &Sampler, points: &Points, half: &PerPoint, reach_px: f64) -> Self {
+        let here = points.levels(sampler, &[0.0; POINTS]);
+        let inside = points.levels(sampler, &[-1.0; POINTS]);
+        let outside = points.levels(sampler, &[1.0; POINTS]);
         let (mut out_px, mut is_near) = ([0.0; POINTS], [true; POINTS]);
         for index in 0..POINTS {
             let level = here[index] - half[index];
@@ -177,36 +182,36 @@ impl Edges {
         for index in 0..POINTS {
             if !is_near[index] {
                 let profile =
-                    |out_px: f64| points.level(light, index, out_px) - f64::from(half[index]);
-                let found = walked(profile, reach_px);
+                    |out_px: f64| points.level(sampler, index, out_px) - f64::from(half[index]);
+                let found = walk_to_crossing(profile, reach_px);
                 is_seen[index] = found.is_some();
                 out_px[index] = found.unwrap_or_default() as f32;
             }
         }
-        Self::about(light, points, half, (&out_px, &is_seen, f32::INFINITY))
+        Self::about(sampler, points, half, (&out_px, &is_seen, f32::INFINITY))
     }
 
     /// From levels half a pixel to either side of where they are thought to be, and at most so far from there.
     #[inline(always)]
     fn about(
-        light: &Light,
+        sampler: &Sampler,
         points: &Points,
-        half: &Each,
-        (thought_px, is_seen, most_px): (&Each, &[bool; POINTS], f32),
+        half: &PerPoint,
+        (thought_px, is_seen, max_px): (&PerPoint, &[bool; POINTS], f32),
     ) -> Self {
         let [mut before, mut after] = [*thought_px; 2];
         for index in 0..POINTS {
             before[index] -= 0.5;
             after[index] += 0.5;
         }
-        let (before, after) = (points.levels(light, &before), points.levels(light, &after));
+        let (before, after) = (points.levels(sampler, &before), points.levels(sampler, &after));
         let (mut slope, mut out_px) = ([0.0; POINTS], *thought_px);
         let mut missing = 0;
         for index in 0..POINTS {
             let (before, after) = (before[index] - half[index], after[index] - half[index]);
             let steep = after - before;
             let beyond = -0.5 * (before + after) / steep;
-            let is_edge = is_seen[index] && steep >= LEAST_SLOPE as f32 && beyond.abs() <= most_px;
+            let is_edge = is_seen[index] && steep >= MIN_SLOPE as f32 && beyond.abs() <= max_px;
             missing += usize::from(!is_edge);
             slope[index] = if is_edge { steep } else { 0.0 };
             out_px[index] += beyond.clamp(-0.5, 0.5);
@@ -217,7 +222,7 @@ impl Edges {
 
 /// Means over neighbours: less noise, and what light varies stays.
 #[inline(always)]
-pub(super) fn smoothed(levels: &Each) -> Each {
+pub(super) fn smoothed(levels: &PerPoint) -> PerPoint {
     const SIDE: usize = 3;
     let mut round = [0.0; POINTS + 2 * SIDE];
     round[SIDE..SIDE + POINTS].copy_from_slice(levels);
@@ -234,7 +239,7 @@ pub(super) fn smoothed(levels: &Each) -> Each {
 
 /// The plane through them: what a light varies, and not what teeth near by add here and there.
 #[inline(always)]
-pub(super) fn tilted(levels: &Each) -> Each {
+pub(super) fn tilted(levels: &PerPoint) -> PerPoint {
     let [cos, sin, ..] = harmonics();
     let mean = mean(levels) as f32;
     let x = (2.0 * sum(|index| levels[index] * cos[index]) / POINTS as f64) as f32;
@@ -248,18 +253,18 @@ pub(super) fn tilted(levels: &Each) -> Each {
 
 /// Where a rising profile crosses zero, nearest to 0, and how steeply; `None` if not within reach.
 pub(super) fn crossing(profile: impl Fn(f64) -> f64, reach_px: f64) -> Option<(f64, f64)> {
-    let place = walked(&profile, reach_px)?;
+    let place = walk_to_crossing(&profile, reach_px)?;
     // Once more, even to both sides.
     let (before, after) = (profile(place - 0.5), profile(place + 0.5));
     let slope = after - before;
-    if slope.is_nan() || slope < LEAST_SLOPE {
+    if slope.is_nan() || slope < MIN_SLOPE {
         return None;
     }
     Some((place - (0.5 * (before + after) / slope).clamp(-0.5, 0.5), slope))
 }
 
 /// Between which whole steps from 0 it crosses, and where if it is straight there.
-fn walked(profile: impl Fn(f64) -> f64, reach_px: f64) -> Option<f64> {
+fn walk_to_crossing(profile: impl Fn(f64) -> f64, reach_px: f64) -> Option<f64> {
     let mut place = 0.0;
     let mut level = profile(0.0);
     let step = if level < 0.0 { 1.0 } else { -1.0 };
@@ -289,6 +294,6 @@ pub(super) fn sum(of: impl Fn(usize) -> f32) -> f64 {
 }
 
 #[inline(always)]
-pub(super) fn mean(levels: &Each) -> f64 {
+pub(super) fn mean(levels: &PerPoint) -> f64 {
     sum(|index| levels[index]) / POINTS as f64
 }

@@ -5,7 +5,7 @@ use fearless_simd::Level;
 use crate::{frame::Frame, simd::floor};
 
 /// Grey levels between pixels; a point outside of the frame is as its edge.
-pub(crate) struct Light<'a, 'f> {
+pub(crate) struct Sampler<'a, 'f> {
     pub frame: &'a Frame<'f>,
     /// What the processor can do at once.
     pub level: Level,
@@ -15,13 +15,13 @@ pub(crate) struct Light<'a, 'f> {
 
 /// Points, counted from a pixel near all of them, so that single precision is enough.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Places<const COUNT: usize> {
+pub(crate) struct SamplePoints<const COUNT: usize> {
     pub origin: (i32, i32),
     pub u: [f32; COUNT],
     pub v: [f32; COUNT],
 }
 
-impl Light<'_, '_> {
+impl Sampler<'_, '_> {
     pub fn at(&self, u: f64, v: f64) -> f64 {
         let (width, height) = (self.frame.width(), self.frame.height());
         let (u, v) = (u.clamp(0.0, width as f64 - 1.001), v.clamp(0.0, height as f64 - 1.001));
@@ -41,8 +41,8 @@ impl Light<'_, '_> {
     /// Only the pixels themselves are fetched one by one; what comes before and after is done to all points
     /// alike, for the compiler to take several at once.
     #[inline(always)]
-    pub fn each<const COUNT: usize>(&self, places: &Places<COUNT>) -> [f32; COUNT] {
-        let Places { origin, u, v } = places;
+    pub fn each<const COUNT: usize>(&self, points: &SamplePoints<COUNT>) -> [f32; COUNT] {
+        let SamplePoints { origin, u, v } = points;
         let (left, du) = split(u, origin.0, self.frame.width());
         let (top, dv) = split(v, origin.1, self.frame.height());
         let (pixels, stride) = self.frame.pixels();
@@ -70,7 +70,7 @@ impl Light<'_, '_> {
 /// The pixels before points along one side of the frame, and how far the points are beyond them.
 #[inline(always)]
 fn split<const COUNT: usize>(
-    places: &[f32; COUNT],
+    points: &[f32; COUNT],
     origin: i32,
     side: usize,
 ) -> ([i32; COUNT], [f32; COUNT]) {
@@ -78,7 +78,7 @@ fn split<const COUNT: usize>(
     let (mut pixels, mut beyond) = ([0; COUNT], [0.0; COUNT]);
     for index in 0..COUNT {
         // What is no number is the edge.
-        let place = places[index].max(low).min(high);
+        let place = points[index].max(low).min(high);
         let whole = floor(place);
         beyond[index] = place - whole as f32;
         // Where single precision has rounded up to the last pixel.
@@ -104,14 +104,14 @@ mod tests {
             let pixels: Vec<u8> =
                 (0..SIZE.0 * SIZE.1).map(|at| (at * 7919 % 251) as u8).collect();
             let frame = Frame::new(&pixels, SIZE.0, SIZE.1, SIZE.0).unwrap();
-            let light = Light { frame: &frame, level: Level::new(), inverted };
-            let places = Places {
+            let sampler = Sampler { frame: &frame, level: Level::new(), inverted };
+            let points = SamplePoints {
                 origin,
                 u: at.map(|(u, _)| (u - f64::from(origin.0)) as f32),
                 v: at.map(|(_, v)| (v - f64::from(origin.1)) as f32),
             };
-            for (level, (u, v)) in light.each(&places).into_iter().zip(at) {
-                let alone = light.at(u, v);
+            for (level, (u, v)) in sampler.each(&points).into_iter().zip(at) {
+                let alone = sampler.at(u, v);
                 prop_assert!((f64::from(level) - alone).abs() < 0.02, "{level} {alone}");
             }
         }
@@ -121,9 +121,9 @@ mod tests {
     fn what_is_no_number_is_the_edge() {
         let pixels = [1, 2, 3, 4];
         let frame = Frame::new(&pixels, 2, 2, 2).unwrap();
-        let light = Light { frame: &frame, level: Level::new(), inverted: false };
+        let sampler = Sampler { frame: &frame, level: Level::new(), inverted: false };
         let (u, v) = ([f32::NAN, f32::INFINITY, f32::NEG_INFINITY], [f32::NAN; 3]);
-        let levels = light.each(&Places { origin: (1000, -1000), u, v });
+        let levels = sampler.each(&SamplePoints { origin: (1000, -1000), u, v });
         assert!(
             levels.iter().zip([1.0, 2.0, 1.0]).all(|(level, edge)| (level - edge).abs() < 0.01)
         );

@@ -18,7 +18,7 @@ use nalgebra::{Matrix3, Vector3};
 use crate::{
     marker::{
         code::CodeLayout,
-        coded::{plane_map::Chart, rim_points::crossing, sampler::Light},
+        coded::{plane_map::PlaneMap, rim_points::crossing, sampler::Sampler},
     },
     normal::normal_each,
 };
@@ -36,9 +36,9 @@ const REACH_PX: f64 = 3.0;
 /// √(2/π): so many deviations inside of an edge lies the mean of what is seen there, where gaps are narrower.
 const MEAN_INSIDE: f64 = 0.797_884_560_8;
 /// No disc is seen further from where the chart has it, in units of the outer rim's radius.
-const FARTHEST_SHIFT: f64 = 0.1;
+const MAX_SHIFT: f64 = 0.1;
 /// A gap of which blur leaves less than this is none.
-const LEAST_OPEN: f64 = 0.2;
+const MIN_OPEN: f64 = 0.2;
 
 /// A gap between teeth, or one slot of it, in the chart.
 #[derive(Clone, Copy, Debug)]
@@ -60,8 +60,8 @@ pub(crate) struct Disc {
 
 /// The white disc's rim, by the gaps between teeth; `black` is the ring's level. `None` without enough gaps.
 pub(crate) fn disc(
-    light: &Light,
-    chart: &Chart,
+    sampler: &Sampler,
+    plane: &PlaneMap,
     ratio: f64,
     gaps: impl Iterator<Item = Gap> + Clone,
     (black, blur_px): (f64, f64),
@@ -72,29 +72,28 @@ pub(crate) fn disc(
         let mut normal = Matrix3::<f64>::zeros();
         let mut right = Vector3::<f64>::zeros();
         for gap in gaps.clone() {
-            let seen = SeenGap::new(chart, radius, shift, &gap);
-            let Some((share, weight)) = seen.outwards(light, black, blur_px) else { continue };
+            let seen = ImagedGap::new(plane, radius, shift, &gap);
+            let Some((share, weight)) = seen.outwards(sampler, black, blur_px) else { continue };
             let (cos, sin) = gap.direction;
             let row = Vector3::new(1.0, cos, sin);
             normal += row * row.transpose() * weight;
             right += row * (share * weight);
         }
         let change = normal.cholesky()?.solve(&right);
-        let moved_px = change.amax() * radius * chart.reach_px();
+        let moved_px = change.amax() * radius * plane.reach_px();
         shift = (shift.0 + radius * change[1], shift.1 + radius * change[2]);
         radius *= 1.0 + change[0];
         if moved_px < SETTLED_PX {
             break;
         }
     }
-    let fits = radius > 0.5 * ratio
-        && radius < 0.5 * (1.0 + ratio)
-        && shift.0.hypot(shift.1) < FARTHEST_SHIFT;
+    let fits =
+        radius > 0.5 * ratio && radius < 0.5 * (1.0 + ratio) && shift.0.hypot(shift.1) < MAX_SHIFT;
     fits.then_some(Disc { radius, shift })
 }
 
 /// A gap as imaged.
-struct SeenGap {
+struct ImagedGap {
     to_teeth_rad: (f64, f64),
     /// Where its middle meets the rim, and where its level is taken, pixels.
     rim: (f64, f64),
@@ -105,11 +104,11 @@ struct SeenGap {
     aside: (f64, f64),
 }
 
-impl SeenGap {
-    fn new(chart: &Chart, radius: f64, shift: (f64, f64), gap: &Gap) -> Self {
+impl ImagedGap {
+    fn new(plane: &PlaneMap, radius: f64, shift: (f64, f64), gap: &Gap) -> Self {
         let (cos, sin) = gap.direction;
         let at = |x: f64, y: f64| {
-            let image = chart.image((radius * x + shift.0, radius * y + shift.1));
+            let image = plane.image((radius * x + shift.0, radius * y + shift.1));
             (image.u, image.v)
         };
         let rim = at(cos, sin);
@@ -125,7 +124,7 @@ impl SeenGap {
 
     /// How far outwards the edge lies, as a share of the radius, and how much that weighs; `None` where
     /// there is no edge.
-    fn outwards(&self, light: &Light, black: f64, blur_px: f64) -> Option<(f64, f64)> {
+    fn outwards(&self, sampler: &Sampler, black: f64, blur_px: f64) -> Option<(f64, f64)> {
         let length = |(u, v): (f64, f64)| (u * u + v * v).sqrt();
         let (along_px, aside_px) = (length(self.along), length(self.aside));
         let area = (self.along.0 * self.aside.1 - self.along.1 * self.aside.0).abs();
@@ -142,18 +141,18 @@ impl SeenGap {
         let open = |at: f64| normal(one * at).1 + normal(other * at).1 - 1.0;
         let cut_off = one * normal(one).0 + other * normal(other).0;
         let at_rim = open(1.0) - MEAN_INSIDE * cut_off / size;
-        if at_rim < LEAST_OPEN {
+        if at_rim < MIN_OPEN {
             return None;
         }
         // At its place the level has lost to the ring and gained from the core as well.
         let from_core = normal((CodeLayout::CORE_SHARE - LEVEL_AT) * size).1;
         let from_ring = normal((LEVEL_AT - 1.0) * size).1;
         let expected = open(LEVEL_AT) * (1.0 - from_ring - from_core) + from_core;
-        let level = light.at(self.inside.0, self.inside.1) - black;
+        let level = sampler.at(self.inside.0, self.inside.1) - black;
         let half = black + 0.5 * level * at_rim / expected;
         let (du, dv) = (self.along.0 / along_px, self.along.1 / along_px);
         let dark =
-            |out_px: f64| half - light.at(self.rim.0 + out_px * du, self.rim.1 + out_px * dv);
+            |out_px: f64| half - sampler.at(self.rim.0 + out_px * du, self.rim.1 + out_px * dv);
         let (out_px, _) = crossing(dark, REACH_PX)?;
         // The rim's second derivative by its angle is a radius, inwards: κ = area/aside³.
         let drawn_px = 0.5 * blur_px * blur_px * (1.0 - cut_off / at_rim) * area / aside_px.powi(3);

@@ -13,14 +13,14 @@
 //!
 //! Eq. (5) compares the pixels counted with those of the moments' ellipse. It holds for filled
 //! ellipses, so s and the moments are those of black and white together: the moments of the ring
-//! alone would be those of an ellipse √(1 + d_i²/d_o²) times as large. Weighed moments hold the blur as
+//! alone would be those of an ellipse √(1 + d_i²/d_o²) times as large. WeighedRim moments hold the blur as
 //! well, so the test allows for as much of it as a camera may have.
 
 use crate::{
     ellipse::{Ellipse, Shape, Symmetric2},
     marker::{
         reject::Reject,
-        ring::{pixels::segments::Counted, probe::Rules},
+        ring::{pixels::segments::SegmentSize, probe::Rules},
     },
 };
 
@@ -32,7 +32,7 @@ pub(crate) const ROUNDNESS_TOLERANCE: (f64, f64) = (0.02, 0.6);
 pub(crate) const CENTER_TOLERANCE: (f64, f64) = (0.06, 0.4);
 /// Perspective moves the centres apart along the shorter axis, the more the shorter the focal length;
 /// this is the shortest that is allowed for, pixels …
-const LEAST_FOCAL_PX: f64 = 350.0;
+const MIN_FOCAL_PX: f64 = 350.0;
 /// … and far from the picture's middle, where it stretches what is seen, along the longer axis by
 /// this share of that.
 const ASIDE_SHARE: f64 = 0.4;
@@ -40,14 +40,14 @@ const ASIDE_SHARE: f64 = 0.4;
 /// rendered rings from 10 px on, two thirds of this is the most.
 pub(crate) const SIMILARITY_TOLERANCE: (f64, f64) = (0.06, 0.3);
 /// Largest variance that blur and the pixels' width add to a shape, px²: a blur of 1.2 px.
-pub(crate) const MOST_SPREAD_PX2: f64 = 1.5;
+pub(crate) const MAX_SPREAD_PX2: f64 = 1.5;
 /// Pixels that a rim may be off by at any threshold, in the ratio of diameters.
 const RATIO_RIM_PX: f64 = 0.8;
 
 /// How far levels may lie beyond what a pixel can hold: a share of the contrast, and grey levels.
 pub(crate) const LEVEL_TOLERANCE: (f64, f64) = (0.1, 10.0);
 
-impl Counted {
+impl SegmentSize {
     /// Pixels of a segment as a share of those of an ellipse in its box, eqs. (1) and (2) with the
     /// correction for turned ellipses: 1 for a disc, 1 - d_i²/d_o² for a ring.
     fn box_share(&self, c: &Symmetric2) -> f64 {
@@ -62,7 +62,11 @@ impl Counted {
 
 /// Tests of what was counted: the black segment's size, and the ratio of the segments' areas, from
 /// which follows that of the diameters (algorithm 2).
-pub(crate) fn check_counts(black: &Counted, white: &Counted, rules: &Rules) -> Result<(), Reject> {
+pub(crate) fn check_sizes(
+    black: &SegmentSize,
+    white: &SegmentSize,
+    rules: &Rules,
+) -> Result<(), Reject> {
     let smallest_side = 2.0 * rules.min_semi_minor_px - 1.0;
     if black.width.min(black.height) < smallest_side {
         return Err(Reject::TooSmall);
@@ -71,20 +75,20 @@ pub(crate) fn check_counts(black: &Counted, white: &Counted, rules: &Rules) -> R
     let ratio = (white / (white + black)).sqrt();
     let radius_px = ((white + black) * std::f64::consts::FRAC_1_PI).sqrt();
     let slack = RATIO_RIM_PX / radius_px;
-    let (least, most) = rules.ratios;
-    if ratio < least - slack || ratio > most + slack { Err(Reject::AreaRatio) } else { Ok(()) }
+    let (min, max) = rules.ratios;
+    if ratio < min - slack || ratio > max + slack { Err(Reject::AreaRatio) } else { Ok(()) }
 }
 
 /// Tests of both shapes against their boxes, eqs. (1), (2).
 pub(crate) fn check_boxes(
-    (black, outer): (&Counted, &Shape),
-    (white, inner): (&Counted, &Shape),
+    (black, outer): (&SegmentSize, &Shape),
+    (white, inner): (&SegmentSize, &Shape),
     rules: &Rules,
 ) -> Result<(), Reject> {
     let filled = black.box_share(&outer.covariance);
     let tolerance = black.box_tolerance();
-    let (most, least) = (1.0 - rules.ratios.0.powi(2), 1.0 - rules.ratios.1.powi(2));
-    if !(least * (1.0 - tolerance)..=most * (1.0 + tolerance)).contains(&filled) {
+    let (max, min) = (1.0 - rules.ratios.0.powi(2), 1.0 - rules.ratios.1.powi(2));
+    if !(min * (1.0 - tolerance)..=max * (1.0 + tolerance)).contains(&filled) {
         return Err(Reject::BlackBox);
     }
     let filled = white.box_share(&inner.covariance);
@@ -111,7 +115,7 @@ pub(crate) fn check_shapes(
         // By eq. (5) a spread of σ² makes an ellipse's moments those of one larger by this share.
         let share = 2.0 * (rim.semi_major_px.powi(-2) + rim.semi_minor_px.powi(-2));
         let spread_px2 = shape.spread_px2_of(rim);
-        if spread_px2 * share < -tolerance || (spread_px2 - MOST_SPREAD_PX2) * share > tolerance {
+        if spread_px2 * share < -tolerance || (spread_px2 - MAX_SPREAD_PX2) * share > tolerance {
             return Err(Reject::Roundness);
         }
     }
@@ -144,7 +148,7 @@ fn check_centers(
     }
     let (a, b) = (outer_rim.semi_major_px, outer_rim.semi_minor_px);
     let ratio2 = inner_rim.semi_major_px * inner_rim.semi_minor_px / (a * b);
-    let perspective_px = (a * a - b * b).sqrt() * b / a * (1.0 - ratio2) * a / LEAST_FOCAL_PX;
+    let perspective_px = (a * a - b * b).sqrt() * b / a * (1.0 - ratio2) * a / MIN_FOCAL_PX;
     let (sin, cos) = outer_rim.angle_rad.sin_cos();
     let (along_major, along_minor) = (du * cos + dv * sin, dv * cos - du * sin);
     let beyond = |px: f64, allowed_px: f64| (px.abs() - allowed_px).max(0.0);
@@ -188,7 +192,7 @@ mod tests {
 
     /// A black segment and its hole, as sets of pixel centres inside ellipses, counted, and the shapes
     /// of black and white together and of the hole; sums of the black alone.
-    fn ring(angle_rad: f64, tilt: f64, ratio: f64) -> ([(Counted, Shape); 2], Sums) {
+    fn ring(angle_rad: f64, tilt: f64, ratio: f64) -> ([(SegmentSize, Shape); 2], Sums) {
         let rim = |scale: f64| {
             Chords::new(&Ellipse {
                 center: PixelPoint { u: 60.3, v: 59.8 },
@@ -217,8 +221,8 @@ mod tests {
             }
         }
         let shape = |sums: &Sums| Moments::from(sums).shape((0, 0)).unwrap();
-        let outer = (Counted::new(black.n as u32, &boxes[0]), shape(&black.joined(&white)));
-        ([outer, (Counted::new(white.n as u32, &boxes[1]), shape(&white))], black)
+        let outer = (SegmentSize::new(black.n as u32, &boxes[0]), shape(&black.joined(&white)));
+        ([outer, (SegmentSize::new(white.n as u32, &boxes[1]), shape(&white))], black)
     }
 
     #[test]

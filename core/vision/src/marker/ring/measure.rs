@@ -4,15 +4,15 @@
 //! 1. The window is copied and thresholded into words of bits ([`crate::marker::ring::pixels::patch`]).
 //! 2. The disc is followed from the probe's centre, and the black from the disc; counts refuse what is
 //!    too small, too large or of the wrong ratio ([`crate::marker::ring::pixels::segments`]).
-//! 3. Bits grown and shrunk give the belts in which the rims' blur lies, and the pixels that tell the
+//! 3. BitRows grown and shrunk give the bands in which the rims' blur lies, and the pixels that tell the
 //!    levels B and W ([`crate::marker::ring::pixels::edge_band`], [`crate::marker::ring::subpixel::levels`]).
-//!    Of a ring that is followed, the rims of the frame before say where the belts are, and steps 2 and
-//!    3 are left out, unless a pixel between the belts contradicts that ([`crate::marker::ring::pixels::predicted`]).
-//! 4. Inside the inner belt a pixel is disc, in it (I - B)/(W - B) of it is, and of the roundel in the
-//!    outer belt (W - I)/(W - B). Blur moves weight across a rim but loses none, so the area and the
+//!    Of a ring that is followed, the rims of the frame before say where the bands are, and steps 2 and
+//!    3 are left out, unless a pixel between the bands contradicts that ([`crate::marker::ring::pixels::predicted`]).
+//! 4. Inside the inner band a pixel is disc, in it (I - B)/(W - B) of it is, and of the roundel in the
+//!    outer band (W - I)/(W - B). Blur moves weight across a rim but loses none, so the area and the
 //!    difference of the covariance's eigenvalues ([`crate::ellipse::Shape::ellipse`]) are those of the
-//!    sharp rim, and noise comes from the belts alone ([`crate::marker::ring::subpixel::moments`]).
-//! 5. What blur does to the levels and past the belts is undone ([`crate::marker::ring::subpixel::blur`]).
+//!    sharp rim, and noise comes from the bands alone ([`crate::marker::ring::subpixel::moments`]).
+//! 5. What blur does to the levels and past the bands is undone ([`crate::marker::ring::subpixel::blur`]).
 //!
 //! All of it is linear in the grey levels, whose noise therefore makes no bias.
 //!
@@ -20,8 +20,8 @@
 //! 0.7 px, noise 2, kind known), mean radius, rms: to 30° of tilt 0.007 % at 81 px of diameter, 0.04 %
 //! at 30 px, 0.15 % at 20 px, 0.2 to 0.3 % at 12 px; at 60°, 0.12 % at 30 px.
 //!
-//! Where the margin is narrower than four pixels its level is taken to be the disc's, and the outer belt
-//! is one pixel wide; where it is narrower than two, the belt ends at the threshold's edge, and what lies
+//! Where the margin is narrower than four pixels its level is taken to be the disc's, and the outer band
+//! is one pixel wide; where it is narrower than two, the band ends at the threshold's edge, and what lies
 //! beyond follows from the blur: 0.15 to 0.5 % at 16 and 20 px with a margin of 1.2 and 1.5 px.
 //!
 //! Limits: where the disc's shorter semiaxis is below three times the blur, rims come out short (1 to
@@ -39,27 +39,29 @@ use crate::{
         kind::{Kind, RATIO_LIMITS},
         reject::Reject,
         ring::{
-            checks::check_counts,
+            checks::check_sizes,
             pixels::{
-                edge_band::{self, BELT_PX, BeltScratch, Belts},
+                edge_band::{self, BAND_PX, BandScratch, EdgeBands},
                 ellipse_mask::Area,
                 patch::{Patch, WORD_PX},
-                predicted::{Expected, Followed, belts_about, motion},
+                predicted::{PredictedBands, PredictedRims, bands_about, disc_motion},
                 segment_fill::Extent,
                 segments::{Segments, Spans},
             },
             probe::{Probe, Rules},
-            subpixel::{Outline, Places, blur::Unblurred, thin_ring::Depths, weigh},
+            subpixel::{
+                BandLayout, RimQuality, blur::SharpRims, refine_rims, thin_ring::RimDistances,
+            },
         },
     },
-    scratch::make_room,
+    scratch::reserve_total,
 };
 
 /// A ring is measured anew at its own threshold, eq. (3), if that is further from the first one than
 /// this share of the contrast; than the second, if the threshold has cut its rim.
 pub(crate) const RETHRESHOLD_SHARE: (f64, f64) = (0.15, 0.02);
 
-/// Turns in which the belts about expected rims are drawn.
+/// Turns in which the bands about expected rims are drawn.
 const FOLLOWING_TURNS: usize = 2;
 /// Memory of measuring one ring.
 #[derive(Debug)]
@@ -68,8 +70,8 @@ pub(crate) struct MeasureScratch {
     pub level: Level,
     patch: Patch,
     spans: Spans,
-    belts: BeltScratch,
-    depths: Depths,
+    bands: BandScratch,
+    distances: RimDistances,
 }
 
 impl Default for MeasureScratch {
@@ -78,20 +80,20 @@ impl Default for MeasureScratch {
             level: Level::new(),
             patch: Patch::default(),
             spans: Spans::default(),
-            belts: BeltScratch::new(),
-            depths: Depths::default(),
+            bands: BandScratch::new(),
+            distances: RimDistances::default(),
         }
     }
 }
 
 impl MeasureScratch {
     /// Room for rings as large as frames of this size.
-    pub fn make_room(&mut self, (width, height): (usize, usize)) {
+    pub fn reserve(&mut self, (width, height): (usize, usize)) {
         let words = width.div_ceil(WORD_PX);
-        self.patch.make_room(words, height);
-        self.spans.make_room(height);
-        make_room(&mut self.belts, edge_band::most_words(words, height));
-        self.depths.make_room(width, height);
+        self.patch.reserve(words, height);
+        self.spans.reserve(height);
+        reserve_total(&mut self.bands, edge_band::max_words(words, height));
+        self.distances.reserve(width, height);
     }
 }
 
@@ -140,7 +142,7 @@ fn measure_with<S: Simd>(
             found
         }
     };
-    let (Unblurred { outer, inner, black, white }, Outline { unevenness, similar, .. }) = found;
+    let (SharpRims { outer, inner, black, white }, RimQuality { unevenness, similar, .. }) = found;
     let (kind, outer, inner) = if kinds.is_empty() {
         let ratio = inner.mean_radius_px() / outer.mean_radius_px();
         if ratio < RATIO_LIMITS.0 || ratio > RATIO_LIMITS.1 {
@@ -157,7 +159,7 @@ fn measure_with<S: Simd>(
         (Some(kind), outer, inner)
     };
     let ring = Ring { kind, threshold, black, white, unevenness, ..Ring::of_rims(outer, inner) };
-    Ok(ring.seen_as(probe.polarity))
+    Ok(ring.with_polarity(probe.polarity))
 }
 
 /// The level halfway between black and white.
@@ -180,25 +182,25 @@ fn rims<S: Simd>(
     probe: &Probe,
     rules: &Rules,
     scratch: &mut MeasureScratch,
-) -> Result<(Unblurred, Outline), Reject> {
-    let MeasureScratch { patch, spans, belts, depths, .. } = scratch;
+) -> Result<(SharpRims, RimQuality), Reject> {
+    let MeasureScratch { patch, spans, bands, distances, .. } = scratch;
     let segments = Segments::find(simd, frame, patch, probe.center, spans)?;
-    let Segments { disc, ring, of_disc, of_ring } = &segments;
-    check_counts(of_ring, of_disc, rules)?;
-    let belts = Belts::round(simd, patch, (disc, &spans.discs), (ring, &spans.rings), belts);
+    let Segments { disc, ring, disc_size, ring_size } = &segments;
+    check_sizes(ring_size, disc_size, rules)?;
+    let bands = EdgeBands::round(simd, patch, (disc, &spans.discs), (ring, &spans.rings), bands);
     let middle = |first: usize, end: usize| (first + end) / 2;
     let columns = &ring.columns;
-    let places = Places {
+    let layout = BandLayout {
         middle: (
             middle(columns.first as usize, columns.end as usize) & !1,
-            middle(ring.top, ring.bottom) - belts.top,
+            middle(ring.top, ring.bottom) - bands.top,
         ),
-        outer: area_round(ring, &belts, patch),
-        inner: area_round(disc, &belts, patch),
-        belts,
-        counted: Some((of_ring, of_disc)),
+        outer: area_round(ring, &bands, patch),
+        inner: area_round(disc, &bands, patch),
+        bands,
+        sizes: Some((ring_size, disc_size)),
     };
-    weigh(simd, frame, probe, rules, (patch, &places), depths)
+    refine_rims(simd, frame, probe, rules, (patch, &layout), distances)
 }
 
 /// The ring at its expected rims, if it is just there.
@@ -209,34 +211,35 @@ fn followed<S: Simd>(
     probe: &Probe,
     rules: &Rules,
     scratch: &mut MeasureScratch,
-) -> Option<(Unblurred, Outline)> {
-    let MeasureScratch { patch, belts, depths, .. } = scratch;
-    let expected = probe.expected.as_ref()?;
-    let (du, dv) = motion(simd, patch, expected)?;
-    let mut expected = expected.moved(du, dv);
+) -> Option<(SharpRims, RimQuality)> {
+    let MeasureScratch { patch, bands, distances, .. } = scratch;
+    let predicted = probe.predicted.as_ref()?;
+    let (du, dv) = disc_motion(simd, patch, predicted)?;
+    let mut predicted = predicted.moved(du, dv);
     for _ in 0..FOLLOWING_TURNS {
-        let Followed { belts, outer, inner, middle } = belts_about(simd, patch, &expected, belts)?;
-        let places = Places { belts, middle, outer, inner, counted: None };
-        let found = weigh(simd, frame, probe, rules, (patch, &places), depths).ok()?;
+        let PredictedBands { bands, outer, inner, middle } =
+            bands_about(simd, patch, &predicted, bands)?;
+        let layout = BandLayout { bands, middle, outer, inner, sizes: None };
+        let found = refine_rims(simd, frame, probe, rules, (patch, &layout), distances).ok()?;
         let (outer, inner) = (found.0.outer, found.0.inner);
-        if expected.is_met(&outer, &inner) {
+        if predicted.is_near(&outer, &inner) {
             let off = own_threshold(found.0.black, found.0.white).abs_diff(probe.threshold);
             let limit = RETHRESHOLD_SHARE.0 * (found.0.white - found.0.black);
             return (f64::from(off) <= limit).then_some(found);
         }
-        expected = Expected::new(&outer, &inner);
+        predicted = PredictedRims::new(&outer, &inner);
     }
     None
 }
 
-/// Rows of the belts, and columns, that a segment and the belt round it lie in.
-fn area_round(extent: &Extent, belts: &Belts, patch: &Patch) -> Area {
+/// RowBits of the bands, and columns, that a segment and the band round it lie in.
+fn area_round(extent: &Extent, bands: &EdgeBands, patch: &Patch) -> Area {
     let (first, end) = (extent.columns.first as usize, extent.columns.end as usize);
     Area {
         rows: (
-            (extent.top - belts.top).saturating_sub(BELT_PX),
-            (extent.bottom - belts.top + BELT_PX).min(belts.disc_core.len() / patch.words),
+            (extent.top - bands.top).saturating_sub(BAND_PX),
+            (extent.bottom - bands.top + BAND_PX).min(bands.disc_core.len() / patch.words),
         ),
-        columns: (first.saturating_sub(BELT_PX), (end + BELT_PX).min(patch.words * WORD_PX)),
+        columns: (first.saturating_sub(BAND_PX), (end + BAND_PX).min(patch.words * WORD_PX)),
     }
 }

@@ -1,7 +1,7 @@
 //! Where a ring is looked for, and what it must look like.
 
 use crate::{
-    marker::{kind::Polarity, ring::pixels::predicted::Expected},
+    marker::{kind::Polarity, ring::pixels::predicted::PredictedRims},
     segment::Window,
 };
 
@@ -30,7 +30,7 @@ pub(crate) struct Probe {
     /// Of a white ring all levels, the threshold too, are counted from white.
     pub polarity: Polarity,
     /// Where the rims of a ring that is followed ought to be.
-    pub expected: Option<Expected>,
+    pub predicted: Option<PredictedRims>,
 }
 
 impl Probe {

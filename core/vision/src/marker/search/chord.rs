@@ -10,7 +10,7 @@ use crate::marker::reject::Reject;
 /// sides of a chord of so many frame widths differ by this share …
 const PERSPECTIVE_SHARE: f64 = 2.4;
 /// … and never by more.
-const MOST_SIDE_SHARE: f64 = 0.55;
+const MAX_SIDE_SHARE: f64 = 0.55;
 /// White's shares of two chords through the centre may differ by this much.
 pub(crate) const RATIO_SLACK: f64 = 0.1;
 /// Pixels by which perspective, blur and thresholds move the two sides of a chord apart.
@@ -44,13 +44,13 @@ pub(crate) struct Evenness {
 
 impl Evenness {
     /// That of plain rings of these ratios of diameters.
-    pub fn of_plain((least, most): (f64, f64)) -> Self {
+    pub fn plain((min, max): (f64, f64)) -> Self {
         // Rows off the centre cross less of the disc, so there is only half of the least share to be
         // asked for.
         Self {
             side_share: 0.25,
             share_per_px: 0.0,
-            white: (0.5 * least, 0.5 * (1.0 + most)),
+            white: (0.5 * min, 0.5 * (1.0 + max)),
             ratio_slack: RATIO_SLACK,
             outer_middle: false,
             black_share: 0.0,
@@ -71,14 +71,14 @@ impl Evenness {
     }
 
     /// The same in a frame of this width.
-    pub fn seen_in(self, width: usize) -> Self {
+    pub fn for_width(self, width: usize) -> Self {
         Self { share_per_px: PERSPECTIVE_SHARE / width as f64, ..self }
     }
 
     #[inline]
     fn side_share_of(&self, total: f64) -> f64 {
-        let most = MOST_SIDE_SHARE.max(self.side_share);
-        (self.side_share + self.share_per_px * total).min(most)
+        let max = MAX_SIDE_SHARE.max(self.side_share);
+        (self.side_share + self.share_per_px * total).min(max)
     }
 
     /// Whether left black, white and right black of these widths can be a chord.
@@ -244,7 +244,7 @@ mod tests {
 
     #[test]
     fn chords_must_be_even() {
-        let evenness = Evenness::of_plain((0.2, 0.8));
+        let evenness = Evenness::plain((0.2, 0.8));
         let line = [9, 0, 0, 0, 9, 9, 0, 0, 0, 9];
         let even = binary(&line, 10).chord((4, 0), (1, 0), 10, &evenness).unwrap();
         assert_eq!((even.outer, even.inner), ((-3, 5), (0, 2)));

@@ -19,11 +19,11 @@ pub(crate) struct Claim {
 
 impl Claim {
     pub fn new(ring: &Ring) -> Self {
-        Self::of_box(ring, ring.outer.half_box_px())
+        Self::with_box(ring, ring.outer.half_box_px())
     }
 
     /// Of a ring, half the sides of whose box are known.
-    pub fn of_box(ring: &Ring, half_box_px: (f64, f64)) -> Self {
+    pub fn with_box(ring: &Ring, half_box_px: (f64, f64)) -> Self {
         Self { outer: ring.outer, half_box_px }
     }
 

@@ -220,7 +220,7 @@ mod tests {
     #[test]
     fn four_chords_give_the_ellipse_and_refuse_a_square() {
         let rules = CrossRules {
-            evenness: Evenness::of_plain((0.2, 0.8)),
+            evenness: Evenness::plain((0.2, 0.8)),
             min_axis_ratio: 0.25,
             min_semi_minor_px: 4.0,
             black_at: None,

@@ -14,12 +14,12 @@ use crate::{
         kind::Polarity,
         search::{chord::Evenness, row_edges::RowEdges},
     },
-    scratch::make_room,
+    scratch::reserve_total,
 };
 
 /// Least steps of the edges that are looked at together, in least steps of all. Waves are up to a fifth
 /// of the contrast and edges at least half of it, so one of these lies between them.
-const LEAST_STEPS: [f64; 3] = [6.25, 2.5, 0.0];
+const MIN_STEPS: [f64; 3] = [6.25, 2.5, 0.0];
 /// A margin's contrast to the ring is at least that of the disc over this.
 const TEXTURE: u16 = 4;
 /// The margin's level is looked for so far beyond the ring's edge, half pixels.
@@ -43,7 +43,7 @@ pub(crate) struct Hit {
 pub(crate) struct HitRules {
     pub evenness: Evenness,
     /// Least chord of the ring, pixels.
-    pub least_px: f64,
+    pub min_px: f64,
     /// Chords of the ring that are left to other rows, from and to, pixels.
     pub left_out_px: (f64, f64),
     /// Least difference of white and black.
@@ -54,7 +54,7 @@ pub(crate) struct HitRules {
 
 /// From a fall of the light to a rise, in half pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Black {
+struct DarkRun {
     fall: i32,
     rise: i32,
 }
@@ -73,22 +73,22 @@ struct Edge {
 pub(crate) struct HitScratch {
     edges: Vec<Edge>,
     strong: Vec<Edge>,
-    blacks: Vec<Black>,
-    rings: Vec<[Black; 2]>,
-    stronger: Vec<[Black; 2]>,
+    dark_runs: Vec<DarkRun>,
+    rings: Vec<[DarkRun; 2]>,
+    stronger: Vec<[DarkRun; 2]>,
     /// The hits of the newest row.
     pub hits: Vec<Hit>,
 }
 
 impl HitScratch {
     /// Room for a row of so many pixels with an edge at each, half of them falls.
-    pub fn make_room(&mut self, width: usize) {
-        make_room(&mut self.edges, width);
-        make_room(&mut self.strong, width);
-        make_room(&mut self.blacks, width);
-        make_room(&mut self.rings, width);
-        make_room(&mut self.stronger, width);
-        make_room(&mut self.hits, LEAST_STEPS.len() * width / 2);
+    pub fn reserve(&mut self, width: usize) {
+        reserve_total(&mut self.edges, width);
+        reserve_total(&mut self.strong, width);
+        reserve_total(&mut self.dark_runs, width);
+        reserve_total(&mut self.rings, width);
+        reserve_total(&mut self.stronger, width);
+        reserve_total(&mut self.hits, MIN_STEPS.len() * width / 2);
     }
 }
 
@@ -104,20 +104,20 @@ pub(crate) fn find_hits(
     polarity: Polarity,
     scratch: &mut HitScratch,
 ) {
-    let HitScratch { edges, strong, blacks, rings, stronger, hits } = scratch;
+    let HitScratch { edges, strong, dark_runs, rings, stronger, hits } = scratch;
     hits.clear();
     stronger.clear();
     collect_edges(row, polarity, edges);
-    for times in LEAST_STEPS {
-        let least = (f64::from(rules.step) * times) as i32;
-        compress(edges.iter().map(|edge| (*edge, edge.step.abs() >= least)), strong);
+    for times in MIN_STEPS {
+        let min = (f64::from(rules.step) * times) as i32;
+        compress(edges.iter().map(|edge| (*edge, edge.step.abs() >= min)), strong);
         // Of several falls the last one counts, of several rises the first.
         let pairs = strong.windows(2).map(|pair| {
-            let black = Black { fall: pair[0].at, rise: pair[1].at };
+            let black = DarkRun { fall: pair[0].at, rise: pair[1].at };
             (black, (pair[0].step < 0) & (pair[1].step > 0))
         });
-        compress(pairs, blacks);
-        let pairs = blacks.windows(2).map(|pair| {
+        compress(pairs, dark_runs);
+        let pairs = dark_runs.windows(2).map(|pair| {
             let ring = [pair[0], pair[1]];
             (ring, is_even(&ring, rules))
         });
@@ -170,18 +170,18 @@ fn compress<T: Copy + Default>(items: impl ExactSizeIterator<Item = (T, bool)>, 
     kept.truncate(count);
 }
 
-fn is_even([left, right]: &[Black; 2], rules: &HitRules) -> bool {
+fn is_even([left, right]: &[DarkRun; 2], rules: &HitRules) -> bool {
     let width = |from: i32, to: i32| 0.5 * f64::from(to - from);
     let total_px = width(left.fall, right.rise);
     let (a, b) = (width(left.fall, left.rise), width(left.rise, right.fall));
-    (total_px >= rules.least_px)
+    (total_px >= rules.min_px)
         & ((total_px < rules.left_out_px.0) | (total_px > rules.left_out_px.1))
         & rules.evenness.allows(a, b, width(right.fall, right.rise))
 }
 
 fn hit(
     line: &[u8],
-    [left, right]: &[Black; 2],
+    [left, right]: &[DarkRun; 2],
     rules: &HitRules,
     polarity: Polarity,
 ) -> Option<Hit> {
@@ -223,10 +223,10 @@ mod tests {
         let frame = Frame::new(line, line.len(), 1, line.len()).unwrap();
         let mut row = RowEdges::default();
         row.read(Level::new(), &frame, 0, &Window::of(&frame), 12);
-        let evenness = Evenness::of_plain((0.2, 0.8));
+        let evenness = Evenness::plain((0.2, 0.8));
         let rules = HitRules {
             evenness,
-            least_px: 6.0,
+            min_px: 6.0,
             left_out_px: (f64::MAX, f64::MAX),
             contrast: 20,
             step: 12,

@@ -29,13 +29,13 @@ use crate::marker::{
 /// An edge's least step between the pixels before and after it, as a share of the least contrast.
 const STEP_SHARE: f64 = 0.6;
 /// Shortest chord of a ring that a row through its disc's middle half crosses, in shorter semiaxes.
-const LEAST_CHORD: f64 = 1.6;
+const MIN_CHORD: f64 = 1.6;
 /// Every second pair of rows leaves out chords so long that at least so many others cross the disc of
 /// the flattest ring that has them: there are many, and each costs as much as it is long …
-const LEAST_PAIRS: f64 = 2.0;
+const MIN_PAIRS: f64 = 2.0;
 /// … but not those in which perspective makes the two sides differ by more than this share: of rings so
 /// large, only some rows show an even chord.
-const MOST_SIDE_SHARE: f64 = 0.25;
+const MAX_SIDE_SHARE: f64 = 0.25;
 /// A coded roundel's white core, as a share of the disc between the teeth.
 const CORE_SHARE: f64 = 240.0 / 420.0;
 /// A coded roundel's ring is black at this share of its radius, whatever the code.
@@ -59,31 +59,31 @@ pub(crate) struct SearchScratch {
 
 impl SearchScratch {
     /// Room for rows of frames of this width. The rest has it from the first search of a whole frame on.
-    pub fn make_room(&mut self, width: usize) {
-        self.hits.make_room(width);
+    pub fn reserve(&mut self, width: usize) {
+        self.hits.reserve(width);
     }
 }
 
 impl SearchRules {
     pub fn new(kinds: &[Kind], rules: &Rules, contrast: u8) -> Self {
         let coded = kinds.iter().any(|kind| matches!(kind.pattern, Pattern::Coded(_)));
-        let mut evenness = Evenness::of_plain(rules.ratios);
+        let mut evenness = Evenness::plain(rules.ratios);
         let step = (STEP_SHARE * f64::from(contrast)) as u8;
         let mut black_at = None;
         if coded {
             evenness = evenness.with_teeth(CORE_SHARE);
             black_at = Some(CODED_BLACK);
         }
-        for (least, most) in kinds.iter().map(Kind::ratios).filter(|(least, most)| least < most) {
+        for (min, max) in kinds.iter().map(Kind::ratios).filter(|(min, max)| min < max) {
             // A chord along the disc's longer axis, another along the shorter one; the ring's black is
             // beyond both.
-            evenness.ratio_slack = evenness.ratio_slack.max(RATIO_SLACK + most - least);
-            black_at = Some(black_at.unwrap_or(0.0).max(0.5 * (1.0 + most)));
+            evenness.ratio_slack = evenness.ratio_slack.max(RATIO_SLACK + max - min);
+            black_at = Some(black_at.unwrap_or(0.0).max(0.5 * (1.0 + max)));
         }
         Self {
             hit: HitRules {
                 evenness,
-                least_px: LEAST_CHORD * rules.min_semi_minor_px,
+                min_px: MIN_CHORD * rules.min_semi_minor_px,
                 left_out_px: (f64::MAX, f64::MAX),
                 contrast,
                 step,
@@ -99,9 +99,9 @@ impl SearchRules {
     }
 
     /// The same for a frame of this width.
-    pub fn seen_in(mut self, width: usize) -> Self {
-        self.hit.evenness = self.hit.evenness.seen_in(width);
-        self.cross.evenness = self.cross.evenness.seen_in(width);
+    pub fn for_width(mut self, width: usize) -> Self {
+        self.hit.evenness = self.hit.evenness.for_width(width);
+        self.cross.evenness = self.cross.evenness.for_width(width);
         self
     }
 
@@ -113,7 +113,7 @@ impl SearchRules {
         }
         let Evenness { white, share_per_px, .. } = self.hit.evenness;
         let height_share = 2.0 * white.0 * self.cross.min_axis_ratio;
-        let least_px = 2.0 * LEAST_PAIRS * ROW_STEP as f64 / height_share;
-        HitRules { left_out_px: (least_px, MOST_SIDE_SHARE / share_per_px), ..self.hit }
+        let min_px = 2.0 * MIN_PAIRS * ROW_STEP as f64 / height_share;
+        HitRules { left_out_px: (min_px, MAX_SIDE_SHARE / share_per_px), ..self.hit }
     }
 }

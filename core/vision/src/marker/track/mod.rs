@@ -16,14 +16,14 @@ use crate::{
     id::TrackNumber,
     marker::{
         Ring, TrackedRing,
-        batch::TOGETHER,
+        batch::BATCH_SIZE,
         code::Vote,
-        detector::{Detector, MOST_ROOM, Scratch},
+        detector::{Detector, MAX_ROOM, Scratch},
         kind::Polarity,
         reject::{Reject, RejectCounts, Rejected},
-        ring::{pixels::predicted::Expected, probe::Probe},
+        ring::{pixels::predicted::PredictedRims, probe::Probe},
         search::{claim::Claim, row_edges::ROW_STEP},
-        track::occupied::Occupied,
+        track::occupied::OccupancyGrid,
     },
     segment::Window,
 };
@@ -56,14 +56,14 @@ pub struct Tracker {
     next_row: usize,
     /// Whether the newest frame has been searched for new roundels.
     has_searched: bool,
-    occupied: Occupied,
+    occupied: OccupancyGrid,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Track {
     number: TrackNumber,
     ring: Ring,
-    rims: Expected,
+    rims: PredictedRims,
     /// Motion of the centre, pixels a frame.
     velocity: (f64, f64),
     /// Frames since it was seen last; 0 if it is seen in the newest.
@@ -78,11 +78,11 @@ impl Track {
         let number = TrackNumber(number);
         let mut vote = Vote::default();
         ring.code.iter().for_each(|reading| vote.add(reading));
-        let rims = Expected::new(&ring.outer, &ring.inner);
+        let rims = PredictedRims::new(&ring.outer, &ring.inner);
         Self { number, ring, rims, velocity: (0.0, 0.0), missed: 0, seen: 1, vote }
     }
 
-    fn shown(&self) -> TrackedRing {
+    fn output(&self) -> TrackedRing {
         TrackedRing { track: self.number, ring: self.ring, code: self.vote.code() }
     }
 
@@ -111,13 +111,13 @@ impl Track {
         same.then_some(distance)
     }
 
-    fn update(&mut self, ring: &Ring, rims: Expected) {
+    fn update(&mut self, ring: &Ring, rims: PredictedRims) {
         let frames = f64::from(self.missed.max(1));
         let (from, to) = (self.ring.outer.center, ring.outer.center);
-        let motion = ((to.u - from.u) / frames, (to.v - from.v) / frames);
+        let disc_motion = ((to.u - from.u) / frames, (to.v - from.v) / frames);
         let gain = if self.seen == 1 { 1.0 } else { VELOCITY_GAIN };
-        self.velocity.0 += gain * (motion.0 - self.velocity.0);
-        self.velocity.1 += gain * (motion.1 - self.velocity.1);
+        self.velocity.0 += gain * (disc_motion.0 - self.velocity.0);
+        self.velocity.1 += gain * (disc_motion.1 - self.velocity.1);
         ring.code.iter().for_each(|reading| self.vote.add(reading));
         self.ring = *ring;
         self.rims = rims;
@@ -129,7 +129,7 @@ impl Track {
 impl Tracker {
     /// A tracker with no tracks yet; its first frame is searched wholly.
     pub fn new(detector: Detector) -> Self {
-        let room = detector.params().max_roundels.min(MOST_ROOM);
+        let room = detector.params().max_roundels.min(MAX_ROOM);
         Self {
             detector,
             scratch: Scratch::default(),
@@ -139,7 +139,7 @@ impl Tracker {
             size: (0, 0),
             next_row: 0,
             has_searched: false,
-            occupied: Occupied::default(),
+            occupied: OccupancyGrid::default(),
         }
     }
 
@@ -173,20 +173,20 @@ impl Tracker {
     /// The roundels of the next frame, by the number of their track. A frame of another size than
     /// the one before starts afresh.
     pub fn process(&mut self, frame: &Frame) -> &[TrackedRing] {
-        self.follow_known(frame);
+        self.follow_tracks(frame);
         self.search_part(frame);
-        self.show()
+        self.update_output()
     }
 
     /// The same without a search for new roundels, unless none is followed: for those to whom each fraction of a
     /// millisecond counts. [`Tracker::seek`] is to have the same frame then.
     pub fn follow(&mut self, frame: &Frame) -> &[TrackedRing] {
-        self.follow_known(frame);
+        self.follow_tracks(frame);
         self.has_searched = self.tracks.iter().all(|track| track.missed > 0);
         if self.has_searched {
             self.search_part(frame);
         }
-        self.show()
+        self.update_output()
     }
 
     /// Searches the next part of a frame that was followed for new roundels; the frame after it is the first that
@@ -198,7 +198,7 @@ impl Tracker {
         }
     }
 
-    fn follow_known(&mut self, frame: &Frame) {
+    fn follow_tracks(&mut self, frame: &Frame) {
         let size = (frame.width(), frame.height());
         if size != self.size {
             self.reset();
@@ -211,33 +211,33 @@ impl Tracker {
             track.missed += 1;
         }
         self.measure_tracks(frame);
-        self.seek_missing(frame);
+        self.search_missing(frame);
     }
 
     /// Gives up those that are missing for too long; the others that are seen.
-    fn show(&mut self) -> &[TrackedRing] {
+    fn update_output(&mut self) -> &[TrackedRing] {
         let coast = self.detector.params().coast_frames;
         self.tracks.retain(|track| track.missed <= coast);
 
         self.output.clear();
         let seen = self.tracks.iter().filter(|track| track.missed == 0);
-        self.output.extend(seen.map(Track::shown));
+        self.output.extend(seen.map(Track::output));
         &self.output
     }
 
     /// Measures every track's ring at its prediction.
     fn measure_tracks(&mut self, frame: &Frame) {
         self.occupied.begin(frame);
-        for tracks in self.tracks.chunks_mut(TOGETHER) {
+        for tracks in self.tracks.chunks_mut(BATCH_SIZE) {
             let scratch = &mut self.scratch;
-            scratch.abreast.probes = [None; TOGETHER];
-            for (probe, track) in scratch.abreast.probes.iter_mut().zip(&*tracks) {
-                *probe = probe_of(frame, track);
+            scratch.batch.probes = [None; BATCH_SIZE];
+            for (probe, track) in scratch.batch.probes.iter_mut().zip(&*tracks) {
+                *probe = probe_for(frame, track);
             }
-            self.detector.measure_each(frame, &mut scratch.abreast);
+            self.detector.measure_batch(frame, &mut scratch.batch);
             for (place, track) in tracks.iter_mut().enumerate() {
                 let alone;
-                let ring = match (&scratch.abreast.rings[place], &scratch.abreast.probes[place]) {
+                let ring = match (&scratch.batch.rings[place], &scratch.batch.probes[place]) {
                     (Some(ring), _) => Ok(ring),
                     (None, None) => Err(Reject::FrameEdge),
                     (None, Some(probe)) => {
@@ -246,7 +246,7 @@ impl Tracker {
                     }
                 };
                 let measured = ring.and_then(|ring| {
-                    let near = self.occupied.holds(ring.outer.center);
+                    let near = self.occupied.is_occupied(ring.outer.center);
                     if near && scratch.claims.iter().any(|claim| claim.covers(ring)) {
                         return Err(Reject::Claimed);
                     }
@@ -254,12 +254,13 @@ impl Tracker {
                 });
                 match measured {
                     Ok(ring) => {
-                        let rims = scratch.abreast.rims(place);
-                        let rims = rims.unwrap_or_else(|| Expected::new(&ring.outer, &ring.inner));
+                        let rims = scratch.batch.rims(place);
+                        let rims =
+                            rims.unwrap_or_else(|| PredictedRims::new(&ring.outer, &ring.inner));
                         track.update(ring, rims);
                         let half_box_px = track.rims.outer.half_box_px();
                         self.occupied.add(ring.outer.center, half_box_px);
-                        scratch.claims.push(Claim::of_box(ring, half_box_px));
+                        scratch.claims.push(Claim::with_box(ring, half_box_px));
                     }
                     Err(reject) => {
                         let center = track.predicted();
@@ -272,7 +273,7 @@ impl Tracker {
     }
 
     /// Searches the neighbourhood of the predictions at which there was no ring.
-    fn seek_missing(&mut self, frame: &Frame) {
+    fn search_missing(&mut self, frame: &Frame) {
         for index in 0..self.tracks.len() {
             let track = &self.tracks[index];
             if track.missed == 0 {
@@ -281,10 +282,10 @@ impl Tracker {
             let at = track.predicted();
             let half_u = track.ring.outer.half_box_px().0;
             let gate = track.gate_px();
-            // Rows are needed where the disc can be, columns where the ring can.
+            // RowBits are needed where the disc can be, columns where the ring can.
             let half = (gate + half_u + 4.0, gate + 1.0);
             let window = Window::around(frame, (at.u, at.v), half);
-            self.take_found(|detector, scratch| {
+            self.assign_found(|detector, scratch| {
                 detector.search(frame, window, usize::MAX, scratch);
             });
         }
@@ -305,25 +306,25 @@ impl Tracker {
         let bottom = (self.next_row + rows).min(frame.height());
         let window = Window { top: self.next_row, bottom, ..Window::of(frame) };
         self.next_row = bottom;
-        self.take_found(|detector, scratch| {
+        self.assign_found(|detector, scratch| {
             detector.search(frame, window, usize::MAX, scratch);
         });
     }
 
     /// Gives each ring that `search` finds to the nearest missing track whose gate it passes, or to
     /// a new one, for which the track that has been missing longest gives way where there is no more room.
-    fn take_found(&mut self, search: impl FnOnce(&Detector, &mut Scratch)) {
+    fn assign_found(&mut self, search: impl FnOnce(&Detector, &mut Scratch)) {
         self.scratch.found.clear();
         search(&self.detector, &mut self.scratch);
-        let most = self.detector.params().max_roundels;
+        let max = self.detector.params().max_roundels;
         for ring in &self.scratch.found {
             let missing = self.tracks.iter_mut().filter(|track| track.missed > 0);
             let near = missing
                 .filter_map(|track| track.distance_px(ring).map(|distance| (distance, track)))
                 .min_by(|a, b| a.0.total_cmp(&b.0));
             if let Some((_, track)) = near {
-                track.update(ring, Expected::new(&ring.outer, &ring.inner));
-            } else if self.tracks.len() < most || give_way(&mut self.tracks) {
+                track.update(ring, PredictedRims::new(&ring.outer, &ring.inner));
+            } else if self.tracks.len() < max || remove_longest_missing(&mut self.tracks) {
                 self.tracks.push(Track::new(self.next_number, *ring));
                 self.next_number += 1;
             }
@@ -332,7 +333,7 @@ impl Tracker {
 }
 
 /// Takes out the track that has been missing longest; whether there was one.
-fn give_way(tracks: &mut Vec<Track>) -> bool {
+fn remove_longest_missing(tracks: &mut Vec<Track>) -> bool {
     let missing = tracks.iter().enumerate().filter(|(_, track)| track.missed > 0);
     let longest = missing.max_by_key(|(_, track)| track.missed).map(|(place, _)| place);
     longest.map(|place| tracks.remove(place)).is_some()
@@ -340,7 +341,7 @@ fn give_way(tracks: &mut Vec<Track>) -> bool {
 
 /// Where to look for a track: within half a radius or so, since most move less from where they are
 /// expected. The few others are searched for. `None` beyond the frame's edge.
-fn probe_of(frame: &Frame, track: &Track) -> Option<Probe> {
+fn probe_for(frame: &Frame, track: &Track) -> Option<Probe> {
     let at = track.predicted();
     let (half_u, half_v) = track.rims.outer.half_box_px();
     let inside =
@@ -360,6 +361,6 @@ fn probe_of(frame: &Frame, track: &Track) -> Option<Probe> {
         Polarity::WhiteRing => 0u8.wrapping_sub(track.ring.threshold),
     };
     let from = track.ring.outer.center;
-    let expected = Some(track.rims.moved(at.u - from.u, at.v - from.v));
-    Some(Probe { center, threshold, bounds, polarity, expected })
+    let predicted = Some(track.rims.moved(at.u - from.u, at.v - from.v));
+    Some(Probe { center, threshold, bounds, polarity, predicted })
 }

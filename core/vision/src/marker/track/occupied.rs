@@ -8,14 +8,14 @@ const CELL_PX: f64 = 16.0;
 /// Cells of the frame that claims reach into, so that a ring is compared with its neighbours and not
 /// with all rings of the frame.
 #[derive(Debug, Default)]
-pub(super) struct Occupied {
+pub(super) struct OccupancyGrid {
     /// The number of the frame in which a claim reached into the cell last.
     cells: Vec<u64>,
     columns: usize,
     frame: u64,
 }
 
-impl Occupied {
+impl OccupancyGrid {
     /// Begins a new frame; cells are not touched for it.
     pub fn begin(&mut self, frame: &Frame) {
         let cells = |side: usize| (side as f64 / CELL_PX) as usize + 1;
@@ -42,7 +42,7 @@ impl Occupied {
         }
     }
 
-    pub fn holds(&self, center: PixelPoint) -> bool {
+    pub fn is_occupied(&self, center: PixelPoint) -> bool {
         let rows = self.cells.len() / self.columns;
         let (row, column) = (Self::cell(center.v, rows), Self::cell(center.u, self.columns));
         self.cells[row * self.columns + column] == self.frame

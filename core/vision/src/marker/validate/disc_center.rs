@@ -27,7 +27,7 @@ const POINTS: usize = 16;
 const LIMIT: (f64, f64) = (0.22, 5.0);
 
 /// That the disc's middle is as bright as the disc.
-pub(crate) fn check_middle(frame: &Frame, ring: &Ring) -> Result<(), Reject> {
+pub(crate) fn check_center(frame: &Frame, ring: &Ring) -> Result<(), Reject> {
     let mean_at = |share: f64| {
         let ellipse = Ellipse {
             semi_major_px: share * ring.inner.semi_major_px,
@@ -73,7 +73,7 @@ mod tests {
         };
         let ring = Ring::of_rims(circle(8.0), circle(3.2));
         let polarity = if flip { Polarity::WhiteRing } else { Polarity::BlackRing };
-        check_middle(&frame, &Ring { black: 40.0, white: 200.0, polarity, ..ring })
+        check_center(&frame, &Ring { black: 40.0, white: 200.0, polarity, ..ring })
     }
 
     #[test]

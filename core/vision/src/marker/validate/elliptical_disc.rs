@@ -5,7 +5,7 @@ use crate::marker::{
     classify::elliptical::off_share,
     kind::Kind,
     reject::Reject,
-    validate::letter::{SMALL_PX, check_both},
+    validate::letter::{SMALL_PX, check_shape_and_unevenness},
 };
 
 /// The same of a small disc that is newly found, in what it is measured together with unevenness; the
@@ -20,7 +20,7 @@ pub(crate) fn check_disc(ring: &Ring, kind: &Kind) -> Result<(), Reject> {
     }
     let off_px = off_share(kind, outer, inner) * inner.semi_major_px;
     let scale_px = if off_px < 0.0 { SCALES_PX.0 } else { SCALES_PX.1 };
-    check_both(off_px / scale_px, *unevenness)
+    check_shape_and_unevenness(off_px / scale_px, *unevenness)
 }
 
 #[cfg(test)]

@@ -25,15 +25,15 @@ use crate::{
 /// Discs with a longer shorter semiaxis are no small print, and perspective changes their shapes, pixels.
 pub(crate) const SMALL_PX: f64 = 8.0;
 /// What the difference of shapes is measured in, pixels.
-const APART_PX: f64 = 0.3;
+const SHAPE_SCALE_PX: f64 = 0.3;
 /// What the unevenness is measured in.
-const UNEVEN: f64 = 0.06;
+const UNEVENNESS_SCALE: f64 = 0.06;
 /// Quotient of axes of a circle seen at 60°.
-const STEEP: f64 = 2.0;
+const AXES_AT_60_DEG: f64 = 2.0;
 const LIMIT: f64 = 1.45;
 
 /// That a ring is no letter.
-pub(crate) fn check_stroke(ring: &Ring) -> Result<(), Reject> {
+pub(crate) fn check_letter(ring: &Ring) -> Result<(), Reject> {
     let (outer, inner) = (&ring.outer, &ring.inner);
     if inner.semi_minor_px > SMALL_PX {
         return Ok(());
@@ -41,13 +41,17 @@ pub(crate) fn check_stroke(ring: &Ring) -> Result<(), Reject> {
     let ((o, o_askew), (i, i_askew)) = (normalized(outer), normalized(inner));
     let flat = outer.semi_major_px / outer.semi_minor_px;
     let apart_px = (o - i).hypot(o_askew - i_askew) * inner.semi_minor_px / flat;
-    let scale_px = APART_PX * (STEEP / flat).min(1.0);
-    check_both(apart_px / scale_px, ring.unevenness)
+    let scale_px = SHAPE_SCALE_PX * (AXES_AT_60_DEG / flat).min(1.0);
+    check_shape_and_unevenness(apart_px / scale_px, ring.unevenness)
 }
 
 /// That the difference of shapes, in its own scale, and the unevenness are not both too large.
-pub(crate) fn check_both(apart: f64, unevenness: f64) -> Result<(), Reject> {
-    if apart.hypot(unevenness / UNEVEN) > LIMIT { Err(Reject::Similarity) } else { Ok(()) }
+pub(crate) fn check_shape_and_unevenness(apart: f64, unevenness: f64) -> Result<(), Reject> {
+    if apart.hypot(unevenness / UNEVENNESS_SCALE) > LIMIT {
+        Err(Reject::Similarity)
+    } else {
+        Ok(())
+    }
 }
 
 /// The two free entries of an ellipse's matrix scaled to the determinant 1: half the difference of the
@@ -71,7 +75,7 @@ mod tests {
             semi_minor_px,
             angle_rad: 0.4,
         };
-        check_stroke(&Ring { unevenness, ..Ring::of_rims(rim(outer), rim(inner)) })
+        check_letter(&Ring { unevenness, ..Ring::of_rims(rim(outer), rim(inner)) })
     }
 
     #[test]

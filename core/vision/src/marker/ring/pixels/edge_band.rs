@@ -1,26 +1,26 @@
 //! Which pixels of a roundel count by their grey level, which wholly, and which tell the levels.
 //!
-//! A rim's *belt* are the pixels within about two pixels of it, the blurred edge. Everything inside
-//! counts as one, everything outside not at all, so noise comes from the belt alone; and since the
-//! belt reaches as far to either side, what blur carries beyond it on one side it lacks on the other.
+//! A rim's *band* are the pixels within about two pixels of it, the blurred edge. Everything inside
+//! counts as one, everything outside not at all, so noise comes from the band alone; and since the
+//! band reaches as far to either side, what blur carries beyond it on one side it lacks on the other.
 //!
 //! | pixels | from the inside out | for |
 //! | --- | --- | --- |
 //! | `disc_core` | the disc, two pixels within | white level of the disc |
-//! | `disc_belt` | two pixels to either side of the disc's rim | the disc's moments |
+//! | `disc_band` | two pixels to either side of the disc's rim | the disc's moments |
 //! | `ring_core` | black and disc, two pixels within the outer rim | the roundel's moments |
-//! | `black` | `ring_core` beyond the disc's belt | black level |
-//! | `ring_belt` | two pixels to either side of the outer rim | the roundel's moments |
-//! | `thin_core`, `thin_belt` | one pixel to either side of the outer rim | the same, where the margin is narrow |
-//! | `half_belt` | the part of that inside the rim | the same, where there is hardly a margin |
-//! | `near`, `far` | one pixel each, beyond that belt | white level of the margin |
+//! | `black` | `ring_core` beyond the disc's band | black level |
+//! | `ring_band` | two pixels to either side of the outer rim | the roundel's moments |
+//! | `thin_core`, `thin_band` | one pixel to either side of the outer rim | the same, where the margin is narrow |
+//! | `half_band` | the part of that inside the rim | the same, where there is hardly a margin |
+//! | `near`, `far` | one pixel each, beyond that band | white level of the margin |
 //!
-//! Where the black is so thin that none of it lies beyond the belts, its level is that of the pixels
+//! Where the black is so thin that none of it lies beyond the bands, its level is that of the pixels
 //! nearest to its middle.
 //!
 //! Distances are grown and shrunk pixel by pixel, by turns with the eight and the four nearest
 //! neighbours, which makes an octagon: two pixels along the axes, 2.1 diagonally. Where the black is too
-//! thin for two belts they end in its middle.
+//! thin for two bands they end in its middle.
 
 use fearless_simd::Simd;
 use fearless_simd_macros::simd;
@@ -30,10 +30,10 @@ use crate::marker::ring::pixels::{
     segment_fill::{Extent, Span},
 };
 
-/// Rows beside a roundel that belong to its belts and to the margin looked at.
+/// RowBits beside a roundel that belong to its bands and to the margin looked at.
 const REACH: usize = 5;
-/// Pixels that a belt reaches beyond its segment along the axes.
-pub(crate) const BELT_PX: usize = 2;
+/// Pixels that a band reaches beyond its segment along the axes.
+pub(crate) const BAND_PX: usize = 2;
 /// Mean distance over all directions that a rim moves by a step to the four nearest neighbours …
 pub(crate) const CROSS_PX: f64 = 0.90;
 /// … to the eight nearest …
@@ -41,47 +41,47 @@ pub(crate) const THIN_PX: f64 = 1.27;
 /// … and by both.
 pub const WIDE_PX: f64 = 2.17;
 /// Fewer pixels tell no level of the disc …
-pub(crate) const LEAST_WHITE: u32 = 4;
+pub(crate) const MIN_WHITE: u32 = 4;
 /// … and none of the black.
-pub(crate) const LEAST_BLACK: u32 = 8;
+pub(crate) const MIN_BLACK: u32 = 8;
 
 /// Sets of pixels as bits, words of rows one after the other, rows from `top` of the patch on.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Belts<'a> {
+pub(crate) struct EdgeBands<'a> {
     pub top: usize,
     /// The disc, and the roundel, by their thresholds.
     pub white: &'a [u64],
     pub whole: &'a [u64],
     pub disc_core: &'a [u64],
-    pub disc_belt: &'a [u64],
+    pub disc_band: &'a [u64],
     pub ring_core: &'a [u64],
-    pub ring_belt: &'a [u64],
+    pub ring_band: &'a [u64],
     pub thin_core: &'a [u64],
-    pub thin_belt: &'a [u64],
-    pub half_belt: &'a [u64],
+    pub thin_band: &'a [u64],
+    pub half_band: &'a [u64],
     pub black: &'a [u64],
     pub near: &'a [u64],
     pub far: &'a [u64],
     /// Distance from the disc's rim at which its core begins.
     pub core_px: f64,
-    /// Width of the belts' sides in the black.
+    /// Width of the bands' sides in the black.
     pub inside_px: f64,
     /// Distance of `black` from both rims.
     pub black_px: f64,
 }
 
-/// Memory of [`Belts::round`].
-pub(crate) type BeltScratch = Vec<u64>;
+/// Memory of [`EdgeBands::round`].
+pub(crate) type BandScratch = Vec<u64>;
 
 const PLANES: usize = 13;
 
-/// Words of the belts of a patch with so many words a row and so many rows; those about expected rims
+/// Words of the bands of a patch with so many words a row and so many rows; those about expected rims
 /// need fewer.
-pub(crate) fn most_words(words: usize, rows: usize) -> usize {
+pub(crate) fn max_words(words: usize, rows: usize) -> usize {
     PLANES * (rows + PADDING_ROWS) * words
 }
 
-impl<'a> Belts<'a> {
+impl<'a> EdgeBands<'a> {
     /// The sets of a disc and the ring round it.
     #[simd]
     pub fn round<S: Simd>(
@@ -89,7 +89,7 @@ impl<'a> Belts<'a> {
         patch: &Patch,
         disc: (&Extent, &[Span]),
         ring: (&Extent, &[Span]),
-        scratch: &'a mut BeltScratch,
+        scratch: &'a mut BandScratch,
     ) -> Self {
         let top = ring.0.top.saturating_sub(REACH);
         let bottom = (ring.0.bottom + REACH).min(patch.rows());
@@ -104,9 +104,9 @@ impl<'a> Belts<'a> {
             white,
             whole,
             disc_core,
-            disc_belt,
+            disc_band,
             ring_core,
-            ring_belt,
+            ring_band,
             black,
             near,
             far,
@@ -127,51 +127,51 @@ impl<'a> Belts<'a> {
         grid.shrink::<SQUARE>(white, less);
         grid.shrink::<CROSS>(less, disc_core);
         let mut core_px = WIDE_PX;
-        if pixels_in(disc_core) < LEAST_WHITE {
+        if pixels_in(disc_core) < MIN_WHITE {
             grid.shrink::<CROSS>(white, disc_core);
             core_px = CROSS_PX;
         }
-        if pixels_in(disc_core) < LEAST_WHITE {
+        if pixels_in(disc_core) < MIN_WHITE {
             disc_core.copy_from_slice(white);
             core_px = 0.0;
         }
         grid.grow::<SQUARE>(white, more);
-        grid.grow::<CROSS>(more, disc_belt);
+        grid.grow::<CROSS>(more, disc_band);
         grid.shrink::<SQUARE>(whole, less);
         grid.shrink::<CROSS>(less, ring_core);
         let mut inside_px = WIDE_PX;
-        if disc_belt.iter().zip(&*ring_core).fold(0, |all, (disc, core)| all | disc & !core) != 0 {
-            disc_belt.copy_from_slice(more);
+        if disc_band.iter().zip(&*ring_core).fold(0, |all, (disc, core)| all | disc & !core) != 0 {
+            disc_band.copy_from_slice(more);
             combine(ring_core, less, more, |less, more| less | more);
             inside_px = THIN_PX;
         }
         let mut black_px = inside_px;
-        combine(black, ring_core, disc_belt, |core, disc| core & !disc);
-        if pixels_in(black) < LEAST_BLACK {
+        combine(black, ring_core, disc_band, |core, disc| core & !disc);
+        if pixels_in(black) < MIN_BLACK {
             grid.grow::<CROSS>(white, near);
             grid.shrink::<CROSS>(whole, far);
             combine(black, far, near, |whole, white| whole & !white);
             black_px = CROSS_PX;
         }
-        if pixels_in(black) < LEAST_BLACK {
+        if pixels_in(black) < MIN_BLACK {
             combine(black, whole, white, |whole, white| whole & !white);
             black_px = 0.0;
         }
-        disc_belt.iter_mut().zip(&*disc_core).for_each(|(belt, core)| *belt &= !core);
+        disc_band.iter_mut().zip(&*disc_core).for_each(|(band, core)| *band &= !core);
 
         // From the outer rim outwards, each without what is inside it and beyond the frame.
         grid.grow::<SQUARE>(whole, more);
-        grid.grow::<CROSS>(more, ring_belt);
-        grid.grow::<CROSS>(ring_belt, near);
+        grid.grow::<CROSS>(more, ring_band);
+        grid.grow::<CROSS>(ring_band, near);
         grid.grow::<SQUARE>(near, far);
         far.iter_mut().zip(&*near).for_each(|(far, near)| *far &= !near);
-        near.iter_mut().zip(&*ring_belt).for_each(|(near, belt)| *near &= !belt);
-        ring_belt.iter_mut().zip(&*ring_core).for_each(|(belt, core)| *belt &= !core);
+        near.iter_mut().zip(&*ring_band).for_each(|(near, band)| *near &= !band);
+        ring_band.iter_mut().zip(&*ring_core).for_each(|(band, core)| *band &= !core);
         combine(thin, more, less, |more, less| more & !less);
         combine(half, whole, less, |whole, less| whole & !less);
-        for plane in [&mut *ring_belt, thin, near, far] {
-            let known = patch.white[pixels.clone()].iter().zip(&patch.black[pixels.clone()]);
-            for (bits, (white, black)) in plane[inner.clone()].iter_mut().zip(known) {
+        for plane in [&mut *ring_band, thin, near, far] {
+            let valid = patch.white[pixels.clone()].iter().zip(&patch.black[pixels.clone()]);
+            for (bits, (white, black)) in plane[inner.clone()].iter_mut().zip(valid) {
                 *bits &= white | black;
             }
         }
@@ -181,12 +181,12 @@ impl<'a> Belts<'a> {
             white: rows(white),
             whole: rows(whole),
             disc_core: rows(disc_core),
-            disc_belt: rows(disc_belt),
+            disc_band: rows(disc_band),
             ring_core: rows(ring_core),
-            ring_belt: rows(ring_belt),
+            ring_band: rows(ring_band),
             thin_core: rows(less),
-            thin_belt: rows(thin),
-            half_belt: rows(half),
+            thin_band: rows(thin),
+            half_band: rows(half),
             black: rows(black),
             near: rows(near),
             far: rows(far),
@@ -230,7 +230,7 @@ const SQUARE: bool = true;
 /// The four nearest neighbours.
 const CROSS: bool = false;
 
-/// Rows of words.
+/// RowBits of words.
 #[derive(Clone, Copy, Debug)]
 struct Grid {
     words: usize,

@@ -14,13 +14,13 @@ use crate::{
     marker::ring::pixels::patch::{PADDING_ROWS, Patch, WORD_PX},
 };
 
-/// Rows that are found together.
+/// RowBits that are found together.
 pub(crate) const LANES: usize = PADDING_ROWS;
 /// Their numbers.
-pub(crate) const LANE: [f32; LANES] =
+pub(crate) const LANE_NUMBERS: [f32; LANES] =
     [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
 
-/// Rows and columns (first, end).
+/// RowBits and columns (first, end).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Area {
     pub rows: (usize, usize),
@@ -29,12 +29,12 @@ pub(crate) struct Area {
 
 /// A rim, with [`Ellipse::matrix`], which costs a sine.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Rim {
+pub(crate) struct RimEllipse {
     pub ellipse: Ellipse,
     pub matrix: Symmetric2,
 }
 
-impl Rim {
+impl RimEllipse {
     pub fn new(ellipse: &Ellipse) -> Self {
         Self { ellipse: *ellipse, matrix: ellipse.matrix() }
     }
@@ -47,7 +47,7 @@ impl Rim {
 
 /// A rim in the patch.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Placed {
+pub(crate) struct PatchEllipse {
     pub u: f64,
     pub v: f64,
     matrix: Symmetric2,
@@ -56,9 +56,9 @@ pub(crate) struct Placed {
     product: f64,
 }
 
-impl Placed {
-    pub fn new(rim: &Rim, patch: &Patch) -> Self {
-        let Rim { ellipse, matrix } = *rim;
+impl PatchEllipse {
+    pub fn new(rim: &RimEllipse, patch: &Patch) -> Self {
+        let RimEllipse { ellipse, matrix } = *rim;
         Self {
             u: ellipse.center.u - patch.window.left as f64,
             v: ellipse.center.v - patch.window.top as f64,
@@ -70,7 +70,7 @@ impl Placed {
 
     /// Filled, after growing by so much.
     #[inline(always)]
-    pub fn grown(&self, by_px: f64) -> Oval {
+    pub fn grown(&self, by_px: f64) -> FilledEllipse {
         let per_sum = by_px * self.twice_per_sum;
         let (scale, more) = (1.0 + per_sum, per_sum * self.product + by_px * by_px);
         let (uu, vv) = (self.matrix.uu * scale + more, self.matrix.vv * scale + more);
@@ -79,7 +79,7 @@ impl Placed {
         let (uu, uv, vv) = (uu as f32, uv as f32, vv as f32);
         let inverse_vv = 1.0 / vv;
         let (v, half_v) = (self.v as f32, vv.sqrt());
-        Oval {
+        FilledEllipse {
             u: self.u as f32,
             v,
             slope: uv * inverse_vv,
@@ -94,20 +94,20 @@ impl Placed {
 
 /// A filled ellipse by its rows.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Oval {
+pub(crate) struct FilledEllipse {
     u: f32,
     v: f32,
     slope: f32,
     half_max: f32,
     inverse_vv: f32,
-    /// Rows between which it lies.
+    /// RowBits between which it lies.
     first: f32,
     last: f32,
     /// Square of half its box's width.
     uu: f32,
 }
 
-impl Oval {
+impl FilledEllipse {
     /// First row, and the row after the last, if they lie in so many rows.
     #[inline(always)]
     pub fn rows(&self, rows: usize) -> Option<(usize, usize)> {
@@ -135,38 +135,38 @@ impl Oval {
             return None;
         }
         let (zero, one) = (f32x16::splat(simd, 0.0), f32x16::splat(simd, 1.0));
-        let dv = f32x16::load_array(simd, LANE) + (first_row - self.v);
+        let dv = f32x16::load_array(simd, LANE_NUMBERS) + (first_row - self.v);
         let share = one - dv * dv * self.inverse_vv;
         let middle = dv.mul_add(f32x16::splat(simd, self.slope), self.u);
         let half = share.max(zero).sqrt() * self.half_max;
         Some(Crossed { middle, half, is_crossed: share.simd_gt(zero) })
     }
 
-    /// As [`Oval::chords`], of an ellipse that lies in the first word: rows that have none end where they
+    /// As [`FilledEllipse::chords`], of an ellipse that lies in the first word: rows that have none end where they
     /// begin, at 0.
     #[inline(always)]
-    pub fn chords_within<S: Simd>(&self, simd: S, first_row: usize) -> Chords<S> {
+    pub fn row_spans_in_word<S: Simd>(&self, simd: S, first_row: usize) -> RowSpans<S> {
         let none = i32x16::splat(simd, 0);
         let Some(Crossed { middle, half, is_crossed }) = self.crossed(simd, first_row) else {
-            return Chords { first: none, end: none };
+            return RowSpans { first: none, end: none };
         };
         let first = (middle - half).ceil().to_int::<i32x16<S>>();
         let end = (middle + half).to_int::<i32x16<S>>() + 1;
-        Chords { first: is_crossed.select(first, none), end: is_crossed.select(end, none) }
+        RowSpans { first: is_crossed.select(first, none), end: is_crossed.select(end, none) }
     }
 
     /// Its first column, and the column after the last, in sixteen rows of the patch.
     #[inline(always)]
-    pub fn chords<S: Simd>(&self, simd: S, first_row: usize, columns: usize) -> Chords<S> {
+    pub fn row_spans<S: Simd>(&self, simd: S, first_row: usize, columns: usize) -> RowSpans<S> {
         let Some(Crossed { middle, half, is_crossed }) = self.crossed(simd, first_row) else {
             let none = i32x16::splat(simd, 0);
-            return Chords { first: none, end: none };
+            return RowSpans { first: none, end: none };
         };
         let zero = f32x16::splat(simd, 0.0);
         let end = is_crossed.select((middle + half).floor() + 1.0, zero);
-        let most = columns as f32;
-        let (first, end) = ((middle - half).ceil().max(zero).min(most), end.max(zero).min(most));
-        Chords { first: first.to_int(), end: end.to_int() }
+        let max = columns as f32;
+        let (first, end) = ((middle - half).ceil().max(zero).min(max), end.max(zero).min(max));
+        RowSpans { first: first.to_int(), end: end.to_int() }
     }
 }
 
@@ -179,25 +179,25 @@ struct Crossed<S: Simd> {
 
 /// First columns of sixteen rows, and the columns after the last.
 #[derive(Clone, Copy)]
-pub(crate) struct Chords<S: Simd> {
+pub(crate) struct RowSpans<S: Simd> {
     first: i32x16<S>,
     end: i32x16<S>,
 }
 
-impl<S: Simd> Chords<S> {
+impl<S: Simd> RowSpans<S> {
     /// First columns, and the columns after the last.
     #[inline(always)]
     pub fn ends(&self) -> (i32x16<S>, i32x16<S>) {
         (self.first, self.end)
     }
 
-    /// Number of columns, of [`Oval::chords_within`].
+    /// Number of columns, of [`FilledEllipse::row_spans_in_word`].
     #[inline(always)]
     pub fn pixels(&self) -> i32x16<S> {
         self.end - self.first
     }
 
-    /// Number of columns before this one, of [`Oval::chords_within`].
+    /// Number of columns before this one, of [`FilledEllipse::row_spans_in_word`].
     #[inline(always)]
     pub fn pixels_before(&self, column: i32) -> i32x16<S> {
         self.end.min(column) - self.first.min(column)
@@ -206,30 +206,30 @@ impl<S: Simd> Chords<S> {
     /// The pixels of rows of one word that begin before they end, which is before the last column:
     /// differences of two powers.
     #[inline(always)]
-    pub fn word(&self, simd: S) -> Rows<S> {
+    pub fn word(&self, simd: S) -> RowBits<S> {
         let first = self.first.bitcast::<u32x16<S>>().widen();
         let end = self.end.bitcast::<u32x16<S>>().widen();
         let one = u64x8::splat(simd, 1);
-        Rows((one << end.0) - (one << first.0), (one << end.1) - (one << first.1))
+        RowBits((one << end.0) - (one << first.0), (one << end.1) - (one << first.1))
     }
 
     /// The pixels in a word of the rows; `is_only` where it is the only one, and they end before it does.
     #[inline(always)]
-    pub fn bits(&self, simd: S, word: usize, is_only: bool) -> Rows<S> {
+    pub fn bits(&self, simd: S, word: usize, is_only: bool) -> RowBits<S> {
         if is_only {
             let end = self.end.min(WORD_PX as i32 - 1);
-            return Chords { first: self.first.min(end), end }.word(simd);
+            return RowSpans { first: self.first.min(end), end }.word(simd);
         }
         let from = (word * WORD_PX) as i32;
         below(simd, self.end, from).without(below(simd, self.first, from))
     }
 }
 
-/// Bits of sixteen rows.
+/// BitRows of sixteen rows.
 #[derive(Clone, Copy)]
-pub(crate) struct Rows<S: Simd>(pub u64x8<S>, pub u64x8<S>);
+pub(crate) struct RowBits<S: Simd>(pub u64x8<S>, pub u64x8<S>);
 
-impl<S: Simd> Rows<S> {
+impl<S: Simd> RowBits<S> {
     #[inline(always)]
     pub fn none(simd: S) -> Self {
         Self(u64x8::splat(simd, 0), u64x8::splat(simd, 0))
@@ -290,10 +290,10 @@ impl<S: Simd> Rows<S> {
 /// The bits of the columns before these, of the word that begins with column `from`. A shift by 64 is
 /// none, so it is done by halves.
 #[inline(always)]
-fn below<S: Simd>(simd: S, columns: i32x16<S>, from: i32) -> Rows<S> {
+fn below<S: Simd>(simd: S, columns: i32x16<S>, from: i32) -> RowBits<S> {
     let columns = (columns - from).max(0).min(WORD_PX as i32).bitcast::<u32x16<S>>();
     let half = (columns >> 1).widen();
     let rest = (columns - (columns >> 1)).widen();
     let one = u64x8::splat(simd, 1);
-    Rows(((one << half.0) << rest.0) - one, ((one << half.1) << rest.1) - one)
+    RowBits(((one << half.0) << rest.0) - one, ((one << half.1) << rest.1) - one)
 }

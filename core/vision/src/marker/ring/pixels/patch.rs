@@ -12,12 +12,12 @@
 use fearless_simd::{Simd, prelude::*, u8x64};
 use fearless_simd_macros::simd;
 
-use crate::{frame::Frame, marker::kind::Polarity, scratch::make_room, segment::Window};
+use crate::{frame::Frame, marker::kind::Polarity, scratch::reserve_total, segment::Window};
 
 /// Columns of a word.
 pub(crate) const WORD_PX: usize = 64;
 
-/// Rows of any content after a patch's last, so that so many may be looked at together.
+/// RowBits of any content after a patch's last, so that so many may be looked at together.
 pub(crate) const PADDING_ROWS: usize = 16;
 
 /// A window of a frame, thresholded.
@@ -27,7 +27,7 @@ pub(crate) struct Patch {
     pub window: Window,
     /// Words in a row.
     pub words: usize,
-    /// Grey values, a block for each word, rows one after the other.
+    /// GreySum values, a block for each word, rows one after the other.
     pub grey: Vec<[u8; WORD_PX]>,
     /// I ≥ τ; columns beyond the window are neither. [`PADDING_ROWS`] more than there are.
     pub white: Vec<u64>,
@@ -37,13 +37,13 @@ pub(crate) struct Patch {
 
 impl Patch {
     /// Room for so many words a row and so many rows.
-    pub fn make_room(&mut self, words: usize, rows: usize) {
-        make_room(&mut self.grey, words * rows);
-        make_room(&mut self.white, words * (rows + PADDING_ROWS));
-        make_room(&mut self.black, words * rows);
+    pub fn reserve(&mut self, words: usize, rows: usize) {
+        reserve_total(&mut self.grey, words * rows);
+        reserve_total(&mut self.white, words * (rows + PADDING_ROWS));
+        reserve_total(&mut self.black, words * rows);
     }
 
-    /// Rows.
+    /// RowBits.
     pub fn rows(&self) -> usize {
         self.window.height()
     }

@@ -1,16 +1,16 @@
-//! The belts of a ring that is followed, from where its rims are expected.
+//! The bands of a ring that is followed, from where its rims are expected.
 //!
 //! A ring seldom changes its shape from one frame to the next, so its rims need not be traced: the
-//! belts of [`crate::marker::ring::pixels::edge_band`] follow from the two ellipses of the frame before, once it is known
+//! bands of [`crate::marker::ring::pixels::edge_band`] follow from the two ellipses of the frame before, once it is known
 //! how far they have moved. That the white disc says: the middle of the white pixels within the ellipse
 //! halfway between the rims is its centre to a tenth of a pixel (rms; a disc of 12 px), wherever it went
 //! in the black. Where it went far it is looked for twice, since of a disc that has left that ellipse in
 //! part only the rest is seen at first.
 //!
-//! Nothing is taken for granted: every pixel between the belts must be on its side of the threshold,
-//! black in the ring, white in the disc and in the margin beside the belt. That is more than
+//! Nothing is taken for granted: every pixel between the bands must be on its side of the threshold,
+//! black in the ring, white in the disc and in the margin beside the band. That is more than
 //! [`crate::marker::ring::pixels::segment_fill`] asks for (no bridge, however narrow, leads out of such a ring), and whoever
-//! weighs the rims must find them in the middle of their belts ([`Expected::is_met`]). What fails either
+//! weighs the rims must find them in the middle of their bands ([`PredictedRims::is_near`]). What fails either
 //! is looked at by its segments.
 
 use fearless_simd::{Simd, prelude::*};
@@ -19,29 +19,29 @@ use fearless_simd_macros::simd;
 use crate::{
     ellipse::Ellipse,
     marker::ring::pixels::{
-        edge_band::{BeltScratch, Belts, CROSS_PX, LEAST_BLACK, LEAST_WHITE, WIDE_PX, pixels_in},
-        ellipse_mask::{Area, LANES, Oval, Placed, Rim, Rows},
+        edge_band::{BandScratch, CROSS_PX, EdgeBands, MIN_BLACK, MIN_WHITE, WIDE_PX, pixels_in},
+        ellipse_mask::{Area, FilledEllipse, LANES, PatchEllipse, RimEllipse, RowBits},
         patch::{Patch, WORD_PX},
     },
 };
 
-/// Rims may lie so far from where they were expected, pixels, before their belts are drawn anew; a belt
+/// Rims may lie so far from where they were expected, pixels, before their bands are drawn anew; a band
 /// of a blur of 0.7 px then still holds all but two thousandths of a pixel of its rim's light.
 const OFF_PX: f64 = 0.5;
-/// Least width of the black, where it is narrowest: two belts, and something between them.
-const LEAST_RING_PX: f64 = 2.0 * WIDE_PX + 0.75;
+/// Least width of the black, where it is narrowest: two bands, and something between them.
+const MIN_RING_PX: f64 = 2.0 * WIDE_PX + 0.75;
 /// Least shorter semiaxis of the disc.
-const LEAST_DISC_PX: f64 = WIDE_PX + 1.0;
+const MIN_DISC_PX: f64 = WIDE_PX + 1.0;
 
 /// Rims as they were, and where they are expected.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Expected {
-    pub outer: Rim,
-    pub inner: Rim,
+pub(crate) struct PredictedRims {
+    pub outer: RimEllipse,
+    pub inner: RimEllipse,
 }
 
-/// Whether a belt about a rim holds the one found.
-fn is_met(rim: &Ellipse, found: &Ellipse) -> bool {
+/// Whether a band about a rim holds the one found.
+fn is_near(rim: &Ellipse, found: &Ellipse) -> bool {
     let (du, dv) = (found.center.u - rim.center.u, found.center.v - rim.center.v);
     let longer_px = (found.semi_major_px - rim.semi_major_px).abs();
     let wider_px = (found.semi_minor_px - rim.semi_minor_px).abs();
@@ -51,10 +51,10 @@ fn is_met(rim: &Ellipse, found: &Ellipse) -> bool {
     du * du + dv * dv <= OFF_PX * OFF_PX && longer_px + wider_px + turned_px <= 2.0 * OFF_PX
 }
 
-impl Expected {
+impl PredictedRims {
     /// Rims where they are.
     pub fn new(outer: &Ellipse, inner: &Ellipse) -> Self {
-        Self { outer: Rim::new(outer), inner: Rim::new(inner) }
+        Self { outer: RimEllipse::new(outer), inner: RimEllipse::new(inner) }
     }
 
     /// These rims moved by so many pixels.
@@ -66,28 +66,28 @@ impl Expected {
         self
     }
 
-    /// Whether belts about these rims hold the rims found.
-    pub fn is_met(&self, outer: &Ellipse, inner: &Ellipse) -> bool {
-        is_met(&self.outer.ellipse, outer) && is_met(&self.inner.ellipse, inner)
+    /// Whether bands about these rims hold the rims found.
+    pub fn is_near(&self, outer: &Ellipse, inner: &Ellipse) -> bool {
+        is_near(&self.outer.ellipse, outer) && is_near(&self.inner.ellipse, inner)
     }
 }
 
 /// What is needed to weigh the rims.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Followed<'a> {
-    pub belts: Belts<'a>,
-    /// Where both rims' belts lie, in the belts' rows.
+pub(crate) struct PredictedBands<'a> {
+    pub bands: EdgeBands<'a>,
+    /// Where both rims' bands lie, in the bands' rows.
     pub outer: Area,
     pub inner: Area,
-    /// A pixel in the middle, its column even, in the belts' rows.
+    /// A pixel in the middle, its column even, in the bands' rows.
     pub middle: (usize, usize),
 }
 
 const PLANES: usize = 7;
 
-/// Where belts begin and end, from the inside out: the disc's, the ring's, and those of the margin.
+/// Where bands begin and end, from the inside out: the disc's, the ring's, and those of the margin.
 #[inline(always)]
-pub(crate) fn belt_ovals(outer: &Placed, inner: &Placed) -> [Oval; 6] {
+pub(crate) fn band_ellipses(outer: &PatchEllipse, inner: &PatchEllipse) -> [FilledEllipse; 6] {
     [
         inner.grown(-WIDE_PX),
         inner.grown(WIDE_PX),
@@ -98,22 +98,23 @@ pub(crate) fn belt_ovals(outer: &Placed, inner: &Placed) -> [Oval; 6] {
     ]
 }
 
-/// The belts about expected rims of which the disc has been found; `None` where they would not lie in
+/// The bands about expected rims of which the disc has been found; `None` where they would not lie in
 /// the patch, where the black is too narrow for them, and where the pixels between them are not black or
 /// white as they ought to be.
 #[simd]
-pub(crate) fn belts_about<'a, S: Simd>(
+pub(crate) fn bands_about<'a, S: Simd>(
     simd: S,
     patch: &Patch,
-    expected: &Expected,
-    scratch: &'a mut BeltScratch,
-) -> Option<Followed<'a>> {
-    let (outer, inner) = (Placed::new(&expected.outer, patch), Placed::new(&expected.inner, patch));
+    predicted: &PredictedRims,
+    scratch: &'a mut BandScratch,
+) -> Option<PredictedBands<'a>> {
+    let (outer, inner) =
+        (PatchEllipse::new(&predicted.outer, patch), PatchEllipse::new(&predicted.inner, patch));
     let words = patch.words;
-    let ovals = belt_ovals(&outer, &inner);
-    let (top, bottom) = ovals[5].rows(patch.rows())?;
-    ovals[5].area(patch, top)?;
-    // Rows are drawn by sixteen; of the last ones none is needed.
+    let ellipses = band_ellipses(&outer, &inner);
+    let (top, bottom) = ellipses[5].rows(patch.rows())?;
+    ellipses[5].area(patch, top)?;
+    // RowBits are drawn by sixteen; of the last ones none is needed.
     let room = (bottom - top).next_multiple_of(LANES) * words;
     if scratch.len() < PLANES * room {
         scratch.resize(PLANES * room, 0);
@@ -123,59 +124,59 @@ pub(crate) fn belts_about<'a, S: Simd>(
         std::array::from_fn(|_| planes.next().expect("room was made for all planes"));
     // They all lie in the last one, which does not reach the patch's edge.
     let is_only = words == 1;
-    let mut wrong = Rows::none(simd);
+    let mut wrong = RowBits::none(simd);
     for row in (0..bottom - top).step_by(LANES) {
         // Closures over vectors are not sure to become part of this function.
         let (first, columns) = (top + row, words * WORD_PX);
-        let core = ovals[0].chords(simd, first, columns);
-        let disc = ovals[1].chords(simd, first, columns);
-        let ring = ovals[2].chords(simd, first, columns);
-        let whole = ovals[3].chords(simd, first, columns);
-        let beside = ovals[4].chords(simd, first, columns);
-        let beyond = ovals[5].chords(simd, first, columns);
+        let core = ellipses[0].row_spans(simd, first, columns);
+        let disc = ellipses[1].row_spans(simd, first, columns);
+        let ring = ellipses[2].row_spans(simd, first, columns);
+        let whole = ellipses[3].row_spans(simd, first, columns);
+        let beside = ellipses[4].row_spans(simd, first, columns);
+        let beyond = ellipses[5].row_spans(simd, first, columns);
         for word in 0..words {
             let (core, disc) = (core.bits(simd, word, is_only), disc.bits(simd, word, is_only));
             let (ring, whole) = (ring.bits(simd, word, is_only), whole.bits(simd, word, is_only));
             let (beside, beyond) =
                 (beside.bits(simd, word, is_only), beyond.bits(simd, word, is_only));
-            let white = Rows::load(simd, &patch.white, ((top + row) * words + word, words));
+            let white = RowBits::load(simd, &patch.white, ((top + row) * words + word, words));
             let (black, near) = (ring.without(disc), beside.without(whole));
             wrong = wrong
                 .with(core.with(near).without(white))
                 .with(black.within(white))
                 .with(disc.without(ring));
             let at = (row * words + word, words);
-            let [disc_core, disc_belt, ring_core, ring_belt, between, margin, far] = &mut planes;
+            let [disc_core, disc_band, ring_core, ring_band, between, margin, far] = &mut planes;
             core.store(disc_core, at);
-            disc.without(core).store(disc_belt, at);
+            disc.without(core).store(disc_band, at);
             ring.store(ring_core, at);
-            whole.without(ring).store(ring_belt, at);
+            whole.without(ring).store(ring_band, at);
             black.store(between, at);
             near.store(margin, at);
             beyond.without(beside).store(far, at);
         }
     }
     let length = (bottom - top) * words;
-    let [disc_core, disc_belt, ring_core, ring_belt, black, near, far] =
+    let [disc_core, disc_band, ring_core, ring_band, black, near, far] =
         planes.map(|plane| &plane[..length]);
-    if wrong.any() || pixels_in(disc_core) < LEAST_WHITE || pixels_in(black) < LEAST_BLACK {
+    if wrong.any() || pixels_in(disc_core) < MIN_WHITE || pixels_in(black) < MIN_BLACK {
         return None;
     }
-    Some(Followed {
-        outer: ovals[3].area(patch, top)?,
-        inner: ovals[1].area(patch, top)?,
+    Some(PredictedBands {
+        outer: ellipses[3].area(patch, top)?,
+        inner: ellipses[1].area(patch, top)?,
         middle: (outer.u as usize & !1, outer.v as usize - top),
-        belts: Belts {
+        bands: EdgeBands {
             top,
             white: &[],
             whole: &[],
             disc_core,
-            disc_belt,
+            disc_band,
             ring_core,
-            ring_belt,
+            ring_band,
             thin_core: &[],
-            thin_belt: &[],
-            half_belt: &[],
+            thin_band: &[],
+            half_band: &[],
             black,
             near,
             far,
@@ -189,16 +190,20 @@ pub(crate) fn belts_about<'a, S: Simd>(
 /// How far the disc has moved from where it was expected; `None` where it is not seen, or the ring is
 /// none to be followed.
 #[simd]
-pub(crate) fn motion<S: Simd>(simd: S, patch: &Patch, expected: &Expected) -> Option<(f64, f64)> {
-    let ring_px = expected.outer.ellipse.semi_minor_px - expected.inner.ellipse.semi_minor_px;
-    if ring_px < LEAST_RING_PX || expected.inner.ellipse.semi_minor_px < LEAST_DISC_PX {
+pub(crate) fn disc_motion<S: Simd>(
+    simd: S,
+    patch: &Patch,
+    predicted: &PredictedRims,
+) -> Option<(f64, f64)> {
+    let ring_px = predicted.outer.ellipse.semi_minor_px - predicted.inner.ellipse.semi_minor_px;
+    if ring_px < MIN_RING_PX || predicted.inner.ellipse.semi_minor_px < MIN_DISC_PX {
         return None;
     }
     let half_px = 0.5 * ring_px;
-    let mut rim = Placed::new(&expected.inner, patch);
+    let mut rim = PatchEllipse::new(&predicted.inner, patch);
     let (from_u, from_v) = (rim.u, rim.v);
     for _ in 0..2 {
-        let (u, v) = white_middle(simd, patch, &rim.grown(half_px))?;
+        let (u, v) = white_centroid(simd, patch, &rim.grown(half_px))?;
         let (du, dv) = (u - rim.u, v - rim.v);
         (rim.u, rim.v) = (u, v);
         // The ellipse's own margin of black was left to either side.
@@ -211,16 +216,16 @@ pub(crate) fn motion<S: Simd>(simd: S, patch: &Patch, expected: &Expected) -> Op
 
 /// Mean place of the white pixels in an ellipse, each row's being one run.
 #[simd]
-fn white_middle<S: Simd>(simd: S, patch: &Patch, oval: &Oval) -> Option<(f64, f64)> {
+fn white_centroid<S: Simd>(simd: S, patch: &Patch, ellipse: &FilledEllipse) -> Option<(f64, f64)> {
     let words = patch.words;
-    let (top, bottom) = oval.rows(patch.rows())?;
-    let is_only = words == 1 && oval.area(patch, top).is_some();
+    let (top, bottom) = ellipse.rows(patch.rows())?;
+    let is_only = words == 1 && ellipse.area(patch, top).is_some();
     let (mut pixels, mut twice_u, mut sum_v) = (0u32, 0u32, 0u32);
     for row in (top..bottom).step_by(LANES) {
-        let chords = oval.chords(simd, row, words * WORD_PX);
+        let row_spans = ellipse.row_spans(simd, row, words * WORD_PX);
         for word in 0..words {
-            let white = Rows::load(simd, &patch.white, (row * words + word, words));
-            let Rows(a, b) = chords.bits(simd, word, is_only).within(white);
+            let white = RowBits::load(simd, &patch.white, (row * words + word, words));
+            let RowBits(a, b) = row_spans.bits(simd, word, is_only).within(white);
             let mut rows = [0; LANES];
             a.store_slice(&mut rows[..8]);
             b.store_slice(&mut rows[8..]);
@@ -235,7 +240,7 @@ fn white_middle<S: Simd>(simd: S, patch: &Patch, oval: &Oval) -> Option<(f64, f6
         }
     }
     let per = 1.0 / f64::from(pixels);
-    (pixels >= LEAST_WHITE).then(|| (0.5 * f64::from(twice_u) * per, f64::from(sum_v) * per))
+    (pixels >= MIN_WHITE).then(|| (0.5 * f64::from(twice_u) * per, f64::from(sum_v) * per))
 }
 
 #[cfg(test)]
@@ -247,19 +252,19 @@ mod tests {
 
     const SIDE: usize = 150;
 
-    fn ring(u: f64, v: f64, (major, flat, angle_rad): (f64, f64, f64)) -> Expected {
+    fn ring(u: f64, v: f64, (major, flat, angle_rad): (f64, f64, f64)) -> PredictedRims {
         let rim = |semi_major_px: f64| Ellipse {
             center: PixelPoint { u, v },
             semi_major_px,
             semi_minor_px: semi_major_px * flat,
             angle_rad,
         };
-        Expected::new(&rim(major), &rim(0.4 * major))
+        PredictedRims::new(&rim(major), &rim(0.4 * major))
     }
 
     /// A picture of the ring, and the window of so many columns round it.
-    fn patch(ring: &Expected, columns: usize) -> Patch {
-        let inside = |rim: &Rim, u: usize, v: usize| {
+    fn patch(ring: &PredictedRims, columns: usize) -> Patch {
+        let inside = |rim: &RimEllipse, u: usize, v: usize| {
             rim.ellipse.contains(PixelPoint { u: u as f64, v: v as f64 })
         };
         let pixel = |at: usize| {
@@ -277,30 +282,30 @@ mod tests {
         patch
     }
 
-    fn belts<'a>(
+    fn bands<'a>(
         patch: &Patch,
-        expected: &Expected,
-        scratch: &'a mut BeltScratch,
-    ) -> Option<Followed<'a>> {
-        dispatch!(Level::new(), simd => belts_about(simd, patch, expected, scratch))
+        predicted: &PredictedRims,
+        scratch: &'a mut BandScratch,
+    ) -> Option<PredictedBands<'a>> {
+        dispatch!(Level::new(), simd => bands_about(simd, patch, predicted, scratch))
     }
 
     proptest! {
         #[test]
-        fn belts_are_ellipses_grown_and_shrunk(
+        fn bands_are_ellipses_grown_and_shrunk(
             u in 60.0..90.0f64,
             v in 60.0..90.0f64,
             major in 14.0..40.0f64,
             flat in 0.75..1.0f64,
             angle_rad in -1.5..1.5f64,
         ) {
-            let expected = ring(u, v, (major, flat, angle_rad));
-            let patch = patch(&expected, if major < 24.0 { 64 } else { 100 });
-            let mut scratch = BeltScratch::new();
-            let found = belts(&patch, &expected, &mut scratch).unwrap();
-            let Belts { top, disc_core, disc_belt, ring_core, ring_belt, black, near, far, .. } =
-                found.belts;
-            let (outer, inner) = (expected.outer.ellipse, expected.inner.ellipse);
+            let predicted = ring(u, v, (major, flat, angle_rad));
+            let patch = patch(&predicted, if major < 24.0 { 64 } else { 100 });
+            let mut scratch = BandScratch::new();
+            let found = bands(&patch, &predicted, &mut scratch).unwrap();
+            let EdgeBands { top, disc_core, disc_band, ring_core, ring_band, black, near, far, .. } =
+                found.bands;
+            let (outer, inner) = (predicted.outer.ellipse, predicted.inner.ellipse);
             let edges = [
                 inner.grown(-WIDE_PX),
                 inner.grown(WIDE_PX),
@@ -321,7 +326,7 @@ mod tests {
                     continue;
                 }
                 let [core, disc, within, whole, beside, beyond] = edges.map(|e| e.contains(place));
-                let ours = [disc_core, disc_belt, ring_core, ring_belt, black, near, far]
+                let ours = [disc_core, disc_band, ring_core, ring_band, black, near, far]
                     .map(|set| set[at / WORD_PX] >> (at % WORD_PX) & 1 == 1);
                 let plain = [
                     core,
@@ -351,36 +356,36 @@ mod tests {
         ) {
             let (du, dv) = (away_px * towards_rad.cos(), away_px * towards_rad.sin());
             let there = ring(72.3 + du, 75.6 + dv, (15.0, flat, angle_rad));
-            let expected = ring(72.3, 75.6, (15.0, flat, angle_rad));
+            let predicted = ring(72.3, 75.6, (15.0, flat, angle_rad));
             let patch = patch(&there, 64);
-            let moved = dispatch!(Level::new(), simd => motion(simd, &patch, &expected)).unwrap();
+            let moved = dispatch!(Level::new(), simd => disc_motion(simd, &patch, &predicted)).unwrap();
             prop_assert!((moved.0 - du).hypot(moved.1 - dv) < 0.4, "{moved:?} {du} {dv}");
         }
     }
 
     #[test]
     fn rings_that_are_not_there_or_bridged_are_left_to_their_segments() {
-        let expected = ring(72.3, 75.6, (15.0, 0.9, 0.3));
-        let mut scratch = BeltScratch::new();
-        let whole = patch(&expected, 64);
-        assert!(belts(&whole, &expected, &mut scratch).is_some());
-        assert!(belts(&whole, &expected.moved(4.0, 0.0), &mut scratch).is_none());
-        let found = belts(&whole, &expected, &mut scratch).unwrap().belts;
-        // One pixel is enough, wherever its place between the belts is.
+        let predicted = ring(72.3, 75.6, (15.0, 0.9, 0.3));
+        let mut scratch = BandScratch::new();
+        let whole = patch(&predicted, 64);
+        assert!(bands(&whole, &predicted, &mut scratch).is_some());
+        assert!(bands(&whole, &predicted.moved(4.0, 0.0), &mut scratch).is_none());
+        let found = bands(&whole, &predicted, &mut scratch).unwrap().bands;
+        // One pixel is enough, wherever its place between the bands is.
         for (set, white) in [(found.near, false), (found.disc_core, false), (found.black, true)] {
             let at = set.iter().position(|&bits| bits != 0).unwrap();
             let pixel = 1 << set[at].trailing_zeros();
-            let mut spoilt = patch(&expected, 64);
+            let mut spoilt = patch(&predicted, 64);
             spoilt.white[found.top * spoilt.words + at] ^= pixel;
             assert_eq!(spoilt.white[found.top * spoilt.words + at] & pixel != 0, white);
-            assert!(belts(&spoilt, &expected, &mut BeltScratch::new()).is_none());
+            assert!(bands(&spoilt, &predicted, &mut BandScratch::new()).is_none());
         }
     }
 
     #[test]
-    fn thin_rings_are_not_followed_by_belts() {
+    fn thin_rings_are_not_followed_by_bands() {
         let thin = ring(72.3, 75.6, (8.0, 0.9, 0.3));
         let patch = patch(&thin, 64);
-        assert!(dispatch!(Level::new(), simd => motion(simd, &patch, &thin)).is_none());
+        assert!(dispatch!(Level::new(), simd => disc_motion(simd, &patch, &thin)).is_none());
     }
 }

@@ -57,23 +57,23 @@ impl Extent {
 
 /// Why there is no segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Spill {
+pub(crate) enum FillError {
     /// The pixel to begin with is not of the class.
     Seed,
     /// It reaches an edge of the rows and columns given, having come so far.
-    Edge(Extent),
+    BlurredEdge(Extent),
 }
 
 /// Rows of bits of one class.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Bits<'a> {
+pub(crate) struct BitRows<'a> {
     bits: &'a [u64],
     words: usize,
     rows: usize,
     columns: u32,
 }
 
-impl<'a> Bits<'a> {
+impl<'a> BitRows<'a> {
     /// `rows` rows of `words` words each, of which `columns` columns count.
     pub fn new(bits: &'a [u64], words: usize, (rows, columns): (usize, usize)) -> Self {
         Self { bits: &bits[..words * rows], words, rows, columns: columns as u32 }
@@ -87,12 +87,12 @@ impl<'a> Bits<'a> {
 
 /// The segment that holds pixel (u, v), its spans by row.
 #[simd]
-pub(crate) fn follow_disc<S: Simd>(
+pub(crate) fn fill_disc<S: Simd>(
     simd: S,
-    white: &Bits,
+    white: &BitRows,
     (u, v): (u32, usize),
     spans: &mut [Span],
-) -> Result<Extent, Spill> {
+) -> Result<Extent, FillError> {
     if white.words == 1 {
         disc::<true>(white, (u, v), spans)
     } else {
@@ -102,12 +102,12 @@ pub(crate) fn follow_disc<S: Simd>(
 
 /// The black round the disc, together with what is inside it, its spans by row.
 #[simd]
-pub(crate) fn follow_ring<S: Simd>(
+pub(crate) fn fill_ring<S: Simd>(
     simd: S,
-    black: &Bits,
+    black: &BitRows,
     disc: (&Extent, &[Span]),
     spans: &mut [Span],
-) -> Result<Extent, Spill> {
+) -> Result<Extent, FillError> {
     if black.words == 1 {
         ring::<true>(black, disc, spans)
     } else {
@@ -117,12 +117,12 @@ pub(crate) fn follow_ring<S: Simd>(
 
 #[inline(always)]
 fn disc<const ONE: bool>(
-    white: &Bits,
+    white: &BitRows,
     (u, v): (u32, usize),
     spans: &mut [Span],
-) -> Result<Extent, Spill> {
+) -> Result<Extent, FillError> {
     let seed = Span { first: u, end: u + 1 };
-    let run = runs_touching(white.row::<ONE>(v), seed).ok_or(Spill::Seed)?;
+    let run = runs_touching(white.row::<ONE>(v), seed).ok_or(FillError::Seed)?;
     spans[v] = run;
     let mut extent = Extent { top: v, bottom: v + 1, columns: run };
     upwards::<ONE>(white, &mut extent, spans)?;
@@ -133,10 +133,10 @@ fn disc<const ONE: bool>(
 
 #[inline(always)]
 fn ring<const ONE: bool>(
-    black: &Bits,
+    black: &BitRows,
     (disc, discs): (&Extent, &[Span]),
     spans: &mut [Span],
-) -> Result<Extent, Spill> {
+) -> Result<Extent, FillError> {
     let mut columns = disc.columns;
     for v in disc.top..disc.bottom {
         let row = black.row::<ONE>(v);
@@ -157,13 +157,13 @@ fn ring<const ONE: bool>(
 /// Goes on from the top row; it must not reach an edge.
 #[inline(always)]
 fn upwards<const ONE: bool>(
-    bits: &Bits,
+    bits: &BitRows,
     extent: &mut Extent,
     spans: &mut [Span],
-) -> Result<(), Spill> {
+) -> Result<(), FillError> {
     loop {
         if extent.columns.first == 0 || extent.columns.end >= bits.columns || extent.top == 0 {
-            return Err(Spill::Edge(*extent));
+            return Err(FillError::BlurredEdge(*extent));
         }
         let above = extent.top - 1;
         let Some(span) = runs_touching(bits.row::<ONE>(above), spans[extent.top]) else {
@@ -178,16 +178,16 @@ fn upwards<const ONE: bool>(
 /// Goes on from the bottom row; it must not reach an edge.
 #[inline(always)]
 fn downwards<const ONE: bool>(
-    bits: &Bits,
+    bits: &BitRows,
     extent: &mut Extent,
     spans: &mut [Span],
-) -> Result<(), Spill> {
+) -> Result<(), FillError> {
     loop {
         if extent.columns.first == 0
             || extent.columns.end >= bits.columns
             || extent.bottom == bits.rows
         {
-            return Err(Spill::Edge(*extent));
+            return Err(FillError::BlurredEdge(*extent));
         }
         let below = extent.bottom;
         let Some(span) = runs_touching(bits.row::<ONE>(below), spans[below - 1]) else {
@@ -202,10 +202,10 @@ fn downwards<const ONE: bool>(
 /// Adds what touches the segment from the side until nothing does.
 #[inline(always)]
 fn close<const ONE: bool>(
-    bits: &Bits,
+    bits: &BitRows,
     extent: &mut Extent,
     spans: &mut [Span],
-) -> Result<(), Spill> {
+) -> Result<(), FillError> {
     while leaks(bits, extent, spans) {
         for v in extent.top + 1..extent.bottom {
             spread::<ONE>(bits, v, spans[v - 1], &mut spans[v], extent);
@@ -221,7 +221,7 @@ fn close<const ONE: bool>(
 
 #[inline(always)]
 fn spread<const ONE: bool>(
-    bits: &Bits,
+    bits: &BitRows,
     v: usize,
     neighbor: Span,
     span: &mut Span,
@@ -235,7 +235,7 @@ fn spread<const ONE: bool>(
 
 /// Whether a pixel of the class lies above or below the segment's spans, outside of them.
 #[inline(always)]
-fn leaks(bits: &Bits, extent: &Extent, spans: &[Span]) -> bool {
+fn leaks(bits: &BitRows, extent: &Extent, spans: &[Span]) -> bool {
     let rows = extent.top + 1..extent.bottom;
     let mut leaking = 0;
     for word in 0..bits.words {
@@ -367,19 +367,19 @@ mod tests {
                     })
                 })
                 .collect();
-            let white = Bits::new(&packed, words, (height, width));
+            let white = BitRows::new(&packed, words, (height, width));
             let mut spans = vec![Span::default(); height];
             let found = dispatch!(Level::new(), simd => {
-                follow_disc(simd, &white, (u as u32, v), &mut spans)
+                fill_disc(simd, &white, (u as u32, v), &mut spans)
             });
             if !rows[v][u] {
-                prop_assert_eq!(found, Err(Spill::Seed));
+                prop_assert_eq!(found, Err(FillError::Seed));
                 return Ok(());
             }
             let extent = found.unwrap();
-            for (v, known) in plain(&rows, (u, v)).into_iter().enumerate() {
-                prop_assert_eq!((extent.top..extent.bottom).contains(&v), known.is_some());
-                if let Some((first, end)) = known {
+            for (v, valid) in plain(&rows, (u, v)).into_iter().enumerate() {
+                prop_assert_eq!((extent.top..extent.bottom).contains(&v), valid.is_some());
+                if let Some((first, end)) = valid {
                     prop_assert_eq!((spans[v].first as usize, spans[v].end as usize), (first, end));
                     prop_assert!(extent.columns.first as usize <= first);
                     prop_assert!(extent.columns.end as usize >= end);
@@ -391,9 +391,9 @@ mod tests {
     #[test]
     fn a_segment_that_reaches_the_edge_is_refused() {
         let rows = [0b0000u64, 0b1110, 0b0100, 0b0000];
-        let white = Bits::new(&rows, 1, (4, 4));
+        let white = BitRows::new(&rows, 1, (4, 4));
         let mut spans = [Span::default(); 4];
-        let found = dispatch!(Level::new(), simd => follow_disc(simd, &white, (2, 2), &mut spans));
-        assert!(matches!(found, Err(Spill::Edge(_))), "{found:?}");
+        let found = dispatch!(Level::new(), simd => fill_disc(simd, &white, (2, 2), &mut spans));
+        assert!(matches!(found, Err(FillError::BlurredEdge(_))), "{found:?}");
     }
 }

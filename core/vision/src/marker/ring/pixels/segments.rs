@@ -12,10 +12,10 @@ use crate::{
         reject::Reject,
         ring::pixels::{
             patch::Patch,
-            segment_fill::{Bits, Extent, Span, Spill, follow_disc, follow_ring},
+            segment_fill::{BitRows, Extent, FillError, Span, fill_disc, fill_ring},
         },
     },
-    scratch::make_room,
+    scratch::reserve_total,
 };
 
 /// Rows of both segments, by the patch's rows.
@@ -27,21 +27,21 @@ pub(crate) struct Spans {
 
 impl Spans {
     /// Room for so many rows.
-    pub fn make_room(&mut self, rows: usize) {
-        make_room(&mut self.discs, rows);
-        make_room(&mut self.rings, rows);
+    pub fn reserve(&mut self, rows: usize) {
+        reserve_total(&mut self.discs, rows);
+        reserve_total(&mut self.rings, rows);
     }
 }
 
 /// What counting says of a segment: its pixels, and the sides of its box.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Counted {
+pub(crate) struct SegmentSize {
     pub pixels: f64,
     pub width: f64,
     pub height: f64,
 }
 
-impl Counted {
+impl SegmentSize {
     pub fn new(pixels: u32, extent: &Extent) -> Self {
         let (width, height) = (extent.width() as f64, extent.height() as f64);
         Self { pixels: f64::from(pixels), width, height }
@@ -53,8 +53,8 @@ impl Counted {
 pub(crate) struct Segments {
     pub disc: Extent,
     pub ring: Extent,
-    pub of_disc: Counted,
-    pub of_ring: Counted,
+    pub disc_size: SegmentSize,
+    pub ring_size: SegmentSize,
 }
 
 impl Segments {
@@ -73,24 +73,25 @@ impl Segments {
             rings.resize(rows, Span::default());
         }
         let center = (center.0 - patch.window.left, center.1 - patch.window.top);
-        let white = Bits::new(&patch.white, patch.words, (rows, columns));
-        let black = Bits::new(&patch.black, patch.words, (rows, columns));
+        let white = BitRows::new(&patch.white, patch.words, (rows, columns));
+        let black = BitRows::new(&patch.black, patch.words, (rows, columns));
         let disc = seeds(patch, center)
-            .map(|seed| follow_disc(simd, &white, seed, discs))
+            .map(|seed| fill_disc(simd, &white, seed, discs))
             .find(|disc| disc.is_ok())
-            .unwrap_or(Err(Spill::Seed));
-        let disc = disc.map_err(|spill| match spill {
-            Spill::Seed => Reject::NoWhite,
-            Spill::Edge(_) => Reject::WhiteTooLarge,
+            .unwrap_or(Err(FillError::Seed));
+        let disc = disc.map_err(|error| match error {
+            FillError::Seed => Reject::NoWhite,
+            FillError::BlurredEdge(_) => Reject::WhiteTooLarge,
         })?;
-        let ring =
-            follow_ring(simd, &black, (&disc, discs), rings).map_err(|spill| match spill {
-                Spill::Seed => Reject::NoBlack,
-                Spill::Edge(extent) if at_frame_edge(frame, patch, &extent) => Reject::FrameEdge,
-                Spill::Edge(_) => Reject::BlackTooLarge,
-            })?;
-        let (of_disc, of_ring) = counts(patch, (&disc, discs), (&ring, rings));
-        Ok(Self { disc, ring, of_disc, of_ring })
+        let ring = fill_ring(simd, &black, (&disc, discs), rings).map_err(|error| match error {
+            FillError::Seed => Reject::NoBlack,
+            FillError::BlurredEdge(extent) if at_frame_edge(frame, patch, &extent) => {
+                Reject::FrameEdge
+            }
+            FillError::BlurredEdge(_) => Reject::BlackTooLarge,
+        })?;
+        let (disc_size, ring_size) = counts(patch, (&disc, discs), (&ring, rings));
+        Ok(Self { disc, ring, disc_size, ring_size })
     }
 }
 
@@ -121,12 +122,16 @@ fn at_frame_edge(frame: &Frame, patch: &Patch, extent: &Extent) -> bool {
 
 /// Pixels of the disc and of the black round it.
 #[inline(always)]
-fn counts(patch: &Patch, disc: (&Extent, &[Span]), ring: (&Extent, &[Span])) -> (Counted, Counted) {
+fn counts(
+    patch: &Patch,
+    disc: (&Extent, &[Span]),
+    ring: (&Extent, &[Span]),
+) -> (SegmentSize, SegmentSize) {
     (count(patch.words, disc, &patch.white), count(patch.words, ring, &patch.black))
 }
 
 #[inline(always)]
-fn count(words: usize, (extent, spans): (&Extent, &[Span]), bits: &[u64]) -> Counted {
+fn count(words: usize, (extent, spans): (&Extent, &[Span]), bits: &[u64]) -> SegmentSize {
     let spans = &spans[extent.top..extent.bottom];
     let bits = &bits[extent.top * words..extent.bottom * words];
     let mut pixels = 0;
@@ -141,5 +146,5 @@ fn count(words: usize, (extent, spans): (&Extent, &[Span]), bits: &[u64]) -> Cou
             }
         }
     }
-    Counted::new(pixels, extent)
+    SegmentSize::new(pixels, extent)
 }

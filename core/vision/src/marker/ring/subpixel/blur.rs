@@ -3,13 +3,13 @@
 //! Blur of the deviation σ carries light across a straight edge. Beyond a cut at the distance d from the
 //! edge lies the area m = ∫ Φ(-x/σ) dx of it a pixel of rim, x from d on; with z = d/σ that is
 //! σ (φ(z) - z Φ(-z)), and of the spread σ² each side lacks a share of 2 s, s = ∫ x Φ(-x/σ) dx / σ²
-//! ([`Beyond`]). So, of a rim of radius r in whose belt (from r - d to r + d) grey levels count:
+//! ([`Beyond`]). So, of a rim of radius r in whose band (from r - d to r + d) grey levels count:
 //!
 //! - A level, taken from n pixels beyond a cut, is off towards the other one by the share
 //!   ε = 2π r' m / n of the contrast, r' the radius of the cut.
 //! - The filled rim then gets too much by 2π ε (r - d/2) d of the level inside, and too little by
 //!   2π ε (r + d/2) d of the level outside.
-//! - It lacks the 2π (r + d) m that lies outside the belt, and has 2π (r - d) m too much inside.
+//! - It lacks the 2π (r + d) m that lies outside the band, and has 2π (r - d) m too much inside.
 //! - Its spread comes out as σ² (1 - 4 s) - (ε + ε) d².
 //!
 //! The last line, for both rims, gives σ; the others then say by how much the rims are to be grown.
@@ -21,8 +21,8 @@ use fearless_simd_macros::simd;
 use crate::{
     ellipse::{Ellipse, Moments, Shape},
     marker::ring::{
-        pixels::{edge_band::WIDE_PX, ellipse_mask::Rim},
-        subpixel::{moments::Grey, thin_ring::Depths},
+        pixels::{edge_band::WIDE_PX, ellipse_mask::RimEllipse},
+        subpixel::{moments::GreySum, thin_ring::RimDistances},
     },
     normal::Beyond,
     simd::Lane,
@@ -32,9 +32,9 @@ use crate::{
 /// sharp lens have the least.
 const BLUR_LIMITS_PX: (f64, f64) = (0.4, 1.7);
 /// Least distance from a rim of levels that are unmixed, pixels.
-const LEAST_DISTANCE_PX: f64 = 0.5;
+const MIN_DISTANCE_PX: f64 = 0.5;
 /// Largest share of the other level that a level is taken to hold.
-const MOST_MIXED: f64 = 0.3;
+const MAX_MIXED: f64 = 0.3;
 /// Turns in which σ and what it mixes are found.
 const TURNS: usize = 2;
 
@@ -47,13 +47,13 @@ pub(crate) struct Cuts {
 
 /// A rim as weighed.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Weighed {
+pub(crate) struct WeighedRim {
     pub shape: Shape,
     pub rim: Ellipse,
     pub cuts: Cuts,
 }
 
-impl Weighed {
+impl WeighedRim {
     /// From the weighted sums over pixels counted from `origin`; `None` if they are those of no shape.
     #[inline(always)]
     pub fn new(sums: &Moments, origin: (usize, usize), cuts: Cuts) -> Option<Self> {
@@ -63,8 +63,8 @@ impl Weighed {
 
     /// What its blur depends on.
     #[inline(always)]
-    fn seen(&self) -> Seen<f64> {
-        Seen {
+    fn spread(&self) -> RimSpread<f64> {
+        RimSpread {
             radius_px: rim_radius_px(self.rim.semi_major_px, self.rim.semi_minor_px),
             spread_px2: self.shape.spread_px2_of(&self.rim),
             cuts: self.cuts,
@@ -72,33 +72,34 @@ impl Weighed {
     }
 
     /// With its matrix.
-    pub fn oval(&self) -> Rim {
-        Rim { ellipse: self.rim, matrix: self.shape.matrix_of(&self.rim) }
+    pub fn rim_ellipse(&self) -> RimEllipse {
+        RimEllipse { ellipse: self.rim, matrix: self.shape.matrix_of(&self.rim) }
     }
 }
 
 /// A level, and how far from a rim it is taken.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Taken<T = f64> {
+pub(crate) struct LevelSample<T = f64> {
     pub level: T,
     /// Number of pixels.
     pub pixels: T,
     pub distance_px: f64,
 }
 
-impl Taken {
-    pub fn new(grey: Grey, distance_px: f64) -> Self {
+impl LevelSample {
+    pub fn new(grey: GreySum, distance_px: f64) -> Self {
         Self { level: grey.mean(), pixels: f64::from(grey.pixels), distance_px }
     }
 }
 
 /// Levels of black and disc, and the margin's, which is `None` where it is taken to be as white as the
 /// disc.
-pub(crate) type AllTaken<'a, T = f64> = (&'a Taken<T>, &'a Taken<T>, Option<&'a Taken<T>>);
+pub(crate) type LevelSamples<'a, T = f64> =
+    (&'a LevelSample<T>, &'a LevelSample<T>, Option<&'a LevelSample<T>>);
 
 /// Levels and rims without the blur.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Unblurred {
+pub(crate) struct SharpRims {
     pub outer: Ellipse,
     pub inner: Ellipse,
     pub black: f64,
@@ -107,33 +108,34 @@ pub(crate) struct Unblurred {
 
 /// Undoes the blur. `thin` has the black's pixels of a ring whose blur reaches all of them.
 #[simd]
-pub(crate) fn unblur<S: Simd>(
+pub(crate) fn remove_blur<S: Simd>(
     simd: S,
-    (outer, inner): (&Weighed, &Weighed),
-    levels: AllTaken,
-    thin: Option<&Depths>,
-) -> Unblurred {
+    (outer, inner): (&WeighedRim, &WeighedRim),
+    levels: LevelSamples,
+    thin: Option<&RimDistances>,
+) -> SharpRims {
     let (black, white, _) = levels;
-    let rims = (outer.seen(), inner.seen());
-    let mut lifted = Lifted::none(rims.1.spread_px2);
+    let rims = (outer.spread(), inner.spread());
+    let mut correction = BlurCorrection::none(rims.1.spread_px2);
     for _ in 0..TURNS {
-        let blur = Blur::new(lifted.spread_px2);
-        let black_share = thin.map(|depths| {
-            let (grown_px, blur_px) = (lifted.grown_px, blur.deviation_px);
-            let level = Depths::level(simd, depths, white.level, grown_px, blur_px);
+        let blur = Blur::new(correction.spread_px2);
+        let black_share = thin.map(|distances| {
+            let (grown_px, blur_px) = (correction.grown_px, blur.deviation_px);
+            let level = RimDistances::level(simd, distances, white.level, grown_px, blur_px);
             let share = (black.level - level) / (white.level - level);
-            share.clamp(-MOST_MIXED, MOST_MIXED)
+            share.clamp(-MAX_MIXED, MAX_MIXED)
         });
-        lifted = lifted.turn((&rims.0, &rims.1), levels, &blur, black_share);
+        correction = correction.turn((&rims.0, &rims.1), levels, &blur, black_share);
     }
-    let (black, white) = lifted.levels(black.level, white.level);
-    let (outer, inner) = (outer.rim.grown(lifted.grown_px.0), inner.rim.grown(lifted.grown_px.1));
-    Unblurred { outer, inner, black, white }
+    let (black, white) = correction.levels(black.level, white.level);
+    let (outer, inner) =
+        (outer.rim.grown(correction.grown_px.0), inner.rim.grown(correction.grown_px.1));
+    SharpRims { outer, inner, black, white }
 }
 
 /// A rim as weighed: all of it that its blur depends on.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Seen<T> {
+pub(crate) struct RimSpread<T> {
     /// [`rim_radius_px`].
     pub radius_px: T,
     /// [`Shape::spread_px2`].
@@ -149,50 +151,53 @@ pub(crate) fn rim_radius_px<T: Lane>(a: T, b: T) -> T {
 
 /// What blur has done, as known so far.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Lifted<T> {
+pub(crate) struct BlurCorrection<T> {
     /// What the rims are to be grown by, the outer one first.
     pub grown_px: (T, T),
     /// The blur's variance.
     spread_px2: T,
-    mixed: Mixed<T>,
+    mixed: LevelErrors<T>,
 }
 
-impl<T: Lane> Lifted<T> {
+impl<T: Lane> BlurCorrection<T> {
     /// Nothing yet, of a rim of this spread.
     #[inline(always)]
     pub fn none(spread_px2: T) -> Self {
         let none = spread_px2.splat(0.0);
-        let mixed = Mixed { black: none, white: none, margin: none };
+        let mixed = LevelErrors { black: none, white: none, margin: none };
         Self { grown_px: (none, none), spread_px2, mixed }
     }
 
-    /// What is known of rims with wide belts, each level's cut beyond them.
+    /// What is known of rims with wide bands, each level's cut beyond them.
     #[inline(always)]
-    pub fn of_wide((outer, inner): (&Seen<T>, &Seen<T>), levels: AllTaken<T>) -> Self {
-        let mut lifted = Self::none(inner.spread_px2);
+    pub fn of_wide(
+        (outer, inner): (&RimSpread<T>, &RimSpread<T>),
+        levels: LevelSamples<T>,
+    ) -> Self {
+        let mut correction = Self::none(inner.spread_px2);
         for _ in 0..TURNS {
-            let blur = Blur::new(lifted.spread_px2);
-            lifted = lifted.turn((outer, inner), levels, &blur, None);
+            let blur = Blur::new(correction.spread_px2);
+            correction = correction.turn((outer, inner), levels, &blur, None);
         }
-        lifted
+        correction
     }
 
     /// Known better by one turn. `black_share` is by how much a thin ring's level is off.
     #[inline(always)]
     fn turn(
         &self,
-        (outer, inner): (&Seen<T>, &Seen<T>),
-        (black, white, margin): AllTaken<T>,
+        (outer, inner): (&RimSpread<T>, &RimSpread<T>),
+        (black, white, margin): LevelSamples<T>,
         blur: &Blur<T>,
         black_share: Option<T>,
     ) -> Self {
         let (r_o, r_i) = (outer.radius_px, inner.radius_px);
-        let mixed = Mixed::new((r_o, r_i), (black, white, margin), black_share, blur);
-        // Weights are shares of the contrast as measured.
+        let mixed = LevelErrors::new((r_o, r_i), (black, white, margin), black_share, blur);
+        // BandWeights are shares of the contrast as measured.
         let scale = (-mixed.white - mixed.black + 1.0).under(1.0);
         let (of_outer, of_inner) = (
-            Edge { seen: outer, mixed: (mixed.black * scale, mixed.margin * scale) },
-            Edge { seen: inner, mixed: (mixed.white * scale, mixed.black * scale) },
+            BlurredEdge { spread: outer, mixed: (mixed.black * scale, mixed.margin * scale) },
+            BlurredEdge { spread: inner, mixed: (mixed.white * scale, mixed.black * scale) },
         );
         let none = r_o.splat(0.0);
         let none = Leak { area: none, spread_px2: none };
@@ -229,17 +234,17 @@ impl<T: Lane> Lifted<T> {
 
 /// Shares of the contrast by which the levels are off.
 #[derive(Clone, Copy, Debug)]
-struct Mixed<T> {
+struct LevelErrors<T> {
     black: T,
     white: T,
     margin: T,
 }
 
-impl<T: Lane> Mixed<T> {
+impl<T: Lane> LevelErrors<T> {
     #[inline(always)]
     fn new(
         (r_o, r_i): (T, T),
-        (black, white, margin): AllTaken<T>,
+        (black, white, margin): LevelSamples<T>,
         black_share: Option<T>,
         blur: &Blur<T>,
     ) -> Self {
@@ -257,7 +262,7 @@ impl<T: Lane> Mixed<T> {
     }
 }
 
-/// Light of the other rim in a rim's belt, where the black is thin.
+/// Light of the other rim in a rim's band, where the black is thin.
 #[derive(Clone, Copy, Debug)]
 struct Leak<T> {
     /// What it adds to the area over 2π, px².
@@ -267,7 +272,7 @@ struct Leak<T> {
 }
 
 impl<T: Lane> Leak<T> {
-    /// From a rim of this radius, negative if the black is inside of it, to a belt that begins so far
+    /// From a rim of this radius, negative if the black is inside of it, to a band that begins so far
     /// from it, and reaches so far into the black.
     #[inline(always)]
     fn new(radius_px: T, distance_px: T, reach_px: f64, blur: &Blur<T>) -> Self {
@@ -282,19 +287,19 @@ impl<T: Lane> Leak<T> {
 
 /// A rim, and the shares by which the levels (inside, outside) are off.
 #[derive(Clone, Copy, Debug)]
-struct Edge<'a, T> {
-    seen: &'a Seen<T>,
+struct BlurredEdge<'a, T> {
+    spread: &'a RimSpread<T>,
     mixed: (T, T),
 }
 
-impl<T: Lane> Edge<'_, T> {
+impl<T: Lane> BlurredEdge<'_, T> {
     /// σ² from the spread between the cuts.
     #[inline(always)]
     fn spread_px2(&self, leak: &Leak<T>, blur: &Blur<T>) -> T {
-        let (near, far) = (self.seen.cuts.inside_px, self.seen.cuts.outside_px);
+        let (near, far) = (self.spread.cuts.inside_px, self.spread.cuts.outside_px);
         let (inside, outside) = self.mixed;
         let beyond = blur.beyond(near).spread + blur.beyond(far).spread;
-        let spread_px2 = self.seen.spread_px2 - leak.spread_px2;
+        let spread_px2 = self.spread.spread_px2 - leak.spread_px2;
         let share = -(beyond * 2.0) + 1.0;
         (spread_px2 + inside * near * near + outside * far * far) / share.larger(share.splat(0.3))
     }
@@ -302,9 +307,9 @@ impl<T: Lane> Edge<'_, T> {
     /// What the rim is to be grown by.
     #[inline(always)]
     fn growth_px(&self, leak: &Leak<T>, blur: &Blur<T>) -> T {
-        let (near, far) = (self.seen.cuts.inside_px, self.seen.cuts.outside_px);
+        let (near, far) = (self.spread.cuts.inside_px, self.spread.cuts.outside_px);
         let (inside, outside) = self.mixed;
-        let r = self.seen.radius_px;
+        let r = self.spread.radius_px;
         let outer = (r + far) * blur.beyond(far).moved_px;
         let inner = (r - near) * blur.beyond(near).moved_px;
         let levels = outside * (r + 0.5 * far) * far - inside * (r - 0.5 * near) * near;
@@ -322,10 +327,10 @@ struct Blur<T> {
 impl<T: Lane> Blur<T> {
     #[inline(always)]
     fn new(spread_px2: T) -> Self {
-        let (least, most) = BLUR_LIMITS_PX;
+        let (min, max) = BLUR_LIMITS_PX;
         let deviation_px = spread_px2.larger(spread_px2.splat(0.0)).root();
         let deviation_px =
-            deviation_px.larger(spread_px2.splat(least)).smaller(spread_px2.splat(most));
+            deviation_px.larger(spread_px2.splat(min)).smaller(spread_px2.splat(max));
         Self { deviation_px, wide: Beyond::new(spread_px2.splat(WIDE_PX), deviation_px) }
     }
 
@@ -340,14 +345,14 @@ impl<T: Lane> Blur<T> {
 
     /// Share of the contrast by which a level is off, whose cut has this radius.
     #[inline(always)]
-    fn share(&self, taken: &Taken<T>, radius_px: T) -> T {
+    fn share(&self, taken: &LevelSample<T>, radius_px: T) -> T {
         // So near to the edge, levels tell more of how a camera sharpens than of its blur.
-        if taken.distance_px < LEAST_DISTANCE_PX {
+        if taken.distance_px < MIN_DISTANCE_PX {
             return radius_px.splat(0.0);
         }
         let moved_px = self.beyond(taken.distance_px).moved_px;
         let radius_px = radius_px.larger(radius_px.splat(0.0));
         let share = radius_px * std::f64::consts::TAU * moved_px;
-        (share / taken.pixels).smaller(share.splat(MOST_MIXED))
+        (share / taken.pixels).smaller(share.splat(MAX_MIXED))
     }
 }

@@ -1,4 +1,4 @@
-//! Grey levels of a roundel's parts, and how they change across it.
+//! GreySum levels of a roundel's parts, and how they change across it.
 //!
 //! Black, disc and margin each have a level, the mean over pixels that the blur of the rims hardly
 //! reaches ([`crate::marker::ring::pixels::edge_band`]). The margin's is used where what lies there is margin and nothing
@@ -6,7 +6,7 @@
 //!
 //! Under a gradient γ of the lighting, weights rise by γ·x / contrast on one side of a rim and fall on
 //! the other, which leaves the area but moves the centre: of a disc of the area A and the matrix M
-//! ([`crate::ellipse::Ellipse::matrix`]), whose belt has n pixels and so the second moments n M / 2, by
+//! ([`crate::ellipse::Ellipse::matrix`]), whose band has n pixels and so the second moments n M / 2, by
 //! n M γ / (2 A contrast); and of the roundel, whose weights are those of black, to the other side.
 //!
 //! Pixels in a ring similar to the rim and ρ times as large lie at ρ √M_uu cos t along u, so the means
@@ -20,12 +20,12 @@ use crate::{
     camera::PixelPoint,
     marker::ring::{
         pixels::{
-            edge_band::{Belts, pixels_in},
+            edge_band::{EdgeBands, pixels_in},
             patch::WORD_PX,
         },
         subpixel::{
-            blur::Weighed,
-            moments::{Grey, count, levels, total},
+            blur::WeighedRim,
+            moments::{GreySum, count, levels, total},
         },
     },
     simd::Lane,
@@ -40,7 +40,7 @@ pub(crate) const MARGIN_DEVIATION: (f64, f64) = (0.1, 3.0);
 /// be wider than that.
 const NEAR_MARGIN: f64 = 0.5;
 /// Sum of squared differences, grey levels, that noise alone gives.
-const QUIET: f64 = 1.0;
+const NOISE_SQUARES: f64 = 1.0;
 
 /// Differences of the means of two halves, grey levels by one.
 pub(crate) type Slope<T = f64> = (T, T);
@@ -56,8 +56,8 @@ fn pixels(set: &[u64], words: usize, column: usize, first: usize) -> [u32; 3] {
 #[inline(always)]
 fn slope(pixels: &[u32; 3], sums: &[u64; 3]) -> Slope {
     let half = |half: usize| {
-        let first = Grey { pixels: pixels[half], sum: sums[half] };
-        let other = Grey { pixels: pixels[0] - pixels[half], sum: sums[0] - sums[half] };
+        let first = GreySum { pixels: pixels[half], sum: sums[half] };
+        let other = GreySum { pixels: pixels[0] - pixels[half], sum: sums[0] - sums[half] };
         other.mean() - first.mean()
     };
     (half(1), half(2))
@@ -66,10 +66,10 @@ fn slope(pixels: &[u32; 3], sums: &[u64; 3]) -> Slope {
 /// Levels of a roundel's parts.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Levels {
-    pub disc: Grey,
-    pub black: Grey,
-    near: Grey,
-    far: Grey,
+    pub disc: GreySum,
+    pub black: GreySum,
+    near: GreySum,
+    far: GreySum,
     /// Σ I² over `far`.
     far_square: u64,
     /// Of black and margin.
@@ -78,23 +78,23 @@ pub(crate) struct Levels {
 
 impl Levels {
     /// Levels, with halves to either side of column `middle.0` of the patch, which is even, and of row
-    /// `middle.1` of the belts.
+    /// `middle.1` of the bands.
     #[simd]
     pub fn new<S: Simd>(
         simd: S,
         grey: &[[u8; WORD_PX]],
-        belts: &Belts,
+        bands: &EdgeBands,
         words: usize,
         middle: (usize, usize),
     ) -> Self {
         let (top, bottom) = grey.split_at(middle.1 * words);
-        let sets = [belts.disc_core, belts.black, belts.near, belts.far];
+        let sets = [bands.disc_core, bands.black, bands.near, bands.far];
         let upper = levels(simd, top, sets, words, middle.0);
         let lower = levels(simd, bottom, sets.map(|set| &set[top.len()..]), words, middle.0);
         let first = top.len();
-        let of_black = pixels(belts.black, words, middle.0, first);
-        let of_near = pixels(belts.near, words, middle.0, first);
-        let of_far = pixels(belts.far, words, middle.0, first);
+        let of_black = pixels(bands.black, words, middle.0, first);
+        let of_near = pixels(bands.near, words, middle.0, first);
+        let of_far = pixels(bands.far, words, middle.0, first);
         let near = total(upper.all[2] + lower.all[2]);
         let far = total(upper.all[3] + lower.all[3]);
         let black = [
@@ -109,22 +109,22 @@ impl Levels {
         ];
         let of_margin = [of_near[0] + of_far[0], of_near[1] + of_far[1], of_near[2] + of_far[2]];
         Self {
-            disc: Grey {
-                pixels: pixels_in(belts.disc_core),
+            disc: GreySum {
+                pixels: pixels_in(bands.disc_core),
                 sum: total(upper.all[0] + lower.all[0]),
             },
-            black: Grey { pixels: of_black[0], sum: black[0] },
-            near: Grey { pixels: of_near[0], sum: near },
-            far: Grey { pixels: of_far[0], sum: far },
+            black: GreySum { pixels: of_black[0], sum: black[0] },
+            near: GreySum { pixels: of_near[0], sum: near },
+            far: GreySum { pixels: of_far[0], sum: far },
             far_square: total(upper.square + lower.square),
             slopes: (slope(&of_black, &black), slope(&of_margin, &margin)),
         }
     }
 
-    /// The margin's level, if what lies beside the belt is margin and nothing else: its level does not
+    /// The margin's level, if what lies beside the band is margin and nothing else: its level does not
     /// fall outwards, and varies little.
     #[inline(always)]
-    pub fn margin(&self) -> Option<Grey> {
+    pub fn margin(&self) -> Option<GreySum> {
         let contrast = self.disc.mean() - self.black.mean();
         let (near, far) = (self.near.mean(), self.far.mean());
         let variance = self.far_square as f64 / f64::from(self.far.pixels) - far * far;
@@ -142,18 +142,18 @@ impl Levels {
         self.near.mean() - black > NEAR_MARGIN * (white - black)
     }
 
-    /// By how much the lighting's gradient has moved the centres of outer and inner rim, whose belts
+    /// By how much the lighting's gradient has moved the centres of outer and inner rim, whose bands
     /// have so many pixels.
     #[inline(always)]
     pub fn movement(
         &self,
-        (outer, inner): (&Weighed, &Weighed),
+        (outer, inner): (&WeighedRim, &WeighedRim),
         (of_outer, of_inner): (u32, u32),
         contrast: f64,
     ) -> (PixelPoint, PixelPoint) {
         let (r_o, r_i) = (outer.rim.mean_radius_px(), inner.rim.mean_radius_px());
         let gradient = gradient(self.slopes, (r_o, r_i));
-        let moved = |weighed: &Weighed, radius_px: f64, pixels: u32, contrast: f64| {
+        let moved = |weighed: &WeighedRim, radius_px: f64, pixels: u32, contrast: f64| {
             let matrix = weighed.shape.matrix_of(&weighed.rim);
             let scale = f64::from(pixels) * radius_px / (contrast * weighed.shape.area_px2);
             PixelPoint {
@@ -173,7 +173,7 @@ pub(crate) fn gradient<T: Lane>((b, m): (Slope<T>, Slope<T>), (r_o, r_i): (T, T)
     let (black_px, margin_px) = ((r_o + r_i) * 0.5, r_o + MARGIN_PX);
     let squares = b.0 * b.0 + b.1 * b.1 + m.0 * m.0 + m.1 * m.1;
     // What noise may have made is not made a movement; what is not a number neither.
-    let sure = squares / (squares + QUIET);
+    let sure = squares / (squares + NOISE_SQUARES);
     let is_number = sure.at_most(sure);
     let scale = sure * (0.25 * std::f64::consts::FRAC_PI_4);
     let none = scale.splat(0.0);

@@ -1,6 +1,6 @@
-//! Both rims by the grey levels of their belts, with all tests of them.
+//! Both rims by the grey levels of their bands, with all tests of them.
 //!
-//! In: belts, drawn by segments or about expected rims. Out: both rims without the blur, and what else the outer
+//! In: bands, drawn by segments or about expected rims. Out: both rims without the blur, and what else the outer
 //! one says; steps 4 and 5 of [`crate::marker::ring::measure`].
 
 pub(crate) mod blur;
@@ -21,17 +21,17 @@ use crate::{
         ring::{
             checks::{check_boxes, check_levels, check_shapes},
             pixels::{
-                edge_band::{Belts, THIN_PX, WIDE_PX, pixels_in},
+                edge_band::{EdgeBands, THIN_PX, WIDE_PX, pixels_in},
                 ellipse_mask::Area,
                 patch::{Patch, WORD_PX},
-                segments::Counted,
+                segments::SegmentSize,
             },
             probe::{Probe, Rules},
             subpixel::{
-                blur::{Cuts, Taken, Unblurred, Weighed, unblur},
+                blur::{Cuts, LevelSample, SharpRims, WeighedRim, remove_blur},
                 levels::Levels,
-                moments::{Weights, moments},
-                thin_ring::Depths,
+                moments::{BandWeights, moments},
+                thin_ring::RimDistances,
                 unevenness::{Pixels, unevenness},
             },
         },
@@ -47,7 +47,7 @@ pub(crate) const EDGE_PX: f64 = 1.0;
 
 /// What is known of the outer rim besides its ellipse.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Outline {
+pub(crate) struct RimQuality {
     /// As in [`crate::marker::Ring`].
     pub unevenness: f64,
     /// Both rims have the same shape.
@@ -56,93 +56,101 @@ pub(crate) struct Outline {
     pub cut: bool,
 }
 
-/// Belts with what is needed to weigh by them.
-pub(crate) struct Places<'a> {
-    pub belts: Belts<'a>,
-    /// A pixel in the middle, its column even, in the belts' rows.
+/// EdgeBands with what is needed to weigh by them.
+pub(crate) struct BandLayout<'a> {
+    pub bands: EdgeBands<'a>,
+    /// A pixel in the middle, its column even, in the bands' rows.
     pub middle: (usize, usize),
     pub outer: Area,
     pub inner: Area,
     /// What was counted of black and disc, where segments were followed.
-    pub counted: Option<(&'a Counted, &'a Counted)>,
+    pub sizes: Option<(&'a SegmentSize, &'a SegmentSize)>,
 }
 
 /// Both rims by grey levels, with all tests of them.
 #[simd]
-pub(crate) fn weigh<S: Simd>(
+pub(crate) fn refine_rims<S: Simd>(
     simd: S,
     frame: &Frame,
     probe: &Probe,
     rules: &Rules,
-    (patch, places): (&Patch, &Places),
-    depths: &mut Depths,
-) -> Result<(Unblurred, Outline), Reject> {
-    let Places { belts, middle, .. } = places;
+    (patch, layout): (&Patch, &BandLayout),
+    distances: &mut RimDistances,
+) -> Result<(SharpRims, RimQuality), Reject> {
+    let BandLayout { bands, middle, .. } = layout;
     let (words, window) = (patch.words, &patch.window);
-    let first = belts.top * words;
-    let grey = &patch.grey[first..first + belts.disc_core.len()];
-    let levels = Levels::new(simd, grey, belts, words, *middle);
+    let first = bands.top * words;
+    let grey = &patch.grey[first..first + bands.disc_core.len()];
+    let levels = Levels::new(simd, grey, bands, words, *middle);
     let (black, white) = (levels.black.mean(), levels.disc.mean());
     let contrast = white - black;
     if contrast.is_nan() || contrast < rules.min_contrast {
         return Err(Reject::Contrast);
     }
     let margin = levels.margin();
-    // The belts of a narrow margin are those of segments.
-    if margin.is_none() && places.counted.is_none() {
+    // The bands of a narrow margin are those of segments.
+    if margin.is_none() && layout.sizes.is_none() {
         return Err(Reject::Contrast);
     }
     let cut_px = cut_px(f64::from(probe.threshold) - 0.5, black, white);
     let cut = margin.is_none() && !levels.has_near_margin();
     let (of_outer, cuts) = match margin {
         Some(_) => (
-            (belts.ring_core, belts.ring_belt),
-            Cuts { inside_px: belts.inside_px, outside_px: WIDE_PX },
+            (bands.ring_core, bands.ring_band),
+            Cuts { inside_px: bands.inside_px, outside_px: WIDE_PX },
         ),
         None if !cut => {
-            ((belts.thin_core, belts.thin_belt), Cuts { inside_px: THIN_PX, outside_px: THIN_PX })
+            ((bands.thin_core, bands.thin_band), Cuts { inside_px: THIN_PX, outside_px: THIN_PX })
         }
         None => {
-            ((belts.thin_core, belts.half_belt), Cuts { inside_px: THIN_PX, outside_px: cut_px })
+            ((bands.thin_core, bands.half_band), Cuts { inside_px: THIN_PX, outside_px: cut_px })
         }
     };
-    let around = Cuts { inside_px: belts.core_px, outside_px: belts.inside_px };
-    let zones = Zones {
+    let around = Cuts { inside_px: bands.core_px, outside_px: bands.inside_px };
+    let regions = RimRegions {
         grey,
         words,
-        origin: (window.left + middle.0, window.top + belts.top + middle.1),
+        origin: (window.left + middle.0, window.top + bands.top + middle.1),
         middle: *middle,
-        outer: (of_outer, cuts, places.outer),
-        inner: ((belts.disc_core, belts.disc_belt), around, places.inner),
+        outer: (of_outer, cuts, layout.outer),
+        inner: ((bands.disc_core, bands.disc_band), around, layout.inner),
         white: (margin.map_or(white, |margin| margin.mean()), white),
     };
-    let mut outer = zones.outer(simd, black)?;
-    let mut inner = zones.inner(simd, black)?;
-    let of_white = Taken::new(levels.disc, belts.core_px);
-    let of_margin = margin.map(|margin| Taken::new(margin, WIDE_PX));
-    let mut of_black = Taken::new(levels.black, belts.black_px);
-    let thin = belts.black_px < WIDE_PX;
-    let origin = (window.left, window.top + belts.top);
+    let mut outer = regions.outer(simd, black)?;
+    let mut inner = regions.inner(simd, black)?;
+    let of_white = LevelSample::new(levels.disc, bands.core_px);
+    let of_margin = margin.map(|margin| LevelSample::new(margin, WIDE_PX));
+    let mut of_black = LevelSample::new(levels.black, bands.black_px);
+    let thin = bands.black_px < WIDE_PX;
+    let origin = (window.left, window.top + bands.top);
     let mut found;
     let mut turn = 0;
     loop {
         if thin {
-            let sets = (grey, belts.whole, belts.white);
-            Depths::measure(simd, depths, sets, words, origin, (&outer.oval(), &inner.oval()));
+            let sets = (grey, bands.whole, bands.white);
+            RimDistances::measure(
+                simd,
+                distances,
+                sets,
+                words,
+                origin,
+                (&outer.rim_ellipse(), &inner.rim_ellipse()),
+            );
         }
         let levels = (&of_black, &of_white, of_margin.as_ref());
-        found = unblur(simd, (&outer, &inner), levels, thin.then_some(&*depths));
+        found = remove_blur(simd, (&outer, &inner), levels, thin.then_some(&*distances));
         if !thin || turn == THIN_TURNS {
             break;
         }
         turn += 1;
         of_black.level = found.black;
-        (outer, inner) = (zones.outer(simd, of_black.level)?, zones.inner(simd, of_black.level)?);
+        (outer, inner) =
+            (regions.outer(simd, of_black.level)?, regions.inner(simd, of_black.level)?);
     }
 
     check_levels(found.black, found.white, rules)?;
-    if let Some((of_ring, of_disc)) = places.counted {
-        check_boxes((of_ring, &outer.shape), (of_disc, &inner.shape), rules)?;
+    if let Some((ring_size, disc_size)) = layout.sizes {
+        check_boxes((ring_size, &outer.shape), (disc_size, &inner.shape), rules)?;
     }
     let similar = check_shapes((&outer.shape, &outer.rim), (&inner.shape, &inner.rim), rules)?;
     let matrix = outer.shape.matrix_of(&outer.rim);
@@ -150,34 +158,34 @@ pub(crate) fn weigh<S: Simd>(
     let pixels = Pixels::of(patch);
     let unevenness = unevenness(simd, &pixels, outer.shape.center, &matrix, contrast)?;
     if margin.is_some() {
-        let belts = (pixels_in(of_outer.1), pixels_in(belts.disc_belt));
-        let (of_outer, of_inner) = levels.movement((&outer, &inner), belts, contrast);
+        let bands = (pixels_in(of_outer.1), pixels_in(bands.disc_band));
+        let (of_outer, of_inner) = levels.movement((&outer, &inner), bands, contrast);
         for (rim, moved) in [(&mut found.outer, of_outer), (&mut found.inner, of_inner)] {
             rim.center.u -= moved.u;
             rim.center.v -= moved.v;
         }
     }
-    Ok((found, Outline { unevenness, similar, cut }))
+    Ok((found, RimQuality { unevenness, similar, cut }))
 }
 
 /// The pixels by which both rims are weighed.
-struct Zones<'a> {
+struct RimRegions<'a> {
     grey: &'a [[u8; WORD_PX]],
     words: usize,
     /// The pixel that sums are counted from, in the frame and in the rows.
     origin: (usize, usize),
     middle: (usize, usize),
-    /// Core and belt of each rim, where the belt ends, and what holds it.
+    /// Core and band of each rim, where the band ends, and what holds it.
     outer: ((&'a [u64], &'a [u64]), Cuts, Area),
     inner: ((&'a [u64], &'a [u64]), Cuts, Area),
     /// Level outside of the roundel, and of the disc.
     white: (f64, f64),
 }
 
-impl Zones<'_> {
+impl RimRegions<'_> {
     #[inline(always)]
-    fn outer<S: Simd>(&self, simd: S, black: f64) -> Result<Weighed, Reject> {
-        let weights = Weights::between(self.white.0, black);
+    fn outer<S: Simd>(&self, simd: S, black: f64) -> Result<WeighedRim, Reject> {
+        let weights = BandWeights::between(self.white.0, black);
         let sums = moments(
             simd,
             self.grey,
@@ -186,12 +194,12 @@ impl Zones<'_> {
             self.middle,
             weights,
         );
-        Weighed::new(&sums, self.origin, self.outer.1).ok_or(Reject::TooSmall)
+        WeighedRim::new(&sums, self.origin, self.outer.1).ok_or(Reject::TooSmall)
     }
 
     #[inline(always)]
-    fn inner<S: Simd>(&self, simd: S, black: f64) -> Result<Weighed, Reject> {
-        let weights = Weights::between(black, self.white.1);
+    fn inner<S: Simd>(&self, simd: S, black: f64) -> Result<WeighedRim, Reject> {
+        let weights = BandWeights::between(black, self.white.1);
         let sums = moments(
             simd,
             self.grey,
@@ -200,7 +208,7 @@ impl Zones<'_> {
             self.middle,
             weights,
         );
-        Weighed::new(&sums, self.origin, self.inner.1).ok_or(Reject::TooSmall)
+        WeighedRim::new(&sums, self.origin, self.inner.1).ok_or(Reject::TooSmall)
     }
 }
 

@@ -12,7 +12,7 @@ use fearless_simd_macros::simd;
 use crate::{
     ellipse::Moments,
     marker::ring::pixels::{
-        ellipse_mask::{Area, LANE},
+        ellipse_mask::{Area, LANE_NUMBERS},
         patch::WORD_PX,
     },
 };
@@ -22,20 +22,20 @@ const LANES: usize = 16;
 
 /// Number and sum of grey levels of a set of pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Grey {
+pub(crate) struct GreySum {
     pub pixels: u32,
     pub sum: u64,
 }
 
-impl Grey {
+impl GreySum {
     /// Not a number without pixels.
     pub fn mean(&self) -> f64 {
         self.sum as f64 / f64::from(self.pixels)
     }
 
     /// Both sets together.
-    pub fn joined(self, other: Grey) -> Grey {
-        Grey { pixels: self.pixels + other.pixels, sum: self.sum + other.sum }
+    pub fn joined(self, other: GreySum) -> GreySum {
+        GreySum { pixels: self.pixels + other.pixels, sum: self.sum + other.sum }
     }
 }
 
@@ -129,15 +129,15 @@ pub(crate) fn count(set: &[u64], words: usize, column: usize) -> (u32, u32) {
     (all as u32, some as u32)
 }
 
-/// How grey levels count: w = `offset` + `gain` I in the belt, `core` in the core.
+/// How grey levels count: w = `offset` + `gain` I in the band, `core` in the core.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Weights {
+pub(crate) struct BandWeights {
     pub offset: f32,
     pub gain: f32,
     pub core: f32,
 }
 
-impl Weights {
+impl BandWeights {
     /// 0 at grey level `from`, 1 at `to` and in the core.
     pub fn between(from: f64, to: f64) -> Self {
         let gain = 1.0 / (to - from);
@@ -145,20 +145,20 @@ impl Weights {
     }
 }
 
-/// Moments of the pixels of `core` and `belt`, of which there are none outside of these rows and
+/// Moments of the pixels of `core` and `band`, of which there are none outside of these rows and
 /// columns; sums are counted from the pixel `first` rows and columns after the first one.
 #[simd]
 pub(crate) fn moments<S: Simd>(
     simd: S,
     grey: &[[u8; WORD_PX]],
-    (core, belt): (&[u64], &[u64]),
+    (core, band): (&[u64], &[u64]),
     (words, area): (usize, &Area),
     (middle_u, middle_v): (usize, usize),
-    weights: Weights,
+    weights: BandWeights,
 ) -> Moments {
     let mut sums = [f32x16::splat(simd, 0.0); 6];
     let rows = area.rows.0 * words..(area.rows.1 * words).min(grey.len());
-    let (grey, core, belt) = (&grey[rows.clone()], &core[rows.clone()], &belt[rows]);
+    let (grey, core, band) = (&grey[rows.clone()], &core[rows.clone()], &band[rows]);
     let first_v = area.rows.0 as f32 - middle_v as f32;
     for word in 0..words {
         let first = area.columns.0.saturating_sub(word * WORD_PX);
@@ -171,7 +171,7 @@ pub(crate) fn moments<S: Simd>(
         for block in 0..blocks {
             let column = first + block * LANES;
             let u = (word * WORD_PX + column) as f32 - middle_u as f32;
-            let of_block = lanes(simd, grey, (core, belt), (word, words, column), first_v, weights);
+            let of_block = lanes(simd, grey, (core, band), (word, words, column), first_v, weights);
             add(&mut sums, simd, of_block, u);
         }
     }
@@ -191,17 +191,17 @@ pub(crate) fn moments<S: Simd>(
 fn lanes<S: Simd>(
     simd: S,
     grey: &[[u8; WORD_PX]],
-    (core, belt): (&[u64], &[u64]),
+    (core, band): (&[u64], &[u64]),
     (word, words, column): (usize, usize, usize),
     first_v: f32,
-    weights: Weights,
+    weights: BandWeights,
 ) -> [f32x16<S>; 3] {
     let zero = f32x16::splat(simd, 0.0);
     let (offset, gain) = (f32x16::splat(simd, weights.offset), f32x16::splat(simd, weights.gain));
     let whole = f32x16::splat(simd, weights.core);
-    let (core, belt) = (&core[..grey.len()], &belt[..grey.len()]);
+    let (core, band) = (&core[..grey.len()], &band[..grey.len()]);
     let column = column.min(WORD_PX - LANES);
-    let pixels = Pixels { grey, core, belt, column, offset, gain, whole };
+    let pixels = Pixels { grey, core, band, column, offset, gain, whole };
     // Every other row has sums of its own, so that no addition waits for the one before.
     let [mut n, mut nv, mut nvv] = [zero; 3];
     let [mut odd_n, mut odd_nv, mut odd_nvv] = [zero; 3];
@@ -234,7 +234,7 @@ fn lanes<S: Simd>(
 struct Pixels<'a, S: Simd> {
     grey: &'a [[u8; WORD_PX]],
     core: &'a [u64],
-    belt: &'a [u64],
+    band: &'a [u64],
     column: usize,
     offset: f32x16<S>,
     gain: f32x16<S>,
@@ -247,17 +247,17 @@ impl<S: Simd> Pixels<'_, S> {
         let pixels: &[u8; LANES] =
             self.grey[at][self.column..].first_chunk().expect("sixteen columns of a word");
         let pixels = f32x16::from_fn(simd, |lane| f32::from(pixels[lane]));
-        let in_belt = mask32x16::from_bitmask(simd, self.belt[at] >> self.column & 0xffff);
+        let in_band = mask32x16::from_bitmask(simd, self.band[at] >> self.column & 0xffff);
         let in_core = mask32x16::from_bitmask(simd, self.core[at] >> self.column & 0xffff);
         let in_core = in_core.select(self.whole, f32x16::splat(simd, 0.0));
-        in_belt.select(pixels.mul_add(self.gain, self.offset), in_core)
+        in_band.select(pixels.mul_add(self.gain, self.offset), in_core)
     }
 }
 
 /// Adds sixteen columns to Σ w, Σ w u, Σ w v, Σ w u², Σ w u v and Σ w v².
 #[inline(always)]
 fn add<S: Simd>(sums: &mut [f32x16<S>; 6], simd: S, [n, nv, nvv]: [f32x16<S>; 3], first_u: f32) {
-    let u = f32x16::load_array(simd, LANE) + first_u;
+    let u = f32x16::load_array(simd, LANE_NUMBERS) + first_u;
     let nu = n * u;
     sums[0] += n;
     sums[1] += nu;
@@ -273,7 +273,7 @@ mod tests {
     use fearless_simd::{Level, dispatch};
     use proptest::prelude::*;
 
-    /// Rows of pixels with four sets of them.
+    /// RowBits of pixels with four sets of them.
     fn rows() -> impl Strategy<Value = (usize, Vec<[u8; WORD_PX]>, [Vec<u64>; SETS])> {
         (1usize..4, 1usize..140).prop_flat_map(|(words, rows)| {
             let set = || proptest::collection::vec(any::<u64>(), words * rows);
@@ -282,7 +282,7 @@ mod tests {
         })
     }
 
-    /// Grey levels of a set, with their columns and rows.
+    /// GreySum levels of a set, with their columns and rows.
     fn pixels(words: usize, grey: &[[u8; WORD_PX]], set: &[u64]) -> Vec<(usize, usize, u64)> {
         (0..set.len() * WORD_PX)
             .filter(|at| set[at / WORD_PX] >> (at % WORD_PX) & 1 == 1)
@@ -310,27 +310,27 @@ mod tests {
             });
             prop_assert_eq!(ours.1, left.each_ref().map(sum));
             prop_assert_eq!(ours.2, plain[3].iter().map(|pixel| pixel.2.pow(2)).sum::<u64>());
-            let counted = count(of[0], words, column);
-            prop_assert_eq!(counted, (plain[0].len() as u32, left[0].len() as u32));
+            let sizes = count(of[0], words, column);
+            prop_assert_eq!(sizes, (plain[0].len() as u32, left[0].len() as u32));
         }
 
         #[test]
         fn moments_are_plain_sums((words, grey, sets) in rows()) {
-            let (core, belt) = (&sets[0], &sets[1]);
+            let (core, band) = (&sets[0], &sets[1]);
             let all = Area { rows: (0, grey.len() / words), columns: (0, words * WORD_PX) };
             let middle = (words * WORD_PX / 2, grey.len() / words / 2);
-            let weights = Weights::between(200.0, 40.0);
+            let weights = BandWeights::between(200.0, 40.0);
             let ours = dispatch!(Level::new(), simd => {
-                moments(simd, &grey, (core, belt), (words, &all), middle, weights)
+                moments(simd, &grey, (core, band), (words, &all), middle, weights)
             });
-            let only: Vec<u64> = core.iter().zip(belt).map(|(core, belt)| core & !belt).collect();
+            let only: Vec<u64> = core.iter().zip(band).map(|(core, band)| core & !band).collect();
             let of_core = pixels(words, &grey, &only).into_iter().map(|(u, v, _)| (u, v, 1.0));
-            let of_belt = pixels(words, &grey, belt)
+            let of_band = pixels(words, &grey, band)
                 .into_iter()
                 .map(|(u, v, grey)| (u, v, (200.0 - grey as f64) / 160.0));
             let mut plain = Moments::default();
             let mut size = Moments::default();
-            for (u, v, w) in of_core.chain(of_belt) {
+            for (u, v, w) in of_core.chain(of_band) {
                 let (u, v) = (u as f64 - middle.0 as f64, v as f64 - middle.1 as f64);
                 for (sums, w) in [(&mut plain, w), (&mut size, f64::abs(w))] {
                     sums.n += w;

@@ -12,23 +12,23 @@ use fearless_simd_macros::simd;
 
 use crate::{
     marker::ring::pixels::{ellipse_mask, patch::WORD_PX},
-    scratch::make_room,
+    scratch::reserve_total,
 };
 
 /// h: how far from the middle pixels count, pixels.
 const HALF_WIDTH_PX: f32 = 1.0;
 /// Largest share of white that the black is taken to hold.
-const MOST_MIXED: f64 = 0.4;
+const MAX_MIXED: f64 = 0.4;
 
 /// Pixels that are looked at together.
 const LANES: usize = 16;
 
 /// Black pixels of a thin ring across its rim, at most.
-const MOST_ACROSS: usize = 8;
+const MAX_ACROSS: usize = 8;
 
 /// Pixels of the black.
 #[derive(Clone, Copy, Debug, Default)]
-struct Depths16 {
+struct RimDistances16 {
     /// Distances from the outer and the inner rim, pixels; at first, places of the pixels.
     outer_px: [f32; LANES],
     inner_px: [f32; LANES],
@@ -38,14 +38,14 @@ struct Depths16 {
 
 /// The black pixels of a thin ring.
 #[derive(Debug, Default)]
-pub(crate) struct Depths {
-    depths: Vec<Depths16>,
+pub(crate) struct RimDistances {
+    distances: Vec<RimDistances16>,
 }
 
-impl Depths {
+impl RimDistances {
     /// Room for the largest thin ring of a frame.
-    pub fn make_room(&mut self, width: usize, height: usize) {
-        make_room(&mut self.depths, 2 * (width + height) * MOST_ACROSS / LANES);
+    pub fn reserve(&mut self, width: usize, height: usize) {
+        reserve_total(&mut self.distances, 2 * (width + height) * MAX_ACROSS / LANES);
     }
 
     /// Those of the whole roundel that are not the white disc, in rows of the frame, the first of them
@@ -53,15 +53,15 @@ impl Depths {
     #[simd]
     pub fn measure<S: Simd>(
         simd: S,
-        Self { depths }: &mut Self,
+        Self { distances }: &mut Self,
         (grey, whole, white): (&[[u8; WORD_PX]], &[u64], &[u64]),
         words: usize,
         first: (usize, usize),
-        (outer, inner): (&ellipse_mask::Rim, &ellipse_mask::Rim),
+        (outer, inner): (&ellipse_mask::RimEllipse, &ellipse_mask::RimEllipse),
     ) {
         let _ = simd;
-        depths.clear();
-        let mut pixels = Depths16::default();
+        distances.clear();
+        let mut pixels = RimDistances16::default();
         let mut lane = 0;
         for (at, (grey, (whole, white))) in grey.iter().zip(whole.iter().zip(white)).enumerate() {
             let mut bits = whole & !white;
@@ -75,14 +75,14 @@ impl Depths {
                 pixels.weight[lane] = 1.0;
                 lane += 1;
                 if lane == LANES {
-                    depths.push(pixels);
-                    (pixels, lane) = (Depths16::default(), 0);
+                    distances.push(pixels);
+                    (pixels, lane) = (RimDistances16::default(), 0);
                 }
             }
         }
-        depths.push(pixels);
+        distances.push(pixels);
         let (outer, inner) = (Rim::new(outer, first), Rim::new(inner, first));
-        for pixels in depths {
+        for pixels in distances {
             for lane in 0..LANES {
                 let at = (pixels.outer_px[lane], pixels.inner_px[lane]);
                 let (outer_px, inner_px) = (-outer.distance_px(at), inner.distance_px(at));
@@ -99,7 +99,7 @@ impl Depths {
     #[simd]
     pub fn level<S: Simd>(
         simd: S,
-        Self { depths }: &Self,
+        Self { distances }: &Self,
         white: f64,
         grown_px: (f64, f64),
         blur_px: f64,
@@ -108,7 +108,7 @@ impl Depths {
         let scale = (1.0 / blur_px) as f32;
         let (by_outer, by_inner) = (grown_px.0 as f32, -grown_px.1 as f32);
         let [mut weights, mut greys, mut mixed] = [[0.0f32; LANES]; 3];
-        for pixels in depths {
+        for pixels in distances {
             for lane in 0..LANES {
                 let weight = pixels.weight[lane];
                 let share = tail((pixels.outer_px[lane] + by_outer) * scale)
@@ -120,7 +120,7 @@ impl Depths {
         }
         let sum = |lanes: &[f32; LANES]| f64::from(lanes.iter().sum::<f32>());
         let (weights, greys, mixed) = (sum(&weights), sum(&greys), sum(&mixed));
-        let mixed = (mixed / weights).min(MOST_MIXED);
+        let mixed = (mixed / weights).min(MAX_MIXED);
         (greys / weights - mixed * white) / (1.0 - mixed)
     }
 }
@@ -151,7 +151,7 @@ struct Rim {
 
 impl Rim {
     fn new(
-        ellipse_mask::Rim { ellipse, matrix }: &ellipse_mask::Rim,
+        ellipse_mask::RimEllipse { ellipse, matrix }: &ellipse_mask::RimEllipse,
         first: (usize, usize),
     ) -> Self {
         let scale = 1.0 / matrix.determinant();
@@ -180,9 +180,9 @@ mod tests {
 
     #[test]
     fn the_tail_is_that_of_the_normal_distribution() {
-        for (z, known) in [(0.0, 0.5), (0.5, 0.308_538), (1.0, 0.158_655), (2.0, 0.022_750)] {
-            assert!((tail(z) - known).abs() < 1e-3, "{z}: {}", tail(z));
-            assert!((tail(-z) - (1.0 - known)).abs() < 1e-3, "{z}: {}", tail(-z));
+        for (z, valid) in [(0.0, 0.5), (0.5, 0.308_538), (1.0, 0.158_655), (2.0, 0.022_750)] {
+            assert!((tail(z) - valid).abs() < 1e-3, "{z}: {}", tail(z));
+            assert!((tail(-z) - (1.0 - valid)).abs() < 1e-3, "{z}: {}", tail(-z));
         }
         assert!(tail(40.0) == 0.0 && tail(-40.0) == 1.0);
     }

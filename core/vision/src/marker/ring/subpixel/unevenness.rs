@@ -27,7 +27,7 @@ use crate::{
 /// Points along the rim.
 const POINTS: usize = 32;
 /// Beyond this share more of the rim is gone than an ellipse can be trusted with.
-const LARGEST: f64 = 0.25;
+const MAX_UNEVENNESS: f64 = 0.25;
 
 /// The pixels that hold a rim.
 #[derive(Clone, Copy, Debug)]
@@ -69,7 +69,7 @@ pub(crate) fn unevenness<S: Simd>(
 ) -> Result<f64, Reject> {
     let uneven = deviation(simd, &levels(simd, pixels, center, matrix)) / contrast;
     // Not a number where the contrast is none.
-    if uneven <= LARGEST { Ok(uneven) } else { Err(Reject::Covered) }
+    if uneven <= MAX_UNEVENNESS { Ok(uneven) } else { Err(Reject::Covered) }
 }
 
 /// cos(k π/16) of the quarter k = 0..=8; the rest of the circle follows by symmetry.
@@ -111,7 +111,7 @@ fn half<S: Simd>(simd: S, values: &[f32; POINTS], half: usize) -> f32x16<S> {
     f32x16::from_slice(simd, &values[half * 16..half * 16 + 16])
 }
 
-/// Grey levels along the rim, bilinear between pixels.
+/// GreySum levels along the rim, bilinear between pixels.
 #[simd]
 fn levels<S: Simd>(
     simd: S,
