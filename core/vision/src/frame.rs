@@ -13,37 +13,37 @@ pub struct Frame<'a> {
     stride: usize,
 }
 
-/// Why bytes are no image.
+/// Why bytes do not form an image.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum FrameError {
     /// A side is zero or too long.
     #[error("expected an image of 1 to {MAX_SIDE_PX} pixels a side, found {width} x {height}")]
     Size {
-        /// Columns asked for.
+        /// Requested columns.
         width: usize,
-        /// Rows asked for.
+        /// Requested rows.
         height: usize,
     },
     /// Rows overlap.
     #[error("expected a stride of at least the width {width}, found {stride}")]
     Stride {
-        /// Columns asked for.
+        /// Requested columns.
         width: usize,
-        /// Bytes a row asked for.
+        /// Requested bytes per row.
         stride: usize,
     },
     /// Too few bytes.
     #[error("expected at least {expected} bytes of pixels, found {found}")]
     Length {
-        /// Bytes that size and stride need.
+        /// Bytes required by size and stride.
         expected: usize,
-        /// Bytes there are.
+        /// Bytes given.
         found: usize,
     },
 }
 
 impl<'a> Frame<'a> {
-    /// A view of `pixels`; `stride ≥ width` bytes lie between the starts of two rows.
+    /// A view of `pixels`, with `stride ≥ width` bytes between the starts of two rows.
     pub fn new(
         pixels: &'a [u8],
         width: usize,
@@ -73,7 +73,8 @@ impl<'a> Frame<'a> {
         self.height
     }
 
-    /// All bytes and the stride: pixel (u, v) is byte `v * stride + u`. Some bytes may be no pixels.
+    /// All bytes and the stride: pixel (u, v) is byte `v * stride + u`. Bytes beyond a row's width
+    /// are padding.
     pub(crate) fn pixels(&self) -> (&'a [u8], usize) {
         (self.pixels, self.stride)
     }
@@ -97,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_shapes_say_what_was_expected() {
+    fn errors_of_invalid_shapes_name_the_expectation() {
         assert_eq!(Frame::new(&[], 0, 1, 1).unwrap_err(), FrameError::Size { width: 0, height: 1 });
         assert_eq!(
             Frame::new(&[0; 9], 3, 3, 2).unwrap_err().to_string(),

@@ -1,8 +1,8 @@
-//! The normal distribution as blur needs it: what of an edge's light lies beyond a cut.
+//! The normal distribution: fast approximations, and how much of a blurred edge lies beyond a cut.
 
 use crate::simd::{Lane, floor};
 
-/// What of an edge's light lies beyond a cut parallel to it.
+/// The part of a blurred edge beyond a cut parallel to it.
 #[derive(Clone, Copy, Debug)]
 pub struct Beyond<T> {
     /// ∫ Φ(-x/σ) dx, pixels.
@@ -17,7 +17,7 @@ impl<T: Lane> Beyond<T> {
         (z * z * -0.5).exponential() * FRAC_1_SQRT_TAU
     }
 
-    /// Beyond a cut at this distance from an edge of this blur.
+    /// For a cut at this distance from an edge with this blur.
     #[inline(always)]
     pub fn new(distance_px: T, blur_px: T) -> Self {
         let z = distance_px / blur_px;
@@ -42,7 +42,7 @@ fn upper_tail<T: Lane>(z: T, density: T) -> T {
     density * t * (t * (t * 0.937_298_0 - 0.120_167_6) + 0.436_183_6)
 }
 
-/// φ(z) and Φ(z) to 1e-5, in operations that the compiler can do for several numbers at once.
+/// φ(z) and Φ(z) to 1e-5, in operations that the compiler vectorizes.
 #[inline(always)]
 pub(crate) fn normal_each(z: f32) -> (f32, f32) {
     const MIN_POWER: f32 = -120.0;
@@ -81,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn in_single_precision_it_is_the_same() {
+    fn single_precision_agrees_with_double() {
         for step in -4000..4000 {
             let z = f64::from(step) * 0.01;
             let (density, share) = normal_each(z as f32);
@@ -94,7 +94,7 @@ mod tests {
     fn closed_forms_equal_their_integrals() {
         let blur_px = 0.8f64;
         let beyond = |x: f64| Beyond::new(x, blur_px);
-        // Φ(-x/σ) is the slope of what lies beyond x.
+        // Φ(-x/σ) is the derivative of the part beyond x.
         let tail = |x: f64| (beyond(x - 1e-4).moved_px - beyond(x + 1e-4).moved_px) / 2e-4;
         for distance_px in [0.1, 0.4, 1.3, 2.5] {
             let moved = integral(distance_px, tail);

@@ -1,14 +1,14 @@
-//! Work on the rings of one frame, shared among the threads of the caller's pool.
+//! Distributes the rings of one frame over the threads of the caller's pool.
 //!
-//! A caller on a thread of a [`rayon`] pool (`ThreadPool::install`) has its work shared with the others there that are
-//! idle; on any other thread all is done there. The results are the same. Memory is kept for each thread, so that
-//! nothing is allocated frame after frame.
+//! A caller on a thread of a [`rayon`] pool (`ThreadPool::install`) shares its work with idle threads of that pool;
+//! on any other thread everything runs on the caller. The results are the same. Each thread keeps its own memory, so
+//! nothing is allocated per frame.
 
 use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
 
-/// Memory of each thread that may take part; what a panic has left is overwritten by who uses it next.
+/// Memory per thread. A chunk overwrites whatever an earlier panic left behind.
 #[derive(Debug)]
 pub(crate) struct PerThread<S> {
     each: Vec<Mutex<S>>,
@@ -20,7 +20,7 @@ impl<S> Default for PerThread<S> {
     }
 }
 
-/// There is nothing to tell: memory of its own.
+/// A clone starts with empty memory.
 impl<S> Clone for PerThread<S> {
     fn clone(&self) -> Self {
         Self::default()
@@ -28,7 +28,7 @@ impl<S> Clone for PerThread<S> {
 }
 
 impl<S: Default + Send> PerThread<S> {
-    /// Memory of the caller's thread.
+    /// Memory of the first thread.
     pub fn first(&mut self) -> &mut S {
         if self.each.is_empty() {
             self.each.push(Mutex::default());
@@ -36,8 +36,8 @@ impl<S: Default + Send> PerThread<S> {
         self.each[0].get_mut().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// `work` on all items, so many of them at a time at most: with memory of the thread that it runs on, and the first
-    /// one's place among all.
+    /// Calls `work` on chunks of at most `at_a_time` items, with the memory of the thread that runs
+    /// it and the index of the chunk's first item.
     pub fn for_each_chunk<T: Send>(
         &mut self,
         items: &mut [T],
@@ -60,7 +60,7 @@ impl<S: Default + Send> PerThread<S> {
         let each = &self.each;
         let pieces = items.par_chunks_mut(at_a_time).with_max_len(1).enumerate();
         pieces.for_each(|(number, items)| {
-            // No other works on this thread until this returns.
+            // Uncontended: nothing else runs on this thread until the closure returns.
             let thread = rayon::current_thread_index().unwrap_or_default();
             let mut memory = each[thread].lock().unwrap_or_else(PoisonError::into_inner);
             work(&mut memory, number * at_a_time, items);
@@ -74,7 +74,7 @@ mod tests {
 
     use super::*;
 
-    /// Each item becomes its place, and its thread's memory counts it.
+    /// Each item becomes its index; the memory counts the items.
     fn places(shares: &mut PerThread<usize>, count: usize, at_a_time: usize) -> Vec<usize> {
         let mut items = vec![usize::MAX; count];
         let max = AtomicUsize::new(0);
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn each_item_is_worked_on_once_in_a_pool_and_outside() {
+    fn each_item_is_processed_once_in_a_pool_and_outside() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
         let mut shares = PerThread::default();
         for (count, at_a_time) in [(0, 1), (1, 1), (7, 2), (40, 3), (16, 8), (8, 8)] {
@@ -105,10 +105,10 @@ mod tests {
     }
 
     #[test]
-    fn two_threads_of_a_pool_work_at_once() {
+    fn two_threads_of_a_pool_run_concurrently() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
         let (barrier, mut items) = (std::sync::Barrier::new(2), [0; 2]);
-        // Each waits for the other: one after the other they never got past it.
+        // Each chunk waits for the other: run one after the other, they would never pass.
         pool.install(|| {
             let mut shares = PerThread::<()>::default();
             shares.for_each_chunk(&mut items, 1, |(), first, items| {

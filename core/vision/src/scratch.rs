@@ -1,6 +1,6 @@
-//! Memory that is made ready before it is needed, so that nothing is allocated frame after frame.
+//! Buffers reserved in advance, so that nothing is allocated per frame.
 
-/// Makes room for so many items in all.
+/// Reserves capacity for `capacity` items in total.
 pub(crate) fn reserve_total<T>(items: &mut Vec<T>, capacity: usize) {
     items.reserve_exact(capacity.saturating_sub(items.len()));
 }

@@ -1,7 +1,7 @@
-//! Windows of a frame, and moments of runs of its pixels.
+//! Windows of a frame, and moments of runs of pixels.
 //!
-//! A run is a stretch of pixels of one class in a row; its moments have a closed form, so a segment
-//! made of runs costs as much as it has rows, not pixels (paper, algorithm 1).
+//! A run is a stretch of pixels of one class in a row. Its moments have a closed form, so the cost of a segment grows
+//! with its rows, not its pixels (paper, algorithm 1).
 
 use crate::frame::Frame;
 
@@ -12,9 +12,9 @@ pub struct Window {
     pub left: usize,
     /// First row.
     pub top: usize,
-    /// Column after the last.
+    /// One past the last column.
     pub right: usize,
-    /// Row after the last.
+    /// One past the last row.
     pub bottom: usize,
 }
 
@@ -24,7 +24,7 @@ impl Window {
         Self { left: 0, top: 0, right: frame.width(), bottom: frame.height() }
     }
 
-    /// The part of `frame` within the half sides `du`, `dv` (≥ 0) of (u, v); possibly empty.
+    /// The part of `frame` within the half sides `du`, `dv` (≥ 0) around (u, v); may be empty.
     pub fn around(frame: &Frame, (u, v): (f64, f64), (du, dv): (f64, f64)) -> Self {
         // The casts saturate, so a far or non-finite centre gives an empty window, not a panic.
         let column = |x: f64| (x.max(0.0) as usize).min(frame.width());
@@ -47,12 +47,12 @@ impl Window {
         self.bottom.saturating_sub(self.top)
     }
 
-    /// Whether pixel (u, v) lies in it.
+    /// Whether pixel (u, v) lies in the window.
     pub fn contains(&self, u: usize, v: usize) -> bool {
         (self.left..self.right).contains(&u) && (self.top..self.bottom).contains(&v)
     }
 
-    /// Whether it reaches one of the frame's four edges.
+    /// Whether the window touches one of the frame's edges.
     pub fn touches_edge(&self, frame: &Frame) -> bool {
         self.left == 0
             || self.top == 0
@@ -61,8 +61,8 @@ impl Window {
     }
 }
 
-/// Sums over pixels of 1, u, v, u², uv, v², with u and v counted from an origin near the pixels.
-/// Exact: a frame's side is at most 2¹⁴, so the largest sum stays below 2⁵⁶.
+/// Sums over pixels of 1, u, v, u², uv, v², relative to an origin near the pixels. Exact: a frame's
+/// side is at most 2¹⁴, so the largest sum stays below 2⁵⁶.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Sums {
     /// Σ 1.
@@ -80,7 +80,7 @@ pub struct Sums {
 }
 
 impl Sums {
-    /// Adds the pixels (u, v) with `first ≤ u < end` of row `v`, in closed form.
+    /// Adds the pixels (u, v) with `first ≤ u < end` of row `v`.
     pub fn add_run(&mut self, v: i64, first: i64, end: i64) {
         let (n, u, uu) = powers(first, end);
         self.n += n;
@@ -91,7 +91,7 @@ impl Sums {
         self.vv += n * v * v;
     }
 
-    /// The sums of two disjoint sets taken together.
+    /// The sums over the union of two disjoint sets.
     pub fn joined(&self, other: &Sums) -> Sums {
         Sums {
             n: self.n + other.n,
@@ -104,7 +104,7 @@ impl Sums {
     }
 }
 
-/// Σ 1, Σ u, Σ u² over `first ≤ u < end`; zeros if there is no such u.
+/// Σ 1, Σ u, Σ u² over `first ≤ u < end`; zero for an empty range.
 pub fn powers(first: i64, end: i64) -> (i64, i64, i64) {
     let n = (end - first).max(0);
     // Σ k = m (m + 1) / 2 and Σ k² = m (m + 1) (2 m + 1) / 6 over 0 ≤ k ≤ m = n - 1.

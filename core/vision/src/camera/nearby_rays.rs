@@ -1,38 +1,38 @@
-//! Rays of many pixels that lie near one.
+//! Rays of many pixels close to one.
 //!
-//! A ring's points are near each other, so that the derivative at their middle inverts the lens for all
-//! of them: with the middle's ray x₀ known exactly and J the derivative of the distortion D there,
+//! The points of a ring are close together, so the derivative at their middle inverts the lens for all of them: with the
+//! middle's ray x₀ known exactly and J the derivative of the distortion D there,
 //!
 //! x ← x + J⁻¹ (m - D(x))
 //!
-//! gains the factor ‖J(x) - J‖/‖J‖ a turn, a thousandth for a small ring in a mild lens, and a turn is a
-//! few multiplications a point, alike for all, which compilers turn into vector instructions. Where it
-//! does not settle (a ring half of the image wide, or at the lens model's end), each pixel is solved for
-//! itself.
+//! reduces the error by ‖J(x) - J‖/‖J‖ per iteration, a thousandth for a small ring in a mild lens. An iteration is a few
+//! multiplications per point, the same for all, which the compiler vectorizes. Where it does not converge (a ring half
+//! as wide as the image, or at the edge of the lens model), each pixel is solved separately.
 //!
-//! For `equidistant` the same is done for the angle θ to the axis alone, and its sine and cosine are
-//! those of the middle's angle turned by the small difference.
+//! For `equidistant` the same iteration runs on the angle θ to the axis; sine and cosine follow from the middle's angle
+//! by the addition theorem.
 
 use super::{Camera, Intrinsics, Lens, LensError, PixelPoint, lens::Planar};
 use crate::simd::{Lane, Mask, Mat2, Vec2, Vec3};
 
-/// Turns before each pixel is solved for itself.
+/// Iterations before each pixel is solved separately.
 const MAX_TURNS: usize = 12;
-/// What a point may be off, as a share of the points' distance from the middle.
+/// Tolerance of a point, as a share of the points' distance from the middle.
 const TOLERANCE: f64 = 1e-9;
-/// Angles from the middle, radians, beyond which each pixel is solved for itself.
+/// Angles from the middle, radians, beyond which each pixel is solved separately.
 const MAX_RAD: f64 = 0.5;
 
-/// Rays near one, structure of arrays: (x, y, 1) for planar models, unit vectors for `equidistant`.
+/// Rays close to one, as a structure of arrays: (x, y, 1) for planar models, unit vectors for
+/// `equidistant`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct NearRays<T: Lane, const N: usize> {
-    /// Of the middle.
+    /// Ray of the middle.
     pub middle: Vec3<T>,
-    /// Derivatives of the middle's by u and v, per pixel.
+    /// Derivatives of the middle's ray by u and v, per pixel.
     pub by_pixel: [Vec3<T>; 2],
-    /// x, y and z of all of them.
+    /// x, y and z of all rays.
     pub rays: [[T; N]; 3],
-    /// Where the turns settle; elsewhere the rays are not yet right, or there are none.
+    /// Lanes where the iteration converged; the rays of the others are not valid.
     pub settled: T::Mask,
 }
 
@@ -61,7 +61,7 @@ impl Camera {
         Ok(near)
     }
 
-    /// The same in each lane, but where the turns do not settle.
+    /// [`Camera::rays_near`] per lane, without the fallback for lanes that do not converge.
     #[inline(always)]
     pub(crate) fn rays_near_each<T: Lane, const N: usize>(
         &self,
@@ -102,7 +102,7 @@ impl Camera {
         Ok(rays)
     }
 
-    /// Places in focal lengths, and derivatives by them.
+    /// Positions in focal lengths, and derivatives by them.
     #[inline(always)]
     fn planar_near<T: Lane, const N: usize>(
         &self,
@@ -143,7 +143,7 @@ impl Camera {
         }
     }
 
-    /// As [`Self::planar_near`]; what lies too far from the middle has not settled.
+    /// As [`Self::planar_near`]; points too far from the middle do not converge.
     #[inline(always)]
     fn equidistant_near<T: Lane, const N: usize>(
         &self,
@@ -189,7 +189,7 @@ impl Camera {
             },
         );
         let mut z = [zero; N];
-        // At the very axis the image is the ray's own scale.
+        // On the axis itself the scale is that of the image.
         let axis = zero.splat(1e-12);
         for i in 0..N {
             let (sin_of, cos_of) = turned[i].sine_and_cosine();
@@ -221,7 +221,7 @@ impl Camera {
     }
 }
 
-/// One turn for all points where `open`; the largest step.
+/// One iteration of all points where `open`; returns the largest step.
 #[inline(always)]
 fn planar_turn<T: Lane, const N: usize>(
     lens: &Planar,
@@ -264,14 +264,14 @@ fn planar_turn<T: Lane, const N: usize>(
     max
 }
 
-/// The larger one; not a number if the second is not.
+/// The larger of both; NaN if the second is NaN.
 #[inline(always)]
 fn largest<T: Lane>(one: T, other: T) -> T {
     T::choose(other.at_most(one), one, other)
 }
 
-/// Turns where `open` until the error left, which shrinks as the steps do, is below the tolerance; where
-/// it gets there.
+/// Iterates where `open` until the remaining error, which shrinks as the steps do, is below the
+/// tolerance; returns the lanes that converged.
 #[inline(always)]
 fn settles<T: Lane>(size: T, open: T::Mask, mut turn: impl FnMut(T::Mask) -> T) -> T::Mask {
     let mut before = size;
@@ -312,7 +312,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn near_rays_are_the_pixels_own(
+        fn nearby_rays_equal_single_rays(
             u in 0.0..1279.0f64, v in 0.0..719.0f64, radius_px in 1.0..120.0f64,
         ) {
             for lens in [
@@ -343,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn the_axis_of_a_fisheye_is_no_hole() {
+    fn rays_near_the_axis_of_a_fisheye_are_regular() {
         let camera = camera(Lens::Equidistant([-0.02, 0.011, -0.007, 0.0013]));
         let middle = Vec2::new(647.0, 352.0);
         let offsets = [[-2.0, 0.0], [0.0, 1.0]];

@@ -1,13 +1,11 @@
-//! Pixels of several rays side by side.
-//!
-//! The same operations as for one ray ([`Camera::project`]), hence the same pixels to the last bit.
+//! Projection of one ray per lane, identical to the last bit to [`Camera::project`].
 
 use super::Camera;
 use crate::simd::{Lane, Vec2, Vec3};
 
 impl Camera {
-    /// The pixels of rays, one in each lane, and where there are such; `None` of lenses whose rays are no
-    /// points of a plane.
+    /// The pixels of rays, and the lanes that have one; `None` for lenses whose rays are not points
+    /// of a plane.
     #[inline(always)]
     pub(crate) fn project_each<T: Lane>(&self, ray: Vec3<T>) -> Option<(Vec2<T>, T::Mask)> {
         let planar = self.intrinsics.lens.planar()?;
@@ -48,7 +46,7 @@ mod tests {
     }
 
     #[test]
-    fn rays_side_by_side_have_the_pixels_that_each_has_alone() {
+    fn lanes_equal_single_projections() {
         let rays: [Vector3<f64>; 8] = std::array::from_fn(|k| {
             let (sin, cos) = (0.8 * k as f64).sin_cos();
             Vector3::new(

@@ -1,8 +1,7 @@
-//! Rings of one frame.
+//! Detection of all rings in one frame.
 //!
-//! A [`Detector`] is immutable and may be shared; memory that grows with the frame is the caller's
-//! [`Scratch`]. [`Detector::detect`] searches the whole frame once; [`crate::marker::Tracker`] uses
-//! the same steps in parts.
+//! A [`Detector`] is immutable and can be shared; the caller owns the [`Scratch`], whose memory grows with the frame.
+//! [`Detector::detect`] searches the whole frame once; [`crate::marker::Tracker`] uses the same steps on parts of it.
 
 use fearless_simd::Level;
 
@@ -42,9 +41,9 @@ use crate::{
     segment::Window,
 };
 
-/// Depth of the binary search that a promising candidate is given.
+/// Depth of the binary search for the threshold of a candidate.
 const SEARCH_DEPTH: u32 = 2;
-/// A ring may reach this share, and so many pixels, beyond where its chords have it.
+/// Margin of the window around a candidate: a factor, and pixels.
 const BEYOND: (f64, f64) = (1.25, 3.0);
 /// Finds rings of the given kinds.
 #[derive(Clone, Debug)]
@@ -54,22 +53,22 @@ pub struct Detector {
     params: Params,
     rules: Rules,
     pub(crate) search_rules: SearchRules,
-    /// Those that some kind has; without kinds, rings are black.
+    /// Polarities of the kinds; black rings if there are none.
     pub(crate) polarities: Vec<Polarity>,
     pub(crate) mask: Mask,
-    /// What the processor can do, found out once.
+    /// Instruction set, detected once.
     pub(crate) level: Level,
 }
 
-/// Rings of a frame that there is room for from the start, at most.
-pub(crate) const MAX_ROOM: usize = 1024;
+/// Rings per frame for which capacity is reserved in advance.
+pub(crate) const RESERVED_RINGS: usize = 1024;
 
-/// Memory of detection, kept from frame to frame. The first frame of a size takes room for whatever may
-/// turn up in any other, address space of about three frames; nothing is allocated from then on, and
-/// memory is used only as far as rings have filled it.
+/// Memory of detection, reused from frame to frame. The first frame of a size reserves address
+/// space of about three frames for the worst case; nothing is allocated afterwards, and pages are
+/// used only as far as rings fill them.
 #[derive(Debug, Default)]
 pub struct Scratch {
-    /// Width and height of the frames that there is room for.
+    /// Width and height of the frames for which memory is reserved.
     size: (usize, usize),
     pub(crate) measure: MeasureScratch,
     pub(crate) batch: BatchScratch,
@@ -80,7 +79,7 @@ pub struct Scratch {
 }
 
 impl Scratch {
-    /// Room for what a frame can show: rings as large as itself, and an edge at each pixel of a row.
+    /// Reserves memory for rings as large as the frame and an edge at each pixel of a row.
     pub(crate) fn reserve(&mut self, frame: &Frame, max_roundels: usize) {
         let size = (frame.width(), frame.height());
         if self.size == size {
@@ -90,30 +89,31 @@ impl Scratch {
         self.measure.reserve(size);
         self.batch.reserve(size.1);
         self.search.reserve(size.0);
-        let max = max_roundels.min(MAX_ROOM);
+        let max = max_roundels.min(RESERVED_RINGS);
         reserve_total(&mut self.found, max);
         reserve_total(&mut self.claims, max);
     }
 
-    /// Candidates of the newest frame that died, by stage.
+    /// Rejected candidates of the newest frame, by stage.
     pub fn rejects(&self) -> &RejectCounts {
         &self.rejects.counts
     }
 
-    /// Whether candidates that die are kept with their places, at most
-    /// [`crate::marker::MAX_REJECTED`] a frame; off at first.
+    /// Enables keeping rejected candidates with their positions, at most
+    /// [`crate::marker::MAX_REJECTED`] a frame; off by default.
     pub fn explain(&mut self, on: bool) {
         self.rejects.keep(on);
     }
 
-    /// Candidates of the newest frame that died, if they are kept.
+    /// Rejected candidates of the newest frame, if they are kept.
     pub fn rejected(&self) -> &[Rejected] {
         self.rejects.list.as_deref().unwrap_or_default()
     }
 }
 
 impl Detector {
-    /// A detector of these kinds; without any, every plausible black ring is found and has no kind.
+    /// A detector of these kinds. Without kinds, every plausible black ring is found and has no
+    /// kind.
     pub fn new(kinds: Vec<Kind>, params: Params) -> Result<Self, DetectorError> {
         params::check(&kinds, &params)?;
         let ratios = kinds
@@ -139,12 +139,12 @@ impl Detector {
         Ok(Self { kinds, coded, params, rules, search_rules, polarities, mask, level })
     }
 
-    /// The same detector, blind to roundels whose centre lies in the mask.
+    /// The same detector, ignoring roundels whose centre lies in the mask.
     pub fn with_mask(self, mask: Mask) -> Self {
         Self { mask, ..self }
     }
 
-    /// The same detector; without any kinds it looks for rings of this polarity, instead of black ones.
+    /// The same detector; without kinds, it finds rings of this polarity instead of black ones.
     pub fn with_default_polarity(mut self, polarity: Polarity) -> Self {
         if self.kinds.is_empty() {
             self.polarities = vec![polarity];
@@ -152,17 +152,17 @@ impl Detector {
         self
     }
 
-    /// The kinds, in the order that [`crate::id::KindId`] counts them.
+    /// The kinds, indexed by [`crate::id::KindId`].
     pub fn kinds(&self) -> &[Kind] {
         &self.kinds
     }
 
-    /// The limits.
+    /// The limits of detection.
     pub fn params(&self) -> &Params {
         &self.params
     }
 
-    /// All rings of one frame, in the order of the rows that they were found in.
+    /// All rings of one frame, in the order of the rows in which they were found.
     pub fn detect<'s>(&self, frame: &Frame, scratch: &'s mut Scratch) -> &'s [Ring] {
         scratch.rejects.clear();
         scratch.claims.clear();
@@ -171,8 +171,8 @@ impl Detector {
         &scratch.found
     }
 
-    /// Rings at the scratch's probes that are just where they are expected, side by side; others are left
-    /// to [`Detector::measure`].
+    /// Measures rings at the scratch's probes that are where predicted, several at once; the rest
+    /// needs [`Detector::measure`].
     pub(crate) fn measure_batch(&self, frame: &Frame, scratch: &mut BatchScratch) {
         for ring in &mut scratch.rings {
             *ring = None;
@@ -200,8 +200,8 @@ impl Detector {
         if self.mask.covers(ring.outer.center) { Err(Reject::Masked) } else { Ok(ring) }
     }
 
-    /// A ring with teeth that are read is what they say. One without may be plain, and one that is
-    /// neither is a coded one that cannot be read.
+    /// A ring whose teeth are decoded is coded. Otherwise it is measured as a plain one; if that
+    /// fails too, it is a coded ring that cannot be read.
     fn measure_any(
         &self,
         frame: &Frame,
@@ -221,8 +221,8 @@ impl Detector {
 }
 
 impl Detector {
-    /// Appends to `found` the rings whose disc crosses `window` and that no claim covers, and claims
-    /// them, until there are `most` of them.
+    /// Appends rings whose disc crosses `window` and that are not claimed yet to `found`, and
+    /// claims them, until `found` has `max` of them.
     pub(crate) fn search(&self, frame: &Frame, window: Window, max: usize, scratch: &mut Scratch) {
         scratch.reserve(frame, self.params().max_roundels);
         let mut memory = std::mem::take(&mut scratch.search);
@@ -255,7 +255,7 @@ impl Detector {
         scratch.search = memory;
     }
 
-    /// The ring whose disc a hit is, at the first threshold of the binary search that shows it.
+    /// The ring of a hit, at the first threshold of the binary search that shows it.
     fn measure_hit(
         &self,
         frame: &Frame,
@@ -284,7 +284,7 @@ impl Detector {
                 Ok(ring) => return Some(ring),
                 Err(reject) => {
                     first = first.or(Some(reject));
-                    // A further threshold helps only where rims were bridged.
+                    // Another threshold helps only if the rims are bridged at this one.
                     if reject != Reject::BlackTooLarge && reject != Reject::WhiteTooLarge {
                         break;
                     }

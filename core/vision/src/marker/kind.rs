@@ -1,54 +1,57 @@
-//! Kinds of roundel, told apart by the ratio of their diameters (paper, section 3.4).
+//! Kinds of roundel: diameters, pattern, polarity.
 
 use crate::marker::code::CodeLayout;
 
-/// Ratios of inner to outer diameter that a roundel may have: outside of them either the disc or the
-/// ring is too thin to be measured.
+/// Ratios of inner to outer diameter that can be measured: outside, either the disc or the ring is
+/// too thin.
 pub const RATIO_LIMITS: (f64, f64) = (0.2, 0.8);
 
-/// A disc whose shorter diameter is more than this of its longer one is no ellipse to a camera.
+/// Largest ratio of an elliptical disc's diameters; a rounder disc cannot be distinguished from a
+/// circle.
 pub const AXIS_RATIO_LIMIT: f64 = 0.9;
 
-/// Of ratios: diameters that are said to be at a limit are there, whatever rounding does to them (no printer comes near).
+/// Tolerance of ratios at a limit, for rounding.
 const RATIO_ROUNDING: f64 = 1e-6;
 
-/// Whether a disc may have this share of the outer diameter ([`RATIO_LIMITS`], both included).
+/// Whether a disc may have this share of the outer diameter ([`RATIO_LIMITS`], inclusive).
 pub fn is_measurable(ratio: f64) -> bool {
     let (min, max) = RATIO_LIMITS;
     (min - RATIO_ROUNDING..=max + RATIO_ROUNDING).contains(&ratio)
 }
 
-/// Whether an elliptical disc's shorter diameter may be this share of its longer one ([`AXIS_RATIO_LIMIT`] included).
+/// Whether an elliptical disc with this ratio of diameters shows a heading (up to
+/// [`AXIS_RATIO_LIMIT`], inclusive).
 pub fn shows_heading(axis_ratio: f64) -> bool {
     axis_ratio <= AXIS_RATIO_LIMIT + RATIO_ROUNDING
 }
 
-/// The print. Plain kinds are told apart by the ratio of their diameters (paper, section 3.4).
+/// A printed design. Plain kinds are distinguished by the ratio of their diameters (paper, section
+/// 3.4).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Kind {
     /// Name in the configuration.
     pub name: String,
     /// Ring's outer diameter, metres.
     pub outer_diameter_m: f64,
-    /// Disc's diameter, metres, below the outer one; of a coded roundel that of the disc between the
-    /// teeth, of an elliptical disc the longer one.
+    /// Disc's diameter, metres, below the outer one: between the teeth of a coded roundel, the
+    /// longer one of an elliptical disc.
     pub inner_diameter_m: f64,
-    /// What is inside the ring.
+    /// What the ring encloses.
     pub pattern: Pattern,
     /// Which of ring and disc is black.
     pub polarity: Polarity,
 }
 
-/// What a roundel's ring holds.
+/// What a ring encloses.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Pattern {
-    /// A round disc: no identity beyond the kind's, and no yaw.
+    /// A round disc: no identity beyond the kind, no yaw.
     #[default]
     Plain,
-    /// Teeth round the disc, as WhyCode prints them: identity and yaw.
+    /// A disc with teeth, as printed by WhyCode: identity and yaw.
     Coded(CodeLayout),
     /// An elliptical disc (paper, sections 7.2 and 7.4), its longer axis along the print's x: a
-    /// heading, of which the opposite looks the same.
+    /// heading, up to a half turn.
     Elliptical {
         /// The disc's shorter diameter, metres.
         minor_diameter_m: f64,
@@ -66,7 +69,7 @@ pub enum Polarity {
 }
 
 impl Polarity {
-    /// Bits of a grey level that are turned over to make the ring black.
+    /// Mask that inverts grey levels so that the ring is black.
     pub(crate) fn flip(self) -> u8 {
         match self {
             Self::BlackRing => 0,
@@ -87,20 +90,20 @@ impl Kind {
         }
     }
 
-    /// Inner over outer diameter.
+    /// Ratio of inner to outer diameter.
     pub fn ratio(&self) -> f64 {
         self.inner_diameter_m / self.outer_diameter_m
     }
 
-    /// Ratio of the disc's diameter to the outer one, of an elliptical disc that of the circle of the
-    /// same area.
+    /// Ratio of the disc's diameter to the outer one; for an elliptical disc, that of the circle of
+    /// equal area.
     pub(crate) fn mean_ratio(&self) -> f64 {
         let (min, max) = self.ratios();
         (min * max).sqrt()
     }
 
-    /// The least and the largest ratio of the disc's diameter to the outer one: the same unless the disc
-    /// is elliptical.
+    /// Smallest and largest ratio of the disc's diameter to the outer one; they differ only for an
+    /// elliptical disc.
     pub fn ratios(&self) -> (f64, f64) {
         match self.pattern {
             Pattern::Elliptical { minor_diameter_m } => {

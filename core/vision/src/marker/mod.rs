@@ -1,24 +1,20 @@
-//! Rings found in a frame, and followed from frame to frame.
+//! Detection of rings in a frame, and tracking from frame to frame.
 //!
-//! | step | module | paper |
+//! | stage | module | paper |
 //! | --- | --- | --- |
-//! | rows with black, white, black | `edge`, `scan` | 3.1, 3.6 |
-//! | chords through the centre | `cross`, `chord` | 3.1 |
-//! | threshold at each place | `threshold` | 3.2, eq. (3) |
-//! | one ring, wherever it is thought to be | `measure` | 3.1, 3.3 |
-//! | its pixels as words of bits | `patch` | 3.2 |
-//! | disc and black, followed by runs | `segments`, `spans` | 3.1, algorithm 1 |
-//! | the pixels near its rims | `band`, `levels` | – |
-//! | the same of a ring that is followed | `follow`, `oval` | – |
-//! | several of these, side by side | `abreast` | – |
-//! | rims to a fraction of a pixel | `weigh`, `blur`, `normal` | eqs. (4), (6) |
-//! | areas, roundness, shapes | `examine`, `outline` | 3.1, 3.3, eqs. (1), (2), (5) |
-//! | kind by ratio of diameters | `kind` | 3.4 |
-//! | elliptical discs, by their axes | `elliptical` | 7.2, 7.4 |
-//! | rims that are ellipses, a disc white to its middle, no letter | `harmonic`, `middle`, `stroke` | – |
-//! | compensation of the rims | [`rim`] | 3.5, eqs. (7), (8) |
+//! | candidates: rows with black, white, black; chords through the centre; local threshold | `search` | 3.1, 3.2, 3.6, eq. (3) |
+//! | one ring: its pixels, tests, both rims to a fraction of a pixel | `ring` | 3.1 to 3.3, algorithms 1 and 2, eqs. (1) to (6) |
+//! | several tracked rings at once, one per vector lane | `batch` | – |
+//! | kind by the ratio of diameters, compensation of the rims | `classify` | 3.4, 3.5, 7.2, eqs. (7), (8) |
+//! | further tests of new rings: rims are ellipses, disc white to its centre, not a letter | `validate` | – |
+//! | identities: layouts, dictionaries, votes of a track | `code` | – |
+//! | rings with teeth: rims, code, yaw | `coded` | – |
 //! | all rings of a frame | `detector` | 3.6 |
-//! | from frame to frame | `tracker` | 3, 3.6 |
+//! | from frame to frame | `track` | 3, 3.6 |
+//!
+//! `kind`, `params`, `mask` and `reject` hold the types that describe roundels, limits, masked regions and rejected
+//! candidates. The order of imports is: `reject`, `mask`, `code`, `kind`, `params`, `classify`, `ring`, then `search`,
+//! `validate`, `batch` and `coded`, then `detector`, `track`.
 //!
 //! ```
 //! use roundel_vision::{frame::Frame, marker::{Detector, Kind, Params, Scratch, Tracker}};
@@ -72,29 +68,29 @@ use crate::{
 /// One roundel as imaged.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ring {
-    /// Black ring's outer rim.
+    /// Outer rim of the ring.
     pub outer: Ellipse,
-    /// White disc's rim.
+    /// Rim of the disc.
     pub inner: Ellipse,
-    /// The kind whose ratio of diameters it has; `None` if no kinds are configured.
+    /// The kind with this ratio of diameters; `None` if no kinds are configured.
     pub kind: Option<KindId>,
-    /// Grey level that parted black from white; the next frame's start.
+    /// Grey level that separates black from white; the initial threshold in the next frame.
     pub threshold: u8,
-    /// Grey level of the black ring.
+    /// Grey level of black.
     pub black: f64,
-    /// Mean grey level of the white disc.
+    /// Mean grey level of white.
     pub white: f64,
-    /// How far the grey levels along the outer rim stray from those of a whole rim: rms, as a share
-    /// of the contrast. Noise alone gives two thirds of its own share; a cover gives more.
+    /// Deviation of the grey levels along the outer rim from their mean: rms, as a share of the
+    /// contrast. Noise alone gives two thirds of its own share; partial cover gives more.
     pub unevenness: f64,
     /// Which of ring and disc is black.
     pub polarity: Polarity,
-    /// What the teeth say; `None` if there are none, or they cannot be read.
+    /// The decoded teeth; `None` for a ring without teeth or with unreadable ones.
     pub code: Option<CodeReading>,
 }
 
 impl Ring {
-    /// A whole ring, black 20 on white 220, of no known kind.
+    /// A complete ring, black 20 on white 220, of unknown kind.
     pub fn of_rims(outer: Ellipse, inner: Ellipse) -> Self {
         Self {
             outer,
@@ -109,7 +105,7 @@ impl Ring {
         }
     }
 
-    /// What was measured of a black ring in a picture with its levels turned over, if that was done.
+    /// Undoes the inversion of grey levels under which a white ring is measured as a black one.
     #[inline(always)]
     fn with_polarity(self, polarity: Polarity) -> Self {
         match polarity {
@@ -125,13 +121,13 @@ impl Ring {
     }
 }
 
-/// A ring with the number of the track that it continues or begins.
+/// A ring with the number of its track.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackedRing {
-    /// This tracker's number for the roundel.
+    /// The tracker's number for the roundel.
     pub track: TrackNumber,
-    /// Where it is now.
+    /// The ring in the newest frame.
     pub ring: Ring,
-    /// What all frames of the track say of its code; `None` if none was read yet.
+    /// The code by the vote of all frames of the track; `None` before the first reading.
     pub code: Option<VotedCode>,
 }

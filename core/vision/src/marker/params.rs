@@ -1,4 +1,4 @@
-//! What the detector and the tracker can be told.
+//! Parameters of the detector and the tracker.
 
 use thiserror::Error;
 
@@ -7,10 +7,10 @@ use crate::marker::{
     kind::{AXIS_RATIO_LIMIT, Kind, Pattern, RATIO_LIMITS, is_measurable, shows_heading},
 };
 
-/// Ratios of diameters that differ by less are the same to a camera.
+/// Ratios of diameters closer than this cannot be distinguished by a camera.
 const MIN_DIFFERENCE: f64 = 0.005;
 
-/// What is worth more: time or precision.
+/// Trade-off between time and precision.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Mode {
     /// Rims from moments, poses in closed form.
@@ -23,20 +23,20 @@ pub enum Mode {
 /// Limits of detection and tracking.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Params {
-    /// What is worth more.
+    /// Trade-off between time and precision.
     pub mode: Mode,
-    /// Roundels found in one frame, or followed, at most.
+    /// Largest number of roundels found in one frame or tracked.
     pub max_roundels: usize,
     /// Smallest shorter semiaxis of the outer rim, pixels.
     pub min_semi_minor_px: f64,
-    /// Smallest difference of white and black, grey levels; below it noise makes rings.
+    /// Smallest difference of white and black, grey levels; below it, noise forms rings.
     pub min_contrast: u8,
     /// Smallest ratio of shorter to longer semiaxis, the cosine of the largest tilt.
     pub min_axis_ratio: f64,
-    /// While roundels are followed, the search for new ones goes through the whole frame once in so
-    /// many frames, a part of it in each, so that it never delays those that are followed.
+    /// While roundels are tracked, the search for new ones covers the whole frame once in this many
+    /// frames, a part in each, so that it never delays the tracked ones.
     pub search_frames: u32,
-    /// A roundel that is not seen for more frames than this loses its number.
+    /// A roundel that is missing for more frames than this loses its number.
     pub coast_frames: u32,
 }
 
@@ -54,10 +54,10 @@ impl Default for Params {
     }
 }
 
-/// Kinds or limits that no detector can be made of.
+/// Why a detector cannot be created.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum DetectorError {
-    /// A kind's diameters.
+    /// Invalid diameters of a kind.
     #[error(
         "roundel {name:?}: expected an inner diameter of {low} to {high} of the outer one, \
          found {inner_m} m of {outer_m} m; print a roundel within these limits",
@@ -77,32 +77,32 @@ pub enum DetectorError {
     Param {
         /// Name of the field.
         name: &'static str,
-        /// What it may be.
+        /// Valid range.
         expected: &'static str,
-        /// What it is.
+        /// Value found.
         found: f64,
     },
-    /// A coded kind's layout.
+    /// Invalid layout of a coded kind.
     #[error("roundel {name:?}: {source}")]
     Code {
         /// Name of the kind.
         name: String,
-        /// What is wrong with it.
+        /// Reason.
         source: CodeError,
     },
-    /// Two kinds that look the same.
+    /// Two kinds that a camera cannot distinguish.
     #[error(
-        "roundels {one:?} and {other:?} cannot be told apart: expected plain ones to differ by \
+        "roundels {one:?} and {other:?} cannot be distinguished: expected plain ones to differ by \
          {MIN_DIFFERENCE} in the ratio of their diameters, elliptical ones in one of their two \
          ratios, and coded ones in their number of bits"
     )]
     Indistinguishable {
-        /// Name of the one kind.
+        /// Name of one kind.
         one: String,
         /// Name of the other.
         other: String,
     },
-    /// An elliptical disc's shorter diameter.
+    /// Invalid shorter diameter of an elliptical disc.
     #[error(
         "roundel {name:?}: expected the disc's shorter diameter to be at least {low} of the outer one, \
          and at most {AXIS_RATIO_LIMIT} of the longer one, found {minor_m} m with {major_m} m and \
@@ -119,15 +119,15 @@ pub enum DetectorError {
         /// The ring's diameter, metres.
         outer_m: f64,
     },
-    /// More kinds than can be numbered.
+    /// More kinds than [`crate::id::KindId`] can number.
     #[error("expected at most 65535 kinds of roundel, found {found}")]
     Kinds {
-        /// How many there are.
+        /// Number of kinds.
         found: usize,
     },
 }
 
-/// Whether a detector can be made of these.
+/// Whether a detector can be created with these.
 pub(crate) fn check(kinds: &[Kind], params: &Params) -> Result<(), DetectorError> {
     if kinds.len() > usize::from(u16::MAX) {
         return Err(DetectorError::Kinds { found: kinds.len() });
@@ -165,7 +165,7 @@ pub(crate) fn check(kinds: &[Kind], params: &Params) -> Result<(), DetectorError
     param("search_frames", "1 or more", f64::from(frames), frames >= 1)
 }
 
-/// Whether nothing tells the two kinds apart.
+/// Whether a camera cannot distinguish the two kinds.
 fn are_indistinguishable(one: &Kind, other: &Kind) -> bool {
     let same = |one: f64, other: f64| (one - other).abs() < MIN_DIFFERENCE;
     let same_ratio = same(one.ratio(), other.ratio());
@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn impossible_kinds_are_refused() {
+    fn invalid_kinds_are_rejected() {
         assert_eq!(check(&[kind(0.16, 0.064)], &Params::default()), Ok(()));
         for (outer, inner) in [(0.1, 0.1), (0.0, 0.0), (f64::NAN, 0.1), (0.1, -0.05), (1.0, 0.1)] {
             let error = check(&[kind(outer, inner)], &Params::default()).unwrap_err();
@@ -197,9 +197,9 @@ mod tests {
         }
     }
 
-    /// As prints are said in millimetres, whose quotients are not quite 0.2, 0.8 and 0.9.
+    /// Prints are specified in millimetres, whose ratios are not exactly 0.2, 0.8 and 0.9.
     #[test]
-    fn the_limits_of_diameters_are_among_them() {
+    fn diameters_at_the_limits_are_accepted() {
         let printed = |outer_mm: f64, inner_mm: f64| kind(outer_mm * 1e-3, inner_mm * 1e-3);
         let elliptical = |outer_mm, inner_mm, minor_mm: f64| Kind {
             pattern: Pattern::Elliptical { minor_diameter_m: minor_mm * 1e-3 },
@@ -217,7 +217,7 @@ mod tests {
         assert!(
             is_accepted(elliptical(50.0, 20.0, 10.0)) && is_accepted(elliptical(100.0, 70.0, 63.0))
         );
-        // A hundredth of a millimetre beyond is beyond.
+        // A hundredth of a millimetre beyond a limit is rejected.
         assert!(!is_accepted(printed(50.0, 9.99)) && !is_accepted(printed(25.0, 20.01)));
         assert!(
             !is_accepted(elliptical(50.0, 20.0, 9.99))
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn impossible_params_name_their_field() {
+    fn errors_of_invalid_params_name_the_field() {
         for (params, field) in [
             (Params { min_semi_minor_px: f64::NAN, ..Params::default() }, "min_semi_minor_px"),
             (Params { min_axis_ratio: 0.0, ..Params::default() }, "min_axis_ratio"),

@@ -1,7 +1,7 @@
-//! Vectors and matrices of two and three numbers, one in each lane.
+//! Vectors and matrices of two and three numbers per lane.
 //!
-//! Nalgebra's need numbers that know their zero, which a vector of the processor at hand does not. Sums
-//! are taken in the order in which they are written, so that each lane has what is had alone.
+//! Nalgebra's types need a `Zero` that a runtime-sized vector does not have. Sums are evaluated in the order written, so
+//! that each lane equals the scalar result.
 
 use std::ops::{Add, Mul, Neg, Sub};
 
@@ -24,7 +24,7 @@ pub struct Vec3<T> {
     pub z: T,
 }
 
-/// Row by row.
+/// Rows first.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mat2<T> {
     pub m11: T,
@@ -33,7 +33,7 @@ pub struct Mat2<T> {
     pub m22: T,
 }
 
-/// By its rows.
+/// By rows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mat3<T>(pub [Vec3<T>; 3]);
 
@@ -198,7 +198,7 @@ impl<T: Lane> Mat2<T> {
         self.m11 * self.m22 - self.m12 * self.m21
     }
 
-    /// The inverse, and where there is one.
+    /// The inverse, and the lanes that have one.
     #[inline(always)]
     pub fn inverse(self) -> (Self, T::Mask) {
         let determinant = self.determinant();

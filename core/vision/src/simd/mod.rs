@@ -1,15 +1,16 @@
-//! Numbers side by side: one body of mathematics for one case and for several at once.
+//! Numeric code that is generic over one value or one value per vector lane.
 //!
-//! A function over [`Lane`] is the same for `f64` and for a vector of them, one case in each lane: it has no
-//! branch that depends on a number, but masks and selections, so that in every lane just those
-//! operations are done that would be done alone. Nothing is fused, hence the results are the same to
-//! the last bit (`pose::closed::tests::every_simd_level_gives_the_same_poses`).
+//! A function over [`Lane`] computes the same for `f64` and, per lane, for a vector of them. It does not branch on
+//! values but selects by masks, so every lane performs exactly the operations of the scalar case. Nothing is fused, hence
+//! the results are identical to the last bit (`pose::closed::tests::every_simd_level_gives_the_same_poses`).
 //!
-//! Everything here is `inline(always)`, and so has to be what is written over it: vector instructions
-//! are those of the function marked with `#[simd]` that all of it ends up in. A plain closure or
-//! `array::map` in between would be compiled for any processor, and called.
+//! Everything here is `inline(always)`, and callers must be too: the instruction set is that of the enclosing function
+//! marked with `#[simd]`. A plain closure or `array::map` in between is compiled for the baseline processor and called.
 //!
-//! Vectors and matrices of them are in `matrix`.
+//! Method names differ from those of `f64` on purpose: an inherent method such as `f64::max` or `f64::exp` would win over
+//! the trait's on a concrete `f64` and give other results.
+//!
+//! `matrix` has vectors and matrices of lanes.
 
 mod matrix;
 
@@ -24,15 +25,15 @@ use fearless_simd::{
 
 pub use matrix::{Mat2, Mat3, Vec2, Vec3};
 
-/// Truth, one for each lane.
+/// A truth value per lane.
 pub trait Mask: Copy + BitAnd<Output = Self> + BitOr<Output = Self> + Not<Output = Self> {
-    /// In one lane.
+    /// The value in one lane.
     fn is_set(self, lane: usize) -> bool;
-    /// Whether it is in any.
+    /// Whether it is true in any lane.
     fn any(self) -> bool;
 }
 
-/// A number, or one for each lane.
+/// A number per lane.
 pub trait Lane:
     Copy
     + Neg<Output = Self>
@@ -46,9 +47,9 @@ pub trait Lane:
     + Div<f64, Output = Self>
 {
     type Mask: Mask;
-    /// What a function gives for each lane, by its number.
+    /// Calls `of` with each lane's index and gathers the results.
     fn each<const N: usize>(self, of: impl FnMut(usize) -> [f64; N]) -> [Self; N];
-    /// The same number in all lanes, as many as this has.
+    /// The same number in all lanes.
     fn splat(self, value: f64) -> Self;
     /// The number in one lane.
     fn lane(self, lane: usize) -> f64;
@@ -58,7 +59,7 @@ pub trait Lane:
     fn at_most(self, other: Self) -> Self::Mask;
     fn choose(mask: Self::Mask, yes: Self, no: Self) -> Self;
 
-    /// `of` divided by this.
+    /// `of` divided by `self`.
     #[inline(always)]
     fn under(self, of: f64) -> Self {
         self.splat(of) / self
@@ -69,27 +70,26 @@ pub trait Lane:
         self * self
     }
 
-    /// Whether it is above zero.
+    /// Whether it is greater than zero.
     #[inline(always)]
     fn is_positive(self) -> Self::Mask {
         self.splat(0.0).below(self)
     }
 
-    /// The larger one; the other one where this is not a number.
+    /// The larger of both; `other` where `self` is NaN.
     #[inline(always)]
     fn larger(self, other: Self) -> Self {
         Self::choose(other.below(self), self, other)
     }
 
-    /// The smaller one; the other one where this is not a number.
+    /// The smaller of both; `other` where `self` is NaN.
     #[inline(always)]
     fn smaller(self, other: Self) -> Self {
         Self::choose(self.below(other), self, other)
     }
 
-    /// Sine and cosine of an angle of up to π/2 to either side, exact to 2e-15.
-    ///
-    /// The series up to the fifteenth power at half of it, then doubled.
+    /// Sine and cosine of an angle in [-π/2, π/2], accurate to 2e-15: the series to the fifteenth
+    /// power at half the angle, then doubled.
     #[inline(always)]
     fn sine_and_cosine(self) -> (Self, Self) {
         let half = self * 0.5;
@@ -104,9 +104,8 @@ pub trait Lane:
         (sin * cos * 2.0, sin * sin * -2.0 + 1.0)
     }
 
-    /// eˣ, exact to 1e-12 of itself for |x| ≤ 40; what is beyond is taken for that.
-    ///
-    /// The series up to the seventh power at x/1024, then squared ten times.
+    /// eˣ with relative error 1e-12, x clamped to [-40, 40]: the series to the seventh power at
+    /// x/1024, then squared ten times.
     #[inline(always)]
     fn exponential(self) -> Self {
         let held = Self::choose(self.below(self.splat(40.0)), self, self.splat(40.0));
@@ -124,11 +123,10 @@ pub trait Lane:
         value
     }
 
-    /// The angle of (`x`, `self`) in [-π, π], exact to 5e-16 of itself; of a place without a direction it is
-    /// not a number.
+    /// `atan2(self, x)`, relative error 5e-16; NaN at the origin.
     ///
-    /// The quotient of the smaller by the larger one, from 0.66 on turned by an eighth of a circle, in the
-    /// fraction of polynomials of Moshier's Cephes (`atan.c`), which is exact to 2e-16 there.
+    /// The smaller coordinate over the larger one, rotated by π/4 from 0.66 on, goes into the
+    /// rational polynomial of Moshier's Cephes (`atan.c`), which is accurate to 2e-16 there.
     #[inline(always)]
     fn angle_from(self, x: Self) -> Self {
         let (long, short) = (x.size().larger(self.size()), x.size().smaller(self.size()));
@@ -283,11 +281,10 @@ macro_rules! lanes {
 lanes!(f64x4, mask64x4, 4);
 lanes!(f64x8, mask64x8, 8);
 
-/// The whole number at or below one of less than four millions. Unlike a cast, it is done to several at once by the
-/// compiler.
+/// Floor of a number below four million in magnitude. Unlike a cast, the compiler vectorizes it.
 #[inline(always)]
 pub(crate) fn floor(x: f32) -> i32 {
-    // So large that a step of the last bit is 1.
+    // So large that the unit in the last place is 1.
     const LARGE: f32 = 12_582_912.0;
     let shifted = x + LARGE;
     let nearest = shifted.to_bits() as i32 - LARGE.to_bits() as i32;
@@ -330,13 +327,13 @@ mod tests {
     }
 
     #[test]
-    fn exponentials_end_where_they_are_held() {
+    fn exponentials_are_clamped() {
         assert_eq!((-1e3f64).exponential(), (-40f64).exponential());
         assert_eq!(1e3f64.exponential(), 40f64.exponential());
     }
 
     #[test]
-    fn whole_numbers_are_those_below() {
+    fn floor_rounds_down() {
         for x in [0.0, -0.0, 0.3, 0.5, 0.999_999, 1.0, 1.5, 2.5, 4095.999] {
             assert_eq!([floor(x), floor(-x)], [x.floor() as i32, (-x).floor() as i32], "{x}");
         }

@@ -1,41 +1,43 @@
-//! All that is summed over the pixels of a ring that is followed, in one pass over their rows.
+//! All sums over the pixels of a tracked ring, in one pass over their rows.
 //!
-//! Which pixels count, and what for, is that of [`crate::marker::ring::pixels::edge_band`]. As long as one word holds a row, sums
-//! need not wait for the levels that weigh them: with w = α + γ I in a band and 1 in the core,
+//! The pixel sets are those of [`crate::marker::ring::pixels::edge_band`]. If one word holds a row, sums
+//! can be taken before the levels that weigh them are known: with w = α + γ I in a band and 1 in the core,
 //!
 //!   Σ w uᵃ vᵇ = γ Σ_band I uᵃ vᵇ + α Σ_band uᵃ vᵇ + Σ_core uᵃ vᵇ,
 //!
-//! where the last two follow from the ends of each row ([`crate::marker::ring::pixels::ellipse_mask`]): of n columns with the middle
-//! m/2, Σ u = n m/2 and Σ u² = n (3 m² + n² - 1)/12. Everything is an integer, so nothing is rounded.
+//! where the last two follow from the ends of each row ([`crate::marker::ring::pixels::ellipse_mask`]): for n columns with
+//! the middle m/2, Σ u = n m/2 and Σ u² = n (3 m² + n² - 1)/12. All sums are integers, without rounding.
 
 use fearless_simd::{Simd, f32x16, i16x32, i32x16, prelude::*, u8x64};
 use fearless_simd_macros::simd;
 
-use crate::marker::batch::{
-    planes::{HALF_PX, MAX_ROWS, Planes},
-    row_sums::{Columns, Source, Sums},
-    table::{Row, TOTALS, Table},
-};
 use crate::{
     frame::Frame,
-    marker::ring::{
-        pixels::{
-            edge_band::{MIN_BLACK, MIN_WHITE},
-            ellipse_mask::{
-                Area, LANE_NUMBERS, LANES as ROWS_AT_ONCE, PatchEllipse, RowBits, RowSpans,
-            },
-            patch::{Patch, WORD_PX},
-            predicted::{PredictedRims, band_ellipses},
+    marker::{
+        batch::{
+            planes::{HALF_PX, MAX_ROWS, Planes},
+            row_sums::{Columns, Source, Sums},
+            table::{Row, TOTALS, Table},
         },
-        probe::Probe,
+        ring::{
+            pixels::{
+                edge_band::{MIN_BLACK, MIN_WHITE},
+                ellipse_mask::{
+                    Area, LANE_NUMBERS, LANES as ROWS_AT_ONCE, PatchEllipse, RowBits, RowSpans,
+                },
+                patch::{Patch, WORD_PX},
+                predicted::{PredictedRims, band_ellipses},
+            },
+            probe::Probe,
+        },
     },
 };
-
-/// The vector whose total lies in each lane: k with its four bits in reverse.
+/// The vector whose total is in each lane: the lane's index with its four bits reversed.
 const REVERSED: [usize; 16] = [0, 8, 4, 12, 2, 10, 6, 14, 1, 9, 5, 13, 3, 11, 7, 15];
 
-/// Sums up the ring about expected rims of which the disc has been found, into a column of the table;
-/// `false`, as in [`crate::marker::ring::pixels::predicted::bands_about`], where that is no such ring, or too large a one.
+/// Accumulates the ring with these predicted rims, moved to the disc found, into a column of the
+/// table. False, as in [`crate::marker::ring::pixels::predicted::bands_about`], if there is no such
+/// ring, or it is too large.
 #[simd]
 pub(super) fn accumulate_ring<S: Simd>(
     simd: S,
@@ -100,7 +102,7 @@ pub(super) fn accumulate_ring<S: Simd>(
     true
 }
 
-/// Sums of each vector's lanes, of vector k in the lane [`REVERSED`] says.
+/// Sums of each vector's lanes; [`REVERSED`] gives their order.
 #[inline(always)]
 fn total<S: Simd>(vectors: &[i32x16<S>; 16]) -> i32x16<S> {
     let mut sums = *vectors;
@@ -115,24 +117,24 @@ fn total<S: Simd>(vectors: &[i32x16<S>; 16]) -> i32x16<S> {
     sums[0]
 }
 
-/// What drawing the bands has told.
+/// The bands as drawn, with sums over them.
 struct DrawnBands<S: Simd> {
-    /// Of all bands, in the patch.
+    /// Rows of all bands, in the patch.
     top: usize,
     bottom: usize,
-    /// First row of the disc's band and the row after the last, from `top` on.
+    /// First row of the disc's band and one past its last, from `top` on.
     disc: (usize, usize),
-    /// First of [`HALF_PX`] columns that hold it.
+    /// First of [`HALF_PX`] columns that contain the disc's band.
     disc_column: usize,
     /// A pixel in the middle, its column even.
     middle: (usize, usize),
     ellipse_sums: [[f32x16<S>; 6]; 4],
-    /// Pixels of near and far margin, and those to the left and above of the middle of black and margin;
-    /// the second ones in the upper halves.
+    /// Pixels of near and far margin, and those to the left of and above the middle in black and
+    /// margin; the second counts are in the upper halves.
     half_counts: [i32x16<S>; 3],
 }
 
-/// The bands about expected rims.
+/// Draws the bands of predicted rims.
 #[simd]
 fn draw<S: Simd>(
     simd: S,
@@ -240,10 +242,10 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     const SIDE: usize = 100;
-    /// Of the picture's rows; what lies beyond its width is none of it.
+    /// Longer than a row; the rest is padding.
     const STRIDE: usize = 107;
 
-    /// Levels of a ring with noise, and of anything beyond the last column.
+    /// A ring with noise, and noise in the padding.
     fn picture(ring: &PredictedRims, polarity: Polarity, seed: u64) -> Vec<u8> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let pixel = |at: usize| {
@@ -268,14 +270,14 @@ mod tests {
             .collect()
     }
 
-    /// Σ of something over pixels.
+    /// Σ of `of` over pixels.
     fn sum(pixels: &[(f64, f64, f64)], of: impl Fn(f64, f64, f64) -> f64) -> f64 {
         pixels.iter().map(|&(u, v, level)| of(u, v, level)).sum()
     }
 
     proptest! {
         #[test]
-        fn sums_are_those_of_the_bands(
+        fn sums_equal_scalar_sums_over_the_bands(
             (u, v) in (45.0..55.0f64, 45.0..55.0f64),
             semi_major_px in 12.0..24.0f64,
             flat in 0.6..1.0f64,

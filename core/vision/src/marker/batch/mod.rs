@@ -1,14 +1,21 @@
-//! Rings that are followed, several side by side.
+//! Measurement of several tracked rings at once, one per vector lane.
 //!
-//! Between the sums over a ring's pixels ([`accumulate`]) and its rims lies one chain of some sixty
-//! divisions and roots, in which hardly two are independent of each other. Rings of one frame take it in the
-//! lanes of vectors ([`crate::simd`]), by the same steps as [`crate::marker::ring::subpixel::weigh`]. A ring that does not
-//! just pass, or for which anything rare is needed, is left to [`crate::marker::ring::measure`], which also says
-//! why it is none.
+//! | module | content |
+//! | --- | --- |
+//! | `planes` | pixel sets of one ring, a word per row |
+//! | `row_sums`, `accumulate` | one pass over a ring's pixels: all sums |
+//! | `table` | the sums of all rings, a column each |
+//! | `shapes` | levels and weighed rims from the sums |
+//! | `rims` | rims without blur, tests, kinds |
+//!
+//! From the sums to the rims leads one dependency chain of some sixty divisions and roots. The rings of one frame go
+//! through it in the lanes of vectors ([`crate::simd`]), in the same steps as [`crate::marker::ring::subpixel::refine_rims`].
+//! Rings that fail a test, or need a rare case, are left to [`crate::marker::ring::measure`], which also gives the reason
+//! for a rejection.
 //!
 //! PERF: `cargo bench -p roundel-tests --bench time`, fast, 30 px, AVX-512: with the sums in one pass, a ring
-//! among 100 takes 0.70 of what it takes when each is measured by itself, its pose included, and one alone 0.87.
-//! No vector may pass through `array::map` here: that is compiled for any processor, and costs all of it.
+//! among 100 takes 0.70 of the time of measuring each separately, its pose included, and a single one 0.87.
+//! No vector may pass through `array::map` here: it would be compiled for the baseline processor.
 
 mod accumulate;
 mod planes;
@@ -20,13 +27,6 @@ mod table;
 use fearless_simd::{Level, Simd, SimdFrom, dispatch, f64x8};
 use fearless_simd_macros::simd;
 
-use crate::marker::batch::{
-    accumulate::accumulate_ring,
-    planes::Planes,
-    rims::Rims,
-    shapes::LaneEllipse,
-    table::{RINGS, Table},
-};
 use crate::{
     camera::PixelPoint,
     ellipse::Symmetric2,
@@ -34,6 +34,13 @@ use crate::{
     id::KindId,
     marker::{
         Ring,
+        batch::{
+            accumulate::accumulate_ring,
+            planes::Planes,
+            rims::Rims,
+            shapes::LaneEllipse,
+            table::{RINGS, Table},
+        },
         kind::Kind,
         ring::{
             measure::{RETHRESHOLD_SHARE, own_threshold},
@@ -49,19 +56,18 @@ use crate::{
     segment::Window,
     simd::{Lane, Mask},
 };
-
-/// Memory of measuring rings side by side.
+/// Memory of measuring a batch.
 #[derive(Debug)]
 pub(crate) struct BatchScratch {
     level: Level,
     patch: Patch,
     planes: Planes,
     table: Table,
-    /// Where rings are thought to be.
+    /// Where rings are predicted.
     pub probes: [Option<Probe>; BATCH_SIZE],
-    /// Those found there.
+    /// The rings found there.
     pub rings: [Option<Ring>; BATCH_SIZE],
-    /// Of their outer and inner rims, [`crate::ellipse::Ellipse::matrix`].
+    /// [`crate::ellipse::Ellipse::matrix`] of their outer and inner rims.
     matrices: [[Symmetric2; 2]; BATCH_SIZE],
 }
 
@@ -75,12 +81,12 @@ impl Default for BatchScratch {
 }
 
 impl BatchScratch {
-    /// Room for windows as high as frames of this height.
+    /// Reserves memory for windows as high as the frame.
     pub fn reserve(&mut self, height: usize) {
         self.patch.reserve(1, height);
     }
 
-    /// The rims of the ring found at a place.
+    /// The rims of the ring found by probe `place`.
     pub fn rims(&self, place: usize) -> Option<PredictedRims> {
         let ring = self.rings[place].as_ref()?;
         let [outer, inner] = self.matrices[place];
@@ -91,28 +97,28 @@ impl BatchScratch {
     }
 }
 
-/// Rings that are measured together.
+/// Largest number of rings per batch.
 pub(crate) const BATCH_SIZE: usize = RINGS;
 
-/// A ring that has been summed up.
+/// A ring whose sums are in the table.
 #[derive(Clone, Copy, Debug)]
 struct Accumulated<'a> {
-    /// The place of its probe.
+    /// Index of its probe.
     place: usize,
     probe: &'a Probe,
     found: Located,
 }
 
-/// Where a ring's disc is.
+/// Where a ring's disc was found.
 #[derive(Clone, Copy, Debug)]
 struct Located {
-    /// How far it has moved from where it was expected, pixels.
+    /// Displacement from the prediction, pixels.
     moved_px: (f64, f64),
     window: Window,
 }
 
-/// Finds, at the scratch's probes, the rings of plain kinds with similar rims that are just where they are
-/// expected. A ring comes out the same whichever are beside it.
+/// Finds, at the scratch's probes, rings of plain kinds with similar rims that are where predicted.
+/// The result of a ring does not depend on the others.
 pub(crate) fn measure_batch(
     frame: &Frame,
     rules: &Rules,
@@ -143,7 +149,7 @@ fn measure_with<S: Simd>(
     let size = (frame.width(), frame.height());
     match count {
         0 => {}
-        // Eight take longer than one, and not as long as two.
+        // A batch of eight takes longer than one ring, but less than two.
         1 => {
             let rims = Rims::of(0.0, table, size, (rules, kinds));
             finish(simd, frame, &accumulated, &rims, (rings, matrices));
@@ -155,7 +161,7 @@ fn measure_with<S: Simd>(
     }
 }
 
-/// Sums up the ring at a probe if it is there.
+/// Accumulates the ring at a probe if it is there.
 #[simd]
 fn accumulate_probe<S: Simd>(
     simd: S,
@@ -175,7 +181,7 @@ fn accumulate_probe<S: Simd>(
     is_one.then_some(Located { moved_px, window: patch.window })
 }
 
-/// The rings whose rims are good.
+/// Stores the rings that passed all tests.
 #[inline(always)]
 fn finish<S: Simd, T: Lane>(
     simd: S,
@@ -247,7 +253,7 @@ mod tests {
     use rand::SeedableRng as _;
     use rand_chacha::ChaCha8Rng;
 
-    /// Side of the picture, and of the square that each ring has of it.
+    /// Side of the picture, and of each ring's cell.
     const SIDE: usize = 400;
     const CELL: usize = 100;
 
@@ -261,8 +267,7 @@ mod tests {
         }
     }
 
-    /// A ring, and the share of the ratio of its diameters; rims are a fraction of a pixel off where they
-    /// are expected.
+    /// A ring, its ratio of diameters, and the offset of its prediction.
     fn ring() -> impl Strategy<Value = (Ellipse, f64, (f64, f64))> {
         let center = (45.0..55.0f64, 45.0..55.0f64);
         let off = (-0.4..0.4f64, -0.4..0.4f64);
@@ -325,7 +330,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(24))]
         #[test]
-        fn rings_are_those_measured_alone(rings in proptest::collection::vec(ring(), BATCH_SIZE)) {
+        fn batched_rings_equal_single_ones(rings in proptest::collection::vec(ring(), BATCH_SIZE)) {
             let (bytes, probes) = picture(&rings);
             let frame = Frame::new(&bytes, SIDE, 2 * CELL, SIDE).unwrap();
             let kinds = [0.4, 0.5].map(|ratio| Kind::plain("black", 0.1, 0.1 * ratio));
@@ -335,7 +340,7 @@ mod tests {
                 let mut scratch = BatchScratch { level, probes, ..BatchScratch::default() };
                 measure_batch(&frame, &rules(), &kinds, &mut scratch);
                 let found = scratch.rings;
-                // Some are left to themselves, few of them.
+                // A few are left to the single measurement.
                 prop_assert!(found.iter().flatten().count() >= BATCH_SIZE - 2, "{:?}", found);
                 let mut alone = MeasureScratch::default();
                 for place in 0..BATCH_SIZE {
@@ -358,7 +363,7 @@ mod tests {
                     for (ours, plain) in numbers(ring).into_iter().zip(numbers(&plain)) {
                         prop_assert!((ours - plain).abs() < 1e-4, "{ours} {plain}");
                     }
-                    // To the last bit, whichever are beside it.
+                    // Identical to the last bit, with any others.
                     scratch.probes = [None; BATCH_SIZE];
                     scratch.probes[BATCH_SIZE - 1 - place] = probes[place];
                     scratch.rings = [None; BATCH_SIZE];

@@ -1,14 +1,14 @@
-//! Sets of pixels of one ring.
+//! Pixel sets of one ring, a word per row.
 
 use fearless_simd::Simd;
 
 use crate::marker::ring::pixels::ellipse_mask::{RowBits, RowSpans};
 
-/// Columns that a disc's band may have.
+/// Columns available for a disc's band.
 pub(super) const HALF_PX: usize = 32;
-/// Most rows of a ring's bands and margin: what is summed then fits into 32 bits.
+/// Largest number of rows of a ring's bands and margin: the sums then fit into 32 bits.
 pub(super) const MAX_ROWS: usize = 64;
-/// Sets of pixels, a word a row.
+/// Pixel sets, a word per row.
 #[derive(Clone, Debug)]
 pub(super) struct Planes {
     pub disc_core: [u64; MAX_ROWS],
@@ -28,8 +28,8 @@ impl Default for Planes {
 }
 
 impl Planes {
-    /// Stores sixteen rows between the ellipses' ends, and gives what of them is not as white or black as it
-    /// ought to be.
+    /// Stores sixteen rows of the sets bounded by the ellipses; returns the pixels with the wrong
+    /// colour.
     #[inline(always)]
     pub fn store<S: Simd>(
         &mut self,

@@ -1,11 +1,11 @@
-//! Rims of rings side by side without the blur, with the tests that they pass and their kinds.
+//! Rims without blur, with the tests they must pass, and their kinds; one ring per lane.
 
-use crate::marker::batch::{
-    shapes::{LaneEllipse, Levels, RimRows, Shape, read},
-    table::{Row, Table},
-};
 use crate::{
     marker::{
+        batch::{
+            shapes::{LaneEllipse, Levels, RimRows, Shape, read},
+            table::{Row, Table},
+        },
         classify::{
             compensation::shift_px,
             plain::{SHIFT_PX, SHIFT_SHARE},
@@ -22,21 +22,20 @@ use crate::{
     },
     simd::Lane,
 };
-
-/// Rings' rims, with all that is told beside them.
+/// The rims of rings, with their levels and kinds.
 pub(super) struct Rims<T: Lane> {
-    /// Whether all of it is good.
+    /// The lanes that passed all tests.
     pub valid: T::Mask,
-    /// Outer and inner rim without the blur.
+    /// Outer and inner rim without blur.
     pub raw: [LaneEllipse<T>; 2],
-    /// The same as the kind has them.
+    /// The rims compensated for the kind.
     pub compensated: [LaneEllipse<T>; 2],
     pub kind: T,
     pub black: T,
     pub white: T,
-    /// Before the blur was undone.
+    /// Contrast before the blur was removed.
     pub contrast: T,
-    /// RimRows and matrix of the outer rim before that.
+    /// Centre and matrix of the outer rim before the blur was removed.
     pub edge: [T; 5],
 }
 
@@ -102,7 +101,8 @@ impl<T: Lane> Rims<T> {
     }
 }
 
-/// Back to where the light's gradient has not moved it, as in [`crate::marker::ring::subpixel::levels::Levels::movement`].
+/// Removes the shift by the lighting gradient, as
+/// [`crate::marker::ring::subpixel::levels::Levels::movement`].
 #[inline(always)]
 fn moved<T: Lane>(shape: &Shape<T>, radius_px: T, contrast: T, along: (T, T)) -> LaneEllipse<T> {
     let scale = shape.band * radius_px / (contrast * shape.area_px2);
@@ -124,7 +124,7 @@ fn are_levels<T: Lane>(black: T, white: T, rules: &Rules) -> T::Mask {
         & white.at_most(beyond + 255.0)
 }
 
-/// [`crate::marker::ring::checks::check_shapes`], but for what perspective may excuse.
+/// [`crate::marker::ring::checks::check_shapes`], without the allowance for perspective.
 #[inline(always)]
 fn are_shapes<T: Lane>(
     outer: &Shape<T>,
@@ -138,7 +138,7 @@ fn are_shapes<T: Lane>(
     let (du, dv) = (o.u - i.u, o.v - i.v);
     let tolerance = (o.a * o.b).root() * CENTER_TOLERANCE.0 + CENTER_TOLERANCE.1;
     let is_concentric = (du * du + dv * dv).at_most(tolerance * tolerance);
-    // Both of determinant 1.
+    // Both scaled to determinant 1.
     let (of_outer, of_inner) = ((o.a * o.b).under(1.0), (i.a * i.b).under(1.0));
     let (m, n) = (&outer.matrix, &inner.matrix);
     let along = ((m[0] - m[2]) * of_outer - (n[0] - n[2]) * of_inner) * 0.5;
@@ -154,7 +154,7 @@ fn are_shapes<T: Lane>(
         & is_round(i, spreads_px2.1)
 }
 
-/// Eq. (5), with the blur.
+/// Eq. (5), with blur.
 #[inline(always)]
 fn is_round<T: Lane>(rim: &LaneEllipse<T>, spread_px2: T) -> T::Mask {
     let tolerance = rim.b.under(ROUNDNESS_TOLERANCE.1) + ROUNDNESS_TOLERANCE.0;
@@ -163,7 +163,7 @@ fn is_round<T: Lane>(rim: &LaneEllipse<T>, spread_px2: T) -> T::Mask {
         & ((spread_px2 - MAX_SPREAD_PX2) * share).at_most(tolerance)
 }
 
-/// Whether the rim lies far enough from the frame's edge to be measured.
+/// Whether the rim is far enough from the frame's edge.
 #[inline(always)]
 fn is_within<T: Lane>((width, height): (usize, usize), shape: &Shape<T>) -> T::Mask {
     let (u, v) = (shape.rim.u, shape.rim.v);
@@ -174,20 +174,20 @@ fn is_within<T: Lane>((width, height): (usize, usize), shape: &Shape<T>) -> T::M
         & (v + half_v).at_most(v.splat((height - 1) as f64))
 }
 
-/// Whether both are ellipses, the second one the smaller.
+/// Whether both are ellipses, the second one smaller.
 #[inline(always)]
 fn are_rims<T: Lane>([outer, inner]: &[LaneEllipse<T>; 2]) -> T::Mask {
     is_rim(outer) & is_rim(inner) & inner.a.below(outer.a) & inner.b.below(outer.b)
 }
 
-/// Whether it is an ellipse; its centre lies in the frame.
+/// Whether it is an ellipse; its centre is known to lie in the frame.
 #[inline(always)]
 fn is_rim<T: Lane>(rim: &LaneEllipse<T>) -> T::Mask {
-    // What is not a number is not at most itself.
+    // NaN does not equal itself.
     rim.b.is_positive() & rim.b.at_most(rim.a) & rim.angle_rad.at_most(rim.angle_rad)
 }
 
-/// The kinds that rims are nearest to, as in [`crate::marker::classify::plain::nearest_kind`].
+/// The kinds closest to the rims, as [`crate::marker::classify::plain::nearest_kind`].
 struct Nearest<T: Lane> {
     kind: T,
     shift_px: T,

@@ -1,13 +1,13 @@
-//! The pass over a ring's rows: moments of its bands, and sums of the levels of its parts.
+//! The pass over a ring's rows: moments of its bands, and level sums of its parts.
 //!
-//! RowBits are not multiplied by v. With t counting them from the last one, of each row's sum d the sums over all
-//! rows up to it, and the sums of those, add up to Σ d t and Σ d t (t + 1)/2.
+//! No row is multiplied by v. With t the number of rows from a row to the last one, the running sums of the rows' sums d,
+//! and the running sums of those, add up to Σ d t and Σ d t (t + 1)/2.
 
 use fearless_simd::{Simd, i16x32, i32x16, mask8x64, mask16x32, prelude::*, u8x64, u16x32};
 
 use crate::marker::batch::planes::{HALF_PX, Planes};
 
-/// Where pixels come from, and what multiplies them.
+/// Source of pixels, and their column factors.
 pub(super) struct Source<'a, S: Simd> {
     /// From the first row and column on.
     pub pixels: &'a [u8],
@@ -16,7 +16,7 @@ pub(super) struct Source<'a, S: Simd> {
     pub disc_flip: i16x32<S>,
     pub disc_column: usize,
     pub ones: i16x32<S>,
-    /// Of a row's even and odd columns, and of those that hold the disc.
+    /// For a row's even and odd columns, and for those of the disc.
     pub even: Columns<S>,
     pub odd: Columns<S>,
     pub disc: Columns<S>,
@@ -29,7 +29,7 @@ pub(super) struct Columns<S: Simd> {
 }
 
 impl<S: Simd> Columns<S> {
-    /// From a first one, each so far from the one before.
+    /// Columns `first`, `first + step`, …
     #[inline(always)]
     pub fn new(simd: S, step: i16, first: i16) -> Self {
         let mut numbers = [0i16; HALF_PX];
@@ -41,7 +41,7 @@ impl<S: Simd> Columns<S> {
     }
 }
 
-/// The pixels of even and of odd columns.
+/// The pixels of even and odd columns.
 #[inline(always)]
 fn by_turns<S: Simd>(pixels: u8x64<S>) -> [i16x32<S>; 2] {
     let pairs = pixels.bitcast::<u16x32<S>>();
@@ -55,7 +55,7 @@ struct Moments<S: Simd> {
 }
 
 impl<S: Simd> Moments<S> {
-    /// Adds a row: its sums of I, of I u and of I u².
+    /// Adds a row: its sums of I, I u and I u².
     #[inline(always)]
     fn add(&mut self, [d, du, duu]: [i32x16<S>; 3]) {
         let [n, nv, nvv, nu, nuv, nuu] = &mut self.sums;
@@ -68,19 +68,19 @@ impl<S: Simd> Moments<S> {
     }
 }
 
-/// The pixels of a set, and nothing.
+/// The pixels of a set, zero elsewhere.
 #[inline(always)]
 fn only<S: Simd>(simd: S, pixels: u8x64<S>, set: u64) -> u8x64<S> {
     mask8x64::from_bitmask(simd, set).select(pixels, u8x64::splat(simd, 0))
 }
 
-/// Sums of neighbours.
+/// Sums of adjacent lanes.
 #[inline(always)]
 fn wide<S: Simd>(sums: u16x32<S>) -> i32x16<S> {
     sums.pairwise_widening_add().bitcast()
 }
 
-/// Sums over rows, some columns a lane.
+/// Sums over rows, several columns per lane.
 #[derive(Clone, Copy)]
 pub(super) struct Sums<S: Simd> {
     outer: Moments<S>,
@@ -109,7 +109,7 @@ impl<S: Simd> Sums<S> {
         }
     }
 
-    /// Adds these rows, of which the disc's band has some or none.
+    /// Adds these rows; either all of them have pixels of the disc's band, or none.
     #[inline(always)]
     pub fn add<const HAS_DISC: bool>(
         &mut self,
@@ -140,7 +140,7 @@ impl<S: Simd> Sums<S> {
         }
     }
 
-    /// Adds a row of the disc, of which half a word is enough.
+    /// Adds a row of the disc, which half a word contains.
     #[inline(always)]
     fn add_disc(&mut self, simd: S, source: &Source<S>, line: &[u8], [band, core]: [u64; 2]) {
         let pixels: &[u8; HALF_PX] =
@@ -159,7 +159,7 @@ impl<S: Simd> Sums<S> {
         self.disc += of_core.bitcast::<u16x32<S>>();
     }
 
-    /// In the order of [`Row`], given the sums over what lies above of the middle.
+    /// In the order of [`Row`], given the sums over the rows above the middle.
     #[inline(always)]
     pub fn vectors(&self, simd: S, of_top: &Self, middle: usize) -> [i32x16<S>; 21] {
         let is_left = mask16x32::from_bitmask(simd, (1 << (middle / 2)) - 1);

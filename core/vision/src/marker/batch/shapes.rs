@@ -1,20 +1,21 @@
-//! Levels and weighed rims of rings side by side, from their sums.
+//! Levels and weighed rims from the sums, one ring per lane.
 
-use crate::marker::batch::table::{Row, Table};
 use crate::{
     camera::PixelPoint,
     ellipse::{Ellipse, Symmetric2, semiaxes_px},
-    marker::ring::{
-        pixels::edge_band::WIDE_PX,
-        subpixel::{
-            blur::{Cuts, LevelSample, RimSpread, rim_radius_px},
-            levels::{MARGIN_DEVIATION, MARGIN_FALL, Slope},
+    marker::{
+        batch::table::{Row, Table},
+        ring::{
+            pixels::edge_band::WIDE_PX,
+            subpixel::{
+                blur::{Cuts, LevelSample, RimSpread, rim_radius_px},
+                levels::{MARGIN_DEVIATION, MARGIN_FALL, Slope},
+            },
         },
     },
     simd::Lane,
 };
-
-/// An ellipse.
+/// An ellipse per lane.
 #[derive(Clone, Copy)]
 pub(super) struct LaneEllipse<T> {
     pub u: T,
@@ -22,7 +23,7 @@ pub(super) struct LaneEllipse<T> {
     pub a: T,
     pub b: T,
     pub angle_rad: T,
-    /// Cosine and sine of twice that.
+    /// Cosine and sine of twice the angle.
     pub along: (T, T),
 }
 
@@ -54,7 +55,7 @@ impl<T: Lane> LaneEllipse<T> {
     }
 }
 
-/// A rim as weighed; see [`crate::ellipse::Shape`].
+/// A weighed rim; see [`crate::ellipse::Shape`].
 pub(super) struct Shape<T: Lane> {
     pub area_px2: T,
     /// Pixels of its band.
@@ -66,7 +67,7 @@ pub(super) struct Shape<T: Lane> {
     pub valid: T::Mask,
 }
 
-/// GreySum levels of the parts.
+/// Grey levels of the parts.
 pub(super) struct Levels<T: Lane> {
     pub black: LevelSample<T>,
     pub white: LevelSample<T>,
@@ -103,7 +104,7 @@ impl<T: Lane> Half<T> {
         self.sum / self.pixels
     }
 
-    /// By how much the mean of the rest is above that of a half.
+    /// Mean of the rest minus that of `half`.
     #[inline(always)]
     fn slope(&self, half: &Self) -> T {
         (self.sum - half.sum) / (self.pixels - half.pixels) - half.mean()
@@ -111,7 +112,7 @@ impl<T: Lane> Half<T> {
 }
 
 impl<T: Lane> Levels<T> {
-    /// As [`crate::marker::ring::subpixel::levels::Levels`] has them.
+    /// As [`crate::marker::ring::subpixel::levels::Levels`].
     #[inline(always)]
     pub fn of(zero: T, table: &Table) -> Self {
         let disc_pixels = read(zero, table, Row::Ellipses, 0);
@@ -171,16 +172,16 @@ fn sizes<T: Lane>(zero: T, table: &Table, ellipse: usize) -> [T; 6] {
     [n, nv, nvv, nm * 0.5, nmv * 0.5, squares * (1.0 / 12.0)]
 }
 
-/// One of the rims: where its sums are.
+/// Where the sums of a rim are.
 pub(super) struct RimRows {
     pub band: Row,
     pub reach: Row,
-    /// The ellipses that end its core and its band.
+    /// The ellipses that bound its core and its band.
     pub ellipses: (usize, usize),
 }
 
 impl<T: Lane> Shape<T> {
-    /// WeighedRim from 0 at one level to 1 at the other.
+    /// With weight 0 at the first level and 1 at the second.
     #[inline(always)]
     pub fn of(table: &Table, place: &RimRows, (from, to): (T, T)) -> Self {
         let gain = (to - from).under(1.0);
@@ -227,7 +228,7 @@ impl<T: Lane> Shape<T> {
         Self { area_px2, band: both[0] - core[0], covariance: [uu, uv, vv], rim, matrix, valid }
     }
 
-    /// What its blur depends on.
+    /// The quantities that determine its blur.
     #[inline(always)]
     pub fn spread(&self) -> RimSpread<T> {
         let (a, b) = (self.rim.a, self.rim.b);

@@ -1,17 +1,17 @@
-//! What is known of rings side by side before their levels are: sums, in rows of which each ring has a column.
+//! Sums over the pixels of the rings of a batch: a row per quantity, a column per ring.
 
-/// Rings side by side.
+/// Rings per batch.
 pub(super) const RINGS: usize = 8;
-/// Sums, three of which hold two counts each.
+/// Accumulated rows, three of which hold two counts each.
 pub(super) const TOTALS: usize = 48;
 
-/// Sums of rings side by side, each in its column.
+/// Sums of a batch, a column per ring.
 #[derive(Clone, Debug)]
 pub(super) struct Table {
     rows: [[f64; RINGS]; ROWS],
 }
 
-/// What [`Table`] has rows of. A moment's six sums are those of 1, v, v², u, uv, u² as they are added up.
+/// Rows of a [`Table`]. The six sums of a moment are those of 1, v, v², u, uv, u² as accumulated.
 #[derive(Clone, Copy, Debug)]
 #[repr(usize)]
 pub(super) enum Row {
@@ -29,18 +29,18 @@ pub(super) enum Row {
     NearPixels,
     BlackLeftPixels,
     MarginLeftPixels,
-    /// Of the four ellipses that end disc's core and band, and the roundel's.
+    /// The four ellipses that bound the disc's core and band, and the roundel's.
     Ellipses,
     FarPixels = TOTALS,
     BlackTopPixels,
     MarginTopPixels,
-    /// RowBits from the middle to the last one of the outer band.
+    /// Rows from the middle to the last one of the outer band.
     OuterReach,
     InnerReach,
-    /// The middle's place in the frame.
+    /// Position of the middle in the frame.
     MiddleU,
     MiddleV,
-    /// 1 of a white ring.
+    /// 1 for a white ring.
     IsWhite,
 }
 
@@ -53,7 +53,7 @@ impl Default for Table {
 }
 
 impl Table {
-    /// A row, the so many-th after another.
+    /// The row `after` rows past another.
     #[inline(always)]
     pub fn row(&self, row: Row, after: usize) -> &[f64; RINGS] {
         &self.rows[row as usize + after]

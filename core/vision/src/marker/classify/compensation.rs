@@ -1,12 +1,12 @@
 //! Compensation of misplaced rims (paper, section 3.5).
 //!
 //! A wrong threshold, saturation or bloom moves both rims towards the black by the same distance t:
-//! the disc looks larger, the ring smaller. The true ratio of the diameters is known, so t follows
+//! the disc looks larger, the ring smaller. The print's ratio of diameters is known, so t follows
 //! from the ratio of the areas, r = d_i²/d_o², eq. (7):
 //!
 //!   (e₀ᵢ - t)(e₁ᵢ - t) = r (e₀ₒ + t)(e₁ₒ + t)
 //!
-//! Multiplied out, and collected by powers of t:
+//! Expanded, and collected by powers of t:
 //!
 //!   (1 - r) t² - [(e₀ᵢ + e₁ᵢ) + r (e₀ₒ + e₁ₒ)] t + (e₀ᵢ e₁ᵢ - r e₀ₒ e₁ₒ) = 0
 //!
@@ -14,8 +14,8 @@
 
 use crate::{ellipse::Ellipse, simd::Lane};
 
-/// t of eq. (8), pixels, for rims as measured and the print's inner over outer diameter; positive if
-/// white looks too large. `None` if no t makes the ratio right.
+/// t of eq. (8), pixels, for measured rims and the print's ratio of inner to outer diameter;
+/// positive if white looks too large. `None` if no t gives the ratio.
 #[inline(always)]
 pub fn rim_shift_px(outer: &Ellipse, inner: &Ellipse, ratio: f64) -> Option<f64> {
     let axes = |rim: &Ellipse| [rim.semi_major_px, rim.semi_minor_px];
@@ -23,7 +23,7 @@ pub fn rim_shift_px(outer: &Ellipse, inner: &Ellipse, ratio: f64) -> Option<f64>
     is_one.then_some(shift_px)
 }
 
-/// [`rim_shift_px`] of semiaxes, and whether there is one.
+/// [`rim_shift_px`] from semiaxes, and the lanes that have a solution.
 #[inline(always)]
 pub(crate) fn shift_px<T: Lane>(outer: [T; 2], inner: [T; 2], ratio: f64) -> (T, T::Mask) {
     let r = ratio * ratio;
@@ -31,15 +31,15 @@ pub(crate) fn shift_px<T: Lane>(outer: [T; 2], inner: [T; 2], ratio: f64) -> (T,
     let b = inner[0] + inner[1] + (outer[0] + outer[1]) * r;
     let c = inner[0] * inner[1] - outer[0] * r * outer[1];
     let discriminant = b * b - c * (4.0 * a);
-    // Not a number is none.
+    // False for NaN.
     let is_one = b.splat(0.0).at_most(discriminant);
     // The smaller root, in the form that loses no digits when c is near 0. The larger one exceeds
     // the inner semiaxes, which must stay positive.
     (c * 2.0 / (b + discriminant.root()), is_one)
 }
 
-/// Both rims (outer, inner) moved back by `shift_px`; `None` if one of them would vanish or the
-/// disc outgrow the ring.
+/// Both rims (outer, inner) with a shift of `shift_px` undone; `None` if a rim would vanish or the
+/// disc would exceed the ring.
 #[inline(always)]
 pub fn compensated(outer: &Ellipse, inner: &Ellipse, shift_px: f64) -> Option<(Ellipse, Ellipse)> {
     let moved = |rim: &Ellipse, by: f64| Ellipse {
@@ -87,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rim_that_would_vanish_is_refused() {
+    fn a_rim_that_would_vanish_is_rejected() {
         let rim = |r| Ellipse {
             center: PixelPoint::default(),
             semi_major_px: r,

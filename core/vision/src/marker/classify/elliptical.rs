@@ -1,31 +1,23 @@
-//! Rings with elliptical discs, told apart by the disc's two axes (paper, sections 7.2 and 7.4).
+//! Kinds with elliptical discs, by the disc's two axes (paper, sections 7.2 and 7.4).
 //!
-//! The outer rim is a circle on the print; its image, an ellipse with the matrix **O** = L Lᵀ, says how
-//! the print's plane is stretched. Taken back by it, the disc's rim **I** becomes L⁻¹ **I** L⁻ᵀ, whose
-//! eigenvalues are the squared ratios p² ≥ q² of the disc's axes to the outer diameter. So
+//! The outer rim is a circle on the print; the matrix of its image, **O** = L Lᵀ, is the local affine map of the print's
+//! plane. Mapped back, the disc's rim **I** becomes L⁻¹ **I** L⁻ᵀ, whose eigenvalues are the squared ratios p² ≥ q² of
+//! the disc's axes to the outer diameter:
 //!
 //!   p² q² = det **I** / det **O**,   p² + q² = tr(**O**⁻¹ **I**)
 //!
-//! up to the square of perspective, whatever the tilt. The product is what one shift t of both rims
-//! changes (as in [`crate::marker::classify::compensation`], with r = p q of the kind), so t follows from it; the quotient
-//! p/q, with the rims moved back, tells how elliptical the disc is. A plain kind has p/q = 1. A kind is
-//! that whose t and quotient are nearest, both in pixels of the disc's rim, and near enough.
+//! up to the square of perspective, for any tilt. A common shift t of both rims changes the product (as in
+//! [`crate::marker::classify::compensation`], with r = p q of the kind), so t follows from it. The quotient p/q of the
+//! shifted rims measures how elliptical the disc is; it is 1 for a plain kind. The kind with the closest t and quotient,
+//! both in pixels of the disc's rim, is chosen if it is close enough.
 //!
-//! With the kind's quotient k, the disc's longer axis is off by the share e = ½ ln(p/q / k) one way and
-//! the shorter one by as much the other way. Noise and blur are of the shorter axis, so kinds are
-//! compared by e in pixels of it. But whether it is any of them is seen better in pixels of the longer
-//! axis: a wrong disc is off the more the larger it is, a blurred one only where it is small. Blur
-//! narrows a thin disc, so one that is rounder than its kind is given half as much. Where rims are off
-//! in part, an uneven outline (u, a share of the contrast) tells print from roundels, as in
-//! [`crate::marker::validate::letter`]:
+//! With the kind's quotient k, the disc's longer axis deviates by the share e = ½ ln(p/q / k) and the shorter one by as
+//! much in the other direction. Noise and blur act on the shorter axis, so kinds are compared by e in pixels of it. The
+//! limit is in pixels of the longer axis: a wrong disc deviates more the larger it is, a blurred one only where it is
+//! small. A ring of a plain kind must also pass the similarity test, as with plain kinds alone.
 //!
-//!   (e a / 0.4 px)² + (u / 0.06)² ≤ 1.45²,   0.2 px for e < 0,
-//!
-//! asked of discs that are newly found and whose shorter semiaxis is up to 8 px. A ring of a plain kind
-//! must pass the test of similarity as where there are plain kinds alone.
-//!
-//! Seen small, kinds are told apart only as far as their rims differ by more than some tenths of a
-//! pixel. `tests/elliptical.rs` of the tests crate judges recall and kinds.
+//! Limits: small images separate kinds only if their rims differ by more than some tenths of a pixel.
+//! `tests/elliptical.rs` of the tests crate measures recall and confusion.
 
 use crate::{
     ellipse::Ellipse,
@@ -39,13 +31,14 @@ use crate::{
     },
 };
 
-/// How far the disc's rim may be off the kind's by its quotient of axes: pixels of the longer semiaxis,
-/// and a share of it, which perspective takes …
+/// Limit of the deviation of the disc's quotient of axes from the kind's: pixels of the longer
+/// semiaxis, and a share of it for perspective …
 const QUOTIENT_LIMIT: (f64, f64) = (0.6, 0.04);
-/// … in full where the outer rim's longer semiaxis is of so many pixels, less as the square below.
+/// … which applies in full from this longer semiaxis of the outer rim on, pixels, and as the square
+/// below.
 const PERSPECTIVE_PX: f64 = 40.0;
-/// As [`crate::marker::classify::plain::nearest_kind`], among plain kinds, if the rims are similar, and those with
-/// elliptical discs.
+/// As [`crate::marker::classify::plain::nearest_kind`], among kinds with elliptical discs and, if
+/// the rims are similar, plain ones.
 pub(crate) fn nearest_kind(
     kinds: &[Kind],
     polarity: Polarity,
@@ -79,13 +72,13 @@ pub(crate) fn nearest_kind(
     best.map(|(_, found)| found)
 }
 
-/// The share e by which the disc's longer axis is off the kind's, by the quotient of axes.
+/// The share e by which the disc's longer axis deviates from the kind's, by the quotient of axes.
 pub(crate) fn off_share(kind: &Kind, outer: &Ellipse, inner: &Ellipse) -> f64 {
     let (min, max) = kind.ratios();
     0.5 * (quotient(outer, inner) * min / max).ln()
 }
 
-/// p/q, the disc's longer axis over the shorter one on the print.
+/// p/q, the ratio of the disc's longer to its shorter axis on the print.
 fn quotient(outer: &Ellipse, inner: &Ellipse) -> f64 {
     let (o, i) = (outer.matrix(), inner.matrix());
     let determinant = i.determinant() / o.determinant();
@@ -101,8 +94,8 @@ pub(crate) mod tests {
     use super::*;
     use crate::{camera::PixelPoint, ellipse::Symmetric2};
 
-    /// A disc with the ratios p, q, its longer axis at `turn_rad` on the print, which is tilted about an
-    /// axis at `about_rad`; both rims moved by `shift_px`.
+    /// A disc with the ratios p, q, its longer axis at `turn_rad` on the print, which is tilted
+    /// about an axis at `about_rad`; both rims shifted by `shift_px`.
     pub(crate) fn rims(
         radius_px: f64,
         (p, q): (f64, f64),
@@ -131,7 +124,7 @@ pub(crate) mod tests {
 
     proptest! {
         #[test]
-        fn axes_tell_kinds_apart_at_any_tilt_and_turn(
+        fn axes_distinguish_kinds_at_any_tilt_and_yaw(
             radius_px in 15.0..80.0f64,
             turn_rad in -1.5..1.5f64,
             about_rad in -1.5..1.5f64,
@@ -145,7 +138,7 @@ pub(crate) mod tests {
             };
             let kinds = [kind(0.6, 0.4), Kind::plain("", 1.0, 0.5), kind(0.7, 0.45), kind(0.6, 0.5)];
             let (min, max) = kinds[drawn].ratios();
-            // A disc of 3 px whose rims are moved by more is as much another of these kinds with less.
+            // With a larger shift, a disc of 3 px fits another of these kinds with a smaller one.
             let shift_px = shift * (radius_px / 75.0).min(0.3);
             let tilt = (cos_tilt, about_rad);
             let (outer, inner) = rims(radius_px, (max, min), turn_rad, tilt, shift_px);
@@ -153,7 +146,7 @@ pub(crate) mod tests {
             let (found, _, inner) = found.unwrap();
             prop_assert_eq!(found, KindId(drawn as u16));
             let (_, exact) = rims(radius_px, (max, min), turn_rad, tilt, 0.0);
-            // A shift of both axes is no shift of an ellipse that is no circle's: little is left.
+            // A shift of both semiaxes is not an exact shift of an ellipse: a small error remains.
             prop_assert!((inner.semi_major_px - exact.semi_major_px).abs() < 0.05);
             let alone = [kinds[drawn].clone()];
             let white = nearest_kind(&alone, Polarity::WhiteRing, true, (&outer, &inner));
@@ -162,7 +155,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_disc_that_is_no_kinds_is_refused() {
+    fn a_disc_of_no_kind_is_rejected() {
         let kinds = [Kind::plain("", 1.0, 0.5)];
         let (outer, inner) = rims(30.0, (0.65, 0.385), 0.4, (0.8, 0.3), 0.0);
         assert!(nearest_kind(&kinds, Polarity::BlackRing, true, (&outer, &inner)).is_none());

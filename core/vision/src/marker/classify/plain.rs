@@ -9,25 +9,24 @@ use crate::{
     },
 };
 
-/// Rims may be off by this share of the outer radius …
+/// Largest shift of a rim as a share of the outer radius …
 pub(crate) const SHIFT_SHARE: f64 = 0.02;
-/// … and by this many pixels before a ring is no longer taken for the kind: saturated white blooms
-/// by half a pixel and more at each rim.
+/// … plus pixels: saturated white blooms by half a pixel and more at each rim.
 pub(crate) const SHIFT_PX: f64 = 0.7;
 
-/// How far the rims of a kind may be off, pixels.
+/// Largest shift of both rims of a kind, pixels.
 #[inline(always)]
 pub(crate) fn shift_limit_px(outer: &Ellipse) -> f64 {
     SHIFT_PX + SHIFT_SHARE * outer.mean_radius_px()
 }
 
-/// The plain kind of a polarity that two rims belong to, and the rims with their compensation (paper, section 3.5) for
-/// that kind; `None` if no kind is near enough.
+/// The plain kind of this polarity with the closest ratio, and the rims compensated for it (paper,
+/// section 3.5); `None` if no kind is close enough.
 ///
-/// Compensation can bring any pair of rims to any ratio, so the kind cannot be chosen after it: it is
-/// the one that needs the smallest rim shift |t|, and the shift must be one that a camera can cause.
-/// No two kinds have the same ratio ([`crate::marker::DetectorError::Indistinguishable`]). Coded kinds are none of them: their
-/// white is no disc ([`crate::marker::coded::measure`]).
+/// Compensation can give any pair of rims any ratio, so the kind must be chosen before it: the one
+/// with the smallest shift |t|, which must be one that a camera can cause. No two kinds have the
+/// same ratio ([`crate::marker::DetectorError::Indistinguishable`]). Coded kinds are excluded,
+/// because their white is not a disc ([`crate::marker::coded::measure`]).
 #[inline(always)]
 pub(crate) fn nearest_kind(
     kinds: &[Kind],
@@ -65,7 +64,7 @@ mod tests {
     }
 
     #[test]
-    fn the_nearest_ratio_wins_and_a_far_one_is_refused() {
+    fn the_closest_ratio_wins_and_a_distant_one_is_rejected() {
         let kind = |inner_diameter_m| Kind::plain("", 1.0, inner_diameter_m);
         let kinds = [kind(0.4), kind(0.5), kind(0.6)];
         let find = |inner| {

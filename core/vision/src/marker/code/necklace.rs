@@ -1,8 +1,9 @@
 //! Words up to rotation: a necklace is the smallest of a word's rotations.
 
-/// The largest distance that leaves two identities or more.
+/// The largest minimum distance with at least two identities.
 pub(super) fn max_distance(bits: u8) -> u8 {
-    // The first identity is the smallest necklace, 0…01; what matters is how far another can be.
+    // The first identity is the smallest necklace, 0…01; the largest distance of another one from
+    // it is the limit.
     let first = 1;
     let others = necklaces(bits).filter(|&word| word != first && !is_periodic(word, bits));
     others.map(|word| rotation_distance(first, word, bits)).max().unwrap_or(1)
@@ -14,7 +15,7 @@ pub(super) fn rotated(word: u16, shift: u8, bits: u8) -> u16 {
     ((word << shift | word >> (bits - shift)) & mask) as u16
 }
 
-/// Words that are the smallest of their rotations, rising.
+/// Words that are the smallest of their rotations, ascending.
 pub(super) fn necklaces(bits: u8) -> impl Iterator<Item = u16> {
     let last = ((1u32 << bits) - 1) as u16;
     (0..=last).filter(move |&word| (1..bits).all(|shift| rotated(word, shift, bits) >= word))

@@ -1,13 +1,12 @@
-//! From a profile to a word: where bits begin, and which they are.
+//! From a profile to a word: where bits begin, and their values.
 //!
-//! A bit whose pair of slots begins at sample j is told by D_j, the second slot's sum less the first
-//! one's: positive for a 0, whose tooth comes first. For bits beginning at φ, φ + 2q, … (q samples a
+//! A bit whose pair of slots begins at sample j follows from D_j, the second slot's sum minus the first
+//! one's: positive for a 0, whose tooth comes first. For bits beginning at φ, φ + 2q, … (q samples per
 //! slot), Σ|D| is the correlation of the profile with the likeliest word, so the phase is the one of 2q
-//! at which it is largest.
+//! that maximizes it.
 //!
-//! Where that word is no identity, the bits with the smallest |D| are turned over, the cheapest way that
-//! makes it one, up to as many as the distance of the identities allows to be found wrong at known
-//! places.
+//! If that word is not an identity, the bits with the smallest |D| are flipped in the cheapest way that makes it one, up
+//! to as many as the minimum distance of the identities can correct as erasures.
 
 use crate::marker::{
     code::{Code, Dictionary},
@@ -15,24 +14,24 @@ use crate::marker::{
 };
 
 const MAX_BITS: usize = 16;
-/// Bits that may be turned over are among so many weakest ones.
+/// Only this many of the weakest bits are flipped.
 const WEAKEST: usize = 4;
 
-/// An identity as found in a profile.
+/// The identity decoded from a profile.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct DecodedWord {
     pub code: Code,
     /// The word, from its first bit in the profile on.
     pub word: u16,
-    /// Bits that the word is rotated to the left.
+    /// Number of bits by which the word is rotated to the left.
     pub shift: u8,
     /// The sample where its first slot begins.
     pub phase: usize,
     /// Correlation with the profile.
     pub score: f32,
-    /// Bits turned over.
+    /// Number of flipped bits.
     pub corrected: u8,
-    /// Correlation of the best other identity, rotation or phase, or more.
+    /// Upper bound of the correlation of any other identity, rotation or phase.
     pub rival: f32,
 }
 
@@ -61,8 +60,8 @@ pub(crate) fn decode(
     let mut found = nearest(&evidence[..bits], dictionary)?;
     found.phase = phase;
     found.score += total;
-    // Another identity differs in at least so many bits, at best in the weakest; those turned over
-    // already would be turned back.
+    // Another identity differs in at least this many bits, at best the weakest ones; bits already
+    // flipped would be flipped back.
     let number = usize::from(found.code.number);
     let apart = dictionary.layout().min_distance.min(own_distances[number - 1]);
     found.rival = found.score - 2.0 * min_change(&evidence[..bits], found.word, apart);
@@ -76,7 +75,7 @@ pub(crate) fn decode(
     Some(found)
 }
 
-/// D_j, once round.
+/// D_j for all samples.
 fn differences(profile: &Profile, per_slot: usize) -> [f32; MAX_SAMPLES] {
     let len = profile.len;
     let white = &profile.white[..len];
@@ -94,7 +93,7 @@ fn differences(profile: &Profile, per_slot: usize) -> [f32; MAX_SAMPLES] {
     differences
 }
 
-/// The identity that asks for the least evidence to be turned over; its score is what that costs.
+/// The identity that requires the least evidence to be flipped; its score is the cost.
 fn nearest(evidence: &[f32], dictionary: &Dictionary) -> Option<DecodedWord> {
     let bits = evidence.len();
     let max = dictionary.layout().min_distance.saturating_sub(1).into();
@@ -146,7 +145,7 @@ fn weakest(evidence: &[f32]) -> [usize; WEAKEST] {
     places
 }
 
-/// What turning over `count` bits of the word costs at least, in evidence.
+/// Smallest cost of flipping `count` bits of the word, in evidence.
 fn min_change(evidence: &[f32], word: u16, count: u8) -> f32 {
     let bits = evidence.len();
     let mut costs = [0.0f32; MAX_BITS];
@@ -204,7 +203,7 @@ mod tests {
         let dictionary = CodeLayout { bits: 12, min_distance: 3 }.codes().unwrap();
         let (code, word) = dictionary.iter().nth(5).unwrap();
         let mut profile = profile(word, 12, 4, 0);
-        // The third bit's slots become alike, with the balance on the wrong side.
+        // The third bit's slots become equal, slightly in favour of the wrong value.
         for (index, white) in profile.white[16..24].iter_mut().enumerate() {
             *white *= if index == 0 { -1.0 } else { -0.1 };
         }
@@ -215,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn the_weakest_come_first() {
+    fn the_weakest_bits_come_first() {
         let evidence = [3.0, -0.5, 2.0, -0.1, 0.3, 9.0];
         assert_eq!(weakest(&evidence), [3, 4, 1, 2]);
     }

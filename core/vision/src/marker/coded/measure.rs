@@ -1,15 +1,14 @@
-//! A coded roundel, measured where it is thought to be: outline, rims, code.
+//! Measurement of one coded ring: outline, rims, code.
 //!
-//! The steps of a plain ring do not hold here: the white is no disc, its area and its middle depend on
-//! the code. So the outline comes from spokes, the outer rim from the points of half level along it, the
-//! code from the annulus between, and the disc's rim from the gaps that the code leaves. Where the
-//! teeth cannot be read, the disc's rim is where the outer one has it, which says nothing more.
+//! The steps for plain rings do not apply: the white is not a disc, and its area and centroid depend on
+//! the code. So the outline comes from spokes, the outer rim from points of half level along it, the
+//! code from the annulus between, and the disc's rim from the gaps between the teeth. If the
+//! teeth cannot be read, the disc's rim is derived from the outer one and adds no information.
 //!
-//! A ring that is followed has its outline, and the middle of its print, from where they are expected. If the teeth are
-//! not read from there, all steps are taken.
+//! A tracked ring starts from its predicted outline and centre. If the teeth are not read from there, all steps are taken.
 //!
-//! PERF: 33 rings of R4 with codes of 9 bits, 0.36 ms a frame instead of 2.3 by all steps
-//! (`cargo bench -p roundel-core --bench coded -- fast`, the least).
+//! PERF: 33 rings of R4 with codes of 9 bits, 0.36 ms per frame instead of 2.3 by all steps
+//! (`cargo bench -p roundel-core --bench coded -- fast`, minimum).
 
 use fearless_simd::Level;
 
@@ -43,21 +42,22 @@ use crate::{
     },
 };
 
-/// Pixels beyond the outer rim that the frame must hold.
+/// Pixels beyond the outer rim that the frame must contain.
 const EDGE_PX: f64 = 1.5;
-/// Points of the white core, and their distance from its middle as a share of the outer radius.
+/// Sampled points of the white core, and their distance from its middle as a share of the outer
+/// radius.
 const CORE_POINTS: usize = 8;
 const CORE_SHARE: f64 = 0.15;
-/// Where half of all must be white, as shares of the annulus' width from the core …
+/// Circles on which half must be white, as shares of the annulus' width from the core …
 const HALF_WHITE_AT: [f64; 2] = [0.25, 0.75];
-/// … give or take this.
+/// … within this tolerance.
 const HALF_WHITE_TOLERANCE: f64 = 0.3;
-/// Directions in which that is looked at.
+/// Sampled directions on them.
 const HALF_WHITE_POINTS: usize = 32;
 /// Variance that pixels and interpolation add to the blur, px².
 const PIXEL_PX2: f64 = 0.25;
 
-/// A coded kind, ready to be read.
+/// A coded kind with its reader.
 #[derive(Clone, Debug)]
 pub(crate) struct CodedKind {
     pub id: KindId,
@@ -66,15 +66,15 @@ pub(crate) struct CodedKind {
     pub polarity: Polarity,
 }
 
-/// A ring whose teeth have not been read yet.
+/// A ring before its teeth are decoded.
 struct CodedOutline {
     rim: OuterRim,
     offset: (f64, f64),
     white: f64,
 }
 
-/// The coded ring at a probe. One whose teeth cannot be read has no code, and is taken for the only
-/// coded kind there is.
+/// The coded ring at a probe. One with unreadable teeth has no code, and is accepted if there is
+/// only one coded kind.
 pub(crate) fn measure(
     frame: &Frame,
     probe: &Probe,
@@ -106,13 +106,13 @@ pub(crate) fn measure(
     }
 }
 
-/// The one with the more certain code, the first of two that are level.
+/// The ring with the more certain code; the first if they are equal.
 fn more_certain(one: Ring, other: Ring) -> Ring {
     let confidence = |ring: &Ring| ring.code.map_or(0.0, |code| code.confidence);
     if confidence(&other) > confidence(&one) { other } else { one }
 }
 
-/// A ring that is where it is expected, if it is read there.
+/// The ring at its predicted rims, if its code is read there.
 fn followed(
     sampler: &Sampler,
     predicted: &PredictedRims,
@@ -124,7 +124,7 @@ fn followed(
     check_size(sampler.frame, &rim.ellipse, rules).ok()?;
     let white = white(sampler, &rim, rules, kind.ratio).ok()?;
     let PixelPoint { u, v } = rim.ellipse.center;
-    // How far perspective moves the centres apart hardly changes.
+    // The effect of perspective on the centres hardly changes between frames.
     let center = PixelPoint {
         u: u + inner.center.u - outer.center.u,
         v: v + inner.center.v - outer.center.v,
@@ -152,7 +152,7 @@ fn measure_kind(
     Ok(ring)
 }
 
-/// What the teeth say, and the white disc's rim.
+/// Decodes the teeth and fits the white disc.
 fn decode_ring(
     sampler: &Sampler,
     toothed: &CodedOutline,
@@ -174,7 +174,8 @@ fn decode_ring(
     if !inner.is_valid() {
         return Err(Reject::Profile);
     }
-    // The centre is known better now than when the teeth were read; their angles do not depend on it.
+    // The centre is now known better than during decoding; the angles of the teeth do not depend on
+    // it.
     let code = read
         .map(|read| read.in_image(&PlaneMap::new(&outer, inner.center, kind.ratio), kind.ratio));
     Ok(Ring {
@@ -216,7 +217,7 @@ fn white(sampler: &Sampler, rim: &OuterRim, rules: &Rules, ratio: f64) -> Result
     Ok(white)
 }
 
-/// Whether the annulus between core and rim is half white, as that of any code is.
+/// Whether the annulus between core and rim is half white, as for any code.
 fn is_half_white(sampler: &Sampler, toothed: &CodedOutline, ratio: f64) -> bool {
     let CodedOutline { rim, offset, white } = toothed;
     let core = CodeLayout::CORE_SHARE * ratio;
@@ -239,7 +240,7 @@ fn check_size(frame: &Frame, outer: &Ellipse, rules: &Rules) -> Result<(), Rejec
         .min(outer.center.v - half_v)
         .min((frame.width() - 1) as f64 - outer.center.u - half_u)
         .min((frame.height() - 1) as f64 - outer.center.v - half_v);
-    // Not a number where the ellipse is none.
+    // False for NaN.
     if to_edge_px >= EDGE_PX { Ok(()) } else { Err(Reject::FrameEdge) }
 }
 
@@ -253,8 +254,8 @@ fn mean_at(sampler: &Sampler, plane: &PlaneMap, radius: f64, points: usize) -> f
     (0..points).map(level).sum::<f64>() / points as f64
 }
 
-/// The outer rim, moved by what makes the disc as large as it is printed: what blooms, or was printed too
-/// fat, moves both rims towards the black alike.
+/// The outer rim, shifted so that the disc has its printed size: bloom and ink spread move both
+/// rims towards the black alike.
 fn compensated_outer(outer: &Ellipse, disc: f64, ratio: f64) -> Result<Ellipse, Reject> {
     let seen = Ellipse {
         semi_major_px: disc * outer.semi_major_px,
@@ -268,7 +269,7 @@ fn compensated_outer(outer: &Ellipse, disc: f64, ratio: f64) -> Result<Ellipse, 
     Ok(compensated(outer, &seen, shift_px).ok_or(Reject::Kind)?.0)
 }
 
-/// The white disc's rim between the teeth that were read.
+/// Fits the white disc's rim between the decoded teeth.
 fn fit_white_disc(
     sampler: &Sampler,
     plane: &PlaneMap,

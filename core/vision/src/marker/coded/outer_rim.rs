@@ -1,17 +1,17 @@
-//! A coded roundel's outer rim to a fraction of a pixel, from points where the grey level is halfway.
+//! A coded roundel's outer rim to a fraction of a pixel, from points of half level.
 //!
-//! Across the rim, the place of the level halfway between ring and margin is looked for at points
-//! evenly spaced in the ellipse's parameter t. How far outwards of the ellipse they lie, as a share q(t)
-//! of its size, has five harmonics that an ellipse can follow:
-//! q = α + βₓ cos t + βᵧ sin t + γ cos 2t + η sin 2t, the ellipse's map A becoming A (1 + S) with
-//! S = [α+γ η; η α-γ] and its centre moving by A β. The rest of q is how uneven the rim is.
+//! Across the rim, the level halfway between ring and margin is located at points
+//! evenly spaced in the ellipse's parameter t. Their distances outwards of the ellipse, as a share q(t)
+//! of its size, have five harmonics that an ellipse can follow:
+//! q = α + βₓ cos t + βᵧ sin t + γ cos 2t + η sin 2t; the ellipse's map A becomes A (1 + S) with
+//! S = [α+γ η; η α-γ], and its centre moves by A β. The remainder of q is the unevenness of the rim.
 //!
-//! A blur of deviation σ draws the half level of a rim of curvature κ inwards by σ²κ/2; σ is told by
-//! the rim's slope, (W - B)/(√(2π) σ). B and W are seen a few pixels inside and outside of the rim, of small
-//! or tilted ones nearer, where they are mixed; by how much, the blur tells.
+//! Blur with deviation σ shifts the half level of a rim of curvature κ inwards by σ²κ/2; σ follows from
+//! the rim's slope, (W - B)/(√(2π) σ). B and W are sampled a few pixels inside and outside of the rim, closer for small
+//! or tilted rims, where they are mixed to a degree that follows from the blur.
 //!
-//! The rim is where such a turn leaves it as it is. A ring that is followed begins where it is expected and is
-//! there in two or three turns, others begin at a rough outline.
+//! The iteration ends at a fixed point. A tracked ring starts at its prediction and needs two or three iterations, others
+//! start at a rough outline.
 
 use fearless_simd::{Simd, dispatch};
 use fearless_simd_macros::simd;
@@ -28,35 +28,36 @@ use crate::{
     },
 };
 
-/// A rim more uneven than this is partly covered, or none.
+/// Largest unevenness; beyond it the rim is partly covered, or not a rim.
 const MAX_UNEVEN: f64 = 0.25;
-/// By turn, how far from the ellipse a point may be, as a share of the shorter semiaxis …
+/// By iteration, the search range of a point about the ellipse: a share of the shorter semiaxis …
 const WALKS: [f64; 4] = [0.35, 0.12, 0.05, 0.02];
-/// … and pixels on top.
+/// … plus pixels.
 const WALK_PX: f64 = 1.5;
-/// How far from where a ring is expected its points may be, pixels.
+/// Search range about predicted rims, pixels.
 const EXPECTED_PX: f64 = 3.0;
-/// A rim that was moved by less than this is within half a pixel of its place.
+/// A rim that moved by less than this, pixels, is within half a pixel of its place.
 const NEAR_PX: f64 = 0.3;
-/// Of a ring that is followed, a turn that lets it grow by less than this, pixels, tells what all later ones would add.
+/// A tracked ring whose growth falls below this, pixels, is extrapolated to the limit of all
+/// further iterations …
 const FORESEEN_PX: f64 = 0.01;
-/// PerPoint would add this share of what the one before did, at most.
+/// … if each adds at most this share of the one before.
 const MAX_LEFT: f64 = 0.7;
-/// Turns in which the rim is found, at most: of a small one, whose levels are seen near its edge, each leaves
-/// up to two thirds of what it was off …
+/// Largest number of iterations: for a small rim, whose levels are sampled near its edge, each
+/// leaves up to two thirds of the error …
 const MAX_TURNS: usize = 14;
-/// … and the last one moves it by less than this, pixels …
+/// … until one grows the rim by less than this, pixels …
 const SETTLED_PX: f64 = 0.002;
-/// … and what has its errors squared in each turn, centre and shape, by less than this.
+/// … and changes centre and shape, which converge quadratically, by less than this.
 const SETTLING_PX: f64 = 0.02;
-/// Points without an edge, of all, at most.
+/// Largest number of points without an edge.
 const MAX_MISSING: usize = POINTS / 6;
 /// Variance of a slope's width, px².
 const SLOPE_PX2: f64 = 1.0 / 12.0;
-/// Deviations that the slope of an edge may tell, pixels: pixels and interpolation alone give the
-/// first.
+/// Range of the deviation derived from the slope, pixels; the first is that of pixels and
+/// interpolation alone.
 const BLURS_PX: (f64, f64) = (0.5, 3.0);
-/// What it is taken for at first.
+/// Initial deviation.
 const FIRST_BLUR_PX: f64 = 1.0;
 
 /// The outer rim.
@@ -65,9 +66,9 @@ pub(crate) struct OuterRim {
     pub ellipse: Ellipse,
     /// Level of the ring.
     pub black: f64,
-    /// Deviation of the blur as the interpolated picture has it, pixels.
+    /// Deviation of the blur in the interpolated image, pixels.
     pub blur_px: f64,
-    /// Rms of the levels along the rim about halfway, as a share of the contrast, as
+    /// Rms deviation of the levels along the rim from the middle, as a share of the contrast, as
     /// [`crate::marker::Ring::unevenness`].
     pub unevenness: f64,
 }
@@ -77,13 +78,13 @@ impl OuterRim {
         Self { ellipse: *ellipse, black: 0.0, blur_px: FIRST_BLUR_PX, unevenness: 0.0 }
     }
 
-    /// If it is whole.
+    /// Rejects an uneven rim.
     fn checked(self) -> Result<Self, Reject> {
         if self.unevenness > MAX_UNEVEN { Err(Reject::Covered) } else { Ok(self) }
     }
 }
 
-/// The outer rim near a rough outline; `threshold` parts black from white at first.
+/// The outer rim near a rough outline; `threshold` separates black from white initially.
 pub(crate) fn outer_rim(
     sampler: &Sampler,
     outline: &Ellipse,
@@ -103,14 +104,14 @@ pub(crate) fn outer_rim(
     rim.checked()
 }
 
-/// The outer rim of a ring that is followed, from where it is expected.
+/// The outer rim of a tracked ring, from its prediction.
 pub(crate) fn followed_rim(sampler: &Sampler, expected: &Ellipse) -> Result<OuterRim, Reject> {
     let mut rim = OuterRim::about(expected);
     let (mut reach, mut grown_before_px) = (Reach::Near, f64::NAN);
     for _ in 0..MAX_TURNS {
         let before = rim.ellipse;
         rim = match (fitted(sampler, &rim, None, reach), reach) {
-            // It has moved further than most do.
+            // It has moved further than usual.
             (Err(Reject::Covered), Reach::Near) => {
                 fitted(sampler, &rim, None, Reach::Far(EXPECTED_PX))?
             }
@@ -123,7 +124,7 @@ pub(crate) fn followed_rim(sampler: &Sampler, expected: &Ellipse) -> Result<Oute
         let moved_px = du.abs().max(dv.abs()).max((longer_px - wider_px).abs());
         let grown_px = 0.5 * (longer_px + wider_px);
         if grown_px.abs() < FORESEEN_PX && moved_px < SETTLING_PX {
-            // Not a number after the first turn.
+            // NaN after the first iteration.
             let share = grown_px / grown_before_px;
             let rest_px = grown_px * share / (1.0 - share);
             if share.abs() < MAX_LEFT {
@@ -142,16 +143,16 @@ pub(crate) fn followed_rim(sampler: &Sampler, expected: &Ellipse) -> Result<Oute
     rim.checked()
 }
 
-/// How far from a rim its points are looked for.
+/// Search range of the points about a rim.
 #[derive(Clone, Copy, Debug)]
 enum Reach {
     /// Within half a pixel.
     Near,
-    /// Within so many pixels.
+    /// Within this many pixels.
     Far(f64),
 }
 
-/// One turn; the level halfway is `threshold` or what the neighbourhood says.
+/// One iteration; the half level is `threshold`, or derived from the levels nearby.
 fn fitted(
     sampler: &Sampler,
     rim: &OuterRim,
@@ -201,7 +202,7 @@ fn fitted_with<S: Simd>(
         let seen = if edges.slope[index] > 0.0 { *share + drawn_px } else { 0.0 };
         *share = seen / points.height_px[index];
     }
-    // A slope over a pixel is that of an edge blurred by a pixel more.
+    // A slope over one pixel is that of an edge blurred by one more pixel.
     let seen = (POINTS - edges.missing) as f64;
     let steep = mean(&edges.slope) * POINTS as f64;
     let seen_px = contrast * seen / (steep * std::f64::consts::TAU.sqrt());
@@ -209,14 +210,14 @@ fn fitted_with<S: Simd>(
     let of_slope = blur_px.max(BLURS_PX.0).min(BLURS_PX.1);
     let blur_px = if threshold.is_none() { of_slope } else { FIRST_BLUR_PX };
     let (ellipse, rest_px) = moved(&rim.ellipse, &points, &shares).ok_or(Reject::Profile)?;
-    // What an edge strays, in levels; points without one stray by half the contrast.
+    // Deviations as levels; points without an edge count as half the contrast.
     let strays = rest_px / (std::f64::consts::TAU.sqrt() * blur_px);
     let gone = edges.missing as f64 / POINTS as f64;
     let unevenness = (strays * strays + 0.25 * gone).sqrt();
     Ok(OuterRim { ellipse, black, blur_px, unevenness })
 }
 
-/// The ellipse that follows the points, and the rms of what they stray from it, pixels.
+/// The ellipse that follows the points, and the rms of their deviations from it, pixels.
 #[inline(always)]
 fn moved(ellipse: &Ellipse, points: &Points, shares: &PerPoint) -> Option<(Ellipse, f64)> {
     let bases = harmonics();
@@ -244,7 +245,7 @@ fn moved(ellipse: &Ellipse, points: &Points, shares: &PerPoint) -> Option<(Ellip
     ellipse.is_valid().then(|| (ellipse, mean(&rest).sqrt()))
 }
 
-/// The image of the unit circle under the map of these columns.
+/// The image of the unit circle under the map with these columns.
 pub(super) fn of_columns(center: PixelPoint, [p, q]: [(f64, f64); 2]) -> Ellipse {
     let matrix = Symmetric2 {
         uu: p.0 * p.0 + q.0 * q.0,

@@ -1,14 +1,13 @@
-//! A coded roundel's outline to the accuracy of pixels, by spokes from its core.
+//! Outline of a coded roundel to the accuracy of pixels, by spokes from its core.
 //!
-//! Teeth hang on the ring, so from the middle of the white core there is one stretch of black, whichever
-//! way one goes, and then the margin: its ends are corners of a polygon whose moments give the outer
-//! ellipse. From beside the middle a spoke may cut most of a tooth and end in a gap, so the polygon is
-//! rough, and within the ring rather than beyond it; what looks for the rim from there
-//! (`contour`) finds black inside and white outside.
+//! Teeth are attached to the ring, so from the middle of the white core there is one stretch of black in any
+//! direction, and then the margin: its ends are corners of a polygon whose moments give the outer
+//! ellipse. From off the middle, a spoke may cut most of a tooth and end in a gap, so the polygon is
+//! rough, and inside rather than outside of the ring; the refinement from there
+//! ([`crate::marker::coded::outer_rim`]) finds black inside and white outside.
 //!
-//! Where the black begins, it lies on one of two circles, the core's and the white disc's; seen from
-//! the outer rim, how far these are out of the middle tells the centre that perspective moves
-//! ([`offset`]).
+//! Black begins on one of two circles, the core's and the white disc's; relative to
+//! the outer rim, their eccentricity gives the shift of the centre by perspective ([`offset`]).
 
 use crate::{
     ellipse::{Ellipse, Moments},
@@ -26,20 +25,20 @@ use crate::{
 
 /// Spokes of the outline.
 const SPOKES: usize = 40;
-/// Black that ends before so large a share of the spoke is its own, give or take a pixel, is a tooth
-/// whose corner it cuts: the ring has 280 of 700.
+/// Black that is a smaller share of the spoke, within a pixel, is a clipped corner of a tooth: the
+/// ring has 280 of 700.
 const MIN_BLACK: f64 = 0.3;
-/// Spokes that look for the centre, twice.
+/// Spokes for the eccentricity, twice.
 const INNER_SPOKES: usize = 30;
 const TURNS: usize = 2;
-/// They begin at this share of the core's radius, and go on in such steps.
+/// They begin at this share of the core's radius, and advance in these steps.
 const BEGIN: f64 = 0.6;
 const STEP_PX: f64 = 1.0;
-/// A beginning further from both radii than this share of the outer one, in either turn, lies at a
-/// tooth's side.
+/// A beginning further from both radii than this share of the outer one, by iteration, is the side
+/// of a tooth.
 const SIDE: [f64; TURNS] = [0.1, 0.05];
 
-/// The rough outline round a probe; `inverted` for a white ring.
+/// The rough outline around a probe; `inverted` for a white ring.
 pub(crate) fn outline(frame: &Frame, probe: &Probe, inverted: bool) -> Result<Ellipse, Reject> {
     let flip = if inverted { 255 } else { 0 };
     let mut spokes = [0.0; SPOKES];
@@ -88,7 +87,7 @@ fn walk(frame: &Frame, probe: &Probe, (du, dv): (f64, f64), flip: u8) -> Result<
     if level(0.0).is_none_or(|grey| grey < probe.threshold) {
         return Err(Reject::NoWhite);
     }
-    // Where the bounds are the frame's, the ring may be cut; elsewhere it is larger than looked for.
+    // If the bounds are the frame's, the ring may be cut; otherwise it is too large.
     let at_edge = bounds.left == 0
         || bounds.top == 0
         || bounds.right == frame.width()
@@ -115,8 +114,8 @@ fn add_triangle(moments: &mut Moments, p: (f64, f64), q: (f64, f64)) {
     moments.uv += area * (2.0 * p.0 * p.1 + p.0 * q.1 + q.0 * p.1 + 2.0 * q.0 * q.1) / 12.0;
 }
 
-/// The chart's d, by the circles that the black begins on: one of radius ρ is seen round d (1 - ρ²).
-/// `half` is the level between black and white.
+/// d of the plane map, by the circles on which black begins: one of radius ρ appears around d (1 -
+/// ρ²). `half` is the level between black and white.
 pub(crate) fn offset(sampler: &Sampler, outer: &Ellipse, ratio: f64, half: f64) -> (f64, f64) {
     let core = CodeLayout::CORE_SHARE * ratio;
     let step = STEP_PX / outer.mean_radius_px();

@@ -1,22 +1,22 @@
-//! From a roundel's plane to the image, up to its yaw, by its two rims.
+//! Map from a roundel's plane to the image, up to its yaw, by its two rims.
 //!
 //! An affine map takes the unit circle to the outer rim's ellipse, x ↦ c + A x. The homographies that
-//! take the circle to itself are the rotations, which are the yaw, and the boosts that take its centre
+//! preserve the circle are the rotations, which are the yaw, and the boosts that move its centre
 //! to a point d inside it,
 //!
 //!   y = (√(1-d²) x + d (1 + κ d·x)) / (1 + d·x),   κ = 1 / (1 + √(1-d²)),
 //!
-//! so that x ↦ c + A y is the plane as a pinhole sees it, exactly. A concentric circle of radius ρ
-//! appears with its centre at d (1-ρ²)/(1-ρ²d²) ≈ d (1-ρ²), which is how the inner rim tells d: the
+//! so x ↦ c + A y is exactly the plane as seen by a pinhole camera. A concentric circle of radius ρ
+//! appears with its centre at d (1-ρ²)/(1-ρ²d²) ≈ d (1-ρ²), so the inner rim gives d: the
 //! image of a circle's centre is not its ellipse's centre.
 //!
 //! x is clockwise in the image: from the major axis towards the minor one, as `angle_rad` grows.
 
 use crate::{camera::PixelPoint, ellipse::Ellipse};
 
-/// Centres further out than this share of the radius are no perspective that a camera sees.
+/// Largest perspective shift of a centre, as a share of the radius.
 pub(crate) const MAX_OFFSET: f64 = 0.3;
-/// Turns in which d is found from the inner centre; each leaves ρ²d² of the error.
+/// Iterations that determine d from the inner centre; each leaves ρ²d² of the error.
 const TURNS: usize = 4;
 
 /// A roundel's plane, its outer rim the unit circle, as imaged.
@@ -32,8 +32,8 @@ pub(crate) struct PlaneMap {
 }
 
 impl PlaneMap {
-    /// By the outer rim, and by where the centre of a concentric circle's image lies; `ratio` is its
-    /// radius over the outer one.
+    /// From the outer rim, and the centre of a concentric circle's image; `ratio` is its radius
+    /// over the outer one.
     pub fn new(outer: &Ellipse, inner_center: PixelPoint, ratio: f64) -> Self {
         let flat = Self::with_offset(outer, (0.0, 0.0));
         let (x, y) = flat.plane(inner_center);
@@ -42,12 +42,12 @@ impl PlaneMap {
         for _ in 0..TURNS {
             length = (seen * (1.0 - r * length * length) / (1.0 - r)).min(MAX_OFFSET);
         }
-        // Neither is a number where the ellipse is none.
+        // NaN for an invalid ellipse.
         let share = length / seen;
         if share.is_finite() { Self::with_offset(outer, (x * share, y * share)) } else { flat }
     }
 
-    /// By the outer rim and d, along its semiaxes.
+    /// From the outer rim and d, along its semiaxes.
     pub fn with_offset(outer: &Ellipse, offset: (f64, f64)) -> Self {
         let (sin, cos) = outer.angle_rad.sin_cos();
         Self {
@@ -69,7 +69,7 @@ impl PlaneMap {
         self.major_px.0.hypot(self.major_px.1)
     }
 
-    /// Where a point of the plane appears.
+    /// Image of a point of the plane.
     pub fn image(&self, x: (f64, f64)) -> PixelPoint {
         let (y0, y1) = boost(x, self.offset, self.root);
         PixelPoint {
@@ -78,7 +78,7 @@ impl PlaneMap {
         }
     }
 
-    /// The same, to a thousandth of a pixel.
+    /// [`PlaneMap::image`] to a thousandth of a pixel.
     #[inline(always)]
     pub fn image_f32(&self, x: (f32, f32)) -> (f32, f32) {
         let (d0, d1, root) = (self.offset.0 as f32, self.offset.1 as f32, self.root as f32);
@@ -92,8 +92,8 @@ impl PlaneMap {
         )
     }
 
-    /// The image of a small circle's disc: its ellipse's centre, and two columns that make it of the
-    /// unit circle. `shift` is small against the radius.
+    /// The image of a concentric circle of this radius, displaced by `shift`, which must be small:
+    /// its ellipse's centre, and the columns of the map from the unit circle.
     pub fn circle(&self, shift: (f64, f64), radius: f64) -> (PixelPoint, [(f64, f64); 2]) {
         let (d, r) = (self.offset, radius * radius);
         let square = d.0 * d.0 + d.1 * d.1;
@@ -115,7 +115,7 @@ impl PlaneMap {
         (flat.image(middle), columns)
     }
 
-    /// A box of the image that holds the circle of this radius, with a little to spare.
+    /// A box of the image that contains the circle of this radius, slightly enlarged.
     pub fn bounds(&self, radius: f64) -> (PixelPoint, PixelPoint) {
         let shift = self.offset.0.hypot(self.offset.1);
         let reach = radius + shift + 0.01;
@@ -125,7 +125,7 @@ impl PlaneMap {
         (PixelPoint { u: u - half_u, v: v - half_v }, PixelPoint { u: u + half_u, v: v + half_v })
     }
 
-    /// The point of the plane that appears there.
+    /// The point of the plane with this image.
     pub fn plane(&self, at: PixelPoint) -> (f64, f64) {
         let (du, dv) = (at.u - self.center.0, at.v - self.center.1);
         let (a, b) = (self.major_px, self.minor_px);
@@ -149,8 +149,8 @@ mod tests {
     use nalgebra::{Rotation3, Vector3};
     use proptest::prelude::*;
 
-    /// The ellipse of a circle of this radius about the origin of a plane, and its centre's image, by
-    /// the conic: written down from the projection matrix, with nothing of the above.
+    /// The ellipse of a circle about the origin of a plane, and its centre's image, by the conic of
+    /// the projection matrix, independently of the code above.
     fn seen(plane_to_image: &nalgebra::Matrix3<f64>, radius: f64) -> Ellipse {
         let inverse = plane_to_image.try_inverse().unwrap();
         let circle = nalgebra::Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, -radius * radius));
@@ -173,7 +173,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_chart_is_the_pinholes_up_to_a_turn(
+        fn the_plane_map_is_a_pinhole_projection_up_to_a_rotation(
             tilt in 0.05..1.1f64,
             about in -3.0..3.0f64,
             near in 4.0..30.0f64,
@@ -181,7 +181,7 @@ mod tests {
         ) {
             let axis = Vector3::new(about.cos(), about.sin(), 0.0);
             let turn = Rotation3::new(axis * tilt);
-            // A print's y is up and the image's v is down: seen face-on, y is turned round.
+            // A print's y is up and the image's v is down, so y is inverted.
             let (x, y) = (turn * Vector3::x(), turn * -Vector3::y());
             let camera = nalgebra::Matrix3::new(800.0, 0.0, 320.0, 0.0, 800.0, 240.0, 0.0, 0.0, 1.0);
             let center = Vector3::new(at.0 * near, at.1 * near, near);
@@ -192,7 +192,7 @@ mod tests {
             };
             let (outer, inner) = (seen(&plane_to_image, 1.0), seen(&plane_to_image, 0.6));
             let plane = PlaneMap::new(&outer, inner.center, 0.6);
-            // One point fixes the turn; then all others must agree.
+            // One point determines the rotation; all others must agree.
             let first = plane.plane(pixel(0.5, 0.0));
             prop_assert!((first.0.hypot(first.1) - 0.5).abs() < 1e-5);
             let turned_rad = first.1.atan2(first.0);
@@ -200,7 +200,7 @@ mod tests {
                 let (sin, cos) = (f64::from(k) * 0.7).sin_cos();
                 let radius = 0.3 + 0.05 * f64::from(k);
                 let pixel = pixel(radius * cos, radius * sin);
-                // The print's y is turned round, so its angles count the other way.
+                // The print's y is inverted, so its angles count the other way.
                 let (sin, cos) = (turned_rad - f64::from(k) * 0.7).sin_cos();
                 let there = plane.image((radius * cos, radius * sin));
                 let off_px = (there.u - pixel.u).hypot(there.v - pixel.v);
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn wild_rims_leave_the_chart_finite() {
+    fn extreme_rims_leave_the_plane_map_finite() {
         let outer = Ellipse {
             center: PixelPoint { u: 50.0, v: 50.0 },
             semi_major_px: 20.0,

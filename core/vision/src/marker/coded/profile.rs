@@ -1,10 +1,10 @@
-//! Grey levels round the teeth, as a periodic profile.
+//! Grey levels around the teeth, as a periodic profile.
 //!
 //! The annulus between the white core and the disc's rim is sampled on a few circles well inside it, at
-//! angles counter-clockwise on the print, a whole number of them to each slot. The circles are turned
-//! against each other by a part of a sample, so that a sharp edge moves the profile wherever in a sample
-//! it lies. What comes out is how white each angle is, as a share of half the contrast about its mean:
-//! +1 in a gap, -1 in a tooth, rounded off by blur.
+//! angles counter-clockwise on the print, a whole number of them per slot. The circles are rotated
+//! against each other by a fraction of a sample, so that a sharp edge affects the profile at any position within a
+//! sample. The result is the whiteness of each angle, as a share of half the contrast about its mean:
+//! +1 in a gap, -1 in a tooth, rounded by blur.
 
 use fearless_simd::{Simd, dispatch};
 use fearless_simd_macros::simd;
@@ -18,36 +18,36 @@ use crate::{
     simd::floor,
 };
 
-/// Most samples that a profile has.
+/// Largest number of samples of a profile.
 pub(crate) const MAX_SAMPLES: usize = 128;
-/// Where the annulus is sampled, as shares of its width from the core.
+/// Sampled circles, as shares of the annulus' width from the core.
 const CIRCLES: [f64; 3] = [0.3, 0.5, 0.7];
-/// Variance that a pixel's width and the interpolation between pixels add to the blur, px².
+/// Variance that pixel width and interpolation add to the blur, px².
 const SAMPLING_PX2: f32 = 1.0 / 12.0 + 1.0 / 6.0;
-/// Variance that the turned circles add, squared samples.
+/// Variance due to the rotated circles, squared samples.
 const SAMPLE_VARIANCE: f32 = 1.0 / 12.0;
 
-/// Where samples lie in the chart, the same for every roundel of a layout.
+/// Positions of the samples in the plane, the same for every roundel of a layout.
 #[derive(Clone, Debug)]
 pub(crate) struct Directions {
     /// By circle, the outermost last; angles on the print count the other way.
     circles: [Vec<(f32, f32)>; CIRCLES.len()],
-    /// The outermost circle's radius.
+    /// Radius of the outermost circle.
     reach: f64,
 }
 
-/// A profile and how blurred it is.
+/// A profile and its blur.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Profile {
-    /// Whiteness by angle; the first `len` count.
+    /// Whiteness by angle; the first `len` are valid.
     pub white: [f32; MAX_SAMPLES],
-    /// Variance of the blur along the circle, in squared samples.
+    /// Variance of the blur along the circle, squared samples.
     pub spread: [f32; MAX_SAMPLES],
-    /// How many samples there are.
+    /// Number of samples.
     pub len: usize,
 }
 
-/// What a ring says of its grey levels.
+/// Grey levels and blur of a ring.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Levels {
     pub black: f64,
@@ -72,13 +72,13 @@ impl Directions {
         Self { circles: std::array::from_fn(circle), reach: radius(CIRCLES.len() - 1) }
     }
 
-    /// Samples once round.
+    /// Samples per revolution.
     pub fn len(&self) -> usize {
         self.circles[0].len()
     }
 
-    /// The profile of one roundel; `None` if the annulus is not wholly inside the frame, or the levels
-    /// are none.
+    /// The profile of one roundel; `None` if the annulus is not completely inside the frame, or
+    /// there is no contrast.
     pub fn profile(&self, sampler: &Sampler, plane: &PlaneMap, levels: &Levels) -> Option<Profile> {
         dispatch!(sampler.level, simd => self.profile_with(simd, sampler.frame, plane, levels))
     }
@@ -123,7 +123,7 @@ impl Directions {
         Some(profile)
     }
 
-    /// Whether all samples have four pixels round them.
+    /// Whether all samples have four pixels around them.
     fn fits(&self, frame: &Frame, plane: &PlaneMap) -> bool {
         let (low, high) = plane.bounds(self.reach);
         low.u >= 0.0

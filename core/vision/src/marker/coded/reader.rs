@@ -1,12 +1,12 @@
 //! Reads a code.
 //!
-//! The profile round the teeth gives the likeliest identity (`word`). Its template, blurred as the
-//! image is, is then fitted to the profile: its phase to a small part of a sample, and its amplitude.
-//! With the correlation ρ of the two, the profile's likelihood, its noise unknown, is
-//! (1 - ρ²)^(-n/2) for n independent levels, two a bit; so the reading's confidence against a rival
-//! whose correlation is ρ′ is 1 / (1 + ((1 - ρ²)/(1 - ρ′²))^(n/2)). A profile that is not this code's
-//! whatever the rivals (a plain disc, clutter, a half covered ring) has a low ρ or a wrong amplitude,
-//! and is refused.
+//! The profile around the teeth gives the likeliest identity ([`crate::marker::coded::decode`]). Its template, blurred as
+//! the image is, is then fitted to the profile: its phase to a fraction of a sample, and its amplitude.
+//! With the correlation ρ of the two, the profile's likelihood under unknown noise is
+//! (1 - ρ²)^(-n/2) for n independent levels, two per bit; so the reading's confidence against a rival
+//! with correlation ρ′ is 1 / (1 + ((1 - ρ²)/(1 - ρ′²))^(n/2)). A profile that does not belong to any code
+//! (a plain disc, clutter, a half covered ring) has a low ρ or a wrong amplitude,
+//! and is rejected.
 
 use fearless_simd::Level;
 
@@ -24,25 +24,24 @@ use crate::{
     },
 };
 
-/// Deviation of the blur that a template has, pixels: the middle of what is usual, since a ring does
-/// not know its own.
+/// Deviation of a template's blur, pixels: a typical value, since a ring does not include its own.
 const USUAL_BLUR_PX: f64 = 0.8;
-/// What samples that share pixels err by together, radians: of 20,000 readings each of 8 to 16 bits beside
-/// what each sample's own error makes (`cargo run -p roundel-tests --bin codes`).
+/// Correlated error of samples that share pixels, radians: from 20,000 readings each of 8 to 16
+/// bits, beyond the error of each sample (`cargo run -p roundel-tests --bin codes`).
 const SHARED_RAD: f64 = 8e-4;
-/// Least ρ² of a reading …
+/// Smallest ρ² of a reading …
 const MIN_FIT: f32 = 0.7;
-/// … least and largest amplitude, as a share of half the ring's contrast …
+/// … smallest and largest amplitude, as a share of half the ring's contrast …
 const AMPLITUDES: (f32, f32) = (0.4, 1.6);
-/// … and least confidence.
+/// … and smallest confidence.
 const MIN_CONFIDENCE: f64 = 0.99;
-/// The template is smoothed in steps; each has at most this share of a sample squared.
+/// The template is smoothed in steps of at most this variance, squared samples.
 const STEP_SPREAD: f32 = 0.6;
 const MAX_STEPS: usize = 8;
-/// Fewest samples a slot, and what they are apart where there is room for more, pixels.
+/// Smallest number of samples per slot, and their distance where more are possible, pixels.
 const MIN_PER_SLOT: usize = 4;
 const STEP_PX: f64 = 2.0;
-/// Steps of Gauss and Newton to the phase.
+/// Gauss-Newton iterations for the phase.
 const PHASE_TURNS: usize = 2;
 
 /// Reads the codes of one layout.
@@ -50,14 +49,14 @@ const PHASE_TURNS: usize = 2;
 pub struct CodeReader {
     dictionary: Dictionary,
     own_distances: Vec<u8>,
-    /// By samples a slot, from the fewest on.
+    /// By samples per slot, ascending.
     directions: Vec<Directions>,
     ratio: f64,
 }
 
 impl CodeReader {
     /// A reader of a layout's codes; `ratio` is the white disc's diameter over the outer one,
-    /// [`CodeLayout::RATIO`] as WhyCode prints them.
+    /// [`CodeLayout::RATIO`] for WhyCode's prints.
     pub fn new(layout: CodeLayout, ratio: f64) -> Result<Self, CodeError> {
         let dictionary = layout.codes()?;
         let own = |(code, _): (Code, u16)| dictionary.own_distance(code.number).unwrap_or(1);
@@ -70,12 +69,12 @@ impl CodeReader {
         Ok(Self { dictionary, own_distances, directions, ratio })
     }
 
-    /// The identities that it tells apart.
+    /// The identities that it distinguishes.
     pub fn dictionary(&self) -> &Dictionary {
         &self.dictionary
     }
 
-    /// What the teeth inside a ring say; `None` if they cannot be read.
+    /// Reads the teeth inside a ring; `None` if they are unreadable.
     pub fn read(&self, frame: &Frame, ring: &Ring) -> Option<CodeReading> {
         let plane = PlaneMap::new(&ring.outer, ring.inner.center, self.ratio);
         let levels = Levels {
@@ -88,7 +87,7 @@ impl CodeReader {
         Some(self.read_in(&sampler, &plane, &levels)?.in_image(&plane, self.ratio))
     }
 
-    /// The same in a chart.
+    /// [`CodeReader::read`] with a given plane map.
     pub(crate) fn read_in(
         &self,
         sampler: &Sampler,
@@ -107,7 +106,7 @@ impl CodeReader {
             return None;
         }
         let pair = profile.len as f64 / f64::from(self.dictionary.layout().bits);
-        // A sample stands for the half on either side of it.
+        // A sample represents the half on either side of it.
         let zero = found.phase as f64 - 0.5 + f64::from(fit.phase) - pair * f64::from(found.shift);
         let step_rad = std::f64::consts::TAU / profile.len as f64;
         Some(DecodedRing {
@@ -120,7 +119,7 @@ impl CodeReader {
         })
     }
 
-    /// As many samples as the teeth's circumference asks for.
+    /// The number of samples for the circumference of the teeth.
     fn directions_for(&self, plane: &PlaneMap) -> &Directions {
         let middle = 0.5 * (1.0 + CodeLayout::CORE_SHARE) * self.ratio;
         let around_px = std::f64::consts::TAU * middle * plane.reach_px();
@@ -137,7 +136,7 @@ impl CodeReader {
         1.0 / (1.0 + ((1.0 - best) / (1.0 - rival)).powf(0.5 * levels))
     }
 
-    /// The blurred template of what was found, fitted.
+    /// Fits the blurred template of the decoded word.
     fn fit(&self, profile: &Profile, found: &DecodedWord) -> Option<Fit> {
         let len = profile.len;
         let mut template = self.template(found, len);
@@ -168,7 +167,8 @@ impl CodeReader {
                 along += slope * white[index];
                 steep += slope * slope;
             }
-            // The template is orthogonal to its slope, so the profile's own part of it is the shift.
+            // The template is orthogonal to its derivative, so the profile's component along it is
+            // the shift.
             let change = -along / (fit.amplitude * steep);
             fit.phase = (fit.phase + change).clamp(-1.0, 1.0);
             let left = (1.0 - fit.square).max(0.0) * power / len as f32;
@@ -177,7 +177,7 @@ impl CodeReader {
         Some(fit)
     }
 
-    /// The word's slots on the profile's samples, sharp.
+    /// The word's slots as samples, unblurred.
     fn template(&self, found: &DecodedWord, len: usize) -> [f32; MAX_SAMPLES] {
         let bits = self.dictionary.layout().bits;
         let per_slot = len / (2 * usize::from(bits));
@@ -196,13 +196,13 @@ impl CodeReader {
     }
 }
 
-/// A reading in a chart.
+/// A reading relative to a plane map.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct DecodedRing {
     code: Code,
     /// As printed.
     pub word: u16,
-    /// Of the print's x axis, counter-clockwise on the print from the chart's first one.
+    /// Angle of the print's x axis, counter-clockwise on the print from the plane map's first axis.
     pub zero_rad: f64,
     deviation_rad: f64,
     confidence: f64,
@@ -210,7 +210,7 @@ pub(crate) struct DecodedRing {
 }
 
 impl DecodedRing {
-    /// The reading as the image has it.
+    /// The reading in image coordinates.
     pub fn in_image(&self, plane: &PlaneMap, ratio: f64) -> CodeReading {
         let (sin, cos) = (-self.zero_rad).sin_cos();
         CodeReading {
@@ -228,9 +228,9 @@ impl DecodedRing {
 /// How a template fits a profile.
 #[derive(Clone, Copy, Debug)]
 struct Fit {
-    /// Samples that the profile is ahead of the template.
+    /// Samples by which the profile is ahead of the template.
     phase: f32,
-    /// The profile's size in units of the template.
+    /// Size of the profile in units of the template.
     amplitude: f32,
     /// ρ².
     square: f32,
@@ -238,7 +238,7 @@ struct Fit {
     deviation: f32,
 }
 
-/// Blurs a template by each sample's own spread: steps of (a, 1 - 2a, a), whose variance is 2a.
+/// Blurs a template by each sample's own variance: steps of (a, 1 - 2a, a), with variance 2a.
 fn smooth(template: &mut [f32], profile: &Profile) {
     let len = template.len();
     let spread = &profile.spread[..len];
@@ -259,7 +259,7 @@ fn smooth(template: &mut [f32], profile: &Profile) {
     }
 }
 
-/// The template moved ahead by a part of a sample.
+/// The template moved ahead by a fraction of a sample.
 fn shift(template: &[f32], by: f32, shifted: &mut [f32]) {
     let len = template.len();
     let share = by.abs();

@@ -1,6 +1,6 @@
-//! Points along a coded roundel's outer rim: levels about them, and where these are halfway.
+//! Points along a coded roundel's outer rim: levels near them, and where the half level is crossed.
 //!
-//! PerPoint array is gone through from one end to the other, for the compiler to take several points at once.
+//! Loops run over whole arrays, so that the compiler vectorizes them.
 
 use std::sync::LazyLock;
 
@@ -12,18 +12,18 @@ use crate::{
 
 /// Points of the outer rim.
 pub(super) const POINTS: usize = 48;
-/// Where ring and margin have their levels, pixels from the rim, at least and at most, and between those a
-/// share of the shorter semiaxis: the margin may be hardly wider. As far inside as outside, where the levels
-/// are mixed alike and the one halfway is that of the whole levels.
+/// Distance of the sampled levels of ring and margin from the rim, pixels, smallest and largest,
+/// and in between a share of the shorter semiaxis, as the margin may be hardly wider. The same
+/// inside and outside, so that the levels are mixed equally and the half level is unaffected.
 const LEVEL_PX: (f64, f64) = (1.0, 2.5);
 const LEVEL_SHARE: f64 = 0.14;
-/// How wide the ring is, as a share of the radius.
+/// Width of the ring as a share of the radius.
 const RING_SHARE: f64 = 0.4;
-/// What blur leaves of the contrast between those levels, at least.
+/// Smallest share of the contrast left by blur between those levels.
 const MIN_LEFT: f32 = 0.5;
-/// Centres are counted from pixels no further away than this: with a frame's side that is no overflow.
+/// Range of origins, which avoids overflow together with a frame's side.
 const MAX_ORIGIN_PX: f64 = 1e6;
-/// Least slope of an edge, grey levels a pixel.
+/// Smallest slope of an edge, grey levels per pixel.
 const MIN_SLOPE: f64 = 1.0;
 
 /// A number for each point.
@@ -48,23 +48,23 @@ pub(super) fn harmonics() -> &'static [PerPoint; 4] {
 
 /// The points of a rim.
 pub(super) struct Points {
-    /// Of which places are counted, in the frame.
+    /// Pixel of the frame that coordinates are relative to.
     origin: (i32, i32),
     u: PerPoint,
     v: PerPoint,
-    /// Unit normal outwards.
+    /// Outward unit normal.
     normal_u: PerPoint,
     normal_v: PerPoint,
-    /// Normal part of the way from the centre, pixels.
+    /// Component of the vector from the centre along the normal, pixels.
     pub height_px: PerPoint,
-    /// What a blur draws the half level inwards by, over its square: half the curvature.
+    /// Inward shift of the half level by blur, over its square: half the curvature.
     pub drawn_per_px: PerPoint,
 }
 
 impl Points {
     #[inline(always)]
     pub fn of(ellipse: &Ellipse) -> Self {
-        // What is further away is beyond any frame's edge.
+        // Anything further away is outside of any frame.
         let whole = |center: f64| center.floor().clamp(-MAX_ORIGIN_PX, MAX_ORIGIN_PX) as i32;
         let origin = (whole(ellipse.center.u), whole(ellipse.center.v));
         let (middle_u, middle_v) = (
@@ -94,7 +94,7 @@ impl Points {
         Self { origin, u, v, normal_u, normal_v, height_px, drawn_per_px }
     }
 
-    /// Levels so far outwards of each point.
+    /// Levels at these distances outwards of each point.
     #[inline(always)]
     fn levels(&self, sampler: &Sampler, out_px: &PerPoint) -> PerPoint {
         let mut points = SamplePoints { origin: self.origin, u: self.u, v: self.v };
@@ -105,7 +105,7 @@ impl Points {
         sampler.each(&points)
     }
 
-    /// The level so far outwards of one of them.
+    /// The level at a distance outwards of one point.
     fn level(&self, sampler: &Sampler, index: usize, out_px: f64) -> f64 {
         let along = |origin: i32, place: &PerPoint, normal: &PerPoint| {
             f64::from(origin) + f64::from(place[index]) + out_px * f64::from(normal[index])
@@ -116,7 +116,7 @@ impl Points {
         )
     }
 
-    /// Levels of ring and margin, without what blur mixes of one into the other.
+    /// Levels of ring and margin, without the mixing by blur.
     #[inline(always)]
     pub fn black_and_white(
         &self,
@@ -135,7 +135,7 @@ impl Points {
             let drawn_px = self.drawn_per_px[index] * blur_px * blur_px;
             let height_px = self.height_px[index];
             let to_teeth_px = ring_share * height_px + drawn_px / (1.0 - ring_share) - aside_px;
-            // What of the margin's light is seen there, of the gaps' and of the black.
+            // Shares of the light of the margin, of the gaps, and of the black.
             let of_margin = share(drawn_px - aside_px) + 0.5 * share(-to_teeth_px);
             let of_black = share(-drawn_px - aside_px);
             let seen = margins[index] - blacks[index];
@@ -147,23 +147,23 @@ impl Points {
     }
 }
 
-/// Where levels cross those halfway.
+/// Where the levels cross the half level.
 pub(super) struct Edges {
-    /// How far outwards of the points.
+    /// Distance outwards of the points.
     pub out_px: PerPoint,
-    /// How steep they are there; 0 where there is no edge.
+    /// Slope there; 0 without an edge.
     pub slope: PerPoint,
     pub missing: usize,
 }
 
 impl Edges {
-    /// Within half a pixel; what seems to be further off than a whole one is none.
+    /// Within half a pixel; edges that seem more than a pixel away do not count.
     #[inline(always)]
     pub fn near(sampler: &Sampler, points: &Points, half: &PerPoint) -> Self {
         Self::about(sampler, points, half, (&[0.0; POINTS], &[true; POINTS], 1.0))
     }
 
-    /// As [`crossing`] finds them, at all points at once where they are within a pixel.
+    /// As [`crossing`], at all points at once where the edge is within a pixel.
     #[inline(always)]
     pub fn far(sampler: &Sampler, points: &Points, half: &PerPoint, reach_px: f64) -> Self {
         let here = points.levels(sampler, &[0.0; POINTS]);
@@ -191,7 +191,7 @@ impl Edges {
         Self::about(sampler, points, half, (&out_px, &is_seen, f32::INFINITY))
     }
 
-    /// From levels half a pixel to either side of where they are thought to be, and at most so far from there.
+    /// From levels half a pixel to either side of the estimates, at most `max_px` from there.
     #[inline(always)]
     fn about(
         sampler: &Sampler,
@@ -220,7 +220,7 @@ impl Edges {
     }
 }
 
-/// Means over neighbours: less noise, and what light varies stays.
+/// Means over neighbours: less noise, while lighting variations remain.
 #[inline(always)]
 pub(super) fn smoothed(levels: &PerPoint) -> PerPoint {
     const SIDE: usize = 3;
@@ -237,7 +237,7 @@ pub(super) fn smoothed(levels: &PerPoint) -> PerPoint {
     means
 }
 
-/// The plane through them: what a light varies, and not what teeth near by add here and there.
+/// The plane through the levels: keeps lighting variations, without the effect of nearby teeth.
 #[inline(always)]
 pub(super) fn tilted(levels: &PerPoint) -> PerPoint {
     let [cos, sin, ..] = harmonics();
@@ -251,10 +251,10 @@ pub(super) fn tilted(levels: &PerPoint) -> PerPoint {
     plane
 }
 
-/// Where a rising profile crosses zero, nearest to 0, and how steeply; `None` if not within reach.
+/// Where a rising profile crosses zero, closest to 0, and its slope; `None` if out of range.
 pub(super) fn crossing(profile: impl Fn(f64) -> f64, reach_px: f64) -> Option<(f64, f64)> {
     let place = walk_to_crossing(&profile, reach_px)?;
-    // Once more, even to both sides.
+    // Refined symmetrically.
     let (before, after) = (profile(place - 0.5), profile(place + 0.5));
     let slope = after - before;
     if slope.is_nan() || slope < MIN_SLOPE {
@@ -263,7 +263,7 @@ pub(super) fn crossing(profile: impl Fn(f64) -> f64, reach_px: f64) -> Option<(f
     Some((place - (0.5 * (before + after) / slope).clamp(-0.5, 0.5), slope))
 }
 
-/// Between which whole steps from 0 it crosses, and where if it is straight there.
+/// The whole steps from 0 between which it crosses, interpolated linearly.
 fn walk_to_crossing(profile: impl Fn(f64) -> f64, reach_px: f64) -> Option<f64> {
     let mut place = 0.0;
     let mut level = profile(0.0);
@@ -280,7 +280,7 @@ fn walk_to_crossing(profile: impl Fn(f64) -> f64, reach_px: f64) -> Option<f64> 
     }
 }
 
-/// Sum of what each point gives, eight of them side by side.
+/// Sum over the points, with eight partial sums.
 #[inline(always)]
 pub(super) fn sum(of: impl Fn(usize) -> f32) -> f64 {
     const LANES: usize = 8;

@@ -1,19 +1,19 @@
-//! Grey levels between pixels, of one point or of many.
+//! Grey levels between pixels, at one point or many.
 
 use fearless_simd::Level;
 
 use crate::{frame::Frame, simd::floor};
 
-/// Grey levels between pixels; a point outside of the frame is as its edge.
+/// Bilinear interpolation of a frame, extended beyond its edges by the last pixels.
 pub(crate) struct Sampler<'a, 'f> {
     pub frame: &'a Frame<'f>,
-    /// What the processor can do at once.
+    /// Instruction set.
     pub level: Level,
-    /// A white ring is seen as a black one.
+    /// Inverts levels, so that a white ring looks like a black one.
     pub inverted: bool,
 }
 
-/// Points, counted from a pixel near all of them, so that single precision is enough.
+/// Points relative to a pixel near all of them, so that single precision suffices.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SamplePoints<const COUNT: usize> {
     pub origin: (i32, i32),
@@ -36,10 +36,9 @@ impl Sampler<'_, '_> {
         if self.inverted { 255.0 - level } else { level }
     }
 
-    /// The same at many points, of a frame of at least two pixels a side.
+    /// [`Sampler::at`] at many points, for a frame of at least two pixels a side.
     ///
-    /// Only the pixels themselves are fetched one by one; what comes before and after is done to all points
-    /// alike, for the compiler to take several at once.
+    /// Only the pixels are loaded one by one; the rest is vectorized by the compiler.
     #[inline(always)]
     pub fn each<const COUNT: usize>(&self, points: &SamplePoints<COUNT>) -> [f32; COUNT] {
         let SamplePoints { origin, u, v } = points;
@@ -67,7 +66,7 @@ impl Sampler<'_, '_> {
     }
 }
 
-/// The pixels before points along one side of the frame, and how far the points are beyond them.
+/// The pixels before points along one side of the frame, and the points' distances beyond them.
 #[inline(always)]
 fn split<const COUNT: usize>(
     points: &[f32; COUNT],
@@ -77,11 +76,11 @@ fn split<const COUNT: usize>(
     let (low, high) = (-origin as f32, (side as i32 - 1 - origin) as f32 - 0.001);
     let (mut pixels, mut beyond) = ([0; COUNT], [0.0; COUNT]);
     for index in 0..COUNT {
-        // What is no number is the edge.
+        // NaN maps to the edge.
         let place = points[index].max(low).min(high);
         let whole = floor(place);
         beyond[index] = place - whole as f32;
-        // Where single precision has rounded up to the last pixel.
+        // If single precision has rounded up to the last pixel.
         pixels[index] = (whole + origin).min(side as i32 - 2);
     }
     (pixels, beyond)
@@ -96,7 +95,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn many_points_are_as_each_alone(
+        fn many_points_equal_single_points(
             at in prop::array::uniform16((-20.0..90.0f64, -20.0..70.0f64)),
             origin in (-10..80i32, -10..60i32),
             inverted in any::<bool>(),
@@ -118,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_number_is_the_edge() {
+    fn nan_maps_to_the_edge() {
         let pixels = [1, 2, 3, 4];
         let frame = Frame::new(&pixels, 2, 2, 2).unwrap();
         let sampler = Sampler { frame: &frame, level: Level::new(), inverted: false };

@@ -1,17 +1,17 @@
-//! A coded roundel's white disc, from its rim's parts between teeth.
+//! A coded roundel's white disc, from its rim between the teeth.
 //!
-//! In the middle of each slot without a tooth the place of half the level is looked for along a ray of the
-//! print. Teeth on both sides take some of the white away by blur: at distances a and b from their sides,
-//! in blurs, a share Φ(a) + Φ(b) - 1 is left, and the level halfway is lower by as much. How white a gap
-//! is, is seen well inside it, less what core and ring add and take there.
+//! In the middle of each slot without a tooth, the half level is located along a ray of the
+//! print. Teeth on both sides reduce the white by blur: at distances a and b from their sides,
+//! in blurs, a share Φ(a) + Φ(b) - 1 remains, and the half level is lower accordingly. The level of a gap is
+//! sampled well inside it, corrected for the light of core and ring.
 //!
-//! A blur of deviation σ draws the half level of a rim of curvature κ inwards by κ/2 times the mean square
-//! of what it mixes along the rim. Between teeth that is a normal distribution cut off at both sides,
+//! Blur with deviation σ shifts the half level of a rim of curvature κ inwards by κ/2 times the mean square
+//! distance along the rim of the mixed light. Between teeth that is a truncated normal distribution,
 //!
 //!   σ² (1 - (a φ(a) + b φ(b)) / (Φ(a) + Φ(b) - 1)).
 //!
-//! What is seen on the rim is seen on its white side half, a mean of √(2/π) σ further in, where gaps are
-//! narrower. Size and centre are fitted; the shape is that of the outer rim as the chart carries it.
+//! Half of the light at the rim comes from its white side, on average √(2/π) σ further in, where gaps are
+//! narrower. Size and centre are fitted; the shape is that of the outer rim under the plane map.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -23,24 +23,24 @@ use crate::{
     normal::normal_each,
 };
 
-/// Turns in which the rim is found, at most …
+/// Largest number of iterations …
 const TURNS: usize = 2;
-/// … the last of which moves it by less than this, pixels.
+/// … which end when the rim moves by less than this, pixels.
 const SETTLED_PX: f64 = 0.05;
-/// Where the level of a gap is taken, as a share of the white disc's radius.
+/// Where the level of a gap is sampled, as a share of the white disc's radius.
 const LEVEL_AT: f64 = 0.8;
-/// Steps by which the chart's derivatives are taken, as a share of the radius.
+/// Step of the plane map's numerical derivatives, as a share of the radius.
 const STEP: f64 = 0.02;
-/// The edge is at most so far from where it is looked for, pixels.
+/// Search range of the edge, pixels.
 const REACH_PX: f64 = 3.0;
-/// √(2/π): so many deviations inside of an edge lies the mean of what is seen there, where gaps are narrower.
+/// √(2/π): mean distance inside of an edge of the light seen at it, in deviations.
 const MEAN_INSIDE: f64 = 0.797_884_560_8;
-/// No disc is seen further from where the chart has it, in units of the outer rim's radius.
+/// Largest shift of the disc's middle, in units of the outer rim's radius.
 const MAX_SHIFT: f64 = 0.1;
-/// A gap of which blur leaves less than this is none.
+/// Smallest share of white that blur leaves in a usable gap.
 const MIN_OPEN: f64 = 0.2;
 
-/// A gap between teeth, or one slot of it, in the chart.
+/// A gap between teeth, or one slot of it, in the plane.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Gap {
     /// cos and sin of its middle's angle.
@@ -49,16 +49,17 @@ pub(crate) struct Gap {
     pub to_teeth_rad: (f64, f64),
 }
 
-/// The white disc's rim, in the chart.
+/// The white disc's rim, in the plane.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Disc {
     /// In units of the outer rim's radius.
     pub radius: f64,
-    /// Where its middle is seen, from where the chart has it.
+    /// Displacement of its middle from that of the plane map.
     pub shift: (f64, f64),
 }
 
-/// The white disc's rim, by the gaps between teeth; `black` is the ring's level. `None` without enough gaps.
+/// Fits the white disc's rim to the gaps between teeth; `black` is the ring's level. `None` without
+/// enough gaps.
 pub(crate) fn disc(
     sampler: &Sampler,
     plane: &PlaneMap,
@@ -95,12 +96,12 @@ pub(crate) fn disc(
 /// A gap as imaged.
 struct ImagedGap {
     to_teeth_rad: (f64, f64),
-    /// Where its middle meets the rim, and where its level is taken, pixels.
+    /// Where its middle meets the rim, and where its level is sampled, pixels.
     rim: (f64, f64),
     inside: (f64, f64),
-    /// Along the ray, for a whole radius.
+    /// Along the ray, per radius.
     along: (f64, f64),
-    /// Along the rim, for a radian.
+    /// Along the rim, per radian.
     aside: (f64, f64),
 }
 
@@ -122,8 +123,8 @@ impl ImagedGap {
         }
     }
 
-    /// How far outwards the edge lies, as a share of the radius, and how much that weighs; `None` where
-    /// there is no edge.
+    /// Distance of the edge outwards as a share of the radius, and its weight; `None` without an
+    /// edge.
     fn outwards(&self, sampler: &Sampler, black: f64, blur_px: f64) -> Option<(f64, f64)> {
         let length = |(u, v): (f64, f64)| (u * u + v * v).sqrt();
         let (along_px, aside_px) = (length(self.along), length(self.aside));
@@ -131,7 +132,7 @@ impl ImagedGap {
         if !(along_px > 0.0 && aside_px > 0.0 && area > 0.0) {
             return None;
         }
-        // Across the rim, for a whole radius, and across a ray, for a radian, in blurs.
+        // Across the rim, per radius, and across a ray, per radian, in blurs.
         let (size, turn) = (area / aside_px / blur_px, area / along_px / blur_px);
         let (one, other) = (self.to_teeth_rad.0 * turn, self.to_teeth_rad.1 * turn);
         let normal = |z: f64| {
@@ -144,7 +145,7 @@ impl ImagedGap {
         if at_rim < MIN_OPEN {
             return None;
         }
-        // At its place the level has lost to the ring and gained from the core as well.
+        // The sampled level has lost light to the ring, and gained from the core.
         let from_core = normal((CodeLayout::CORE_SHARE - LEVEL_AT) * size).1;
         let from_ring = normal((LEVEL_AT - 1.0) * size).1;
         let expected = open(LEVEL_AT) * (1.0 - from_ring - from_core) + from_core;

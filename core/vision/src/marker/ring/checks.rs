@@ -1,20 +1,20 @@
-//! The tests that a ring passes, cheapest first (paper, sections 3.1 and 3.3, algorithm 2): sizes and
-//! areas as counted, then the shapes of disc and roundel, as weighed by grey levels
+//! Tests of a ring, cheapest first (paper, sections 3.1 and 3.3, algorithm 2): sizes and
+//! areas of the segments, then the shapes of disc and roundel as weighed by grey levels
 //! ([`crate::marker::ring::subpixel::moments`]): against their boxes, concentricity, roundness, similarity.
 //!
-//! Eq. (1) counts the pixels of an elliptic ring from its box, s = π/4 b_u b_v (d_o² - d_i²)/d_o².
-//! That holds while an axis of the ellipse is along u; turned by 45° a ring tilted to 60° has a box
-//! of 5/4 times the size. With the correlation c of u and v over the segment,
+//! Eq. (1) derives the pixels of an elliptic ring from its box, s = π/4 b_u b_v (d_o² - d_i²)/d_o².
+//! That holds if an axis of the ellipse is along u; at 45°, the box of a ring tilted by 60° is 5/4 times as large.
+//! With the correlation c of u and v over the segment,
 //!
 //!   s = π/4 b_u b_v √(1 - c²) (1 - d_i²/d_o²),   c² = C_uv² / (C_uu C_vv)
 //!
 //! holds for every angle (the box of the ellipse with the matrix M has the half sides √M_uu, √M_vv,
 //! its area is π √det M). The tests below use this form.
 //!
-//! Eq. (5) compares the pixels counted with those of the moments' ellipse. It holds for filled
+//! Eq. (5) compares the number of pixels with the area of the moments' ellipse. It holds for filled
 //! ellipses, so s and the moments are those of black and white together: the moments of the ring
-//! alone would be those of an ellipse √(1 + d_i²/d_o²) times as large. WeighedRim moments hold the blur as
-//! well, so the test allows for as much of it as a camera may have.
+//! alone would be those of an ellipse √(1 + d_i²/d_o²) times as large. Weighed moments include the blur,
+//! so the test allows for as much of it as a camera may have.
 
 use crate::{
     ellipse::{Ellipse, Shape, Symmetric2},
@@ -24,32 +24,31 @@ use crate::{
     },
 };
 
-/// Relative tolerance ρ_tol of eq. (2); a pixel of each side of the box comes on top.
+/// Relative tolerance ρ_tol of eq. (2), plus a pixel of each side of the box.
 const BOX_TOLERANCE: f64 = 0.15;
-/// Relative tolerance ρ_prec of eq. (5), and what a rim of r pixels adds to it as 1/r.
+/// Relative tolerance ρ_prec of eq. (5), and its increase for a rim of r pixels as 1/r.
 pub(crate) const ROUNDNESS_TOLERANCE: (f64, f64) = (0.02, 0.6);
-/// Distance of the centres as a share of the outer mean radius, and in pixels on top.
+/// Distance of the centres: a share of the outer mean radius, plus pixels.
 pub(crate) const CENTER_TOLERANCE: (f64, f64) = (0.06, 0.4);
-/// Perspective moves the centres apart along the shorter axis, the more the shorter the focal length;
-/// this is the shortest that is allowed for, pixels …
+/// Perspective moves the centres apart along the shorter axis, inversely to the focal length; the
+/// shortest focal length allowed for, pixels …
 const MIN_FOCAL_PX: f64 = 350.0;
-/// … and far from the picture's middle, where it stretches what is seen, along the longer axis by
-/// this share of that.
+/// … and, far from the image's middle, this share of it along the longer axis.
 const ASIDE_SHARE: f64 = 0.4;
-/// Difference of the two normalized shapes, and what a disc of r pixels adds to it as 1/r. Of 1,600
-/// rendered rings from 10 px on, two thirds of this is the most.
+/// Difference of the two normalized shapes, and its increase for a disc of r pixels as 1/r. The
+/// maximum of 1,600 rendered rings from 10 px on is two thirds of it.
 pub(crate) const SIMILARITY_TOLERANCE: (f64, f64) = (0.06, 0.3);
-/// Largest variance that blur and the pixels' width add to a shape, px²: a blur of 1.2 px.
+/// Largest variance that blur and pixel width add to a shape, px²: a blur of 1.2 px.
 pub(crate) const MAX_SPREAD_PX2: f64 = 1.5;
-/// Pixels that a rim may be off by at any threshold, in the ratio of diameters.
+/// Error of a rim at any threshold, pixels, in the ratio of diameters.
 const RATIO_RIM_PX: f64 = 0.8;
 
-/// How far levels may lie beyond what a pixel can hold: a share of the contrast, and grey levels.
+/// Tolerance of levels beyond the range of a pixel: a share of the contrast, plus grey levels.
 pub(crate) const LEVEL_TOLERANCE: (f64, f64) = (0.1, 10.0);
 
 impl SegmentSize {
-    /// Pixels of a segment as a share of those of an ellipse in its box, eqs. (1) and (2) with the
-    /// correction for turned ellipses: 1 for a disc, 1 - d_i²/d_o² for a ring.
+    /// Pixels of a segment as a share of those of an ellipse in its box, eqs. (1) and (2) corrected
+    /// for the angle: 1 for a disc, 1 - d_i²/d_o² for a ring.
     fn box_share(&self, c: &Symmetric2) -> f64 {
         let upright = (c.determinant() / (c.uu * c.vv)).sqrt();
         self.pixels / (std::f64::consts::FRAC_PI_4 * self.width * self.height * upright)
@@ -60,8 +59,8 @@ impl SegmentSize {
     }
 }
 
-/// Tests of what was counted: the black segment's size, and the ratio of the segments' areas, from
-/// which follows that of the diameters (algorithm 2).
+/// Tests the black segment's size and the ratio of the segments' areas, which gives that of the
+/// diameters (algorithm 2).
 pub(crate) fn check_sizes(
     black: &SegmentSize,
     white: &SegmentSize,
@@ -79,7 +78,7 @@ pub(crate) fn check_sizes(
     if ratio < min - slack || ratio > max + slack { Err(Reject::AreaRatio) } else { Ok(()) }
 }
 
-/// Tests of both shapes against their boxes, eqs. (1), (2).
+/// Tests both shapes against their boxes, eqs. (1), (2).
 pub(crate) fn check_boxes(
     (black, outer): (&SegmentSize, &Shape),
     (white, inner): (&SegmentSize, &Shape),
@@ -95,7 +94,7 @@ pub(crate) fn check_boxes(
     if (filled - 1.0).abs() > white.box_tolerance() { Err(Reject::WhiteBox) } else { Ok(()) }
 }
 
-/// Tests of the shapes: size, tilt, concentricity, eq. (5), similarity. Whether both shapes are similar,
+/// Tests size, tilt, concentricity, eq. (5) and similarity. Returns whether the shapes are similar,
 /// where they need not be.
 #[inline(always)]
 pub(crate) fn check_shapes(
@@ -112,7 +111,7 @@ pub(crate) fn check_shapes(
     check_centers((outer, outer_rim), (inner, inner_rim))?;
     for (shape, rim) in [(outer, outer_rim), (inner, inner_rim)] {
         let tolerance = ROUNDNESS_TOLERANCE.0 + ROUNDNESS_TOLERANCE.1 / rim.semi_minor_px;
-        // By eq. (5) a spread of σ² makes an ellipse's moments those of one larger by this share.
+        // By eq. (5), a spread of σ² enlarges an ellipse's moments by this share.
         let share = 2.0 * (rim.semi_major_px.powi(-2) + rim.semi_minor_px.powi(-2));
         let spread_px2 = shape.spread_px2_of(rim);
         if spread_px2 * share < -tolerance || (spread_px2 - MAX_SPREAD_PX2) * share > tolerance {
@@ -123,19 +122,20 @@ pub(crate) fn check_shapes(
     if rules.similar && !similar { Err(Reject::Similarity) } else { Ok(similar) }
 }
 
-/// Levels without the blur are those of some light: what fits no ring's model has others.
+/// Tests the levels without blur; what is not a ring may have levels outside of the range of a
+/// pixel.
 #[inline(always)]
 pub(crate) fn check_levels(black: f64, white: f64, rules: &Rules) -> Result<(), Reject> {
     let contrast = white - black;
     let beyond = LEVEL_TOLERANCE.0 * contrast + LEVEL_TOLERANCE.1;
-    // Not a number fails as well.
+    // False for NaN.
     let plausible = contrast >= rules.min_contrast && black >= -beyond && white <= 255.0 + beyond;
     if plausible { Ok(()) } else { Err(Reject::Contrast) }
 }
 
-/// Of a circle with the semiaxes a, b in a picture of the focal length f, tilted by θ, the image's
-/// centre lies (a²/f) sin θ cos θ off that of the circle, along the shorter axis, where cos θ = b/a;
-/// of the disc's rim it is less by the square of the ratio of diameters.
+/// For a circle with semiaxes a, b, a focal length f and a tilt θ, cos θ = b/a, the centre of the
+/// image is (a²/f) sin θ cos θ off the image of the centre, along the shorter axis; for the disc's
+/// rim it is less by the square of the ratio of diameters.
 #[inline(always)]
 fn check_centers(
     (outer, outer_rim): (&Shape, &Ellipse),
@@ -161,19 +161,20 @@ fn check_centers(
     }
 }
 
-/// Both rims are images of circles in one plane, so their shapes are the same but for perspective.
+/// Both rims are images of circles in one plane, so they have the same shape except for
+/// perspective.
 #[inline(always)]
 fn are_similar(
     (outer, outer_rim): (&Shape, &Ellipse),
     (inner, inner_rim): (&Shape, &Ellipse),
 ) -> bool {
     let (o, i) = (outer.matrix_of(outer_rim), inner.matrix_of(inner_rim));
-    // Of determinant 1.
+    // Scaled to determinant 1.
     let of = 1.0 / (outer_rim.semi_major_px * outer_rim.semi_minor_px);
     let inf = 1.0 / (inner_rim.semi_major_px * inner_rim.semi_minor_px);
     let along = 0.5 * ((o.uu - o.vv) * of - (i.uu - i.vv) * inf);
     let askew = o.uv * of - i.uv * inf;
-    // Of a flat ellipse the same error of a pixel changes the normalized matrix more.
+    // The flatter an ellipse, the more an error of one pixel changes its normalized matrix.
     let flat = outer_rim.semi_major_px / outer_rim.semi_minor_px;
     let (share, rim_px) = SIMILARITY_TOLERANCE;
     let tolerance = (share + rim_px / inner_rim.semi_minor_px) * flat;
@@ -190,8 +191,8 @@ mod tests {
         segment::Sums,
     };
 
-    /// A black segment and its hole, as sets of pixel centres inside ellipses, counted, and the shapes
-    /// of black and white together and of the hole; sums of the black alone.
+    /// A black segment and its hole, as pixel centres inside ellipses: their sizes, the shapes of
+    /// black and white together and of the hole, and the sums of the black alone.
     fn ring(angle_rad: f64, tilt: f64, ratio: f64) -> ([(SegmentSize, Shape); 2], Sums) {
         let rim = |scale: f64| {
             Chords::new(&Ellipse {
@@ -235,7 +236,7 @@ mod tests {
             let found = white.box_share(&inner.covariance);
             assert!((found - 1.0).abs() < 0.09, "{angle} {found}");
         }
-        // The form in print is off by a quarter where the ellipse stands askew.
+        // The published form is off by a quarter for an ellipse at 45°.
         let ([(black, _), _], _) = ring(std::f64::consts::FRAC_PI_4, 0.5, 0.4);
         let printed = std::f64::consts::FRAC_PI_4 * black.width * black.height * (1.0 - 0.16);
         assert!(printed / black.pixels > 1.2);
@@ -245,7 +246,7 @@ mod tests {
     fn equation_5_needs_black_and_white_together() {
         let ([(_, outer), _], black) = ring(0.4, 0.7, 0.5);
         assert!((outer.roundness() - 1.0).abs() < 0.01);
-        // Of the ring alone: (1 + r²) / (1 - r²) with r² = 1/4.
+        // For the ring alone: (1 + r²) / (1 - r²) with r² = 1/4.
         let black = Moments::from(&black).shape((0, 0)).unwrap();
         assert!((black.roundness() - 1.25 / 0.75).abs() < 0.02);
     }

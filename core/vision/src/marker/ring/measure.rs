@@ -1,31 +1,30 @@
-//! One ring, measured where it is thought to be: all tests, both rims to a fraction of a pixel, its
-//! kind, and the rims compensated for it.
+//! Measurement of one ring: all tests, both rims to a fraction of a pixel, its kind, and the rims compensated for it.
 //!
 //! 1. The window is copied and thresholded into words of bits ([`crate::marker::ring::pixels::patch`]).
-//! 2. The disc is followed from the probe's centre, and the black from the disc; counts refuse what is
-//!    too small, too large or of the wrong ratio ([`crate::marker::ring::pixels::segments`]).
-//! 3. BitRows grown and shrunk give the bands in which the rims' blur lies, and the pixels that tell the
+//! 2. The disc is filled from the probe's centre, and the black from the disc; segments that are
+//!    too small, too large or of the wrong ratio are rejected ([`crate::marker::ring::pixels::segments`]).
+//! 3. Dilated and eroded bits give the edge bands, which contain the rims' blur, and the pixels that determine the
 //!    levels B and W ([`crate::marker::ring::pixels::edge_band`], [`crate::marker::ring::subpixel::levels`]).
-//!    Of a ring that is followed, the rims of the frame before say where the bands are, and steps 2 and
-//!    3 are left out, unless a pixel between the bands contradicts that ([`crate::marker::ring::pixels::predicted`]).
-//! 4. Inside the inner band a pixel is disc, in it (I - B)/(W - B) of it is, and of the roundel in the
-//!    outer band (W - I)/(W - B). Blur moves weight across a rim but loses none, so the area and the
+//!    For a tracked ring, the predicted rims give the bands, and steps 2 and 3 are skipped, unless a pixel between
+//!    the bands contradicts the prediction ([`crate::marker::ring::pixels::predicted`]).
+//! 4. Inside the inner band a pixel counts fully for the disc, in it by (I - B)/(W - B), and for the roundel in the
+//!    outer band by (W - I)/(W - B). Blur moves weight across a rim but preserves it, so the area and the
 //!    difference of the covariance's eigenvalues ([`crate::ellipse::Shape::ellipse`]) are those of the
-//!    sharp rim, and noise comes from the bands alone ([`crate::marker::ring::subpixel::moments`]).
-//! 5. What blur does to the levels and past the bands is undone ([`crate::marker::ring::subpixel::blur`]).
+//!    sharp rim, and noise enters from the bands alone ([`crate::marker::ring::subpixel::moments`]).
+//! 5. The effect of blur on the levels, and beyond the bands, is removed ([`crate::marker::ring::subpixel::blur`]).
 //!
-//! All of it is linear in the grey levels, whose noise therefore makes no bias.
+//! All steps are linear in the grey levels, so noise causes no bias.
 //!
 //! Accuracy against drawn rings (`benches/precision.rs`; inner/outer 0.4, margin 1.4, contrast 160, blur
-//! 0.7 px, noise 2, kind known), mean radius, rms: to 30° of tilt 0.007 % at 81 px of diameter, 0.04 %
+//! 0.7 px, noise 2, known kind), mean radius, rms: to 30° of tilt 0.007 % at 81 px of diameter, 0.04 %
 //! at 30 px, 0.15 % at 20 px, 0.2 to 0.3 % at 12 px; at 60°, 0.12 % at 30 px.
 //!
-//! Where the margin is narrower than four pixels its level is taken to be the disc's, and the outer band
-//! is one pixel wide; where it is narrower than two, the band ends at the threshold's edge, and what lies
+//! Where the margin is narrower than four pixels, its level is assumed to be the disc's, and the outer band
+//! is one pixel wide; where it is narrower than two, the band ends at the threshold's edge, and the part
 //! beyond follows from the blur: 0.15 to 0.5 % at 16 and 20 px with a margin of 1.2 and 1.5 px.
 //!
 //! Limits: where the disc's shorter semiaxis is below three times the blur, rims come out short (1 to
-//! 2 % at 12 px and a blur of 1.1); black thinner than three pixels is never seen as it is, and rims of
+//! 2 % at 12 px and a blur of 1.1). Black thinner than three pixels nowhere shows its own level, and the rims of
 //! such rings are off by up to 0.2 px.
 
 use fearless_simd::{Level, Simd, dispatch};
@@ -57,16 +56,16 @@ use crate::{
     scratch::reserve_total,
 };
 
-/// A ring is measured anew at its own threshold, eq. (3), if that is further from the first one than
-/// this share of the contrast; than the second, if the threshold has cut its rim.
+/// A ring is measured again at its own threshold, eq. (3), if that differs from the first one by
+/// more than this share of the contrast; the second share applies if the threshold has cut its rim.
 pub(crate) const RETHRESHOLD_SHARE: (f64, f64) = (0.15, 0.02);
 
-/// Turns in which the bands about expected rims are drawn.
+/// Iterations in which the bands of predicted rims are drawn.
 const FOLLOWING_TURNS: usize = 2;
 /// Memory of measuring one ring.
 #[derive(Debug)]
 pub(crate) struct MeasureScratch {
-    /// What the processor can do at once.
+    /// Instruction set.
     pub level: Level,
     patch: Patch,
     spans: Spans,
@@ -87,7 +86,7 @@ impl Default for MeasureScratch {
 }
 
 impl MeasureScratch {
-    /// Room for rings as large as frames of this size.
+    /// Reserves memory for rings as large as frames of this size.
     pub fn reserve(&mut self, (width, height): (usize, usize)) {
         let words = width.div_ceil(WORD_PX);
         self.patch.reserve(words, height);
@@ -97,7 +96,7 @@ impl MeasureScratch {
     }
 }
 
-/// The ring at a probe. Without kinds any ring passes whose ratio of diameters can be measured.
+/// The ring at a probe. Without kinds, any ring with a measurable ratio of diameters passes.
 pub(crate) fn measure(
     frame: &Frame,
     probe: &Probe,
@@ -130,7 +129,7 @@ fn measure_with<S: Simd>(
             let off = f64::from(own.abs_diff(threshold));
             let limit = if found.1.cut { RETHRESHOLD_SHARE.1 } else { RETHRESHOLD_SHARE.0 };
             if off > limit * (found.0.white - found.0.black) {
-                // If something bridges the rims at the middle, what works is kept.
+                // If the rims are bridged at that threshold, the first result stands.
                 let probe = Probe { threshold: own, ..*probe };
                 load(simd, &mut scratch.patch, frame, &probe);
                 if let Ok(better) = rims(simd, frame, &probe, rules, scratch) {
@@ -168,7 +167,7 @@ pub(crate) fn own_threshold(black: f64, white: f64) -> u8 {
     (0.5 * (black + white)).round().clamp(1.0, 255.0) as u8
 }
 
-/// The probe's window of the frame.
+/// Loads the probe's window of the frame.
 #[inline(always)]
 fn load<S: Simd>(simd: S, patch: &mut Patch, frame: &Frame, probe: &Probe) {
     Patch::load(simd, patch, frame, probe.bounds, (probe.frame_threshold(), probe.polarity));
@@ -203,7 +202,7 @@ fn rims<S: Simd>(
     refine_rims(simd, frame, probe, rules, (patch, &layout), distances)
 }
 
-/// The ring at its expected rims, if it is just there.
+/// The ring at its predicted rims, if it is there.
 #[simd]
 fn followed<S: Simd>(
     simd: S,
@@ -232,7 +231,7 @@ fn followed<S: Simd>(
     None
 }
 
-/// RowBits of the bands, and columns, that a segment and the band round it lie in.
+/// The area that contains a segment and its edge band, in the bands' rows.
 fn area_round(extent: &Extent, bands: &EdgeBands, patch: &Patch) -> Area {
     let (first, end) = (extent.columns.first as usize, extent.columns.end as usize);
     Area {

@@ -1,17 +1,17 @@
-//! Where a ring is looked for, and what it must look like.
+//! Where to measure a ring, and the limits for it.
 
 use crate::{
     marker::{kind::Polarity, ring::pixels::predicted::PredictedRims},
     segment::Window,
 };
 
-/// What a roundel must look like.
+/// Limits for a ring.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Rules {
     /// Smallest and largest ratio of inner to outer diameter.
     pub ratios: (f64, f64),
-    /// Whether disc and ring must have the same shape; where a kind's disc is elliptical, those of plain
-    /// kinds must.
+    /// Whether disc and ring must have the same shape. Not if a kind's disc is elliptical; then
+    /// plain kinds require it.
     pub similar: bool,
     /// Smallest shorter semiaxis of the outer rim, pixels.
     pub min_semi_minor_px: f64,
@@ -21,15 +21,15 @@ pub(crate) struct Rules {
     pub min_contrast: f64,
 }
 
-/// Where to look, and with which threshold.
+/// Where to measure, and at which threshold.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Probe {
     pub center: (usize, usize),
     pub threshold: u8,
     pub bounds: Window,
-    /// Of a white ring all levels, the threshold too, are counted from white.
+    /// For a white ring, all levels are inverted, the threshold too.
     pub polarity: Polarity,
-    /// Where the rims of a ring that is followed ought to be.
+    /// Predicted rims of a tracked ring.
     pub predicted: Option<PredictedRims>,
 }
 

@@ -1,52 +1,51 @@
-//! White between two blacks along a line of pixels, and how even such a chord of a ring is.
+//! Chords of a ring along a line of pixels: black, white, black, and whether they are even.
 //!
 //! Parallel chords of two concentric, similar ellipses have the same middle, so black is as wide before
-//! white as after it, but for perspective, which moves the disc off the ring's middle, and for teeth.
+//! white as after it, except for perspective, which moves the disc off the ring's middle, and for teeth.
 
 use crate::marker::reject::Reject;
 
 /// Perspective moves the disc off the ring's middle by (1 - ratio²)·(R/f)·tan(tilt) of the shorter
-/// semiaxis: for a tilt to 60° and no less than half of the frame's width as focal length f, the
-/// sides of a chord of so many frame widths differ by this share …
+/// semiaxis. For a tilt up to 60° and a focal length f of at least half the frame's width, this is
+/// the difference of the sides per frame width of chord, as a share …
 const PERSPECTIVE_SHARE: f64 = 2.4;
-/// … and never by more.
+/// … and this is its maximum.
 const MAX_SIDE_SHARE: f64 = 0.55;
 /// White's shares of two chords through the centre may differ by this much.
 pub(crate) const RATIO_SLACK: f64 = 0.1;
-/// Pixels by which perspective, blur and thresholds move the two sides of a chord apart.
+/// Difference of the two sides due to blur and thresholds, pixels.
 const SIDE_SLACK_PX: f64 = 1.5;
 
-/// With teeth, ring and tooth (460 of 700) may stand against the ring alone (280 of 700), which off the
-/// centre grows to twice that …
+/// With teeth, ring and tooth (460 of 700) may face the ring alone (280 of 700), which doubles off
+/// the centre …
 const TEETH_SIDE_SHARE: f64 = 0.5;
-/// … and the core (480 of 1400) against the whole disc (840 of 1400).
+/// … and the core (480 of 1400) the whole disc (840 of 1400).
 const TEETH_RATIO_SLACK: f64 = 0.3;
-/// Black that ends before so large a share of the way from the centre is its own is no ring with or
-/// without a tooth (280 of 700 at least) but a tooth whose corner the way has cut.
+/// Black that is a smaller share of its distance from the centre is not the ring, with or without a
+/// tooth (280 of 700 at least), but a clipped corner of a tooth.
 const TEETH_BLACK_SHARE: f64 = 0.3;
 
 /// How even black must be on both sides of white.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Evenness {
-    /// The sides' difference as a share of the wider one.
+    /// Difference of the sides as a share of the wider one.
     pub side_share: f64,
-    /// What each pixel of a chord adds to it, for the perspective of large rings.
+    /// Increase of `side_share` per pixel of the chord, for the perspective of large rings.
     pub share_per_px: f64,
-    /// Least and largest share of white.
+    /// Smallest and largest share of white.
     pub white: (f64, f64),
     /// White's shares of two chords through the centre may differ by this much.
     pub ratio_slack: f64,
-    /// The middle of the ring's chord is that of the roundel; else, that of the disc's.
+    /// The middle of the ring's chord is that of the roundel; otherwise that of the disc's chord.
     pub outer_middle: bool,
-    /// The least share of the way from the centre that is the ring's black.
+    /// Smallest share of black in the distance from the centre.
     pub black_share: f64,
 }
 
 impl Evenness {
-    /// That of plain rings of these ratios of diameters.
+    /// For plain rings with these ratios of diameters.
     pub fn plain((min, max): (f64, f64)) -> Self {
-        // Rows off the centre cross less of the disc, so there is only half of the least share to be
-        // asked for.
+        // Rows off the centre cross less of the disc, hence only half of the smallest ratio.
         Self {
             side_share: 0.25,
             share_per_px: 0.0,
@@ -57,8 +56,8 @@ impl Evenness {
         }
     }
 
-    /// Room for teeth round the disc that leave a core of this share of it: they widen one side or
-    /// the other, and only the ring's rim is where it would be.
+    /// Tolerates teeth around the disc that leave a core of this share of it: they widen either
+    /// side, and only the ring's outer rim is in place.
     pub fn with_teeth(self, core_share: f64) -> Self {
         Self {
             side_share: TEETH_SIDE_SHARE,
@@ -85,16 +84,16 @@ impl Evenness {
     #[inline]
     pub fn allows(&self, left: f64, white: f64, right: f64) -> bool {
         let total = left + white + right;
-        // All at once: a branch for each costs more than it saves.
+        // Without branches, which would cost more than they save.
         ((left - right).abs() <= self.side_share_of(total) * left.max(right) + SIDE_SLACK_PX)
             & (white >= self.white.0 * total)
             & (white <= self.white.1 * total)
     }
 
-    /// Most steps that an even chord goes on, where it has the ring's black and the white beyond it so
-    /// many steps before.
+    /// Largest number of steps of an even chord on the other side, if black begins and ends after
+    /// these numbers of steps on one side.
     #[inline]
-    fn room_after(&self, (black, white): (i32, i32)) -> usize {
+    fn steps_after(&self, (black, white): (i32, i32)) -> usize {
         let side = f64::from(white - black);
         let other = (side + SIDE_SLACK_PX) / (1.0 - self.side_share_of(4.0 * f64::from(white)));
         let disc = self.white.1 / (1.0 - self.white.1) * (side + other);
@@ -108,8 +107,8 @@ impl Evenness {
     }
 }
 
-/// White between two blacks along a line, counted in steps from the place where it was looked for:
-/// the first white pixel and the first past it, and the same of the black round it.
+/// White between two blacks along a line, in steps from the starting point: the first white pixel
+/// and the first past it, and likewise the black around it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Chord {
     pub outer: (i32, i32),
@@ -142,7 +141,7 @@ impl Chord {
     }
 }
 
-/// A frame as black and white.
+/// A frame, thresholded.
 #[derive(Clone, Copy)]
 pub(crate) struct Binary<'a> {
     pub pixels: &'a [u8],
@@ -150,7 +149,7 @@ pub(crate) struct Binary<'a> {
     pub height: usize,
     pub stride: usize,
     pub threshold: u8,
-    /// Bits of a pixel that are turned over: all of them where black and white change roles.
+    /// Mask of the bits of a pixel to invert: all of them for a white ring.
     pub flip: u8,
     /// See [`Evenness::black_share`].
     pub black_share: f64,
@@ -162,7 +161,7 @@ impl Binary<'_> {
         self.pixels[index] ^ self.flip >= self.threshold
     }
 
-    /// The same for places that may lie outside, where nothing is white.
+    /// As `is_white`, for positions that may lie outside, where nothing is white.
     #[inline]
     pub fn is_white_at(&self, (u, v): (f64, f64)) -> bool {
         let (u, v) = (u.round(), v.round());
@@ -170,13 +169,14 @@ impl Binary<'_> {
         inside && self.is_white(v as usize * self.stride + u as usize)
     }
 
-    /// Steps from a white pixel to the first one of the ring's black, and on to the first white one.
+    /// Steps from a white pixel to the first black one of the ring, and to the first white one
+    /// behind it.
     #[inline]
-    fn side(&self, from: usize, step: isize, room: usize) -> Option<(i32, i32)> {
+    fn side(&self, from: usize, step: isize, limit: usize) -> Option<(i32, i32)> {
         let mut at = from;
         let mut steps = 0;
         let mut walk = |white: bool| {
-            while steps < room {
+            while steps < limit {
                 steps += 1;
                 at = at.wrapping_add_signed(step);
                 if self.is_white(at) == white {
@@ -193,8 +193,8 @@ impl Binary<'_> {
         }
     }
 
-    /// The chord through (u, v) in steps of (du, dv), at most `limit` of them on each side; of one that
-    /// is surely uneven, nothing.
+    /// The chord through (u, v) in steps of (du, dv), at most `limit` of them on each side; `None`
+    /// if it is certainly uneven.
     fn chord(
         &self,
         (u, v): (usize, usize),
@@ -206,17 +206,17 @@ impl Binary<'_> {
         if !self.is_white(from) {
             return None;
         }
-        let room = |at: usize, size: usize, d: isize| match d {
+        let to_edge = |at: usize, size: usize, d: isize| match d {
             0 => usize::MAX,
             1 => size - 1 - at,
             _ => at,
         };
-        let rooms = |sign: isize| {
-            limit.min(room(u, self.width, sign * du)).min(room(v, self.height, sign * dv))
+        let limits = |sign: isize| {
+            limit.min(to_edge(u, self.width, sign * du)).min(to_edge(v, self.height, sign * dv))
         };
         let step = dv * self.stride as isize + du;
-        let before = self.side(from, -step, rooms(-1))?;
-        let after = self.side(from, step, rooms(1).min(evenness.room_after(before)))?;
+        let before = self.side(from, -step, limits(-1))?;
+        let after = self.side(from, step, limits(1).min(evenness.steps_after(before)))?;
         Some(Chord { outer: (1 - before.1, after.1), inner: (1 - before.0, after.0) })
     }
 
@@ -250,13 +250,13 @@ mod tests {
         assert_eq!((even.outer, even.inner), ((-3, 5), (0, 2)));
         assert_eq!(even.middle(&evenness), 0);
         assert!(even.is_even(&evenness));
-        // The same along a column, and with the roles changed.
+        // The same along a column, and inverted.
         let column = Binary { flip: 255, threshold: 250, ..binary(&line, 1) };
         assert!(column.chord((0, 4), (0, 1), 10, &evenness).is_none());
         let line: Vec<u8> = line.iter().map(|grey| 255 - grey).collect();
         let column = Binary { flip: 255, ..binary(&line, 1) };
         assert!(column.chord((0, 4), (0, 1), 10, &evenness).unwrap().is_even(&evenness));
-        // A tooth's corner is passed over.
+        // A clipped corner of a tooth is skipped.
         let mut line = [0; 24];
         line[7..16].fill(9);
         [line[0], line[17], line[23]] = [9; 3];

@@ -1,8 +1,8 @@
-//! Pixels that belong to a roundel already found: the paper paints them over (section 3.6), which
+//! Pixels that belong to a roundel already found. The paper paints them over (section 3.6), which
 //! would change the caller's image.
 //!
-//! Claims are kept twice: as ellipses, and as one bit for each pixel of each pair of rows that is
-//! searched, so that a hit costs one look and not one for each roundel of the frame.
+//! Claims are kept as ellipses, and as one bit per pixel of each searched pair of rows, so that a hit costs one lookup
+//! instead of one test per roundel of the frame.
 
 use crate::{
     ellipse::{Chords, Ellipse},
@@ -10,7 +10,7 @@ use crate::{
     segment::Window,
 };
 
-/// One roundel's pixels.
+/// The pixels of one roundel.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Claim {
     outer: Ellipse,
@@ -22,12 +22,12 @@ impl Claim {
         Self::with_box(ring, ring.outer.half_box_px())
     }
 
-    /// Of a ring, half the sides of whose box are known.
+    /// With half the sides of the ring's bounding box.
     pub fn with_box(ring: &Ring, half_box_px: (f64, f64)) -> Self {
         Self { outer: ring.outer, half_box_px }
     }
 
-    /// Whether the ring's centre lies in it.
+    /// Whether the ring's centre lies in the claim.
     pub fn covers(&self, ring: &Ring) -> bool {
         let (from, to) = (self.outer.center, ring.outer.center);
         let near = (to.u - from.u).abs() <= self.half_box_px.0
@@ -45,7 +45,7 @@ pub(crate) struct ClaimedPixels {
 }
 
 impl ClaimedPixels {
-    /// Those of a new window; none at first.
+    /// Begins a window without claims.
     pub fn clear(&mut self, window: Window) {
         self.words = window.width().div_ceil(64);
         self.bits.clear();
@@ -77,7 +77,7 @@ impl ClaimedPixels {
         }
     }
 
-    /// Whether a pixel of the window, of a row in which a pair begins, is claimed.
+    /// Whether a pixel is claimed; `v` is the first row of a pair in the window.
     pub fn contains(&self, u: usize, v: usize) -> bool {
         let Some(window) = self.window else { return false };
         let (u, pair) = (u - window.left, (v - window.top) / ROW_STEP);
@@ -113,7 +113,7 @@ mod tests {
             claimed.add(&claim);
             for v in (top..100).step_by(ROW_STEP) {
                 for u in left..200 {
-                    // Rounding may go either way on the rim itself.
+                    // Either result is right on the rim itself.
                     let at = PixelPoint { u: u as f64, v: v as f64 };
                     if outer.grown(1e-6).contains(at) == outer.grown(-1e-6).contains(at) {
                         prop_assert_eq!(claimed.contains(u, v), outer.contains(at));

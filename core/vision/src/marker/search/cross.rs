@@ -1,4 +1,4 @@
-//! The search's second step: chords through a hit, along the column, the row and both diagonals.
+//! Second step of the search: chords through a hit, along the column, the row and both diagonals.
 //!
 //! The middle of the column's chord and then that of the row through it are near the roundel's
 //! centre. Through the centre, white has the same share of every chord, and the half chords r of an
@@ -6,9 +6,8 @@
 //!
 //!   1/r₀² + 1/r₉₀² = 1/r₄₅² + 1/r₁₃₅²
 //!
-//! (both sides are the trace of the ellipse's matrix), which tells squares and letters from rings.
-//! These four chords also say where the whole ring must be: points all the way round it are looked
-//! up before anything is filled.
+//! (both sides are the trace of the ellipse's matrix), which excludes squares and letters.
+//! These four chords also determine the whole ring: points all around it are sampled before any segment is filled.
 
 use crate::{
     frame::Frame,
@@ -22,32 +21,32 @@ use crate::{
     },
 };
 
-/// The ring's middle may be off the disc's by this share of the ring's radius there …
+/// Distance of the ring's middle from the disc's as a share of the ring's radius …
 const CENTER_SHARE: f64 = 0.3;
-/// … and by so many pixels.
+/// … and in pixels; one of the limits must hold.
 const CENTER_PX: f64 = 1.5;
-/// White's shares of two chords through the centre may differ by [`Evenness::ratio_slack`] and a pixel
-/// and a half of the shorter half chord.
+/// White's shares of two chords through the centre may differ by [`Evenness::ratio_slack`] and this
+/// many pixels of the shorter half chord.
 const RATIO_SLACK_PX: f64 = 1.5;
 /// The half chords' traces may differ by this share …
 const TRACE_SHARE: f64 = 0.12;
-/// … and by what an error of so many pixels in each half chord makes.
+/// … plus the effect of this error in each half chord, pixels.
 const TRACE_PX: f64 = 0.6;
-/// Axes are known to so many pixels from the chords.
+/// Uncertainty of semiaxes derived from the chords, pixels.
 const AXIS_PX: f64 = 1.0;
-/// Rings whose black is at least so wide are looked up all the way round, pixels.
+/// Rings with black at least this wide are sampled all around, pixels.
 const ROUND_PX: f64 = 4.0;
-/// So far beyond the ring lies its margin, as a share of the radius and at least in pixels.
+/// Distance of the sampled margin from the ring: a share of the radius, and at least in pixels.
 const MARGIN: (f64, f64) = (0.06, 1.5);
-/// Of the eight points in the ring, in the disc and in the margin, one each may be wrong.
+/// How many of the eight points may be wrong, in the ring and in the margin each.
 const WRONG_POINTS: usize = 1;
 
-/// A place to fill from.
+/// A place from which to fill segments.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Candidate {
     /// A pixel of the disc near its centre.
     pub center: (usize, usize),
-    /// The ring's centre, off the disc's where perspective moves it.
+    /// The ring's centre; perspective moves it off the disc's.
     pub ring_center: (f64, f64),
     /// Half the sides of the ring's box, along u and v.
     pub half_box_px: (f64, f64),
@@ -55,7 +54,7 @@ pub(crate) struct Candidate {
     pub threshold: u8,
 }
 
-/// What the chords must look like.
+/// Limits for the chords.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct CrossRules {
     pub evenness: Evenness,
@@ -63,12 +62,12 @@ pub(crate) struct CrossRules {
     pub min_axis_ratio: f64,
     /// Smallest shorter semiaxis of the ring, pixels.
     pub min_semi_minor_px: f64,
-    /// Where the ring is surely black, as a share of its radius; `None`: midway to the disc.
+    /// Where the ring is certainly black, as a share of its radius; `None`: midway between disc and
+    /// rim.
     pub black_at: Option<f64>,
 }
 
-/// Looks along column, row and diagonals through a hit in row `v`, whose `u` counts from the
-/// frame's side.
+/// Tests the chords through a hit in row `v`; its `u` counts from the frame's left.
 pub(crate) fn cross(
     frame: &Frame,
     (hit, v): (&Hit, usize),
@@ -120,7 +119,7 @@ struct Halves {
     diagonals: [f64; 2],
 }
 
-/// A coarse ellipse: a u² + 2 b u v + c v² = 1.
+/// An approximate ellipse: a u² + 2 b u v + c v² = 1.
 struct Coarse {
     a: f64,
     b: f64,
@@ -167,7 +166,7 @@ impl Coarse {
         (self.a * u * u + 2.0 * self.b * u * v + self.c * v * v).sqrt()
     }
 
-    /// The ellipse's centre x, from the place where its diagonal chords meet: the middle of a chord
+    /// The ellipse's centre x, from the intersection of its diagonal chords: the middle of a chord
     /// along d is t = dᵀ M x / dᵀ M d steps away, for d = (1, 1) and (1, -1).
     fn center(&self, [falling, rising]: [f64; 2]) -> (f64, f64) {
         let Self { a, b, c } = self;
@@ -178,8 +177,8 @@ impl Coarse {
         (u, v)
     }
 
-    /// Whether ring and margin are there between the directions of the four chords: black between
-    /// the rims about the disc's centre, white beyond the ring about its own.
+    /// Tests ring and margin between the directions of the four chords: black between the rims
+    /// about the disc's centre, white beyond the ring about its own.
     fn check_round(
         &self,
         binary: &Binary,
@@ -218,7 +217,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn four_chords_give_the_ellipse_and_refuse_a_square() {
+    fn four_chords_give_the_ellipse_and_reject_a_square() {
         let rules = CrossRules {
             evenness: Evenness::plain((0.2, 0.8)),
             min_axis_ratio: 0.25,

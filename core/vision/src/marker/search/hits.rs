@@ -1,13 +1,12 @@
-//! The search's first step: places that look like a roundel's disc, from the edges of single rows.
+//! First step of the search: possible discs of roundels, from the edges of single rows.
 //!
-//! Between a fall of the light and the next rise lies something black. Two of them that follow each
-//! other, with white between, may be the two sides of a ring with its disc: parallel chords of two
-//! concentric, similar ellipses have the same middle, so where a row crosses the disc, the black is
-//! equally wide on both sides of the white. The grey levels that lie there give the threshold that
-//! this place needs (paper, section 3.2, eq. (3)), whatever the light is elsewhere.
+//! Between a fall of the light and the next rise lies something black. Two such runs in succession, with white between,
+//! may be the two sides of a ring with its disc: parallel chords of two concentric, similar ellipses have the same
+//! middle, so in a row that crosses the disc, black is equally wide on both sides of white. The grey levels there give
+//! the local threshold (paper, section 3.2, eq. (3)), whatever the lighting elsewhere.
 //!
-//! A row of edges costs a few instructions for each 64 pixels ([`crate::marker::search::row_edges`]), and a few
-//! for each edge; grey levels are looked at only where the widths agree.
+//! A row costs a few instructions per 64 pixels ([`crate::marker::search::row_edges`]) and a few per edge; grey levels are
+//! read only where the widths agree.
 
 use crate::{
     marker::{
@@ -17,38 +16,38 @@ use crate::{
     scratch::reserve_total,
 };
 
-/// Least steps of the edges that are looked at together, in least steps of all. Waves are up to a fifth
-/// of the contrast and edges at least half of it, so one of these lies between them.
+/// Minimum steps of the edges considered together, as multiples of the smallest. Waves reach a
+/// fifth of the contrast and edges at least half of it, so one of these lies between them.
 const MIN_STEPS: [f64; 3] = [6.25, 2.5, 0.0];
-/// A margin's contrast to the ring is at least that of the disc over this.
+/// A margin's contrast to the ring is at least that of the disc divided by this.
 const TEXTURE: u16 = 4;
-/// The margin's level is looked for so far beyond the ring's edge, half pixels.
+/// The margin's level is taken within this distance of the ring's edge, half pixels.
 const MARGIN_HALF_PX: i32 = 8;
 
-/// A place on a row that may be a roundel's disc.
+/// A place in a row that may be a roundel's disc.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Hit {
     /// Middle of the disc's chord, pixels from the row's start.
     pub u: usize,
     /// Half the chord of the ring, pixels.
     pub half_px: f64,
-    /// The highest level of the disc, or of the darker side of the margin if that is below it.
+    /// The highest level of the disc, or of the darker side of the margin if that is lower.
     pub white: u8,
     /// The level of the brighter side of the ring.
     pub black: u8,
 }
 
-/// What a hit must look like.
+/// Limits for hits.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct HitRules {
     pub evenness: Evenness,
-    /// Least chord of the ring, pixels.
+    /// Smallest chord of the ring, pixels.
     pub min_px: f64,
     /// Chords of the ring that are left to other rows, from and to, pixels.
     pub left_out_px: (f64, f64),
-    /// Least difference of white and black.
+    /// Smallest difference of white and black.
     pub contrast: u8,
-    /// Least step of the edges.
+    /// Smallest step of an edge.
     pub step: u8,
 }
 
@@ -81,7 +80,7 @@ pub(crate) struct HitScratch {
 }
 
 impl HitScratch {
-    /// Room for a row of so many pixels with an edge at each, half of them falls.
+    /// Reserves memory for a row with an edge at each of `width` pixels, half of them falls.
     pub fn reserve(&mut self, width: usize) {
         reserve_total(&mut self.edges, width);
         reserve_total(&mut self.strong, width);
@@ -92,12 +91,11 @@ impl HitScratch {
     }
 }
 
-/// All hits of a row, those of strong edges first. Of white rings, rises and
-/// falls change their roles and levels are counted from white.
+/// All hits of a row, those of strong edges first. For white rings, rises and falls change roles,
+/// and levels are inverted.
 ///
-/// The waves that a camera's sharpening leaves beside an edge, and texture, part a ring's sides where
-/// weak edges count; where only strong ones do, a ring in the shadow has none. So the row is looked
-/// at with several least steps.
+/// Weak edges include the waves of a camera's sharpening and texture, which split a ring's sides;
+/// strong edges alone miss a ring in shadow. So the row is evaluated with several minimum steps.
 pub(crate) fn find_hits(
     row: &RowEdges,
     rules: &HitRules,
@@ -111,7 +109,7 @@ pub(crate) fn find_hits(
     for times in MIN_STEPS {
         let min = (f64::from(rules.step) * times) as i32;
         compress(edges.iter().map(|edge| (*edge, edge.step.abs() >= min)), strong);
-        // Of several falls the last one counts, of several rises the first.
+        // The last of several falls counts, and the first of several rises.
         let pairs = strong.windows(2).map(|pair| {
             let black = DarkRun { fall: pair[0].at, rise: pair[1].at };
             (black, (pair[0].step < 0) & (pair[1].step > 0))
@@ -122,7 +120,7 @@ pub(crate) fn find_hits(
             (ring, is_even(&ring, rules))
         });
         compress(pairs, rings);
-        // Both are in the order of their places, and what strong edges make, weaker ones make again.
+        // Both are sorted by position; weaker edges reproduce what strong edges have found.
         let mut known = stronger.iter().peekable();
         for ring in &*rings {
             while known.next_if(|known| known[1].rise < ring[1].rise).is_some() {}
@@ -134,7 +132,7 @@ pub(crate) fn find_hits(
     }
 }
 
-/// All edges of a row. Neighbouring bits are one edge; it lies in their middle.
+/// All edges of a row. Adjacent bits are one edge, at their middle.
 fn collect_edges(row: &RowEdges, polarity: Polarity, edges: &mut Vec<Edge>) {
     edges.clear();
     let line = row.line();
@@ -146,7 +144,7 @@ fn collect_edges(row: &RowEdges, polarity: Polarity, edges: &mut Vec<Edge>) {
         while starts != 0 {
             let bit = starts.trailing_zeros();
             starts &= starts - 1;
-            // A pixel cannot do both, so only one of them is a run from here on.
+            // A pixel cannot do both, so only one of them has a run starting here.
             let run = (down >> bit).trailing_ones() + (up >> bit).trailing_ones();
             let at = (128 * word + 2 * bit + run - 1) as i32;
             let middle = (at / 2) as usize;
@@ -157,7 +155,7 @@ fn collect_edges(row: &RowEdges, polarity: Polarity, edges: &mut Vec<Edge>) {
     }
 }
 
-/// The items that are wanted, without a branch for each: which ones are cannot be foretold.
+/// Keeps the wanted items without a branch per item, which would be unpredictable.
 fn compress<T: Copy + Default>(items: impl ExactSizeIterator<Item = (T, bool)>, kept: &mut Vec<T>) {
     if kept.len() < items.len() {
         kept.resize(items.len(), T::default());
@@ -195,8 +193,8 @@ fn hit(
     if disc < black.saturating_add(rules.contrast) {
         return None;
     }
-    // Where the margin is narrow, blur makes it darker than the disc. What is hardly brighter than
-    // the ring is texture in it, and no margin.
+    // Blur darkens a narrow margin below the disc. What is hardly brighter than the ring is texture
+    // in it, not a margin.
     let reach = MARGIN_HALF_PX;
     let margin = levels(left.fall - reach, left.fall)
         .max()?
@@ -236,7 +234,7 @@ mod tests {
         scratch.hits
     }
 
-    /// Stretches of a row as (pixels, level).
+    /// A row made of (pixels, level).
     fn row(stretches: &[(usize, u8)]) -> Vec<u8> {
         stretches.iter().flat_map(|&(width, level)| vec![level; width]).collect()
     }
@@ -257,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn waves_beside_strong_edges_part_nothing() {
+    fn waves_beside_strong_edges_do_not_split_a_ring() {
         let line = row(&[
             (9, 150),
             (3, 0),
@@ -275,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn a_side_in_the_shadow_counts_as_much() {
+    fn a_ring_half_in_shadow_is_found() {
         for mirrored in [false, true] {
             let mut line = row(&[(9, 60), (6, 15), (5, 60), (5, 250), (6, 20), (9, 240)]);
             if mirrored {

@@ -1,11 +1,19 @@
-//! The search of a window: edges of its rows, hits among them, chords through each hit, and what
-//! passes is measured.
+//! Search of a window for candidates: edges of its rows, hits among them, chords through each hit.
 //!
-//! Each step costs more than the one before and leaves fewer: of the 2.8 million pixels of a cluttered
-//! photograph some ten thousand hits, of these some hundred candidates. `benches/search.rs` times it.
+//! | step | module |
+//! | --- | --- |
+//! | falls and rises of the light along a row | `row_edges` |
+//! | black, white, black of matching widths | `hits` |
+//! | four chords through the centre | `cross`, `chord` |
+//! | thresholds to try | `threshold` |
+//! | pixels of roundels already found | `claim` |
 //!
-//! A ring is crossed by the more rows the larger it is, and each of its hits costs the more. Every second
-//! pair of rows therefore leaves out what is crossed by enough others, however flat it lies.
+//! Each step costs more than the one before and passes fewer: of the 2.8 million pixels of a cluttered
+//! photograph some ten thousand hits, of these some hundred candidates, which [`crate::marker::Detector`] measures.
+//! `benches/search.rs` times it.
+//!
+//! The larger a ring, the more rows cross it and the more each of its hits costs. Every second pair of rows therefore
+//! skips rings that enough other rows cross, at any tilt.
 
 pub(crate) mod chord;
 pub(crate) mod claim;
@@ -26,22 +34,23 @@ use crate::marker::{
     },
 };
 
-/// An edge's least step between the pixels before and after it, as a share of the least contrast.
+/// Smallest step of an edge between the pixels before and after it, as a share of the smallest
+/// contrast.
 const STEP_SHARE: f64 = 0.6;
-/// Shortest chord of a ring that a row through its disc's middle half crosses, in shorter semiaxes.
+/// Shortest chord of a ring in a row through the middle half of its disc, in shorter semiaxes.
 const MIN_CHORD: f64 = 1.6;
-/// Every second pair of rows leaves out chords so long that at least so many others cross the disc of
-/// the flattest ring that has them: there are many, and each costs as much as it is long …
+/// Every second pair of rows skips chords so long that at least this many other pairs cross the
+/// disc of the flattest ring with such a chord …
 const MIN_PAIRS: f64 = 2.0;
-/// … but not those in which perspective makes the two sides differ by more than this share: of rings so
-/// large, only some rows show an even chord.
+/// … except those so long that perspective lets the two sides differ by more than this share: only
+/// some rows of such large rings have an even chord.
 const MAX_SIDE_SHARE: f64 = 0.25;
 /// A coded roundel's white core, as a share of the disc between the teeth.
 const CORE_SHARE: f64 = 240.0 / 420.0;
-/// A coded roundel's ring is black at this share of its radius, whatever the code.
+/// A coded roundel's ring is black at this share of its radius, for any code.
 const CODED_BLACK: f64 = 0.8;
 
-/// What the search looks for.
+/// Limits of the search.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SearchRules {
     pub hit: HitRules,
@@ -58,7 +67,8 @@ pub(crate) struct SearchScratch {
 }
 
 impl SearchScratch {
-    /// Room for rows of frames of this width. The rest has it from the first search of a whole frame on.
+    /// Reserves memory for rows of this width. The rest grows with the first search of a whole
+    /// frame.
     pub fn reserve(&mut self, width: usize) {
         self.hits.reserve(width);
     }
@@ -75,8 +85,8 @@ impl SearchRules {
             black_at = Some(CODED_BLACK);
         }
         for (min, max) in kinds.iter().map(Kind::ratios).filter(|(min, max)| min < max) {
-            // A chord along the disc's longer axis, another along the shorter one; the ring's black is
-            // beyond both.
+            // One chord along the disc's longer axis, another along the shorter one; the ring's
+            // black is beyond both.
             evenness.ratio_slack = evenness.ratio_slack.max(RATIO_SLACK + max - min);
             black_at = Some(black_at.unwrap_or(0.0).max(0.5 * (1.0 + max)));
         }
@@ -105,8 +115,8 @@ impl SearchRules {
         self
     }
 
-    /// What a hit of row `v` must look like. The disc of a ring with a chord of c pixels is at least
-    /// k·q·c high, with k the least ratio of diameters and q that of axes.
+    /// Limits for hits of row `v`. The disc of a ring with a chord of c pixels is at least k·q·c
+    /// high, with k the smallest ratio of diameters and q that of axes.
     pub fn hit_in(&self, v: usize) -> HitRules {
         if (v / ROW_STEP).is_multiple_of(2) {
             return self.hit;

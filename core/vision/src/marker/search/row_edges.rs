@@ -1,12 +1,12 @@
-//! Where the light falls and rises along a row: two bits a pixel, by SIMD.
+//! Falls and rises of the light along a row: two bits per pixel, by SIMD.
 //!
-//! Bit u of `falls` says that pixel u + 1 is darker than pixel u - 1 by at least a step, bit u of
-//! `rises` that it is brighter. A difference needs no threshold of brightness, so a shadow or a
-//! gradient of the light changes nothing, and a disc that blur leaves at half its contrast still
-//! rises from its ring: of a 10 px ring with a disc of 3 px, blurred by 1.1 px, by a quarter of the
+//! Bit u of `falls` is set if pixel u + 1 is darker than pixel u - 1 by at least a step, bit u of
+//! `rises` if it is brighter. A difference needs no brightness threshold, so shadows and lighting
+//! gradients have no effect, and a disc that blur leaves at half its contrast still
+//! rises from its ring: for a 10 px ring with a disc of 3 px, blurred by 1.1 px, by a quarter of the
 //! contrast over two pixels.
 //!
-//! Rows are read in pairs, as their mean: less noise, and half the work.
+//! Rows are averaged in pairs: less noise, and half the work.
 
 use fearless_simd::{Level, dispatch, prelude::*, u8x64};
 use fearless_simd_macros::simd;
@@ -19,7 +19,7 @@ pub(crate) const ROW_STEP: usize = 2;
 /// One pair of rows.
 #[derive(Debug, Default)]
 pub(crate) struct RowEdges {
-    /// The mean of the rows, with a pixel before the first one and some after the last.
+    /// The mean of the rows, with one pixel of padding before and some after.
     line: Vec<u8>,
     width: usize,
     /// A bit a pixel: the light falls there.
@@ -36,7 +36,7 @@ impl RowEdges {
         let lower = &frame.row((v + 1).min(frame.height() - 1))[columns];
         self.width = upper.len();
         let words = self.width.div_ceil(64);
-        // Only grown: what lies behind the newest row is never looked at.
+        // Never shrinks: bytes behind the newest row are not read.
         if self.line.len() < words * 64 + 2 {
             self.line.resize(words * 64 + 2, 0);
         }
@@ -65,7 +65,7 @@ fn edges<S: Simd>(
     for ((mean, &a), &b) in line[1..].iter_mut().zip(upper).zip(lower) {
         *mean = (u16::from(a) + u16::from(b)).div_ceil(2) as u8;
     }
-    // Beyond the row it goes on as it ends, so that its ends are no edges.
+    // The row is extended by its end pixels, so that its ends are not edges.
     line[0] = line[1];
     let last = line[width];
     line[width + 1..].fill(last);
@@ -95,7 +95,7 @@ mod tests {
             let left = left.min(width - 1);
             let window = Window { left, ..Window::of(&frame) };
             let mut edges = RowEdges::default();
-            // A longer row first, so that what it leaves behind would show.
+            // A longer row first, so that stale bytes would show.
             for level in [Level::new(), Level::baseline()] {
                 for v in [0, 2] {
                     edges.read(level, &frame, v, &window, step);

@@ -1,11 +1,11 @@
-//! Thresholds to try, by binary search (paper, section 3.2).
+//! Thresholds by binary search (paper, section 3.2).
 //!
-//! The paper sets the threshold to 1/2, 1/4, 3/4, 1/8, 3/8, 5/8 … of the whole range of grey, one
-//! step with each failed search of the frame. Here the search reads the local black and white where
-//! a candidate stands, so the sequence runs over that range: its first value is the middle, eq. (3),
-//! and the further ones find a roundel whose disc or margin is bridged at the middle.
+//! The paper sets the threshold to 1/2, 1/4, 3/4, 1/8, 3/8, 5/8 … of the whole grey range, one
+//! step per failed search of the frame. Here the search knows the local black and white of a candidate, so the sequence
+//! runs over that range: its first value is the middle, eq. (3), and the further ones find a roundel whose disc or margin
+//! is bridged at the middle.
 
-/// The sequence 1/2, 1/4, 3/4, 1/8 … of `low..high`, each threshold once, ending when the steps are
+/// The sequence 1/2, 1/4, 3/4, 1/8 … of `low..high`, each threshold once, until the steps are
 /// 2⁻ᵈᵉᵖᵗʰ of the range or below one grey level.
 #[derive(Clone, Debug)]
 pub struct BinarySearch {
@@ -47,13 +47,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_papers_sequence() {
+    fn thresholds_follow_the_sequence_of_the_paper() {
         let found: Vec<u8> = BinarySearch::new(0, 240, 3).collect();
         assert_eq!(found, [120, 60, 180, 30, 90, 150, 210]);
     }
 
     #[test]
-    fn every_threshold_parts_the_range_and_comes_once() {
+    fn thresholds_are_distinct_and_inside_the_range() {
         for (low, high) in [(0, 255), (30, 70), (10, 13), (7, 7), (9, 3), (254, 255)] {
             let mut found: Vec<u8> = BinarySearch::new(low, high, 8).collect();
             assert!(found.iter().all(|&t| t > low && t <= high), "{low} {high} {found:?}");

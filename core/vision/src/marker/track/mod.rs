@@ -1,12 +1,11 @@
-//! Roundels followed from frame to frame of one camera.
+//! Tracking of roundels from frame to frame of one camera.
 //!
-//! A track starts each frame where its last motion leads (constant velocity in the image): there
-//! lies the disc, beside it the ring, and only their pixels are touched (paper, section 3). If the
-//! ring is not there, a window round the prediction is searched. A roundel that stays away keeps its
-//! number for a few frames, its window growing. New roundels are searched for in a part of the frame
-//! each time, so that those followed are never delayed.
+//! In each frame, a track is measured at its prediction (constant velocity in the image), where only the pixels of disc
+//! and ring are read (paper, section 3). If the ring is not there, a window around the prediction is searched. A missing
+//! roundel keeps its number for a few frames, while its window grows. New roundels are searched for in a part of the
+//! frame each time, so that tracked ones are never delayed.
 //!
-//! A ring belongs to one track: what one has taken, no other can.
+//! A ring belongs to one track: rings taken by a track are claimed.
 
 mod occupied;
 
@@ -18,7 +17,7 @@ use crate::{
         Ring, TrackedRing,
         batch::BATCH_SIZE,
         code::Vote,
-        detector::{Detector, MAX_ROOM, Scratch},
+        detector::{Detector, RESERVED_RINGS, Scratch},
         kind::Polarity,
         reject::{Reject, RejectCounts, Rejected},
         ring::{pixels::predicted::PredictedRims, probe::Probe},
@@ -28,23 +27,23 @@ use crate::{
     segment::Window,
 };
 
-/// A track's ring may change its radius by this share a frame …
+/// Largest change of a track's radius per frame, as a share …
 const GATE_RADIUS_SHARE: f64 = 0.25;
-/// … and this many pixels on top.
+/// … plus pixels.
 const GATE_RADIUS_PX: f64 = 1.0;
-/// How far from its prediction a ring may be: this share of its radius, and pixels on top. Faster
-/// roundels are lost, and found again as new ones.
+/// Largest distance of a ring from its prediction: a share of its radius. Faster roundels are lost,
+/// and found again as new ones.
 const GATE_SHARE: f64 = 1.0;
-/// See [`GATE_SHARE`].
+/// Added to [`GATE_SHARE`], pixels.
 const GATE_PX: f64 = 6.0;
-/// The window looked at first: this share of the ring's box, and pixels on top.
+/// Size of the window measured first, as a multiple of the ring's bounding box.
 const NEAR_SHARE: f64 = 1.3;
-/// See [`NEAR_SHARE`].
+/// Added to [`NEAR_SHARE`], pixels.
 const NEAR_PX: f64 = 5.0;
-/// Share of a frame's measured motion in the velocity; the rest is the velocity known.
+/// Weight of a frame's measured motion in the velocity.
 const VELOCITY_GAIN: f64 = 0.7;
 
-/// Follows all roundels of one camera.
+/// Tracks all roundels of one camera.
 #[derive(Debug)]
 pub struct Tracker {
     detector: Detector,
@@ -64,11 +63,11 @@ struct Track {
     number: TrackNumber,
     ring: Ring,
     rims: PredictedRims,
-    /// Motion of the centre, pixels a frame.
+    /// Motion of the centre, pixels per frame.
     velocity: (f64, f64),
-    /// Frames since it was seen last; 0 if it is seen in the newest.
+    /// Frames since the last measurement; 0 if measured in the newest frame.
     missed: u32,
-    /// Frames in which it was seen.
+    /// Number of frames with a measurement.
     seen: u32,
     vote: Vote,
 }
@@ -86,7 +85,7 @@ impl Track {
         TrackedRing { track: self.number, ring: self.ring, code: self.vote.code() }
     }
 
-    /// Where the centre is expected in the frame after `missed` ones without it.
+    /// Predicted centre, `missed` frames after the last measurement.
     fn predicted(&self) -> PixelPoint {
         let frames = f64::from(self.missed);
         let PixelPoint { u, v } = self.ring.outer.center;
@@ -98,7 +97,7 @@ impl Track {
         grown * (GATE_PX + GATE_SHARE * self.ring.outer.semi_major_px)
     }
 
-    /// Distance of a ring from the prediction, pixels; `None` if it cannot be this track's.
+    /// Distance of a ring from the prediction, pixels; `None` if it is outside the track's gate.
     fn distance_px(&self, ring: &Ring) -> Option<f64> {
         let at = self.predicted();
         let (du, dv) = (ring.outer.center.u - at.u, ring.outer.center.v - at.v);
@@ -127,14 +126,14 @@ impl Track {
 }
 
 impl Tracker {
-    /// A tracker with no tracks yet; its first frame is searched wholly.
+    /// A tracker without tracks; it searches its first frame completely.
     pub fn new(detector: Detector) -> Self {
-        let room = detector.params().max_roundels.min(MAX_ROOM);
+        let capacity = detector.params().max_roundels.min(RESERVED_RINGS);
         Self {
             detector,
             scratch: Scratch::default(),
-            tracks: Vec::with_capacity(room),
-            output: Vec::with_capacity(room),
+            tracks: Vec::with_capacity(capacity),
+            output: Vec::with_capacity(capacity),
             next_number: 1,
             size: (0, 0),
             next_row: 0,
@@ -148,38 +147,38 @@ impl Tracker {
         &self.detector
     }
 
-    /// Candidates of the newest frame that died, by stage.
+    /// Rejected candidates of the newest frame, by stage.
     pub fn rejects(&self) -> &RejectCounts {
         self.scratch.rejects()
     }
 
-    /// Whether candidates that die are kept with their places; off at first.
+    /// Enables keeping rejected candidates with their positions; off by default.
     pub fn explain(&mut self, on: bool) {
         self.scratch.explain(on);
     }
 
-    /// Candidates of the newest frame that died, if they are kept.
+    /// Rejected candidates of the newest frame, if they are kept.
     pub fn rejected(&self) -> &[Rejected] {
         self.scratch.rejected()
     }
 
-    /// Forgets all tracks, as after a gap in the frames. Numbers go on.
+    /// Drops all tracks, as after a gap in the frames. Numbering continues.
     pub fn reset(&mut self) {
         self.tracks.clear();
         self.output.clear();
         self.next_row = 0;
     }
 
-    /// The roundels of the next frame, by the number of their track. A frame of another size than
-    /// the one before starts afresh.
+    /// The roundels of the next frame, with their track numbers. A frame of another size resets the
+    /// tracker.
     pub fn process(&mut self, frame: &Frame) -> &[TrackedRing] {
         self.follow_tracks(frame);
         self.search_part(frame);
         self.update_output()
     }
 
-    /// The same without a search for new roundels, unless none is followed: for those to whom each fraction of a
-    /// millisecond counts. [`Tracker::seek`] is to have the same frame then.
+    /// As [`Tracker::process`] without the search for new roundels, unless none is tracked, for
+    /// callers that need the lowest latency. Pass the same frame to [`Tracker::seek`] afterwards.
     pub fn follow(&mut self, frame: &Frame) -> &[TrackedRing] {
         self.follow_tracks(frame);
         self.has_searched = self.tracks.iter().all(|track| track.missed > 0);
@@ -189,8 +188,8 @@ impl Tracker {
         self.update_output()
     }
 
-    /// Searches the next part of a frame that was followed for new roundels; the frame after it is the first that
-    /// shows them. [`Tracker::rejects`] are those of this search then.
+    /// Searches the next part of a frame passed to [`Tracker::follow`] for new roundels, which
+    /// appear from the next frame on. [`Tracker::rejects`] then counts this search only.
     pub fn seek(&mut self, frame: &Frame) {
         self.scratch.rejects.clear();
         if !std::mem::take(&mut self.has_searched) {
@@ -214,7 +213,7 @@ impl Tracker {
         self.search_missing(frame);
     }
 
-    /// Gives up those that are missing for too long; the others that are seen.
+    /// Drops tracks that have been missing for too long, and collects the measured ones.
     fn update_output(&mut self) -> &[TrackedRing] {
         let coast = self.detector.params().coast_frames;
         self.tracks.retain(|track| track.missed <= coast);
@@ -272,7 +271,7 @@ impl Tracker {
         }
     }
 
-    /// Searches the neighbourhood of the predictions at which there was no ring.
+    /// Searches around the predictions without a ring.
     fn search_missing(&mut self, frame: &Frame) {
         for index in 0..self.tracks.len() {
             let track = &self.tracks[index];
@@ -282,7 +281,7 @@ impl Tracker {
             let at = track.predicted();
             let half_u = track.ring.outer.half_box_px().0;
             let gate = track.gate_px();
-            // RowBits are needed where the disc can be, columns where the ring can.
+            // Rows where the disc can be, columns where the ring can be.
             let half = (gate + half_u + 4.0, gate + 1.0);
             let window = Window::around(frame, (at.u, at.v), half);
             self.assign_found(|detector, scratch| {
@@ -291,7 +290,7 @@ impl Tracker {
         }
     }
 
-    /// Searches the next part of the frame for new roundels; all of it while none is followed.
+    /// Searches the next part of the frame for new roundels; all of it while none is tracked.
     fn search_part(&mut self, frame: &Frame) {
         let seen = self.tracks.iter().filter(|track| track.missed == 0).count();
         if seen >= self.detector.params().max_roundels {
@@ -311,8 +310,8 @@ impl Tracker {
         });
     }
 
-    /// Gives each ring that `search` finds to the nearest missing track whose gate it passes, or to
-    /// a new one, for which the track that has been missing longest gives way where there is no more room.
+    /// Assigns each ring found to the closest missing track whose gate it passes, or to a new
+    /// track, which replaces the longest missing one if the limit is reached.
     fn assign_found(&mut self, search: impl FnOnce(&Detector, &mut Scratch)) {
         self.scratch.found.clear();
         search(&self.detector, &mut self.scratch);
@@ -332,15 +331,15 @@ impl Tracker {
     }
 }
 
-/// Takes out the track that has been missing longest; whether there was one.
+/// Removes the track that has been missing longest; false if none is missing.
 fn remove_longest_missing(tracks: &mut Vec<Track>) -> bool {
     let missing = tracks.iter().enumerate().filter(|(_, track)| track.missed > 0);
     let longest = missing.max_by_key(|(_, track)| track.missed).map(|(place, _)| place);
     longest.map(|place| tracks.remove(place)).is_some()
 }
 
-/// Where to look for a track: within half a radius or so, since most move less from where they are
-/// expected. The few others are searched for. `None` beyond the frame's edge.
+/// The probe of a track: within about half a radius of its prediction, which most do not leave; the
+/// others are searched for. `None` outside the frame.
 fn probe_for(frame: &Frame, track: &Track) -> Option<Probe> {
     let at = track.predicted();
     let (half_u, half_v) = track.rims.outer.half_box_px();

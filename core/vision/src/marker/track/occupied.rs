@@ -1,22 +1,22 @@
-//! Where in a frame there are rings already, coarsely.
+//! Coarse grid of the rings of a frame.
 
 use crate::{camera::PixelPoint, frame::Frame};
 
 /// Side of a cell, pixels.
 const CELL_PX: f64 = 16.0;
 
-/// Cells of the frame that claims reach into, so that a ring is compared with its neighbours and not
-/// with all rings of the frame.
+/// Cells that claims overlap, so that a ring is compared with its neighbours instead of all rings
+/// of the frame.
 #[derive(Debug, Default)]
 pub(super) struct OccupancyGrid {
-    /// The number of the frame in which a claim reached into the cell last.
+    /// Number of the newest frame in which a claim overlapped the cell.
     cells: Vec<u64>,
     columns: usize,
     frame: u64,
 }
 
 impl OccupancyGrid {
-    /// Begins a new frame; cells are not touched for it.
+    /// Begins a new frame, in constant time.
     pub fn begin(&mut self, frame: &Frame) {
         let cells = |side: usize| (side as f64 / CELL_PX) as usize + 1;
         let (columns, rows) = (cells(frame.width()), cells(frame.height()));
@@ -28,7 +28,7 @@ impl OccupancyGrid {
         self.frame += 1;
     }
 
-    /// The cell of a coordinate; the last of `count` if it lies beyond.
+    /// The cell of a coordinate, clamped to `count` cells.
     fn cell(x: f64, count: usize) -> usize {
         ((x / CELL_PX).max(0.0) as usize).min(count - 1)
     }

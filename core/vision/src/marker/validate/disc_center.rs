@@ -1,15 +1,14 @@
-//! Whether a newly found ring's disc is white to its middle.
+//! Rejects new rings whose disc is not white to its centre.
 //!
-//! A target with a dot in its disc, seen small, blurs into a ring with a disc that is not quite white;
-//! its rims are ellipses and its areas those of some ring. But the disc of a roundel is white to its
-//! middle: however blurred, it is brightest there, unless the camera sharpens and brightens its rim.
-//! So the middle of the disc is compared with the means along ellipses between it and the rim.
+//! A small image of a target with a dot in its disc blurs into a ring with a greyish disc; its rims are ellipses, and
+//! its areas fit some ring. The disc of a roundel, however blurred, is brightest at its centre, unless the camera's
+//! sharpening brightens its rim. So the centre is compared with the means along ellipses between it and the rim.
 //!
-//! Of 4,000 rendered roundels none is darker there by more than 0.04 of the contrast, sharpened
-//! photographs have up to 0.2, and of 87 targets that passed every other test all but two had more than
-//! 0.34 (`cargo run -p roundel-tests --bin recall`, `cargo test -p roundel-core --test main photo::`).
+//! Of 4,000 rendered roundels none is darker at the centre by more than 0.04 of the contrast; sharpened photographs reach
+//! 0.2. Of 87 targets that passed every other test, all but two exceed 0.34 (`cargo run -p roundel-tests --bin recall`,
+//! `cargo test -p roundel-core --test main photo::`).
 //!
-//! Only the search asks this, since a track is not lost to a passing reflection.
+//! Tracked rings are not tested, so that a passing reflection does not end a track.
 
 use crate::{
     ellipse::Ellipse,
@@ -17,16 +16,16 @@ use crate::{
     marker::{Ring, kind::Polarity, reject::Reject, validate::outline::levels_along},
 };
 
-/// Where the light is compared with the middle's, as shares of the inner rim.
+/// Ellipses compared with the centre, as shares of the inner rim.
 const AROUND: [f64; 3] = [0.4, 0.6, 0.8];
-/// The middle is averaged over an ellipse of this share of the inner rim.
+/// The centre is averaged over this share of the inner rim.
 const MIDDLE: f64 = 0.1;
 /// Points along each ellipse.
 const POINTS: usize = 16;
-/// How much darker the middle may be: a share of the contrast, and grey levels.
+/// How much darker the centre may be: a share of the contrast, and grey levels.
 const LIMIT: (f64, f64) = (0.22, 5.0);
 
-/// That the disc's middle is as bright as the disc.
+/// Rejects a ring whose disc is darker at its centre.
 pub(crate) fn check_center(frame: &Frame, ring: &Ring) -> Result<(), Reject> {
     let mean_at = |share: f64| {
         let ellipse = Ellipse {
@@ -52,8 +51,8 @@ mod tests {
     use super::*;
     use crate::camera::PixelPoint;
 
-    /// Grey 200 with a ring of 40 from 3.2 to 8 px and a dot of `dot_px` of grey `dot`, edges 1.5 px
-    /// soft.
+    /// Grey 200 with a ring of 40 from 3.2 to 8 px and a dot of `dot_px` of grey `dot`, edges 1.5
+    /// px wide.
     fn verdict(dot_px: f64, dot: f64, flip: bool) -> Result<(), Reject> {
         let center = PixelPoint { u: 15.3, v: 14.8 };
         let pixel = |index: usize| {
@@ -77,12 +76,12 @@ mod tests {
     }
 
     #[test]
-    fn a_disc_is_white_to_its_middle() {
+    fn a_disc_must_be_white_to_its_center() {
         for flip in [false, true] {
             assert_eq!(verdict(0.0, 200.0, flip), Ok(()));
             assert_eq!(verdict(1.0, 40.0, flip), Err(Reject::NoWhite));
             assert_eq!(verdict(1.5, 120.0, flip), Err(Reject::NoWhite));
-            // Glare makes the middle brighter.
+            // Glare brightens the centre.
             assert_eq!(verdict(1.5, 250.0, flip), Ok(()));
         }
     }

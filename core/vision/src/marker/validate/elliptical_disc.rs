@@ -1,4 +1,12 @@
-//! Elliptical discs.
+//! Rejects new small rings whose disc fits an elliptical kind too poorly.
+//!
+//! With e a the deviation of the disc's longer semiaxis from the kind's ([`off_share`]) and u the unevenness of the outer
+//! rim, as in [`crate::marker::validate::letter`],
+//!
+//!   (e a / 0.4 px)² + (u / 0.06)² ≤ 1.45²,   0.2 px for e < 0,
+//!
+//! for discs with a shorter semiaxis of up to 8 px. Blur narrows a thin disc, so a disc that is rounder than its kind is
+//! allowed half as much.
 
 use crate::marker::{
     Ring,
@@ -8,11 +16,10 @@ use crate::marker::{
     validate::letter::{SMALL_PX, check_shape_and_unevenness},
 };
 
-/// The same of a small disc that is newly found, in what it is measured together with unevenness; the
-/// first where the disc is rounder than its kind.
+/// Scale of the deviation, pixels: for discs rounder than the kind, and for the others.
 const SCALES_PX: (f64, f64) = (0.2, 0.4);
 
-/// That a newly found ring of a kind with an elliptical disc is no print.
+/// Rejects a new ring whose disc deviates from its kind.
 pub(crate) fn check_disc(ring: &Ring, kind: &Kind) -> Result<(), Reject> {
     let Ring { outer, inner, unevenness, .. } = ring;
     if inner.semi_minor_px > SMALL_PX {
@@ -29,7 +36,7 @@ mod tests {
     use crate::marker::{Pattern, classify::elliptical::tests::rims};
 
     #[test]
-    fn small_discs_that_are_off_or_uneven_are_refused() {
+    fn small_discs_with_wrong_axes_or_uneven_rims_are_rejected() {
         let pattern = Pattern::Elliptical { minor_diameter_m: 0.4 };
         let kind = Kind { pattern, ..Kind::plain("", 1.0, 0.6) };
         let verdict = |(p, q), unevenness| {

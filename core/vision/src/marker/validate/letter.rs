@@ -1,38 +1,37 @@
-//! Whether a newly found small ring is a letter: o, O, 0, a stroke of even width drawn round.
+//! Rejects new small rings that are letters: o, O, 0, strokes of even width.
 //!
 //! The rims of a roundel are similar; a stroke takes as much off the hole's shorter axis as off its
-//! longer one, which makes it the flatter of the two. A letter's outline is no ellipse either. In small
-//! print both are faint, and noise makes as much of either, but seldom of both at once. So they are
-//! judged together: with the difference of shapes in pixels of the inner shorter semiaxis, s, and the
-//! outer rim's unevenness u as a share of the contrast,
+//! longer one, which makes the hole flatter. The outline of a letter is not an ellipse either. In small
+//! print both effects are faint, and noise can imitate either, but seldom both. So they are
+//! judged together: with s the difference of shapes in pixels of the inner shorter semiaxis, and u the
+//! outer rim's unevenness as a share of the contrast,
 //!
 //!   (s / 0.3 px)² + (u / 0.06)² ≤ 1.45²
 //!
-//! Outlines flatter than a roundel's at 60° are noughts more often than roundels: for them 0.3 px shrinks
-//! with the quotient of axes.
+//! Outlines flatter than a circle at 60° are more often the digit 0 than roundels: for them 0.3 px decreases with the
+//! quotient of axes.
 //!
-//! Of 6,000 rendered rings one exceeded 1.15 (1.6, a ring of little more than a pixel of black), of 900
+//! Of 6,000 rendered rings one exceeded 1.15 (1.6, a ring with little more than a pixel of black), of 900
 //! photographed ones none 1.33; the letters that passed all other tests begin at 1.63
 //! (`cargo test -p roundel-tests --test main real::`).
-//!
-//! Only the search asks this, since no letter is followed.
 
 use crate::{
     ellipse::Ellipse,
     marker::{Ring, reject::Reject},
 };
 
-/// Discs with a longer shorter semiaxis are no small print, and perspective changes their shapes, pixels.
+/// Discs with a longer shorter semiaxis, pixels, are not tested: they are not small print, and
+/// perspective changes their shapes.
 pub(crate) const SMALL_PX: f64 = 8.0;
-/// What the difference of shapes is measured in, pixels.
+/// Scale of the difference of shapes, pixels.
 const SHAPE_SCALE_PX: f64 = 0.3;
-/// What the unevenness is measured in.
+/// Scale of the unevenness.
 const UNEVENNESS_SCALE: f64 = 0.06;
-/// Quotient of axes of a circle seen at 60°.
+/// Quotient of axes of a circle tilted by 60°.
 const AXES_AT_60_DEG: f64 = 2.0;
 const LIMIT: f64 = 1.45;
 
-/// That a ring is no letter.
+/// Rejects a ring that looks like a letter.
 pub(crate) fn check_letter(ring: &Ring) -> Result<(), Reject> {
     let (outer, inner) = (&ring.outer, &ring.inner);
     if inner.semi_minor_px > SMALL_PX {
@@ -45,7 +44,7 @@ pub(crate) fn check_letter(ring: &Ring) -> Result<(), Reject> {
     check_shape_and_unevenness(apart_px / scale_px, ring.unevenness)
 }
 
-/// That the difference of shapes, in its own scale, and the unevenness are not both too large.
+/// Rejects if the scaled difference of shapes and the unevenness together are too large.
 pub(crate) fn check_shape_and_unevenness(apart: f64, unevenness: f64) -> Result<(), Reject> {
     if apart.hypot(unevenness / UNEVENNESS_SCALE) > LIMIT {
         Err(Reject::Similarity)
@@ -54,8 +53,8 @@ pub(crate) fn check_shape_and_unevenness(apart: f64, unevenness: f64) -> Result<
     }
 }
 
-/// The two free entries of an ellipse's matrix scaled to the determinant 1: half the difference of the
-/// diagonal, and the rest.
+/// The two free entries of an ellipse's matrix scaled to determinant 1: half the difference of the
+/// diagonal, and the off-diagonal.
 fn normalized(rim: &Ellipse) -> (f64, f64) {
     let flat = rim.semi_major_px / rim.semi_minor_px;
     let (sin, cos) = (2.0 * rim.angle_rad).sin_cos();
@@ -79,8 +78,8 @@ mod tests {
     }
 
     #[test]
-    fn letters_are_refused_and_roundels_are_not() {
-        // As measured on photographs of print: O, o and 0; and a rendered nought.
+    fn letters_are_rejected_and_roundels_are_not() {
+        // Measured on photographs of print: O, o and 0; and a rendered 0.
         for (outer, inner, unevenness) in [
             ((7.89, 7.02), (6.39, 5.05), 0.055),
             ((6.54, 5.55), (4.12, 3.10), 0.073),
@@ -89,7 +88,7 @@ mod tests {
         ] {
             assert_eq!(verdict(outer, inner, unevenness), Err(Reject::Similarity), "{outer:?}");
         }
-        // Noise in one or the other, and a tilted ring without.
+        // Noise in one or the other, and a tilted ring without noise.
         assert_eq!(verdict((6.0, 5.0), (3.0, 2.5), 0.08), Ok(()));
         assert_eq!(verdict((6.0, 5.0), (3.2, 2.4), 0.03), Ok(()));
         assert_eq!(verdict((12.0, 6.0), (6.0, 3.0), 0.03), Ok(()));

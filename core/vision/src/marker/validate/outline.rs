@@ -1,24 +1,22 @@
-//! Whether both rims of a newly found ring are ellipses, told by the grey levels along them.
+//! Rejects new rings whose rims are not ellipses, by the grey levels along them.
 //!
 //! Areas and moments see a shape as a whole: a disc in a square frame, a square hole in a round disc
-//! or a gear has those of some ring. Along a rim that is where its ellipse says, every point has the
-//! same level; where the true outline lies further out or in, the level is blacker or whiter. With
-//! L(t) the level at the ellipse's angle t over the contrast, and its harmonics
+//! or a gear can match those of a ring. Along a correct rim, every point has the same level; where the true outline lies
+//! further out or in, the level is darker or brighter. With L(t) the level at the ellipse's angle t over the contrast,
 //!
 //!   L(t) = Σ_k a_k cos kt + b_k sin kt,   h_k² = (a_k² + b_k²) / 2,
 //!
-//! h₀ is a wrong threshold, h₁ a gradient of the light, h₂ an ellipse slightly off: none of them tells
-//! against a roundel. Corners of polygons and gaps stand in h₃ … h₆, the teeth of gears and jagged
-//! outlines beyond (by Parseval the variance that is left). Each of the two rests may be as large as
-//! noise and paper make it, and no larger.
+//! h₀ is a wrong threshold, h₁ a lighting gradient, h₂ a slightly wrong ellipse: none of them speaks against a roundel.
+//! Corners of polygons and gaps appear in h₃ … h₆, the teeth of gears and jagged outlines beyond (by Parseval, the
+//! remaining variance). Both are limited to what noise and paper cause.
 //!
 //! Figures behind the limits (contrast 90 and more, noise to 4, blur 0.5 to 1.1 px): 1,470 rendered
-//! roundels have at most 0.021 in h₃ … h₆ and 0.027 beyond, where perspective adds up to 0.056 to large
-//! ones; photographed prints have up to 0.04 and 0.02 when small, 0.062 and 0.034 at 50 px on paper
-//! that is not flat. Of 240 rings that stood where the renderer had shown something else, all but two
-//! exceeded them (`cargo run -p roundel-tests --bin recall`).
+//! roundels have at most 0.021 in h₃ … h₆ and 0.027 beyond, to which perspective adds up to 0.056 for large
+//! ones; photographed prints reach 0.04 and 0.02 when small, 0.062 and 0.034 at 50 px on uneven
+//! paper. Of 240 rings found on other objects in rendered scenes, all but two exceed the limits
+//! (`cargo run -p roundel-tests --bin recall`).
 //!
-//! Only the search asks this, since a track is not lost to a passing shadow.
+//! Tracked rings are not tested, so that a passing shadow does not end a track.
 
 use std::{f64::consts::TAU, sync::LazyLock};
 
@@ -30,15 +28,15 @@ use crate::{
 
 /// Points along a rim.
 const POINTS: usize = 64;
-/// Harmonics that tell corners and gaps.
+/// Harmonics of corners and gaps.
 const LOW: std::ops::Range<usize> = 3..7;
-/// Largest h₃ … h₆ together: a share of the contrast, grey levels, and a share for each pixel of the
+/// Largest h₃ … h₆ together: a share of the contrast, grey levels, and a share per pixel of the
 /// longer semiaxis, since the same bend of the paper is more pixels there.
 const LOW_LIMIT: (f64, f64, f64) = (0.03, 0.9, 0.001);
-/// Largest rest beyond them, in the same way.
+/// Largest remainder beyond h₆, likewise.
 const HIGH_LIMIT: (f64, f64, f64) = (0.035, 1.5, 0.0005);
 
-/// The highest harmonic that is told from the rest.
+/// Highest harmonic computed separately.
 const HIGHEST: usize = LOW.end - 1;
 
 /// cos kt and sin kt at the points, from k = 1 on.
@@ -52,7 +50,7 @@ static WAVES: LazyLock<[[[f32; POINTS]; 2]; HIGHEST]> = LazyLock::new(|| {
     })
 });
 
-/// That the outer rim is an ellipse, and the inner one where its disc is a plain one.
+/// Rejects if the outer rim is not an ellipse, or the inner one of a `plain` disc.
 pub(crate) fn check_rims(frame: &Frame, ring: &Ring, plain: bool) -> Result<(), Reject> {
     let contrast = (ring.white - ring.black).abs();
     let inner = plain.then_some(&ring.inner);
@@ -62,7 +60,7 @@ pub(crate) fn check_rims(frame: &Frame, ring: &Ring, plain: bool) -> Result<(), 
         let limit = |(share, levels, per_px): (f64, f64, f64)| {
             share + levels / contrast + per_px * rim.semi_major_px
         };
-        // Not numbers where there is no contrast.
+        // False for NaN, without contrast.
         let is_smooth = |high: f64| high <= limit(HIGH_LIMIT);
         if !(low <= limit(LOW_LIMIT)
             && (is_smooth(high) || is_smooth(shares(&soft_levels(frame, rim)).1)))
@@ -73,7 +71,7 @@ pub(crate) fn check_rims(frame: &Frame, ring: &Ring, plain: bool) -> Result<(), 
     Ok(())
 }
 
-/// Grey levels along an ellipse, at `N` even steps of its angle, where N divides 64.
+/// Grey levels along an ellipse at `N` even steps of its angle; N divides 64.
 pub(super) fn levels_along<const N: usize>(frame: &Frame, rim: &Ellipse) -> [f32; N] {
     let [cos, sin] = &WAVES[0];
     let (sin_tilt, cos_tilt) = rim.angle_rad.sin_cos();
@@ -88,7 +86,7 @@ pub(super) fn levels_along<const N: usize>(frame: &Frame, rim: &Ellipse) -> [f32
     let last = |size: usize| (size - 1) as f32;
     let (right, bottom) = (last(frame.width()), last(frame.height()));
     std::array::from_fn(|i| {
-        // Bilinear; beyond the frame its last pixels go on.
+        // Bilinear; the last pixels extend beyond the frame.
         let (u, v) = (us[i].clamp(0.0, right), vs[i].clamp(0.0, bottom));
         let (left, top) = (u as i32 as usize, v as i32 as usize);
         let (du, dv) = (u - left as f32, v - top as f32);
@@ -129,8 +127,9 @@ impl Rest {
     }
 }
 
-/// Levels along an ellipse as if the picture were blurred across it by 0.35 px. In a picture without blur, a drawing's,
-/// what is read between two pixels of an edge depends on how they stand to it, by up to 0.08 of the contrast.
+/// Levels along an ellipse, blurred across it by 0.35 px. Without blur, as in a drawing,
+/// interpolation between two pixels of an edge depends on their position relative to it, by up to
+/// 0.08 of the contrast.
 fn soft_levels(frame: &Frame, rim: &Ellipse) -> [f32; POINTS] {
     let [inside, at, outside] = [-0.5, 0.0, 0.5].map(|px| {
         let (semi_major_px, semi_minor_px) = (rim.semi_major_px + px, rim.semi_minor_px + px);
@@ -139,7 +138,7 @@ fn soft_levels(frame: &Frame, rim: &Ellipse) -> [f32; POINTS] {
     std::array::from_fn(|i: usize| 0.25 * (inside[i] + outside[i]) + 0.5 * at[i])
 }
 
-/// Eight sums at once.
+/// Scalar product with eight partial sums.
 fn dot(one: &[f32; POINTS], other: &[f32; POINTS]) -> f32 {
     let mut sums = [0.0; 8];
     for (one, other) in one.chunks_exact(8).zip(other.chunks_exact(8)) {
@@ -153,7 +152,8 @@ mod tests {
     use super::*;
     use crate::camera::PixelPoint;
 
-    /// Grey 40 inside of `radius_px(angle)` and outside of a disc of 0.4 of 12 px, edges 1.5 px soft.
+    /// Grey 40 inside of `radius_px(angle)` and outside of a disc of 0.4 of 12 px, edges 1.5 px
+    /// wide.
     fn verdict(radius_px: impl Fn(f64) -> f64, hole_px: impl Fn(f64) -> f64) -> Result<(), Reject> {
         let center = PixelPoint { u: 31.3, v: 30.8 };
         let pixel = |index: usize| {
@@ -174,12 +174,12 @@ mod tests {
     }
 
     #[test]
-    fn circles_pass_and_polygons_gears_and_gaps_do_not() {
+    fn circles_pass_and_polygons_gears_and_gaps_are_rejected() {
         assert_eq!(verdict(|_| 12.0, |_| 4.8), Ok(()));
         let harmonic = |px: f64, k: f64, share: f64| {
             move |angle: f64| px * (1.0 + share * (k * angle + 0.3).cos())
         };
-        // A little off in place and shape is no fault.
+        // A small error of centre and shape is accepted.
         assert_eq!(verdict(harmonic(12.0, 1.0, 0.02), harmonic(4.8, 2.0, 0.03)), Ok(()));
         for k in [3.0, 4.0, 5.0, 9.0, 14.0] {
             assert_eq!(verdict(harmonic(12.0, k, 0.04), |_| 4.8), Err(Reject::Outline), "{k}");

@@ -1,8 +1,8 @@
-//! Which pixels of a roundel count by their grey level, which wholly, and which tell the levels.
+//! Edge bands of both rims, and the pixels that determine the levels.
 //!
-//! A rim's *band* are the pixels within about two pixels of it, the blurred edge. Everything inside
-//! counts as one, everything outside not at all, so noise comes from the band alone; and since the
-//! band reaches as far to either side, what blur carries beyond it on one side it lacks on the other.
+//! A rim's *edge band* is the set of pixels within about two pixels of it, the blurred edge. Everything inside
+//! counts as one, everything outside as zero, so noise enters from the band alone. The
+//! band extends equally to either side, so the light that blur carries beyond it on one side is missing on the other.
 //!
 //! | pixels | from the inside out | for |
 //! | --- | --- | --- |
@@ -11,16 +11,16 @@
 //! | `ring_core` | black and disc, two pixels within the outer rim | the roundel's moments |
 //! | `black` | `ring_core` beyond the disc's band | black level |
 //! | `ring_band` | two pixels to either side of the outer rim | the roundel's moments |
-//! | `thin_core`, `thin_band` | one pixel to either side of the outer rim | the same, where the margin is narrow |
-//! | `half_band` | the part of that inside the rim | the same, where there is hardly a margin |
+//! | `thin_core`, `thin_band` | one pixel to either side of the outer rim | the same, with a narrow margin |
+//! | `half_band` | the part of that inside the rim | the same, with hardly any margin |
 //! | `near`, `far` | one pixel each, beyond that band | white level of the margin |
 //!
 //! Where the black is so thin that none of it lies beyond the bands, its level is that of the pixels
-//! nearest to its middle.
+//! closest to its middle.
 //!
-//! Distances are grown and shrunk pixel by pixel, by turns with the eight and the four nearest
+//! Distances are built by dilation and erosion, alternately with the eight and the four nearest
 //! neighbours, which makes an octagon: two pixels along the axes, 2.1 diagonally. Where the black is too
-//! thin for two bands they end in its middle.
+//! thin for two bands, they end in its middle.
 
 use fearless_simd::Simd;
 use fearless_simd_macros::simd;
@@ -30,26 +30,26 @@ use crate::marker::ring::pixels::{
     segment_fill::{Extent, Span},
 };
 
-/// RowBits beside a roundel that belong to its bands and to the margin looked at.
+/// Rows around a roundel that belong to its bands and the margin.
 const REACH: usize = 5;
-/// Pixels that a band reaches beyond its segment along the axes.
+/// Width of a band beyond its segment along the axes, pixels.
 pub(crate) const BAND_PX: usize = 2;
-/// Mean distance over all directions that a rim moves by a step to the four nearest neighbours …
+/// Mean distance over all directions of a dilation by the four nearest neighbours …
 pub(crate) const CROSS_PX: f64 = 0.90;
-/// … to the eight nearest …
+/// … by the eight nearest …
 pub(crate) const THIN_PX: f64 = 1.27;
 /// … and by both.
 pub const WIDE_PX: f64 = 2.17;
-/// Fewer pixels tell no level of the disc …
+/// Smallest number of pixels for a level of the disc …
 pub(crate) const MIN_WHITE: u32 = 4;
-/// … and none of the black.
+/// … and of the black.
 pub(crate) const MIN_BLACK: u32 = 8;
 
-/// Sets of pixels as bits, words of rows one after the other, rows from `top` of the patch on.
+/// Pixel sets as bits, row by row, from row `top` of the patch on.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct EdgeBands<'a> {
     pub top: usize,
-    /// The disc, and the roundel, by their thresholds.
+    /// The disc, and the roundel, by threshold.
     pub white: &'a [u64],
     pub whole: &'a [u64],
     pub disc_core: &'a [u64],
@@ -62,9 +62,9 @@ pub(crate) struct EdgeBands<'a> {
     pub black: &'a [u64],
     pub near: &'a [u64],
     pub far: &'a [u64],
-    /// Distance from the disc's rim at which its core begins.
+    /// Distance of the disc's core from its rim.
     pub core_px: f64,
-    /// Width of the bands' sides in the black.
+    /// Width of the bands' parts in the black.
     pub inside_px: f64,
     /// Distance of `black` from both rims.
     pub black_px: f64,
@@ -75,14 +75,13 @@ pub(crate) type BandScratch = Vec<u64>;
 
 const PLANES: usize = 13;
 
-/// Words of the bands of a patch with so many words a row and so many rows; those about expected rims
-/// need fewer.
+/// Words of the bands of a patch; those of predicted rims need fewer.
 pub(crate) fn max_words(words: usize, rows: usize) -> usize {
     PLANES * (rows + PADDING_ROWS) * words
 }
 
 impl<'a> EdgeBands<'a> {
-    /// The sets of a disc and the ring round it.
+    /// The sets of a disc and the ring around it.
     #[simd]
     pub fn round<S: Simd>(
         simd: S,
@@ -94,7 +93,7 @@ impl<'a> EdgeBands<'a> {
         let top = ring.0.top.saturating_sub(REACH);
         let bottom = (ring.0.bottom + REACH).min(patch.rows());
         let words = patch.words;
-        // An empty row before and after, so that every row has two neighbours.
+        // With an empty row before and after, so that every row has two neighbours.
         let length = (bottom - top + 2) * words;
         if scratch.len() < PLANES * length {
             scratch.resize(PLANES * length, 0);
@@ -114,7 +113,7 @@ impl<'a> EdgeBands<'a> {
             less,
             thin,
             half,
-        ] = std::array::from_fn(|_| planes.next().expect("room was made for all planes"));
+        ] = std::array::from_fn(|_| planes.next().expect("the scratch holds all planes"));
         let pixels = top * words..bottom * words;
         fill(white, disc, (top, words));
         let inner = words..length - words;
@@ -159,7 +158,8 @@ impl<'a> EdgeBands<'a> {
         }
         disc_band.iter_mut().zip(&*disc_core).for_each(|(band, core)| *band &= !core);
 
-        // From the outer rim outwards, each without what is inside it and beyond the frame.
+        // From the outer rim outwards, each without the ones inside it and the outside of the
+        // frame.
         grid.grow::<SQUARE>(whole, more);
         grid.grow::<CROSS>(more, ring_band);
         grid.grow::<CROSS>(ring_band, near);
@@ -230,20 +230,20 @@ const SQUARE: bool = true;
 /// The four nearest neighbours.
 const CROSS: bool = false;
 
-/// RowBits of words.
+/// The layout of rows in words.
 #[derive(Clone, Copy, Debug)]
 struct Grid {
     words: usize,
 }
 
 impl Grid {
-    /// A set with all neighbours of its pixels.
+    /// Dilation.
     #[inline(always)]
     fn grow<const ALL: bool>(self, from: &[u64], to: &mut [u64]) {
         self.each(from, to, |at, left, right| at | left | right, |a, b| a | b, ALL);
     }
 
-    /// A set without the pixels that have a neighbour outside of it.
+    /// Erosion.
     #[inline(always)]
     fn shrink<const ALL: bool>(self, from: &[u64], to: &mut [u64]) {
         self.each(from, to, |at, left, right| at & left & right, |a, b| a & b, ALL);

@@ -1,11 +1,11 @@
 //! Filled ellipses as bits of a patch, sixteen rows at a time.
 //!
-//! Row v of the ellipse with the centre c and the matrix M ([`crate::ellipse::Ellipse::matrix`]) reaches
+//! Row v of the ellipse with the centre c and the matrix M ([`crate::ellipse::Ellipse::matrix`]) extends
 //! from c_u + s dv - h to c_u + s dv + h, with dv = v - c_v, s = M_uv/M_vv and
-//! h = √(det M / M_vv · (1 - dv²/M_vv)). A lane of a vector has a row.
+//! h = √(det M / M_vv · (1 - dv²/M_vv)). Each vector lane holds a row.
 //!
 //! Grown by x along its normals, an ellipse has both semiaxes longer by x, so M' = M + 2x √M + x² I, and
-//! √M = (M + ab I)/(a + b) has no need of the axes' directions.
+//! √M = (M + ab I)/(a + b) does not need the directions of the axes.
 
 use fearless_simd::{Simd, f32x16, i32x16, mask32x16, prelude::*, u32x16, u64x8};
 
@@ -14,20 +14,20 @@ use crate::{
     marker::ring::pixels::patch::{PADDING_ROWS, Patch, WORD_PX},
 };
 
-/// RowBits that are found together.
+/// Rows processed together.
 pub(crate) const LANES: usize = PADDING_ROWS;
-/// Their numbers.
+/// Indices of the lanes.
 pub(crate) const LANE_NUMBERS: [f32; LANES] =
     [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
 
-/// RowBits and columns (first, end).
+/// Rows and columns, each (first, end).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Area {
     pub rows: (usize, usize),
     pub columns: (usize, usize),
 }
 
-/// A rim, with [`Ellipse::matrix`], which costs a sine.
+/// A rim with its [`Ellipse::matrix`], which is expensive to recompute.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RimEllipse {
     pub ellipse: Ellipse,
@@ -39,19 +39,19 @@ impl RimEllipse {
         Self { ellipse: *ellipse, matrix: ellipse.matrix() }
     }
 
-    /// Half the sides of its box, along u and v, pixels.
+    /// Half the sides of its bounding box, along u and v, pixels.
     pub fn half_box_px(&self) -> (f64, f64) {
         (self.matrix.uu.sqrt(), self.matrix.vv.sqrt())
     }
 }
 
-/// A rim in the patch.
+/// A rim in patch coordinates.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PatchEllipse {
     pub u: f64,
     pub v: f64,
     matrix: Symmetric2,
-    /// Of the semiaxes, twice the sum's inverse, and the product.
+    /// Two over the sum of the semiaxes, and their product.
     twice_per_sum: f64,
     product: f64,
 }
@@ -68,7 +68,7 @@ impl PatchEllipse {
         }
     }
 
-    /// Filled, after growing by so much.
+    /// The filled ellipse, grown by `by_px`.
     #[inline(always)]
     pub fn grown(&self, by_px: f64) -> FilledEllipse {
         let per_sum = by_px * self.twice_per_sum;
@@ -92,7 +92,7 @@ impl PatchEllipse {
     }
 }
 
-/// A filled ellipse by its rows.
+/// A filled ellipse by rows.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FilledEllipse {
     u: f32,
@@ -100,22 +100,22 @@ pub(crate) struct FilledEllipse {
     slope: f32,
     half_max: f32,
     inverse_vv: f32,
-    /// RowBits between which it lies.
+    /// Range of its rows.
     first: f32,
     last: f32,
-    /// Square of half its box's width.
+    /// Square of half the width of its bounding box.
     uu: f32,
 }
 
 impl FilledEllipse {
-    /// First row, and the row after the last, if they lie in so many rows.
+    /// First row and one past the last, if inside `rows` rows.
     #[inline(always)]
     pub fn rows(&self, rows: usize) -> Option<(usize, usize)> {
         (self.first >= 0.0 && self.last + 1.0 < rows as f32)
             .then_some((self.first.ceil() as usize, self.last as usize + 1))
     }
 
-    /// Its rows and columns, if they lie in the patch, counted from a row on.
+    /// Its rows, from `top` on, and columns, if inside the patch.
     #[inline(always)]
     pub fn area(&self, patch: &Patch, top: usize) -> Option<Area> {
         let rows = self.rows(patch.rows())?;
@@ -127,7 +127,7 @@ impl FilledEllipse {
         })
     }
 
-    /// Where it crosses sixteen rows of the patch; `None` if it crosses none of them.
+    /// Intersections with sixteen rows of the patch; `None` if there are none.
     #[inline(always)]
     fn crossed<S: Simd>(&self, simd: S, first_row: usize) -> Option<Crossed<S>> {
         let first_row = first_row as f32;
@@ -142,8 +142,8 @@ impl FilledEllipse {
         Some(Crossed { middle, half, is_crossed: share.simd_gt(zero) })
     }
 
-    /// As [`FilledEllipse::chords`], of an ellipse that lies in the first word: rows that have none end where they
-    /// begin, at 0.
+    /// As [`FilledEllipse::row_spans`], for an ellipse inside the first word: empty rows begin and
+    /// end at 0.
     #[inline(always)]
     pub fn row_spans_in_word<S: Simd>(&self, simd: S, first_row: usize) -> RowSpans<S> {
         let none = i32x16::splat(simd, 0);
@@ -155,7 +155,7 @@ impl FilledEllipse {
         RowSpans { first: is_crossed.select(first, none), end: is_crossed.select(end, none) }
     }
 
-    /// Its first column, and the column after the last, in sixteen rows of the patch.
+    /// First column and one past the last in sixteen rows of the patch.
     #[inline(always)]
     pub fn row_spans<S: Simd>(&self, simd: S, first_row: usize, columns: usize) -> RowSpans<S> {
         let Some(Crossed { middle, half, is_crossed }) = self.crossed(simd, first_row) else {
@@ -170,14 +170,14 @@ impl FilledEllipse {
     }
 }
 
-/// Middles of sixteen rows' chords, half their lengths, and which rows have one.
+/// Middles and half lengths of sixteen rows' chords, and which rows have one.
 struct Crossed<S: Simd> {
     middle: f32x16<S>,
     half: f32x16<S>,
     is_crossed: mask32x16<S>,
 }
 
-/// First columns of sixteen rows, and the columns after the last.
+/// First columns of sixteen rows, and one past the last.
 #[derive(Clone, Copy)]
 pub(crate) struct RowSpans<S: Simd> {
     first: i32x16<S>,
@@ -185,26 +185,25 @@ pub(crate) struct RowSpans<S: Simd> {
 }
 
 impl<S: Simd> RowSpans<S> {
-    /// First columns, and the columns after the last.
+    /// First columns, and one past the last.
     #[inline(always)]
     pub fn ends(&self) -> (i32x16<S>, i32x16<S>) {
         (self.first, self.end)
     }
 
-    /// Number of columns, of [`FilledEllipse::row_spans_in_word`].
+    /// Number of columns; for [`FilledEllipse::row_spans_in_word`] only.
     #[inline(always)]
     pub fn pixels(&self) -> i32x16<S> {
         self.end - self.first
     }
 
-    /// Number of columns before this one, of [`FilledEllipse::row_spans_in_word`].
+    /// Number of columns before `column`; for [`FilledEllipse::row_spans_in_word`] only.
     #[inline(always)]
     pub fn pixels_before(&self, column: i32) -> i32x16<S> {
         self.end.min(column) - self.first.min(column)
     }
 
-    /// The pixels of rows of one word that begin before they end, which is before the last column:
-    /// differences of two powers.
+    /// The bits of rows of one word with first ≤ end < 64, as the difference of two powers.
     #[inline(always)]
     pub fn word(&self, simd: S) -> RowBits<S> {
         let first = self.first.bitcast::<u32x16<S>>().widen();
@@ -213,7 +212,8 @@ impl<S: Simd> RowSpans<S> {
         RowBits((one << end.0) - (one << first.0), (one << end.1) - (one << first.1))
     }
 
-    /// The pixels in a word of the rows; `is_only` where it is the only one, and they end before it does.
+    /// The bits in a word of the rows; `is_only` if it is the only one, and they end before it
+    /// does.
     #[inline(always)]
     pub fn bits(&self, simd: S, word: usize, is_only: bool) -> RowBits<S> {
         if is_only {
@@ -225,7 +225,7 @@ impl<S: Simd> RowSpans<S> {
     }
 }
 
-/// BitRows of sixteen rows.
+/// Bits of sixteen rows.
 #[derive(Clone, Copy)]
 pub(crate) struct RowBits<S: Simd>(pub u64x8<S>, pub u64x8<S>);
 
@@ -235,7 +235,7 @@ impl<S: Simd> RowBits<S> {
         Self(u64x8::splat(simd, 0), u64x8::splat(simd, 0))
     }
 
-    /// Whether a bit is set.
+    /// Whether any bit is set.
     #[inline(always)]
     pub fn any(self) -> bool {
         (self.0 | self.1).as_slice().iter().any(|&bits| bits != 0)
@@ -287,8 +287,8 @@ impl<S: Simd> RowBits<S> {
     }
 }
 
-/// The bits of the columns before these, of the word that begins with column `from`. A shift by 64 is
-/// none, so it is done by halves.
+/// The bits of the columns before these in the word that begins with column `from`. A shift by 64
+/// has no effect, so it is done in halves.
 #[inline(always)]
 fn below<S: Simd>(simd: S, columns: i32x16<S>, from: i32) -> RowBits<S> {
     let columns = (columns - from).max(0).min(WORD_PX as i32).bitcast::<u32x16<S>>();

@@ -1,13 +1,10 @@
-//! The pixels round one roundel, copied out of the frame, with one bit a pixel that says which are
-//! white.
+//! The pixels around one roundel, copied from the frame, with one bit per pixel that is set for white.
 //!
-//! A row of the patch is one or more words of 64 columns: the grey values lie in blocks of 64 bytes,
-//! one after the other, and bit k of a word says whether column k is white (I ≥ τ). What follows works
-//! on words, so a row of a usual roundel costs a few instructions, and thresholding it one comparison
-//! of vectors.
+//! A row of the patch is one or more words of 64 columns: the grey values are in blocks of 64 bytes, and bit k of a word
+//! says whether column k is white (I ≥ τ). The further steps work on words, so a row of a usual roundel costs a few
+//! instructions, and thresholding it one vector comparison.
 //!
-//! A white ring on black is made a black one on white here, by inverting its grey levels; nothing that
-//! follows has to know.
+//! A white ring on black is inverted here, so that the further steps see a black one on white.
 
 use fearless_simd::{Simd, prelude::*, u8x64};
 use fearless_simd_macros::simd;
@@ -17,26 +14,27 @@ use crate::{frame::Frame, marker::kind::Polarity, scratch::reserve_total, segmen
 /// Columns of a word.
 pub(crate) const WORD_PX: usize = 64;
 
-/// RowBits of any content after a patch's last, so that so many may be looked at together.
+/// Rows of undefined content after a patch's last, so that this many can be loaded at once.
 pub(crate) const PADDING_ROWS: usize = 16;
 
 /// A window of a frame, thresholded.
 #[derive(Debug, Default)]
 pub(crate) struct Patch {
-    /// Where it lies in the frame.
+    /// Its position in the frame.
     pub window: Window,
-    /// Words in a row.
+    /// Words per row.
     pub words: usize,
-    /// GreySum values, a block for each word, rows one after the other.
+    /// Grey values, a block per word, row by row.
     pub grey: Vec<[u8; WORD_PX]>,
-    /// I ≥ τ; columns beyond the window are neither. [`PADDING_ROWS`] more than there are.
+    /// I ≥ τ; columns beyond the window are neither white nor black. [`PADDING_ROWS`] longer than
+    /// `black`.
     pub white: Vec<u64>,
     /// I < τ.
     pub black: Vec<u64>,
 }
 
 impl Patch {
-    /// Room for so many words a row and so many rows.
+    /// Reserves memory for `rows` rows of `words` words.
     pub fn reserve(&mut self, words: usize, rows: usize) {
         reserve_total(&mut self.grey, words * rows);
         reserve_total(&mut self.white, words * (rows + PADDING_ROWS));
@@ -53,8 +51,8 @@ impl Patch {
         self.window.width()
     }
 
-    /// Thresholds `window`, which must not be empty, into one word a row and copies nothing; only `white` is
-    /// of use then. Returns whether it is no wider, and the frame no narrower.
+    /// Thresholds `window`, which must not be empty, into one word per row, without copying; only
+    /// `white` is valid then. False if the window is wider than a word, or the frame narrower.
     #[simd]
     pub fn threshold<S: Simd>(
         simd: S,
@@ -69,9 +67,9 @@ impl Patch {
         let left = window.left.min(frame.width() - WORD_PX);
         patch.window = Window { left, right: left + WORD_PX, ..window };
         patch.words = 1;
-        let room = window.height() + PADDING_ROWS;
-        if patch.white.len() < room {
-            patch.white.resize(room, 0);
+        let length = window.height() + PADDING_ROWS;
+        if patch.white.len() < length {
+            patch.white.resize(length, 0);
         }
         let (flip, limit) = flip_and_limit(simd, threshold, polarity);
         let (pixels, stride) = frame.pixels();
@@ -83,8 +81,8 @@ impl Patch {
         true
     }
 
-    /// Copies and thresholds `window`, which must not be empty. Whole words are taken where the frame
-    /// is wide enough, so the patch may reach further to the sides than asked.
+    /// Copies and thresholds `window`, which must not be empty. Uses whole words where the frame is
+    /// wide enough, so the patch may extend further to the sides than requested.
     #[simd]
     pub fn load<S: Simd>(
         simd: S,
@@ -103,9 +101,9 @@ impl Patch {
             patch.grey.resize(blocks, [0; WORD_PX]);
             patch.black.resize(blocks, 0);
         }
-        let room = blocks + PADDING_ROWS * words;
-        if patch.white.len() < room {
-            patch.white.resize(room, 0);
+        let length = blocks + PADDING_ROWS * words;
+        if patch.white.len() < length {
+            patch.white.resize(length, 0);
         }
         let (flip, limit) = flip_and_limit(simd, threshold, polarity);
         if words == 1 && right - left == WORD_PX {
@@ -143,7 +141,7 @@ impl Patch {
     }
 }
 
-/// What turns over grey levels, and the first of the white ones after that.
+/// The mask that inverts grey levels, and the first white level after it.
 #[inline(always)]
 fn flip_and_limit<S: Simd>(simd: S, threshold: u8, polarity: Polarity) -> (u8x64<S>, u8x64<S>) {
     let limit = match polarity {

@@ -1,17 +1,15 @@
-//! The bands of a ring that is followed, from where its rims are expected.
+//! Edge bands of a tracked ring, from its predicted rims.
 //!
 //! A ring seldom changes its shape from one frame to the next, so its rims need not be traced: the
-//! bands of [`crate::marker::ring::pixels::edge_band`] follow from the two ellipses of the frame before, once it is known
-//! how far they have moved. That the white disc says: the middle of the white pixels within the ellipse
-//! halfway between the rims is its centre to a tenth of a pixel (rms; a disc of 12 px), wherever it went
-//! in the black. Where it went far it is looked for twice, since of a disc that has left that ellipse in
-//! part only the rest is seen at first.
+//! bands of [`crate::marker::ring::pixels::edge_band`] follow from the two ellipses of the previous frame and their
+//! displacement. The white disc gives the latter: the centroid of the white pixels within the ellipse halfway between the
+//! rims is its centre to a tenth of a pixel (rms; a disc of 12 px), as long as it stays in the black. After a large
+//! displacement it is computed twice, since only a part of the disc lies in that ellipse at first.
 //!
-//! Nothing is taken for granted: every pixel between the bands must be on its side of the threshold,
-//! black in the ring, white in the disc and in the margin beside the band. That is more than
-//! [`crate::marker::ring::pixels::segment_fill`] asks for (no bridge, however narrow, leads out of such a ring), and whoever
-//! weighs the rims must find them in the middle of their bands ([`PredictedRims::is_near`]). What fails either
-//! is looked at by its segments.
+//! The prediction is verified: every pixel between the bands must be on its side of the threshold,
+//! black in the ring, white in the disc and in the margin beside the band, which is stricter than
+//! [`crate::marker::ring::pixels::segment_fill`] (not even a narrow bridge is possible). And the measured rims must lie in
+//! the middle of their bands ([`PredictedRims::is_near`]). A ring that fails is measured by its segments.
 
 use fearless_simd::{Simd, prelude::*};
 use fearless_simd_macros::simd;
@@ -25,22 +23,23 @@ use crate::{
     },
 };
 
-/// Rims may lie so far from where they were expected, pixels, before their bands are drawn anew; a band
-/// of a blur of 0.7 px then still holds all but two thousandths of a pixel of its rim's light.
+/// Largest deviation from the predicted rims, pixels, before their bands are drawn again; with a
+/// blur of 0.7 px, a band then still contains all but two thousandths of a pixel of its rim's
+/// light.
 const OFF_PX: f64 = 0.5;
-/// Least width of the black, where it is narrowest: two bands, and something between them.
+/// Smallest width of the black at its narrowest: two bands, and a gap.
 const MIN_RING_PX: f64 = 2.0 * WIDE_PX + 0.75;
-/// Least shorter semiaxis of the disc.
+/// Smallest shorter semiaxis of the disc.
 const MIN_DISC_PX: f64 = WIDE_PX + 1.0;
 
-/// Rims as they were, and where they are expected.
+/// Predicted rims.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PredictedRims {
     pub outer: RimEllipse,
     pub inner: RimEllipse,
 }
 
-/// Whether a band about a rim holds the one found.
+/// Whether a band about `rim` contains the one found.
 fn is_near(rim: &Ellipse, found: &Ellipse) -> bool {
     let (du, dv) = (found.center.u - rim.center.u, found.center.v - rim.center.v);
     let longer_px = (found.semi_major_px - rim.semi_major_px).abs();
@@ -52,12 +51,12 @@ fn is_near(rim: &Ellipse, found: &Ellipse) -> bool {
 }
 
 impl PredictedRims {
-    /// Rims where they are.
+    /// Rims without displacement.
     pub fn new(outer: &Ellipse, inner: &Ellipse) -> Self {
         Self { outer: RimEllipse::new(outer), inner: RimEllipse::new(inner) }
     }
 
-    /// These rims moved by so many pixels.
+    /// These rims, displaced.
     pub fn moved(mut self, du: f64, dv: f64) -> Self {
         for rim in [&mut self.outer, &mut self.inner] {
             rim.ellipse.center.u += du;
@@ -66,17 +65,17 @@ impl PredictedRims {
         self
     }
 
-    /// Whether bands about these rims hold the rims found.
+    /// Whether bands about these rims contain the rims found.
     pub fn is_near(&self, outer: &Ellipse, inner: &Ellipse) -> bool {
         is_near(&self.outer.ellipse, outer) && is_near(&self.inner.ellipse, inner)
     }
 }
 
-/// What is needed to weigh the rims.
+/// The bands of predicted rims.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PredictedBands<'a> {
     pub bands: EdgeBands<'a>,
-    /// Where both rims' bands lie, in the bands' rows.
+    /// Areas of both rims' bands, in the bands' rows.
     pub outer: Area,
     pub inner: Area,
     /// A pixel in the middle, its column even, in the bands' rows.
@@ -85,7 +84,8 @@ pub(crate) struct PredictedBands<'a> {
 
 const PLANES: usize = 7;
 
-/// Where bands begin and end, from the inside out: the disc's, the ring's, and those of the margin.
+/// The ellipses that bound the bands, from the inside out: the disc's, the ring's, and those of the
+/// margin.
 #[inline(always)]
 pub(crate) fn band_ellipses(outer: &PatchEllipse, inner: &PatchEllipse) -> [FilledEllipse; 6] {
     [
@@ -98,9 +98,8 @@ pub(crate) fn band_ellipses(outer: &PatchEllipse, inner: &PatchEllipse) -> [Fill
     ]
 }
 
-/// The bands about expected rims of which the disc has been found; `None` where they would not lie in
-/// the patch, where the black is too narrow for them, and where the pixels between them are not black or
-/// white as they ought to be.
+/// The bands of predicted rims, moved to the disc found. `None` if they extend beyond the patch, if
+/// the black is too narrow for them, or if pixels between them have the wrong colour.
 #[simd]
 pub(crate) fn bands_about<'a, S: Simd>(
     simd: S,
@@ -114,19 +113,19 @@ pub(crate) fn bands_about<'a, S: Simd>(
     let ellipses = band_ellipses(&outer, &inner);
     let (top, bottom) = ellipses[5].rows(patch.rows())?;
     ellipses[5].area(patch, top)?;
-    // RowBits are drawn by sixteen; of the last ones none is needed.
-    let room = (bottom - top).next_multiple_of(LANES) * words;
-    if scratch.len() < PLANES * room {
-        scratch.resize(PLANES * room, 0);
+    // Rows are drawn in groups of sixteen; the last ones may be unused.
+    let plane_length = (bottom - top).next_multiple_of(LANES) * words;
+    if scratch.len() < PLANES * plane_length {
+        scratch.resize(PLANES * plane_length, 0);
     }
-    let mut planes = scratch.chunks_exact_mut(room);
+    let mut planes = scratch.chunks_exact_mut(plane_length);
     let mut planes: [&mut [u64]; PLANES] =
-        std::array::from_fn(|_| planes.next().expect("room was made for all planes"));
-    // They all lie in the last one, which does not reach the patch's edge.
+        std::array::from_fn(|_| planes.next().expect("the scratch holds all planes"));
+    // The ellipses lie within the outermost one, which does not reach the patch's edge.
     let is_only = words == 1;
     let mut wrong = RowBits::none(simd);
     for row in (0..bottom - top).step_by(LANES) {
-        // Closures over vectors are not sure to become part of this function.
+        // Without closures over vectors, which might not be inlined.
         let (first, columns) = (top + row, words * WORD_PX);
         let core = ellipses[0].row_spans(simd, first, columns);
         let disc = ellipses[1].row_spans(simd, first, columns);
@@ -187,8 +186,8 @@ pub(crate) fn bands_about<'a, S: Simd>(
     })
 }
 
-/// How far the disc has moved from where it was expected; `None` where it is not seen, or the ring is
-/// none to be followed.
+/// Displacement of the disc from its prediction, pixels. `None` if the disc is not visible, or the
+/// ring is too thin.
 #[simd]
 pub(crate) fn disc_motion<S: Simd>(
     simd: S,
@@ -206,7 +205,7 @@ pub(crate) fn disc_motion<S: Simd>(
         let (u, v) = white_centroid(simd, patch, &rim.grown(half_px))?;
         let (du, dv) = (u - rim.u, v - rim.v);
         (rim.u, rim.v) = (u, v);
-        // The ellipse's own margin of black was left to either side.
+        // Half the width of the black, on average, separated the ellipse from the disc.
         if du * du + dv * dv < 0.5 * half_px * half_px {
             break;
         }
@@ -214,7 +213,7 @@ pub(crate) fn disc_motion<S: Simd>(
     Some((rim.u - from_u, rim.v - from_v))
 }
 
-/// Mean place of the white pixels in an ellipse, each row's being one run.
+/// Centroid of the white pixels in an ellipse, assuming one run per row.
 #[simd]
 fn white_centroid<S: Simd>(simd: S, patch: &Patch, ellipse: &FilledEllipse) -> Option<(f64, f64)> {
     let words = patch.words;
@@ -231,7 +230,7 @@ fn white_centroid<S: Simd>(simd: S, patch: &Patch, ellipse: &FilledEllipse) -> O
             b.store_slice(&mut rows[8..]);
             for (lane, bits) in rows.into_iter().enumerate() {
                 let count = bits.count_ones();
-                // Of a run the middle is that of its ends; without pixels neither counts.
+                // The middle of a run is that of its ends; an empty row counts zero.
                 let ends = bits.trailing_zeros() + 63 - bits.leading_zeros().min(63);
                 pixels += count;
                 twice_u += count * (ends + 2 * (word * WORD_PX) as u32);
@@ -262,7 +261,7 @@ mod tests {
         PredictedRims::new(&rim(major), &rim(0.4 * major))
     }
 
-    /// A picture of the ring, and the window of so many columns round it.
+    /// A picture of the ring, and a window of `columns` columns around it.
     fn patch(ring: &PredictedRims, columns: usize) -> Patch {
         let inside = |rim: &RimEllipse, u: usize, v: usize| {
             rim.ellipse.contains(PixelPoint { u: u as f64, v: v as f64 })
@@ -292,7 +291,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn bands_are_ellipses_grown_and_shrunk(
+        fn bands_are_bounded_by_grown_and_shrunk_ellipses(
             u in 60.0..90.0f64,
             v in 60.0..90.0f64,
             major in 14.0..40.0f64,
@@ -320,7 +319,7 @@ mod tests {
                     u: (patch.window.left + column) as f64,
                     v: (patch.window.top + top + row) as f64,
                 };
-                // Rounding may go either way on an edge itself.
+                // Either result is right on an edge itself.
                 let on_edge = |e: &Ellipse| e.grown(1e-4).contains(place) != e.grown(-1e-4).contains(place);
                 if edges.iter().any(on_edge) {
                     continue;
@@ -347,8 +346,8 @@ mod tests {
         }
 
         #[test]
-        fn the_disc_says_where_the_ring_has_gone(
-            // Further away its far side leaves what is looked at, and the ring is left to its segments.
+        fn the_disc_gives_the_displacement_of_the_ring(
+            // Further away the disc leaves the ellipse, and the ring is left to its segments.
             away_px in 0.0..4.0f64,
             towards_rad in -3.2..3.2f64,
             flat in 0.8..1.0f64,
@@ -364,14 +363,14 @@ mod tests {
     }
 
     #[test]
-    fn rings_that_are_not_there_or_bridged_are_left_to_their_segments() {
+    fn missing_or_bridged_rings_have_no_predicted_bands() {
         let predicted = ring(72.3, 75.6, (15.0, 0.9, 0.3));
         let mut scratch = BandScratch::new();
         let whole = patch(&predicted, 64);
         assert!(bands(&whole, &predicted, &mut scratch).is_some());
         assert!(bands(&whole, &predicted.moved(4.0, 0.0), &mut scratch).is_none());
         let found = bands(&whole, &predicted, &mut scratch).unwrap().bands;
-        // One pixel is enough, wherever its place between the bands is.
+        // One pixel between the bands is enough.
         for (set, white) in [(found.near, false), (found.disc_core, false), (found.black, true)] {
             let at = set.iter().position(|&bits| bits != 0).unwrap();
             let pixel = 1 << set[at].trailing_zeros();
@@ -383,7 +382,7 @@ mod tests {
     }
 
     #[test]
-    fn thin_rings_are_not_followed_by_bands() {
+    fn thin_rings_have_no_predicted_bands() {
         let thin = ring(72.3, 75.6, (8.0, 0.9, 0.3));
         let patch = patch(&thin, 64);
         assert!(dispatch!(Level::new(), simd => disc_motion(simd, &patch, &thin)).is_none());

@@ -1,14 +1,13 @@
-//! The white disc and the black ring round it, found on words of pixels.
+//! Fills the white disc and the black ring around it, on words of pixels.
 //!
-//! A segment is followed row by row from one of its pixels: in the next row, the runs of its class that
-//! touch the row before belong to it (neighbours are the four nearest pixels). Bit counting finds a
-//! run's ends without a loop over pixels. What a row holds is kept as one span, from its first run's
-//! start to its last run's end; pixels of the other class between them (noise, the teeth of a code)
-//! lie inside the segment. A segment that turns back, so that a row is reached only from beyond, is
-//! followed again until nothing is added.
+//! A segment is filled row by row from a seed pixel: in the next row, the runs of its class that
+//! touch the row before belong to it (4-connectivity). Bit scans find the ends of a run without a loop over pixels. Each
+//! row is kept as one span, from its first run's start to its last run's end; pixels of the other class between them
+//! (noise, the teeth of a code) lie inside the segment. A segment that turns back, so that a row is reached only from
+//! beyond, is filled again until nothing is added.
 //!
-//! The segment is what is followed, not the window: neighbours and sheets in it stay outside, and a
-//! segment that reaches the window's edge is refused.
+//! The fill is bounded by the segment, not the window: neighbours and sheets in the window stay outside, and a
+//! segment that reaches the window's edge is rejected.
 
 use fearless_simd::Simd;
 use fearless_simd_macros::simd;
@@ -21,12 +20,12 @@ pub(crate) struct Span {
 }
 
 impl Span {
-    /// The smallest span that holds both, neither of them empty.
+    /// The smallest span that contains both; neither may be empty.
     fn joined(self, other: Span) -> Span {
         Span { first: self.first.min(other.first), end: self.end.max(other.end) }
     }
 
-    /// Its columns of one word, as bits.
+    /// Its columns in one word, as bits.
     #[inline(always)]
     pub fn bits(self, word: usize) -> u64 {
         let from = word as u32 * 64;
@@ -36,11 +35,11 @@ impl Span {
     }
 }
 
-/// Rows and columns that a segment reaches.
+/// Rows and columns of a segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Extent {
     pub top: usize,
-    /// Row after the last.
+    /// One past the last row.
     pub bottom: usize,
     pub columns: Span,
 }
@@ -58,9 +57,9 @@ impl Extent {
 /// Why there is no segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum FillError {
-    /// The pixel to begin with is not of the class.
+    /// The seed is not of the class.
     Seed,
-    /// It reaches an edge of the rows and columns given, having come so far.
+    /// It reaches an edge of the given rows and columns, with this extent so far.
     BlurredEdge(Extent),
 }
 
@@ -74,7 +73,7 @@ pub(crate) struct BitRows<'a> {
 }
 
 impl<'a> BitRows<'a> {
-    /// `rows` rows of `words` words each, of which `columns` columns count.
+    /// `rows` rows of `words` words, of which `columns` columns are valid.
     pub fn new(bits: &'a [u64], words: usize, (rows, columns): (usize, usize)) -> Self {
         Self { bits: &bits[..words * rows], words, rows, columns: columns as u32 }
     }
@@ -85,7 +84,7 @@ impl<'a> BitRows<'a> {
     }
 }
 
-/// The segment that holds pixel (u, v), its spans by row.
+/// Fills the segment of pixel (u, v); returns its extent, and its spans by row.
 #[simd]
 pub(crate) fn fill_disc<S: Simd>(
     simd: S,
@@ -100,7 +99,7 @@ pub(crate) fn fill_disc<S: Simd>(
     }
 }
 
-/// The black round the disc, together with what is inside it, its spans by row.
+/// Fills the black around the disc, including its inside.
 #[simd]
 pub(crate) fn fill_ring<S: Simd>(
     simd: S,
@@ -154,7 +153,7 @@ fn ring<const ONE: bool>(
     Ok(extent)
 }
 
-/// Goes on from the top row; it must not reach an edge.
+/// Fills upwards from the top row.
 #[inline(always)]
 fn upwards<const ONE: bool>(
     bits: &BitRows,
@@ -175,7 +174,7 @@ fn upwards<const ONE: bool>(
     }
 }
 
-/// Goes on from the bottom row; it must not reach an edge.
+/// Fills downwards from the bottom row.
 #[inline(always)]
 fn downwards<const ONE: bool>(
     bits: &BitRows,
@@ -199,7 +198,7 @@ fn downwards<const ONE: bool>(
     }
 }
 
-/// Adds what touches the segment from the side until nothing does.
+/// Adds pixels that touch the segment from the side until there are none.
 #[inline(always)]
 fn close<const ONE: bool>(
     bits: &BitRows,
@@ -233,7 +232,7 @@ fn spread<const ONE: bool>(
     }
 }
 
-/// Whether a pixel of the class lies above or below the segment's spans, outside of them.
+/// Whether a pixel of the class lies above or below a span, but outside the segment.
 #[inline(always)]
 fn leaks(bits: &BitRows, extent: &Extent, spans: &[Span]) -> bool {
     let rows = extent.top + 1..extent.bottom;
@@ -249,7 +248,7 @@ fn leaks(bits: &BitRows, extent: &Extent, spans: &[Span]) -> bool {
     leaking != 0
 }
 
-/// The smallest span that holds every run of the row that touches `span`.
+/// The smallest span that contains every run of the row that touches `span`.
 #[inline(always)]
 fn runs_touching(row: &[u64], span: Span) -> Option<Span> {
     if let [word] = *row {
@@ -287,7 +286,7 @@ fn start_of_run<const ONE: bool>(row: &[u64], u: u32) -> u32 {
     (word as u32 + 1) * 64 - others.leading_zeros()
 }
 
-/// Column after the run that begins with column `u`; `u` if it is not of the class.
+/// One past the run that begins with column `u`; `u` if it is not of the class.
 #[inline(always)]
 fn end_of_run<const ONE: bool>(row: &[u64], u: u32) -> u32 {
     if ONE {
@@ -312,8 +311,8 @@ mod tests {
     use fearless_simd::{Level, dispatch};
     use proptest::prelude::*;
 
-    /// The rule itself, pixel by pixel: spans grow by the runs that touch a neighbouring row's span
-    /// until none does.
+    /// The rule pixel by pixel: spans grow by the runs that touch a neighbouring row's span until
+    /// none does.
     fn plain(rows: &[Vec<bool>], (u, v): (usize, usize)) -> Vec<Option<(usize, usize)>> {
         let run = |row: &[bool], u: usize| {
             let first = (0..u).rev().take_while(|&u| row[u]).last().unwrap_or(u);
@@ -341,14 +340,14 @@ mod tests {
 
     proptest! {
         #[test]
-        fn words_equal_pixels(
+        fn filled_words_equal_filled_pixels(
             width in 3usize..140,
             height in 3usize..12,
             bits in proptest::collection::vec(proptest::bool::weighted(0.6), 1680),
             at in 0usize..1680,
         ) {
             let mut rows: Vec<Vec<bool>> = bits.chunks(width).take(height).map(<[bool]>::to_vec).collect();
-            // Mostly closed off, so that not all segments reach an edge.
+            // With a border, so that not all segments reach an edge.
             for (v, row) in rows.iter_mut().enumerate() {
                 row[0] = false;
                 row[width - 1] = false;
@@ -389,7 +388,7 @@ mod tests {
     }
 
     #[test]
-    fn a_segment_that_reaches_the_edge_is_refused() {
+    fn a_segment_that_reaches_the_edge_is_rejected() {
         let rows = [0b0000u64, 0b1110, 0b0100, 0b0000];
         let white = BitRows::new(&rows, 1, (4, 4));
         let mut spans = [Span::default(); 4];

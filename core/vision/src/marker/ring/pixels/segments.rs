@@ -1,7 +1,6 @@
-//! The two segments of a ring in a patch: its disc, and the black round it.
+//! The two segments of a ring in a patch: its disc, and the black around it.
 //!
-//! The disc is followed from the probe's centre, and the black from the disc ([`crate::marker::ring::pixels::segment_fill`]);
-//! counts then refuse what is too small, too large or of the wrong ratio ([`crate::marker::ring::checks`]).
+//! The disc is filled from the probe's centre, and the black from the disc ([`crate::marker::ring::pixels::segment_fill`]).
 
 use fearless_simd::Simd;
 use fearless_simd_macros::simd;
@@ -18,7 +17,7 @@ use crate::{
     scratch::reserve_total,
 };
 
-/// Rows of both segments, by the patch's rows.
+/// Spans of both segments, by the patch's rows.
 #[derive(Debug, Default)]
 pub(crate) struct Spans {
     pub discs: Vec<Span>,
@@ -26,14 +25,14 @@ pub(crate) struct Spans {
 }
 
 impl Spans {
-    /// Room for so many rows.
+    /// Reserves memory for `rows` rows.
     pub fn reserve(&mut self, rows: usize) {
         reserve_total(&mut self.discs, rows);
         reserve_total(&mut self.rings, rows);
     }
 }
 
-/// What counting says of a segment: its pixels, and the sides of its box.
+/// Size of a segment: its pixels, and the sides of its bounding box.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SegmentSize {
     pub pixels: f64,
@@ -48,7 +47,7 @@ impl SegmentSize {
     }
 }
 
-/// Where both segments lie, and how many pixels they have.
+/// Extents and sizes of both segments.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Segments {
     pub disc: Extent,
@@ -58,7 +57,7 @@ pub(crate) struct Segments {
 }
 
 impl Segments {
-    /// The disc round a pixel of the frame, or near it, and its ring.
+    /// The disc at or near a pixel of the frame, and its ring.
     #[simd]
     pub fn find<S: Simd>(
         simd: S,
@@ -95,8 +94,8 @@ impl Segments {
     }
 }
 
-/// White pixels to begin the disc with: the centre if it is white. A small ring that moved may have its
-/// black there; then the nearest white ones along row and column.
+/// White pixels to seed the disc: the centre if it is white. A small ring that moved may have black
+/// there; then the closest white ones along row and column.
 fn seeds(patch: &Patch, (u, v): (usize, usize)) -> impl Iterator<Item = (u32, usize)> {
     let white = |u: usize, v: usize| patch.white[v * patch.words + u / 64] >> (u % 64) & 1 == 1;
     let seeds = if white(u, v) {
@@ -111,7 +110,7 @@ fn seeds(patch: &Patch, (u, v): (usize, usize)) -> impl Iterator<Item = (u32, us
     seeds.into_iter().flatten().map(|(u, v)| (u as u32, v))
 }
 
-/// Whether a segment has reached an edge of the patch that is one of the frame's.
+/// Whether a segment reached an edge of the patch that is one of the frame's.
 fn at_frame_edge(frame: &Frame, patch: &Patch, extent: &Extent) -> bool {
     let window = &patch.window;
     (extent.columns.first == 0 && window.left == 0)
@@ -120,7 +119,7 @@ fn at_frame_edge(frame: &Frame, patch: &Patch, extent: &Extent) -> bool {
         || (extent.bottom == patch.rows() && window.bottom == frame.height())
 }
 
-/// Pixels of the disc and of the black round it.
+/// Sizes of the disc and of the black around it.
 #[inline(always)]
 fn counts(
     patch: &Patch,

@@ -1,19 +1,19 @@
-//! What blur does to levels and sums taken between cuts, and how it is undone.
+//! The effect of blur on levels and sums between cuts, and its removal.
 //!
-//! Blur of the deviation σ carries light across a straight edge. Beyond a cut at the distance d from the
-//! edge lies the area m = ∫ Φ(-x/σ) dx of it a pixel of rim, x from d on; with z = d/σ that is
-//! σ (φ(z) - z Φ(-z)), and of the spread σ² each side lacks a share of 2 s, s = ∫ x Φ(-x/σ) dx / σ²
-//! ([`Beyond`]). So, of a rim of radius r in whose band (from r - d to r + d) grey levels count:
+//! Blur with the deviation σ carries light across a straight edge. Per pixel of rim, the area
+//! m = ∫ Φ(-x/σ) dx, x from d on, lies beyond a cut at the distance d; with z = d/σ it is
+//! σ (φ(z) - z Φ(-z)). Each side lacks a share 2 s of the spread σ², s = ∫ x Φ(-x/σ) dx / σ²
+//! ([`Beyond`]). So, for a rim of radius r with a band from r - d to r + d:
 //!
-//! - A level, taken from n pixels beyond a cut, is off towards the other one by the share
+//! - A level of n pixels beyond a cut deviates towards the other one by the share
 //!   ε = 2π r' m / n of the contrast, r' the radius of the cut.
-//! - The filled rim then gets too much by 2π ε (r - d/2) d of the level inside, and too little by
-//!   2π ε (r + d/2) d of the level outside.
+//! - The filled rim gains 2π ε (r - d/2) d from the level inside, and loses
+//!   2π ε (r + d/2) d to the level outside.
 //! - It lacks the 2π (r + d) m that lies outside the band, and has 2π (r - d) m too much inside.
 //! - Its spread comes out as σ² (1 - 4 s) - (ε + ε) d².
 //!
-//! The last line, for both rims, gives σ; the others then say by how much the rims are to be grown.
-//! σ contains the pixels' own width, as the spread does.
+//! The last line, for both rims, gives σ; the others then give the growth of the rims.
+//! σ includes the pixels' own width, as the spread does.
 
 use fearless_simd::Simd;
 use fearless_simd_macros::simd;
@@ -28,24 +28,24 @@ use crate::{
     simd::Lane,
 };
 
-/// Deviation of the blurred edge, pixels, where the measured one is out of this range: pixels behind a
-/// sharp lens have the least.
+/// Range of the blurred edge's deviation, pixels, to which a measured one is clamped: the first is
+/// that of pixels behind a sharp lens.
 const BLUR_LIMITS_PX: (f64, f64) = (0.4, 1.7);
-/// Least distance from a rim of levels that are unmixed, pixels.
+/// Smallest distance from a rim of levels that are corrected, pixels.
 const MIN_DISTANCE_PX: f64 = 0.5;
-/// Largest share of the other level that a level is taken to hold.
+/// Largest share of the other level in a level.
 const MAX_MIXED: f64 = 0.3;
-/// Turns in which σ and what it mixes are found.
+/// Iterations in which σ and the mixed shares are found.
 const TURNS: usize = 2;
 
-/// How far from a rim grey levels count, inside and outside, pixels.
+/// Where a band ends, inside and outside of a rim, pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Cuts {
     pub inside_px: f64,
     pub outside_px: f64,
 }
 
-/// A rim as weighed.
+/// A weighed rim.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct WeighedRim {
     pub shape: Shape,
@@ -54,14 +54,14 @@ pub(crate) struct WeighedRim {
 }
 
 impl WeighedRim {
-    /// From the weighted sums over pixels counted from `origin`; `None` if they are those of no shape.
+    /// From weighted sums relative to `origin`; `None` if they are not those of a shape.
     #[inline(always)]
     pub fn new(sums: &Moments, origin: (usize, usize), cuts: Cuts) -> Option<Self> {
         let shape = sums.shape(origin)?;
         Some(Self { shape, rim: shape.ellipse(), cuts })
     }
 
-    /// What its blur depends on.
+    /// The quantities that determine its blur.
     #[inline(always)]
     fn spread(&self) -> RimSpread<f64> {
         RimSpread {
@@ -77,7 +77,7 @@ impl WeighedRim {
     }
 }
 
-/// A level, and how far from a rim it is taken.
+/// A level, and its distance from a rim.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LevelSample<T = f64> {
     pub level: T,
@@ -92,12 +92,11 @@ impl LevelSample {
     }
 }
 
-/// Levels of black and disc, and the margin's, which is `None` where it is taken to be as white as the
-/// disc.
+/// Levels of black, disc and margin; `None` if the margin is assumed to be as white as the disc.
 pub(crate) type LevelSamples<'a, T = f64> =
     (&'a LevelSample<T>, &'a LevelSample<T>, Option<&'a LevelSample<T>>);
 
-/// Levels and rims without the blur.
+/// Levels and rims without blur.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SharpRims {
     pub outer: Ellipse,
@@ -106,7 +105,7 @@ pub(crate) struct SharpRims {
     pub white: f64,
 }
 
-/// Undoes the blur. `thin` has the black's pixels of a ring whose blur reaches all of them.
+/// Removes the blur. `thin` has the black pixels of a ring that blur reaches everywhere.
 #[simd]
 pub(crate) fn remove_blur<S: Simd>(
     simd: S,
@@ -133,7 +132,7 @@ pub(crate) fn remove_blur<S: Simd>(
     SharpRims { outer, inner, black, white }
 }
 
-/// A rim as weighed: all of it that its blur depends on.
+/// The quantities of a weighed rim that determine its blur.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RimSpread<T> {
     /// [`rim_radius_px`].
@@ -143,16 +142,16 @@ pub(crate) struct RimSpread<T> {
     pub cuts: Cuts,
 }
 
-/// Radius of the circle whose circumference is about that of an ellipse with these semiaxes.
+/// Radius of a circle with about the circumference of the ellipse with these semiaxes.
 #[inline(always)]
 pub(crate) fn rim_radius_px<T: Lane>(a: T, b: T) -> T {
     ((a * a + b * b) * 0.5).root()
 }
 
-/// What blur has done, as known so far.
+/// The current estimate of the blur and its effects.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct BlurCorrection<T> {
-    /// What the rims are to be grown by, the outer one first.
+    /// Growth of the rims, the outer one first.
     pub grown_px: (T, T),
     /// The blur's variance.
     spread_px2: T,
@@ -160,7 +159,7 @@ pub(crate) struct BlurCorrection<T> {
 }
 
 impl<T: Lane> BlurCorrection<T> {
-    /// Nothing yet, of a rim of this spread.
+    /// The initial estimate, from the spread of a rim.
     #[inline(always)]
     pub fn none(spread_px2: T) -> Self {
         let none = spread_px2.splat(0.0);
@@ -168,7 +167,7 @@ impl<T: Lane> BlurCorrection<T> {
         Self { grown_px: (none, none), spread_px2, mixed }
     }
 
-    /// What is known of rims with wide bands, each level's cut beyond them.
+    /// The final estimate for rims with wide bands and all levels beyond them.
     #[inline(always)]
     pub fn of_wide(
         (outer, inner): (&RimSpread<T>, &RimSpread<T>),
@@ -182,7 +181,7 @@ impl<T: Lane> BlurCorrection<T> {
         correction
     }
 
-    /// Known better by one turn. `black_share` is by how much a thin ring's level is off.
+    /// The next iteration. `black_share` is the error of a thin ring's level.
     #[inline(always)]
     fn turn(
         &self,
@@ -193,7 +192,7 @@ impl<T: Lane> BlurCorrection<T> {
     ) -> Self {
         let (r_o, r_i) = (outer.radius_px, inner.radius_px);
         let mixed = LevelErrors::new((r_o, r_i), (black, white, margin), black_share, blur);
-        // BandWeights are shares of the contrast as measured.
+        // Weights are shares of the measured contrast.
         let scale = (-mixed.white - mixed.black + 1.0).under(1.0);
         let (of_outer, of_inner) = (
             BlurredEdge { spread: outer, mixed: (mixed.black * scale, mixed.margin * scale) },
@@ -215,7 +214,7 @@ impl<T: Lane> BlurCorrection<T> {
         let spread_px2 = (of_outer.spread_px2(&leaks.0, blur), of_inner.spread_px2(&leaks.1, blur));
         Self {
             grown_px: (of_outer.growth_px(&leaks.0, blur), of_inner.growth_px(&leaks.1, blur)),
-            // Without a margin, something else is in the outer one.
+            // Without a margin, something else lies in the outer band.
             spread_px2: match margin {
                 Some(_) => (spread_px2.0 + spread_px2.1) * 0.5,
                 None => spread_px2.1,
@@ -224,7 +223,7 @@ impl<T: Lane> BlurCorrection<T> {
         }
     }
 
-    /// Black and white without the blur.
+    /// Black and white without blur.
     #[inline(always)]
     pub fn levels(&self, black: T, white: T) -> (T, T) {
         let contrast = (white - black) / (-self.mixed.white - self.mixed.black + 1.0);
@@ -232,7 +231,7 @@ impl<T: Lane> BlurCorrection<T> {
     }
 }
 
-/// Shares of the contrast by which the levels are off.
+/// Errors of the levels as shares of the contrast.
 #[derive(Clone, Copy, Debug)]
 struct LevelErrors<T> {
     black: T,
@@ -265,27 +264,27 @@ impl<T: Lane> LevelErrors<T> {
 /// Light of the other rim in a rim's band, where the black is thin.
 #[derive(Clone, Copy, Debug)]
 struct Leak<T> {
-    /// What it adds to the area over 2π, px².
+    /// Its contribution to the area over 2π, px².
     area: T,
-    /// What it adds to σ².
+    /// Its contribution to σ².
     spread_px2: T,
 }
 
 impl<T: Lane> Leak<T> {
-    /// From a rim of this radius, negative if the black is inside of it, to a band that begins so far
-    /// from it, and reaches so far into the black.
+    /// From a rim with this radius, negative if the black is inside of it, to a band that begins at
+    /// this distance and extends this far into the black.
     #[inline(always)]
     fn new(radius_px: T, distance_px: T, reach_px: f64, blur: &Blur<T>) -> Self {
         let moved_px = Beyond::new(distance_px, blur.deviation_px).moved_px;
         Self {
-            // Of the disc's light the roundel's weights lose what the disc's own would gain.
+            // The roundel's weights lose the disc's light that the disc's own would gain.
             area: -(radius_px + distance_px) * moved_px,
             spread_px2: moved_px * (2.0 * reach_px),
         }
     }
 }
 
-/// A rim, and the shares by which the levels (inside, outside) are off.
+/// A rim, and the errors of the levels (inside, outside).
 #[derive(Clone, Copy, Debug)]
 struct BlurredEdge<'a, T> {
     spread: &'a RimSpread<T>,
@@ -304,7 +303,7 @@ impl<T: Lane> BlurredEdge<'_, T> {
         (spread_px2 + inside * near * near + outside * far * far) / share.larger(share.splat(0.3))
     }
 
-    /// What the rim is to be grown by.
+    /// Growth of the rim.
     #[inline(always)]
     fn growth_px(&self, leak: &Leak<T>, blur: &Blur<T>) -> T {
         let (near, far) = (self.spread.cuts.inside_px, self.spread.cuts.outside_px);
@@ -317,7 +316,7 @@ impl<T: Lane> BlurredEdge<'_, T> {
     }
 }
 
-/// A blur, with what it carries past the cut that most rims have.
+/// A blur, and its effect beyond the usual cut.
 #[derive(Clone, Copy, Debug)]
 struct Blur<T> {
     deviation_px: T,
@@ -343,10 +342,10 @@ impl<T: Lane> Blur<T> {
         }
     }
 
-    /// Share of the contrast by which a level is off, whose cut has this radius.
+    /// Error of a level with a cut of this radius, as a share of the contrast.
     #[inline(always)]
     fn share(&self, taken: &LevelSample<T>, radius_px: T) -> T {
-        // So near to the edge, levels tell more of how a camera sharpens than of its blur.
+        // This close to the edge, levels depend more on a camera's sharpening than on its blur.
         if taken.distance_px < MIN_DISTANCE_PX {
             return radius_px.splat(0.0);
         }

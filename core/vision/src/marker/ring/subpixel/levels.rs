@@ -1,17 +1,17 @@
-//! GreySum levels of a roundel's parts, and how they change across it.
+//! Grey levels of a roundel's parts, and their gradient.
 //!
 //! Black, disc and margin each have a level, the mean over pixels that the blur of the rims hardly
-//! reaches ([`crate::marker::ring::pixels::edge_band`]). The margin's is used where what lies there is margin and nothing
-//! else; else it is taken to be as white as the disc.
+//! reaches ([`crate::marker::ring::pixels::edge_band`]). The margin's is used if nothing else lies there; otherwise it is
+//! assumed to be as white as the disc.
 //!
-//! Under a gradient γ of the lighting, weights rise by γ·x / contrast on one side of a rim and fall on
-//! the other, which leaves the area but moves the centre: of a disc of the area A and the matrix M
-//! ([`crate::ellipse::Ellipse::matrix`]), whose band has n pixels and so the second moments n M / 2, by
-//! n M γ / (2 A contrast); and of the roundel, whose weights are those of black, to the other side.
+//! Under a lighting gradient γ, weights rise by γ·x / contrast on one side of a rim and fall on
+//! the other, which preserves the area but shifts the centre: for a disc with the area A and the matrix M
+//! ([`crate::ellipse::Ellipse::matrix`]), whose band has n pixels and thus the second moments n M / 2, by
+//! n M γ / (2 A contrast); for the roundel, whose weights are those of black, in the opposite direction.
 //!
 //! Pixels in a ring similar to the rim and ρ times as large lie at ρ √M_uu cos t along u, so the means
-//! of its right and left halves differ by Δ_u = (4/π) ρ (M γ)_u / √M_uu. That gives M γ at once,
-//! whatever the ellipse's angle.
+//! of its right and left halves differ by Δ_u = (4/π) ρ (M γ)_u / √M_uu. That gives M γ directly,
+//! for any angle of the ellipse.
 
 use fearless_simd::Simd;
 use fearless_simd_macros::simd;
@@ -31,28 +31,27 @@ use crate::{
     simd::Lane,
 };
 
-/// The margin is white where its level does not fall outwards by more than this share of the contrast
-/// and so many grey levels …
+/// Limit of the margin's fall outwards: a share of the contrast, plus grey levels …
 pub(crate) const MARGIN_FALL: (f64, f64) = (0.012, 0.6);
-/// … and does not vary by more than this.
+/// … and of its deviation, likewise.
 pub(crate) const MARGIN_DEVIATION: (f64, f64) = (0.1, 3.0);
-/// Least level of the margin two or three pixels from the rim, as a share of the contrast, if it is to
-/// be wider than that.
+/// Smallest level of the margin two or three pixels from the rim, as a share of the contrast, for a
+/// margin wider than that.
 const NEAR_MARGIN: f64 = 0.5;
-/// Sum of squared differences, grey levels, that noise alone gives.
+/// Sum of squared differences due to noise alone, grey levels squared.
 const NOISE_SQUARES: f64 = 1.0;
 
-/// Differences of the means of two halves, grey levels by one.
+/// Differences of the means of two halves, grey levels: along u and v.
 pub(crate) type Slope<T = f64> = (T, T);
 
-/// Pixels of a set: all, those before a column, and those of its first words.
+/// Pixels of a set: all, those before a column, and those in the first words.
 #[inline(always)]
 fn pixels(set: &[u64], words: usize, column: usize, first: usize) -> [u32; 3] {
     let (all, left) = count(set, words, column);
     [all, left, pixels_in(&set[..first])]
 }
 
-/// Right less left and bottom less top, from pixels and sums of all, the left and the top ones.
+/// Right minus left and bottom minus top, from pixels and sums of all, the left and the top ones.
 #[inline(always)]
 fn slope(pixels: &[u32; 3], sums: &[u64; 3]) -> Slope {
     let half = |half: usize| {
@@ -72,13 +71,13 @@ pub(crate) struct Levels {
     far: GreySum,
     /// Σ I² over `far`.
     far_square: u64,
-    /// Of black and margin.
+    /// Slopes of black and margin.
     slopes: (Slope, Slope),
 }
 
 impl Levels {
-    /// Levels, with halves to either side of column `middle.0` of the patch, which is even, and of row
-    /// `middle.1` of the bands.
+    /// Halves are split at column `middle.0` of the patch, which is even, and at row `middle.1` of
+    /// the bands.
     #[simd]
     pub fn new<S: Simd>(
         simd: S,
@@ -121,8 +120,8 @@ impl Levels {
         }
     }
 
-    /// The margin's level, if what lies beside the band is margin and nothing else: its level does not
-    /// fall outwards, and varies little.
+    /// The margin's level, if nothing but margin lies beside the band: its level does not fall
+    /// outwards, and varies little.
     #[inline(always)]
     pub fn margin(&self) -> Option<GreySum> {
         let contrast = self.disc.mean() - self.black.mean();
@@ -130,20 +129,20 @@ impl Levels {
         let variance = self.far_square as f64 / f64::from(self.far.pixels) - far * far;
         let limit = (MARGIN_DEVIATION.0 * contrast).powi(2) + MARGIN_DEVIATION.1.powi(2);
         let falls = near - far > MARGIN_FALL.0 * contrast + MARGIN_FALL.1;
-        // Without pixels none of this is a number.
-        // Where it falls at all, the blur of the margin's outer edge may have come as far as `far`.
+        // False for NaN, without pixels. If it falls at all, the blur of the margin's outer edge
+        // may reach `far`.
         let level = if near > far { self.near } else { self.near.joined(self.far) };
         (variance <= limit && !falls).then_some(level)
     }
 
-    /// Whether the margin is wide enough for the blur of its outer edge to stay out of the rim's.
+    /// Whether the margin is wide enough to keep the blur of its outer edge out of the rim's.
     pub fn has_near_margin(&self) -> bool {
         let (black, white) = (self.black.mean(), self.disc.mean());
         self.near.mean() - black > NEAR_MARGIN * (white - black)
     }
 
-    /// By how much the lighting's gradient has moved the centres of outer and inner rim, whose bands
-    /// have so many pixels.
+    /// Shift of the centres of outer and inner rim by the lighting gradient, from the pixels in
+    /// their bands.
     #[inline(always)]
     pub fn movement(
         &self,
@@ -169,10 +168,10 @@ impl Levels {
 /// radius: γ/2 for a circle. From the slopes of black and margin, and the radii of both rims.
 #[inline(always)]
 pub(crate) fn gradient<T: Lane>((b, m): (Slope<T>, Slope<T>), (r_o, r_i): (T, T)) -> (T, T) {
-    // Radii at which black and margin were looked at.
+    // Radii of the pixels of black and margin.
     let (black_px, margin_px) = ((r_o + r_i) * 0.5, r_o + MARGIN_PX);
     let squares = b.0 * b.0 + b.1 * b.1 + m.0 * m.0 + m.1 * m.1;
-    // What noise may have made is not made a movement; what is not a number neither.
+    // Attenuates slopes of the size of noise; zero for NaN.
     let sure = squares / (squares + NOISE_SQUARES);
     let is_number = sure.at_most(sure);
     let scale = sure * (0.25 * std::f64::consts::FRAC_PI_4);
@@ -181,5 +180,5 @@ pub(crate) fn gradient<T: Lane>((b, m): (Slope<T>, Slope<T>), (r_o, r_i): (T, T)
     (T::choose(is_number, scale * along.0, none), T::choose(is_number, scale * along.1, none))
 }
 
-/// Distance of the margin looked at from the outer rim.
+/// Distance of the margin's pixels from the outer rim.
 const MARGIN_PX: f64 = 3.3;

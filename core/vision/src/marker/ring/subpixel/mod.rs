@@ -1,7 +1,15 @@
-//! Both rims by the grey levels of their bands, with all tests of them.
+//! Refines both rims by the grey levels of their edge bands, and tests them.
 //!
-//! In: bands, drawn by segments or about expected rims. Out: both rims without the blur, and what else the outer
-//! one says; steps 4 and 5 of [`crate::marker::ring::measure`].
+//! | module | content |
+//! | --- | --- |
+//! | `levels` | levels of disc, black and margin; lighting gradient |
+//! | `moments` | sums over pixels, weighted by grey levels |
+//! | `blur` | removal of the blur |
+//! | `thin_ring` | black level of a ring thinner than the blur |
+//! | `unevenness` | deviation of the levels along the outer rim |
+//!
+//! Input: edge bands, from segments or predicted rims. Output: both rims without blur, and the quality of the outer one;
+//! steps 4 and 5 of [`crate::marker::ring::measure`].
 
 pub(crate) mod blur;
 pub(crate) mod levels;
@@ -38,36 +46,36 @@ use crate::{
     },
 };
 
-/// Turns in which a thin ring's black level and its rims are found.
+/// Iterations of a thin ring's black level and rims.
 const THIN_TURNS: usize = 2;
 /// Deviation of a blurred edge where none is measured, pixels.
 const USUAL_BLUR_PX: f64 = 0.75;
-/// Least distance of the outer rim from the frame's edge, pixels.
+/// Smallest distance of the outer rim from the frame's edge, pixels.
 pub(crate) const EDGE_PX: f64 = 1.0;
 
-/// What is known of the outer rim besides its ellipse.
+/// Properties of the outer rim besides its ellipse.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RimQuality {
     /// As in [`crate::marker::Ring`].
     pub unevenness: f64,
     /// Both rims have the same shape.
     pub similar: bool,
-    /// Only what lies inside of the threshold's edge was weighed.
+    /// Only the part inside of the threshold's edge was weighed.
     pub cut: bool,
 }
 
-/// EdgeBands with what is needed to weigh by them.
+/// Bands, and their position.
 pub(crate) struct BandLayout<'a> {
     pub bands: EdgeBands<'a>,
     /// A pixel in the middle, its column even, in the bands' rows.
     pub middle: (usize, usize),
     pub outer: Area,
     pub inner: Area,
-    /// What was counted of black and disc, where segments were followed.
+    /// Sizes of black and disc, if segments were filled.
     pub sizes: Option<(&'a SegmentSize, &'a SegmentSize)>,
 }
 
-/// Both rims by grey levels, with all tests of them.
+/// Both rims by grey levels, with all tests.
 #[simd]
 pub(crate) fn refine_rims<S: Simd>(
     simd: S,
@@ -88,7 +96,7 @@ pub(crate) fn refine_rims<S: Simd>(
         return Err(Reject::Contrast);
     }
     let margin = levels.margin();
-    // The bands of a narrow margin are those of segments.
+    // A narrow margin needs the bands of segments.
     if margin.is_none() && layout.sizes.is_none() {
         return Err(Reject::Contrast);
     }
@@ -168,17 +176,17 @@ pub(crate) fn refine_rims<S: Simd>(
     Ok((found, RimQuality { unevenness, similar, cut }))
 }
 
-/// The pixels by which both rims are weighed.
+/// The pixels that weigh in for both rims.
 struct RimRegions<'a> {
     grey: &'a [[u8; WORD_PX]],
     words: usize,
-    /// The pixel that sums are counted from, in the frame and in the rows.
+    /// The pixel that sums are relative to, in the frame and in the rows.
     origin: (usize, usize),
     middle: (usize, usize),
-    /// Core and band of each rim, where the band ends, and what holds it.
+    /// Core and band of each rim, where the band ends, and its area.
     outer: ((&'a [u64], &'a [u64]), Cuts, Area),
     inner: ((&'a [u64], &'a [u64]), Cuts, Area),
-    /// Level outside of the roundel, and of the disc.
+    /// Levels of the margin and of the disc.
     white: (f64, f64),
 }
 
@@ -212,7 +220,7 @@ impl RimRegions<'_> {
     }
 }
 
-/// How far outside of the rim the threshold cuts its blurred edge, for a usual blur.
+/// Distance of the threshold's edge outside of the rim, for a usual blur.
 #[inline(always)]
 fn cut_px(threshold: f64, black: f64, white: f64) -> f64 {
     // σ Φ⁻¹(1/2 + p), by its series.
@@ -221,7 +229,7 @@ fn cut_px(threshold: f64, black: f64, white: f64) -> f64 {
     USUAL_BLUR_PX * (2.0 * pi).sqrt() * (p + p * p * p * pi / 3.0)
 }
 
-/// Whether the rim lies far enough from the frame's edge to be measured.
+/// Whether the rim is far enough from the frame's edge.
 #[inline(always)]
 fn check_edge(frame: &Frame, center: PixelPoint, matrix: &Symmetric2) -> Result<(), Reject> {
     let (half_u, half_v) = (matrix.uu.sqrt() + EDGE_PX, matrix.vv.sqrt() + EDGE_PX);

@@ -1,8 +1,8 @@
 //! Sums over a roundel's pixels: levels, and moments weighted by grey levels.
 //!
-//! Sixteen columns are summed at a time, each in its own lane, Σ w, Σ w v and Σ w v² over the rows;
-//! what multiplies u enters once a column in the end. In `f32`, with u and v counted from the
-//! roundel's middle, a sum's rounding is below 1e-6 of it.
+//! Σ w, Σ w v and Σ w v² over the rows are taken for sixteen columns at a time, one per lane; factors u are applied once
+//! per column at the end. In `f32`, with u and v relative to the roundel's middle, the rounding of a sum is below 1e-6 of
+//! it.
 
 use fearless_simd::{
     Simd, f32x16, i16x32, mask8x64, mask16x32, mask32x16, prelude::*, u8x64, u16x32, u32x16,
@@ -17,7 +17,7 @@ use crate::{
     },
 };
 
-/// Columns summed at a time.
+/// Columns per vector.
 const LANES: usize = 16;
 
 /// Number and sum of grey levels of a set of pixels.
@@ -28,25 +28,25 @@ pub(crate) struct GreySum {
 }
 
 impl GreySum {
-    /// Not a number without pixels.
+    /// NaN without pixels.
     pub fn mean(&self) -> f64 {
         self.sum as f64 / f64::from(self.pixels)
     }
 
-    /// Both sets together.
+    /// The union of disjoint sets.
     pub fn joined(self, other: GreySum) -> GreySum {
         GreySum { pixels: self.pixels + other.pixels, sum: self.sum + other.sum }
     }
 }
 
-/// Sets that [`GreyLanes`] adds up.
+/// Sets summed by [`levels`].
 const SETS: usize = 4;
 
-/// Sums of the grey levels of sets of pixels, four columns a lane.
+/// Sums of the grey levels of sets of pixels, four columns per lane.
 #[derive(Clone, Copy)]
 pub(crate) struct GreyLanes<S: Simd> {
     pub all: [u32x16<S>; SETS],
-    /// Of the columns to the left of the middle.
+    /// Columns left of the middle.
     pub left: [u32x16<S>; SETS],
     /// Σ I² of the last set.
     pub square: u32x16<S>,
@@ -59,8 +59,8 @@ pub(crate) fn total<S: Simd>(lanes: u32x16<S>) -> u64 {
     (low + high).as_slice().iter().sum()
 }
 
-/// Sums over sets of pixels, to the left of an even column of the patch and in all. A lane holds a
-/// frame's worth of pixels, and of their squares those of 16,000 rows.
+/// Sums over sets of pixels, all and left of an even column of the patch. A lane has the range for
+/// a whole frame, and for the squares of 16,000 rows.
 #[simd]
 pub(crate) fn levels<S: Simd>(
     simd: S,
@@ -79,7 +79,7 @@ pub(crate) fn levels<S: Simd>(
         let left = mask16x32::from_bitmask(simd, (1 << (columns / 2)) - 1);
         let mut from = 0;
         while from < rows {
-            // So many rows fit into 16 bits: each lane takes two pixels of a row.
+            // This many rows fit into 16 bits: each lane takes two pixels of a row.
             let to = (from + 64).min(rows);
             let mut lanes = [nothing; SETS];
             let mut at = from * words + word;
@@ -107,7 +107,7 @@ pub(crate) fn levels<S: Simd>(
     sums
 }
 
-/// How many bits are set, and how many of them before a column.
+/// Number of set bits, and of those before a column.
 #[inline(always)]
 pub(crate) fn count(set: &[u64], words: usize, column: usize) -> (u32, u32) {
     let (mut all, mut some) = (0u64, 0u64);
@@ -129,7 +129,7 @@ pub(crate) fn count(set: &[u64], words: usize, column: usize) -> (u32, u32) {
     (all as u32, some as u32)
 }
 
-/// How grey levels count: w = `offset` + `gain` I in the band, `core` in the core.
+/// Weights of pixels: w = `offset` + `gain` I in the band, `core` in the core.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct BandWeights {
     pub offset: f32,
@@ -145,8 +145,7 @@ impl BandWeights {
     }
 }
 
-/// Moments of the pixels of `core` and `band`, of which there are none outside of these rows and
-/// columns; sums are counted from the pixel `first` rows and columns after the first one.
+/// Moments of the pixels of `core` and `band`, all within `area`, relative to the middle.
 #[simd]
 pub(crate) fn moments<S: Simd>(
     simd: S,
@@ -202,7 +201,7 @@ fn lanes<S: Simd>(
     let (core, band) = (&core[..grey.len()], &band[..grey.len()]);
     let column = column.min(WORD_PX - LANES);
     let pixels = Pixels { grey, core, band, column, offset, gain, whole };
-    // Every other row has sums of its own, so that no addition waits for the one before.
+    // Even and odd rows have separate sums, which shortens the dependency chain.
     let [mut n, mut nv, mut nvv] = [zero; 3];
     let [mut odd_n, mut odd_nv, mut odd_nvv] = [zero; 3];
     let mut v = f32x16::splat(simd, first_v);
@@ -229,7 +228,7 @@ fn lanes<S: Simd>(
     [n + odd_n, nv + odd_nv, nvv + odd_nvv]
 }
 
-/// Sixteen columns of rows, with what weighs them.
+/// Sixteen columns of rows, with their weights.
 #[derive(Clone, Copy)]
 struct Pixels<'a, S: Simd> {
     grey: &'a [[u8; WORD_PX]],
@@ -295,7 +294,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn levels_are_plain_sums((words, grey, sets) in rows(), half_column in 0usize..96) {
+        fn levels_equal_scalar_sums((words, grey, sets) in rows(), half_column in 0usize..96) {
             let column = 2 * half_column;
             let of: [&[u64]; SETS] = std::array::from_fn(|set| sets[set].as_slice());
             let ours = dispatch!(Level::new(), simd => {
@@ -315,7 +314,7 @@ mod tests {
         }
 
         #[test]
-        fn moments_are_plain_sums((words, grey, sets) in rows()) {
+        fn moments_equal_scalar_sums((words, grey, sets) in rows()) {
             let (core, band) = (&sets[0], &sets[1]);
             let all = Area { rows: (0, grey.len() / words), columns: (0, words * WORD_PX) };
             let middle = (words * WORD_PX / 2, grey.len() / words / 2);

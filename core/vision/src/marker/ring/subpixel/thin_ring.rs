@@ -1,8 +1,7 @@
-//! The black level of a ring so thin that the blur of its rims reaches every pixel of it.
+//! Black level of a ring so thin that the blur of its rims reaches all of its pixels.
 //!
-//! How much of white a pixel holds depends on where it lies, so each of the ring is asked for its
-//! distances d_o and d_i from both rims. For rims that are nearly straight the light there is
-//! B + (W - B) x, x = Φ(-d_o/σ) + Φ(-d_i/σ). Means over the pixels round the middle, where x is least,
+//! The share of white in a pixel depends on its distances d_o and d_i from both rims. For nearly straight rims the level is
+//! B + (W - B) x, x = Φ(-d_o/σ) + Φ(-d_i/σ). Means over the pixels around the middle, where x is smallest,
 //! each weighted by 1 - |d_o - d_i|/2h, give B = (Ī - x̄ W)/(1 - x̄).
 //!
 //! The distance from the ellipse q(x) = 1, q(x)² = xᵀ M⁻¹ x, is (q - 1)/|∇q| to first order.
@@ -15,41 +14,41 @@ use crate::{
     scratch::reserve_total,
 };
 
-/// h: how far from the middle pixels count, pixels.
+/// h: half width of the weights about the middle, pixels.
 const HALF_WIDTH_PX: f32 = 1.0;
-/// Largest share of white that the black is taken to hold.
+/// Largest share of white in the black.
 const MAX_MIXED: f64 = 0.4;
 
-/// Pixels that are looked at together.
+/// Pixels processed together.
 const LANES: usize = 16;
 
-/// Black pixels of a thin ring across its rim, at most.
+/// Largest number of black pixels across a thin ring.
 const MAX_ACROSS: usize = 8;
 
-/// Pixels of the black.
+/// Black pixels.
 #[derive(Clone, Copy, Debug, Default)]
 struct RimDistances16 {
-    /// Distances from the outer and the inner rim, pixels; at first, places of the pixels.
+    /// Distances from the outer and the inner rim, pixels; initially the pixels' positions.
     outer_px: [f32; LANES],
     inner_px: [f32; LANES],
     grey: [f32; LANES],
     weight: [f32; LANES],
 }
 
-/// The black pixels of a thin ring.
+/// The black pixels of a thin ring, with their distances from the rims.
 #[derive(Debug, Default)]
 pub(crate) struct RimDistances {
     distances: Vec<RimDistances16>,
 }
 
 impl RimDistances {
-    /// Room for the largest thin ring of a frame.
+    /// Reserves memory for the largest thin ring of a frame.
     pub fn reserve(&mut self, width: usize, height: usize) {
         reserve_total(&mut self.distances, 2 * (width + height) * MAX_ACROSS / LANES);
     }
 
-    /// Those of the whole roundel that are not the white disc, in rows of the frame, the first of them
-    /// `first.1`, its columns from `first.0` on.
+    /// Collects the pixels of the whole roundel that are not in the white disc. The rows begin with
+    /// row `first.1` of the frame, at column `first.0`.
     #[simd]
     pub fn measure<S: Simd>(
         simd: S,
@@ -94,8 +93,8 @@ impl RimDistances {
         }
     }
 
-    /// B, if white has this level, the rims are further out by so much (outer, inner) and the blur has
-    /// this deviation. Not a number without pixels.
+    /// B, for this white level, rims (outer, inner) grown by `grown_px` and this blur. NaN without
+    /// pixels.
     #[simd]
     pub fn level<S: Simd>(
         simd: S,
@@ -125,8 +124,8 @@ impl RimDistances {
     }
 }
 
-/// Φ(-z), to 1e-3: a logistic curve of z³ and z (Bowling and others 2009), its exponential as the
-/// power (1 + y/1024)^1024, which vectors can do.
+/// Φ(-z), to 1e-3: a logistic curve of z³ and z (Bowling and others 2009), with eʸ as (1 +
+/// y/1024)^1024, which vectorizes.
 #[inline(always)]
 fn tail(z: f32) -> f32 {
     let y = z * (1.5976 + 0.070_56 * z * z);
@@ -137,7 +136,7 @@ fn tail(z: f32) -> f32 {
     1.0 / (1.0 + power)
 }
 
-/// A rim to take distances from.
+/// A rim for distances.
 #[derive(Clone, Copy)]
 struct Rim {
     /// Centre, pixels from the first one.

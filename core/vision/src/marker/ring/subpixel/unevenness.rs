@@ -1,14 +1,13 @@
-//! Whether the outer rim is there all the way round.
+//! Whether the outer rim is complete.
 //!
-//! Moments see a rim as a whole: a neighbour's sheet that covers a little of it moves them by a
+//! Moments see a rim as a whole: a neighbouring sheet that covers a little of it shifts them by a
 //! fraction of a pixel, too little for the tests of shape and many times more than the pose's
-//! covariance allows for. Along a rim that is where the ellipse says, though, every point has the
-//! level halfway between black and white; where something covers it, the level is one or the other.
+//! covariance allows for. Along a correct rim, every point has the level halfway between black and white; where the rim
+//! is covered, the level is one or the other.
 //!
-//! So the pose is told how uneven the rim is, and takes it into its covariance. The deviation is the rms
-//! over the rim of (level - mean level) / contrast, without its first harmonic, which is that of a
-//! lighting gradient. With M = L Lᵀ (Cholesky) of the rim's matrix, c + L (cos t, sin t) runs along it,
-//! evenly as along the circle that it is an affine image of; no angle is needed.
+//! The pose adds this unevenness to its covariance. It is the rms over the rim of (level - mean level) / contrast,
+//! without its first harmonic, which is that of a lighting gradient. With M = L Lᵀ (Cholesky) of the rim's matrix,
+//! c + L (cos t, sin t) runs along the rim as evenly as along the circle, without an angle.
 
 use fearless_simd::{Simd, f32x16, prelude::*};
 use fearless_simd_macros::simd;
@@ -26,10 +25,10 @@ use crate::{
 
 /// Points along the rim.
 const POINTS: usize = 32;
-/// Beyond this share more of the rim is gone than an ellipse can be trusted with.
+/// Beyond this share too much of the rim is covered.
 const MAX_UNEVENNESS: f64 = 0.25;
 
-/// The pixels that hold a rim.
+/// The pixels around a rim.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pixels<'a> {
     /// From the window's first pixel on.
@@ -39,26 +38,26 @@ pub(crate) struct Pixels<'a> {
 }
 
 impl<'a> Pixels<'a> {
-    /// Of a patch.
+    /// The pixels of a patch.
     pub fn of(patch: &'a Patch) -> Self {
-        // A row's words lie one after the other.
+        // A row's words are contiguous.
         let (grey, stride) = (patch.grey.as_flattened(), patch.words * WORD_PX);
         Self { grey, stride, window: patch.window }
     }
 
-    /// Of a frame's window. Which of ring and disc is black makes no difference to how uneven they are.
+    /// The pixels of a frame's window. The polarity does not affect the unevenness.
     pub fn within(frame: &Frame<'a>, window: Window) -> Self {
         let (pixels, stride) = frame.pixels();
         Self { grey: &pixels[window.top * stride + window.left..], stride, window }
     }
 }
 
-/// How uneven the rim with this centre and [`crate::ellipse::Ellipse::matrix`] is, as [`deviation`]
-/// says, or that it is covered.
+/// The unevenness ([`deviation`]) of the rim with this centre and
+/// [`crate::ellipse::Ellipse::matrix`], or a rejection if it is covered.
 ///
-/// Rendered whole rings (contrast 120, noise 2) have 0.011, at the most 0.017 of 3,000, which is two
+/// Complete rendered rings (contrast 120, noise 2) have 0.011, at most 0.017 of 3,000, which is two
 /// thirds of the noise's share of the contrast. Prints on bent paper or after JPEG have up to 0.09;
-/// rings that a neighbour's sheet covers in part have 0.03 to 0.23.
+/// rings partly covered by a neighbouring sheet have 0.03 to 0.23.
 #[simd]
 pub(crate) fn unevenness<S: Simd>(
     simd: S,
@@ -68,11 +67,11 @@ pub(crate) fn unevenness<S: Simd>(
     contrast: f64,
 ) -> Result<f64, Reject> {
     let uneven = deviation(simd, &levels(simd, pixels, center, matrix)) / contrast;
-    // Not a number where the contrast is none.
+    // False for NaN, without contrast.
     if uneven <= MAX_UNEVENNESS { Ok(uneven) } else { Err(Reject::Covered) }
 }
 
-/// cos(k π/16) of the quarter k = 0..=8; the rest of the circle follows by symmetry.
+/// cos(k π/16) for k = 0..=8; the rest of the circle follows by symmetry.
 const QUARTER: [f32; 9] = [
     1.0,
     0.980_785_25,
@@ -101,7 +100,7 @@ const fn circle(quarter_turns_back: usize) -> [f32; POINTS] {
     cosines
 }
 
-/// Of the points along the circle.
+/// At the points of the circle.
 const COS: [f32; POINTS] = circle(0);
 const SIN: [f32; POINTS] = circle(1);
 
@@ -170,6 +169,6 @@ fn deviation<S: Simd>(simd: S, levels: &[f32x16<S>; 2]) -> f64 {
         f64::from(along.reduce_sum()) / n,
         f64::from(across.reduce_sum()) / n,
     );
-    // Parseval: the mean square less that of the first harmonic.
+    // Parseval: the mean square minus that of the first harmonic.
     (squares - 2.0 * (along * along + across * across)).max(0.0).sqrt()
 }
