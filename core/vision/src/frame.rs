@@ -1,4 +1,4 @@
-//! A borrowed view of one 8-bit grey image; pixel (u, v) is `row(v)[u]`.
+//! A borrowed view of one 8-bit grey image, in which pixel (u, v) is `row(v)[u]`, and windows of it.
 
 use thiserror::Error;
 
@@ -86,6 +86,54 @@ impl<'a> Frame<'a> {
     }
 }
 
+/// A rectangle of pixels: columns `left..right`, rows `top..bottom`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Window {
+    /// First column.
+    pub left: usize,
+    /// First row.
+    pub top: usize,
+    /// One past the last column.
+    pub right: usize,
+    /// One past the last row.
+    pub bottom: usize,
+}
+
+impl Window {
+    /// The whole frame.
+    pub fn of(frame: &Frame) -> Self {
+        Self { left: 0, top: 0, right: frame.width(), bottom: frame.height() }
+    }
+
+    /// The part of `frame` within the half sides `du`, `dv` (≥ 0) around (u, v); may be empty.
+    pub fn around(frame: &Frame, (u, v): (f64, f64), (du, dv): (f64, f64)) -> Self {
+        // The casts saturate, so a far or non-finite centre gives an empty window, not a panic.
+        let column = |x: f64| (x.max(0.0) as usize).min(frame.width());
+        let row = |x: f64| (x.max(0.0) as usize).min(frame.height());
+        Self {
+            left: column((u - du).ceil()),
+            top: row((v - dv).ceil()),
+            right: column((u + du).floor() + 1.0),
+            bottom: row((v + dv).floor() + 1.0),
+        }
+    }
+
+    /// Columns.
+    pub fn width(&self) -> usize {
+        self.right.saturating_sub(self.left)
+    }
+
+    /// Rows.
+    pub fn height(&self) -> usize {
+        self.bottom.saturating_sub(self.top)
+    }
+
+    /// Whether pixel (u, v) lies in the window.
+    pub fn contains(&self, u: usize, v: usize) -> bool {
+        (self.left..self.right).contains(&u) && (self.top..self.bottom).contains(&v)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -108,5 +156,14 @@ mod tests {
             Frame::new(&[0; 8], 3, 3, 3).unwrap_err(),
             FrameError::Length { expected: 9, found: 8 }
         );
+    }
+
+    #[test]
+    fn windows_are_clipped_to_the_frame() {
+        let pixels = [0u8; 20];
+        let frame = Frame::new(&pixels, 5, 4, 5).unwrap();
+        assert_eq!(Window::around(&frame, (2.0, 2.0), (9.0, 9.0)), Window::of(&frame));
+        let none = Window::around(&frame, (f64::NAN, -50.0), (1.0, 1.0));
+        assert_eq!(none.height(), 0);
     }
 }

@@ -7,8 +7,7 @@
 //! | `parallel`, `scratch` | per-thread memory, buffers reserved in advance |
 //! | [`normal`] | the normal distribution, fast enough to evaluate per pixel |
 //! | [`camera`] | lens models |
-//! | [`frame`] | view of an 8-bit grey image |
-//! | [`segment`] | windows, and moments of pixel runs |
+//! | [`frame`] | view of an 8-bit grey image, and windows of it |
 //! | [`ellipse`] | ellipses from moments |
 //! | [`marker`] | detection of rings in a frame, tracking from frame to frame |
 //! | [`pose`] | pose of a ring in the camera frame, with covariance |
@@ -30,6 +29,5 @@ mod parallel;
 pub mod pose;
 pub mod rigid;
 mod scratch;
-pub mod segment;
 mod simd;
 pub mod time;

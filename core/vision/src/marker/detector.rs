@@ -7,7 +7,7 @@ use fearless_simd::Level;
 
 use crate::{
     camera::PixelPoint,
-    frame::Frame,
+    frame::{Frame, Window},
     id::KindId,
     marker::{
         Ring,
@@ -38,7 +38,6 @@ use crate::{
         },
     },
     scratch::reserve_total,
-    segment::Window,
 };
 
 /// Depth of the binary search for the threshold of a candidate.

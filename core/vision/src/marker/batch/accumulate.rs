@@ -227,6 +227,7 @@ mod tests {
     use crate::{
         camera::PixelPoint,
         ellipse::Ellipse,
+        frame::Window,
         marker::{
             kind::Polarity,
             ring::pixels::{
@@ -234,7 +235,6 @@ mod tests {
                 predicted::bands_about,
             },
         },
-        segment::Window,
     };
     use fearless_simd::{Level, dispatch};
     use proptest::prelude::*;

@@ -30,7 +30,7 @@ use fearless_simd_macros::simd;
 use crate::{
     camera::PixelPoint,
     ellipse::Symmetric2,
-    frame::Frame,
+    frame::{Frame, Window},
     id::KindId,
     marker::{
         Ring,
@@ -53,7 +53,6 @@ use crate::{
             subpixel::unevenness::{Pixels, unevenness},
         },
     },
-    segment::Window,
     simd::{Lane, Mask},
 };
 /// Memory of measuring a batch.

@@ -63,8 +63,6 @@ impl CodeLayout {
     pub const RATIO: f64 = 420.0 / 700.0;
     /// Radius of the white core over that of the white disc between the teeth.
     pub const CORE_SHARE: f64 = 240.0 / 420.0;
-    /// White area over that of the whole disc: the core, and half of the annulus around it.
-    pub const WHITE_SHARE: f64 = 0.5 * (1.0 + Self::CORE_SHARE * Self::CORE_SHARE);
 
     /// Whether there are at least two such codes.
     pub fn check(&self) -> Result<(), CodeError> {

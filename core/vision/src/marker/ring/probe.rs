@@ -1,8 +1,8 @@
 //! Where to measure a ring, and the limits for it.
 
 use crate::{
+    frame::Window,
     marker::{kind::Polarity, ring::pixels::predicted::PredictedRims},
-    segment::Window,
 };
 
 /// Limits for a ring.

@@ -6,8 +6,8 @@
 
 use crate::{
     ellipse::{Chords, Ellipse},
+    frame::Window,
     marker::{Ring, search::row_edges::ROW_STEP},
-    segment::Window,
 };
 
 /// The pixels of one roundel.

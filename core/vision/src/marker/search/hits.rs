@@ -215,7 +215,10 @@ mod tests {
     use fearless_simd::Level;
 
     use super::*;
-    use crate::{frame::Frame, marker::search::chord::Evenness, segment::Window};
+    use crate::{
+        frame::{Frame, Window},
+        marker::search::chord::Evenness,
+    };
 
     fn hits(line: &[u8], polarity: Polarity) -> Vec<Hit> {
         let frame = Frame::new(line, line.len(), 1, line.len()).unwrap();

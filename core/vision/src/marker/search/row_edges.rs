@@ -11,7 +11,7 @@
 use fearless_simd::{Level, dispatch, prelude::*, u8x64};
 use fearless_simd_macros::simd;
 
-use crate::{frame::Frame, segment::Window};
+use crate::frame::{Frame, Window};
 
 /// Rows of a pair.
 pub(crate) const ROW_STEP: usize = 2;

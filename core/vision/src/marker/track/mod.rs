@@ -11,7 +11,7 @@ mod occupied;
 
 use crate::{
     camera::PixelPoint,
-    frame::Frame,
+    frame::{Frame, Window},
     id::TrackNumber,
     marker::{
         Ring, TrackedRing,
@@ -24,7 +24,6 @@ use crate::{
         search::{claim::Claim, row_edges::ROW_STEP},
         track::occupied::OccupancyGrid,
     },
-    segment::Window,
 };
 
 /// Largest change of a track's radius per frame, as a share …

@@ -9,7 +9,11 @@
 use fearless_simd::{Simd, prelude::*, u8x64};
 use fearless_simd_macros::simd;
 
-use crate::{frame::Frame, marker::kind::Polarity, scratch::reserve_total, segment::Window};
+use crate::{
+    frame::{Frame, Window},
+    marker::kind::Polarity,
+    scratch::reserve_total,
+};
 
 /// Columns of a word.
 pub(crate) const WORD_PX: usize = 64;

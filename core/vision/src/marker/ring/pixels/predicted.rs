@@ -245,7 +245,11 @@ fn white_centroid<S: Simd>(simd: S, patch: &Patch, ellipse: &FilledEllipse) -> O
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{camera::PixelPoint, frame::Frame, marker::kind::Polarity, segment::Window};
+    use crate::{
+        camera::PixelPoint,
+        frame::{Frame, Window},
+        marker::kind::Polarity,
+    };
     use fearless_simd::{Level, dispatch};
     use proptest::prelude::*;
 

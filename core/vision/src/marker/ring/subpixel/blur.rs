@@ -66,7 +66,7 @@ impl WeighedRim {
     fn spread(&self) -> RimSpread<f64> {
         RimSpread {
             radius_px: rim_radius_px(self.rim.semi_major_px, self.rim.semi_minor_px),
-            spread_px2: self.shape.spread_px2_of(&self.rim),
+            spread_px2: self.shape.spread_px2(&self.rim),
             cuts: self.cuts,
         }
     }

@@ -15,12 +15,11 @@ use fearless_simd_macros::simd;
 use crate::{
     camera::PixelPoint,
     ellipse::Symmetric2,
-    frame::Frame,
+    frame::{Frame, Window},
     marker::{
         reject::Reject,
         ring::pixels::patch::{Patch, WORD_PX},
     },
-    segment::Window,
 };
 
 /// Points along the rim.
