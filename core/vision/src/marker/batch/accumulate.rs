@@ -319,7 +319,7 @@ mod tests {
             let EdgeBands { top, disc_core, disc_band, ring_core, ring_band, black, near, far, .. } =
                 found.bands;
             let of = |set: &[u64]| pixels(set, &patch.grey[top..]);
-            let at = |row: Row, after: usize| table.row(row, after)[3];
+            let at = |row: Row, after: usize| table.rows[row as usize + after][3];
             for (row, band, reach) in [
                 (Row::OuterBand, of(ring_band), at(Row::OuterReach, 0)),
                 (Row::InnerBand, of(disc_band), at(Row::InnerReach, 0)),

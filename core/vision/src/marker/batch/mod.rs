@@ -4,12 +4,11 @@
 //! | --- | --- |
 //! | `planes` | pixel sets of one ring, a word per row |
 //! | `row_sums`, `accumulate` | one pass over a ring's pixels: all sums |
-//! | `table` | the sums of all rings, a column each |
-//! | `shapes` | levels and weighed rims from the sums |
+//! | `table` | the sums of all rings, a column each; levels and weighed rims from them |
 //! | `rims` | rims without blur, tests, kinds |
 //!
 //! From the sums to the rims leads one dependency chain of some sixty divisions and roots. The rings of one frame go
-//! through it in the lanes of vectors ([`crate::simd`]), in the same steps as [`crate::marker::ring::subpixel::refine_rims`].
+//! through it in the lanes of vectors ([`crate::simd`]), with the arithmetic of [`crate::marker::ring`].
 //! Rings that fail a test, or need a rare case, are left to [`crate::marker::ring::measure`], which also gives the reason
 //! for a rejection.
 //!
@@ -21,7 +20,6 @@ mod accumulate;
 mod planes;
 mod rims;
 mod row_sums;
-mod shapes;
 mod table;
 
 use fearless_simd::{Level, Simd, SimdFrom, dispatch, f64x8};
@@ -38,7 +36,6 @@ use crate::{
             accumulate::accumulate_ring,
             planes::Planes,
             rims::Rims,
-            shapes::LaneEllipse,
             table::{RINGS, Table},
         },
         kind::Kind,
@@ -51,6 +48,7 @@ use crate::{
             },
             probe::{Probe, Rules},
             subpixel::unevenness::{Pixels, unevenness},
+            weighed_rim::{LaneEllipse, WeighedRim},
         },
     },
     simd::{Lane, Mask},
@@ -150,11 +148,11 @@ fn measure_with<S: Simd>(
         0 => {}
         // A batch of eight takes longer than one ring, but less than two.
         1 => {
-            let rims = Rims::of(0.0, table, size, (rules, kinds));
+            let rims = Rims::new(0.0, table, size, rules, kinds);
             finish(simd, frame, &accumulated, &rims, (rings, matrices));
         }
         _ => {
-            let rims = Rims::of(f64x8::simd_from(simd, 0.0), table, size, (rules, kinds));
+            let rims = Rims::new(f64x8::simd_from(simd, 0.0), table, size, rules, kinds);
             finish(simd, frame, &accumulated, &rims, (rings, matrices));
         }
     }
@@ -200,9 +198,9 @@ fn finish<S: Simd, T: Lane>(
         if off > RETHRESHOLD_SHARE.0 * (white - black) {
             continue;
         }
-        let [u, v, uu, uv, vv] = &rims.edge;
+        let WeighedRim { rim, matrix: [uu, uv, vv], .. } = &rims.weighed;
         let (center, matrix) = (
-            PixelPoint { u: u.lane(lane), v: v.lane(lane) },
+            PixelPoint { u: rim.u.lane(lane), v: rim.v.lane(lane) },
             Symmetric2 { uu: uu.lane(lane), uv: uv.lane(lane), vv: vv.lane(lane) },
         );
         let pixels = Pixels::within(frame, found.window);

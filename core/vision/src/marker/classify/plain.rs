@@ -4,15 +4,16 @@ use crate::{
     ellipse::Ellipse,
     id::KindId,
     marker::{
-        classify::compensation::{compensated, rim_shift_px},
+        classify::compensation::{compensated, shift_px},
         kind::{Kind, Pattern, Polarity},
     },
+    simd::Lane,
 };
 
 /// Largest shift of a rim as a share of the outer radius …
-pub(crate) const SHIFT_SHARE: f64 = 0.02;
+const SHIFT_SHARE: f64 = 0.02;
 /// … plus pixels: saturated white blooms by half a pixel and more at each rim.
-pub(crate) const SHIFT_PX: f64 = 0.7;
+const SHIFT_PX: f64 = 0.7;
 
 /// Largest shift of both rims of a kind, pixels.
 #[inline(always)]
@@ -27,26 +28,52 @@ pub(crate) fn shift_limit_px(outer: &Ellipse) -> f64 {
 /// with the smallest shift |t|, which must be one that a camera can cause. No two kinds have the
 /// same ratio ([`crate::marker::DetectorError::Indistinguishable`]). Coded kinds are excluded,
 /// because their white is not a disc ([`crate::marker::coded::measure`]).
-#[inline(always)]
 pub(crate) fn nearest_kind(
     kinds: &[Kind],
     polarity: Polarity,
     outer: &Ellipse,
     inner: &Ellipse,
 ) -> Option<(KindId, Ellipse, Ellipse)> {
-    let limit_px = shift_limit_px(outer);
-    let mut best: Option<(usize, f64)> = None;
-    let plain = |kind: &Kind| matches!(kind.pattern, Pattern::Plain) && kind.polarity == polarity;
-    for (index, kind) in kinds.iter().enumerate().filter(|(_, kind)| plain(kind)) {
-        let Some(shift_px) = rim_shift_px(outer, inner, kind.ratio()) else { continue };
-        let nearer = best.is_none_or(|(_, known)| shift_px.abs() < known.abs());
-        if shift_px.abs() <= limit_px && nearer {
-            best = Some((index, shift_px));
-        }
+    let semiaxes = |rim: &Ellipse| [rim.semi_major_px, rim.semi_minor_px];
+    let is_white = polarity == Polarity::WhiteRing;
+    let nearest = NearestKind::new(semiaxes(outer), semiaxes(inner), is_white, kinds);
+    if !nearest.valid {
+        return None;
     }
-    let (index, shift_px) = best?;
-    let (outer, inner) = compensated(outer, inner, shift_px)?;
-    Some((KindId(index as u16), outer, inner))
+    let (outer, inner) = compensated(outer, inner, nearest.shift_px)?;
+    Some((KindId(nearest.kind as u16), outer, inner))
+}
+
+/// The plain kinds closest to rims, one ring per lane.
+pub(crate) struct NearestKind<T: Lane> {
+    pub kind: T,
+    pub shift_px: T,
+    pub valid: T::Mask,
+}
+
+impl<T: Lane> NearestKind<T> {
+    /// From the semiaxes of outer and inner rim, and the lanes with white rings.
+    #[inline(always)]
+    pub fn new(outer: [T; 2], inner: [T; 2], is_white: T::Mask, kinds: &[Kind]) -> Self {
+        let limit_px = (outer[0] * outer[1]).root() * SHIFT_SHARE + SHIFT_PX;
+        let far = limit_px.splat(f64::INFINITY);
+        let mut nearest = Self { kind: far, shift_px: far, valid: far.below(far) };
+        for (index, kind) in kinds.iter().enumerate() {
+            if !matches!(kind.pattern, Pattern::Plain) {
+                continue;
+            }
+            let (shift_px, is_one) = shift_px(outer, inner, kind.ratio());
+            let is_same = if kind.polarity == Polarity::WhiteRing { is_white } else { !is_white };
+            let is_nearer = shift_px.size().below(nearest.shift_px.size())
+                & shift_px.size().at_most(limit_px)
+                & is_one
+                & is_same;
+            nearest.kind = T::choose(is_nearer, far.splat(index as f64), nearest.kind);
+            nearest.shift_px = T::choose(is_nearer, shift_px, nearest.shift_px);
+            nearest.valid = nearest.valid | is_nearer;
+        }
+        nearest
+    }
 }
 
 #[cfg(test)]

@@ -17,19 +17,23 @@
 //! so the test allows for as much of it as a camera may have.
 
 use crate::{
-    ellipse::{Ellipse, Shape, Symmetric2},
     marker::{
         reject::Reject,
-        ring::{pixels::segments::SegmentSize, probe::Rules},
+        ring::{
+            pixels::segments::SegmentSize,
+            probe::Rules,
+            weighed_rim::{LaneEllipse, WeighedRim},
+        },
     },
+    simd::Lane,
 };
 
 /// Relative tolerance ρ_tol of eq. (2), plus a pixel of each side of the box.
 const BOX_TOLERANCE: f64 = 0.15;
 /// Relative tolerance ρ_prec of eq. (5), and its increase for a rim of r pixels as 1/r.
-pub(crate) const ROUNDNESS_TOLERANCE: (f64, f64) = (0.02, 0.6);
+const ROUNDNESS_TOLERANCE: (f64, f64) = (0.02, 0.6);
 /// Distance of the centres: a share of the outer mean radius, plus pixels.
-pub(crate) const CENTER_TOLERANCE: (f64, f64) = (0.06, 0.4);
+const CENTER_TOLERANCE: (f64, f64) = (0.06, 0.4);
 /// Perspective moves the centres apart along the shorter axis, inversely to the focal length; the
 /// shortest focal length allowed for, pixels …
 const MIN_FOCAL_PX: f64 = 350.0;
@@ -37,20 +41,23 @@ const MIN_FOCAL_PX: f64 = 350.0;
 const ASIDE_SHARE: f64 = 0.4;
 /// Difference of the two normalized shapes, and its increase for a disc of r pixels as 1/r. The
 /// maximum of 1,600 rendered rings from 10 px on is two thirds of it.
-pub(crate) const SIMILARITY_TOLERANCE: (f64, f64) = (0.06, 0.3);
+const SIMILARITY_TOLERANCE: (f64, f64) = (0.06, 0.3);
 /// Largest variance that blur and pixel width add to a shape, px²: a blur of 1.2 px.
-pub(crate) const MAX_SPREAD_PX2: f64 = 1.5;
+const MAX_SPREAD_PX2: f64 = 1.5;
 /// Error of a rim at any threshold, pixels, in the ratio of diameters.
 const RATIO_RIM_PX: f64 = 0.8;
 
+/// Smallest distance of the outer rim from the frame's edge, pixels.
+const EDGE_PX: f64 = 1.0;
+
 /// Tolerance of levels beyond the range of a pixel: a share of the contrast, plus grey levels.
-pub(crate) const LEVEL_TOLERANCE: (f64, f64) = (0.1, 10.0);
+const LEVEL_TOLERANCE: (f64, f64) = (0.1, 10.0);
 
 impl SegmentSize {
     /// Pixels of a segment as a share of those of an ellipse in its box, eqs. (1) and (2) corrected
     /// for the angle: 1 for a disc, 1 - d_i²/d_o² for a ring.
-    fn box_share(&self, c: &Symmetric2) -> f64 {
-        let upright = (c.determinant() / (c.uu * c.vv)).sqrt();
+    fn box_share(&self, [uu, uv, vv]: [f64; 3]) -> f64 {
+        let upright = ((uu * vv - uv * uv) / (uu * vv)).sqrt();
         self.pixels / (std::f64::consts::FRAC_PI_4 * self.width * self.height * upright)
     }
 
@@ -80,105 +87,146 @@ pub(crate) fn check_sizes(
 
 /// Tests both shapes against their boxes, eqs. (1), (2).
 pub(crate) fn check_boxes(
-    (black, outer): (&SegmentSize, &Shape),
-    (white, inner): (&SegmentSize, &Shape),
+    (black, outer): (&SegmentSize, &WeighedRim),
+    (white, inner): (&SegmentSize, &WeighedRim),
     rules: &Rules,
 ) -> Result<(), Reject> {
-    let filled = black.box_share(&outer.covariance);
+    let filled = black.box_share(outer.covariance);
     let tolerance = black.box_tolerance();
     let (max, min) = (1.0 - rules.ratios.0.powi(2), 1.0 - rules.ratios.1.powi(2));
     if !(min * (1.0 - tolerance)..=max * (1.0 + tolerance)).contains(&filled) {
         return Err(Reject::BlackBox);
     }
-    let filled = white.box_share(&inner.covariance);
+    let filled = white.box_share(inner.covariance);
     if (filled - 1.0).abs() > white.box_tolerance() { Err(Reject::WhiteBox) } else { Ok(()) }
+}
+
+/// The tests of the shapes of both rims, one ring per lane.
+pub(crate) struct ShapeTests<T: Lane> {
+    is_large: T::Mask,
+    is_upright: T::Mask,
+    /// Without the allowance for perspective.
+    is_concentric: T::Mask,
+    is_round: T::Mask,
+    is_similar: T::Mask,
+}
+
+impl<T: Lane> ShapeTests<T> {
+    #[inline(always)]
+    pub fn new(outer: &WeighedRim<T>, inner: &WeighedRim<T>, rules: &Rules) -> Self {
+        let (o, i) = (&outer.rim, &inner.rim);
+        let (du, dv) = (o.u - i.u, o.v - i.v);
+        let tolerance = center_tolerance_px(o);
+        Self {
+            is_large: o.b.splat(rules.min_semi_minor_px).at_most(o.b),
+            is_upright: (o.a * rules.min_axis_ratio).at_most(o.b),
+            is_concentric: (du * du + dv * dv).at_most(tolerance * tolerance),
+            is_round: is_round(outer) & is_round(inner),
+            is_similar: are_similar(outer, inner),
+        }
+    }
+
+    /// The lanes that pass all tests.
+    #[inline(always)]
+    pub fn all(&self) -> T::Mask {
+        self.is_large & self.is_upright & self.is_concentric & self.is_round & self.is_similar
+    }
 }
 
 /// Tests size, tilt, concentricity, eq. (5) and similarity. Returns whether the shapes are similar,
 /// where they need not be.
 #[inline(always)]
 pub(crate) fn check_shapes(
-    (outer, outer_rim): (&Shape, &Ellipse),
-    (inner, inner_rim): (&Shape, &Ellipse),
+    outer: &WeighedRim,
+    inner: &WeighedRim,
     rules: &Rules,
 ) -> Result<bool, Reject> {
-    if outer_rim.semi_minor_px < rules.min_semi_minor_px {
-        return Err(Reject::TooSmall);
+    let tests = ShapeTests::new(outer, inner, rules);
+    if !tests.is_large {
+        Err(Reject::TooSmall)
+    } else if !tests.is_upright {
+        Err(Reject::Tilt)
+    } else if !tests.is_concentric && !is_concentric_in_perspective(&outer.rim, &inner.rim) {
+        Err(Reject::Concentricity)
+    } else if !tests.is_round {
+        Err(Reject::Roundness)
+    } else if rules.similar && !tests.is_similar {
+        Err(Reject::Similarity)
+    } else {
+        Ok(tests.is_similar)
     }
-    if outer_rim.semi_minor_px < rules.min_axis_ratio * outer_rim.semi_major_px {
-        return Err(Reject::Tilt);
-    }
-    check_centers((outer, outer_rim), (inner, inner_rim))?;
-    for (shape, rim) in [(outer, outer_rim), (inner, inner_rim)] {
-        let tolerance = ROUNDNESS_TOLERANCE.0 + ROUNDNESS_TOLERANCE.1 / rim.semi_minor_px;
-        // By eq. (5), a spread of σ² enlarges an ellipse's moments by this share.
-        let share = 2.0 * (rim.semi_major_px.powi(-2) + rim.semi_minor_px.powi(-2));
-        let spread_px2 = shape.spread_px2(rim);
-        if spread_px2 * share < -tolerance || (spread_px2 - MAX_SPREAD_PX2) * share > tolerance {
-            return Err(Reject::Roundness);
-        }
-    }
-    let similar = are_similar((outer, outer_rim), (inner, inner_rim));
-    if rules.similar && !similar { Err(Reject::Similarity) } else { Ok(similar) }
 }
 
-/// Tests the levels without blur; what is not a ring may have levels outside of the range of a
-/// pixel.
+/// Whether levels without blur are plausible; what is not a ring may have levels outside of the
+/// range of a pixel.
 #[inline(always)]
-pub(crate) fn check_levels(black: f64, white: f64, rules: &Rules) -> Result<(), Reject> {
+pub(crate) fn are_levels<T: Lane>(black: T, white: T, rules: &Rules) -> T::Mask {
     let contrast = white - black;
-    let beyond = LEVEL_TOLERANCE.0 * contrast + LEVEL_TOLERANCE.1;
-    // False for NaN.
-    let plausible = contrast >= rules.min_contrast && black >= -beyond && white <= 255.0 + beyond;
-    if plausible { Ok(()) } else { Err(Reject::Contrast) }
+    let beyond = contrast * LEVEL_TOLERANCE.0 + LEVEL_TOLERANCE.1;
+    contrast.splat(rules.min_contrast).at_most(contrast)
+        & (-beyond).at_most(black)
+        & white.at_most(beyond + 255.0)
+}
+
+/// Whether the rim is far enough from the edge of a frame of this size.
+#[inline(always)]
+pub(crate) fn is_inside<T: Lane>(
+    (width, height): (usize, usize),
+    outer: &WeighedRim<T>,
+) -> T::Mask {
+    let (u, v) = (outer.rim.u, outer.rim.v);
+    let (half_u, half_v) = (outer.matrix[0].root() + EDGE_PX, outer.matrix[2].root() + EDGE_PX);
+    half_u.at_most(u)
+        & half_v.at_most(v)
+        & (u + half_u).at_most(u.splat((width - 1) as f64))
+        & (v + half_v).at_most(v.splat((height - 1) as f64))
+}
+
+#[inline(always)]
+fn center_tolerance_px<T: Lane>(outer: &LaneEllipse<T>) -> T {
+    outer.mean_radius_px() * CENTER_TOLERANCE.0 + CENTER_TOLERANCE.1
 }
 
 /// For a circle with semiaxes a, b, a focal length f and a tilt θ, cos θ = b/a, the centre of the
 /// image is (a²/f) sin θ cos θ off the image of the centre, along the shorter axis; for the disc's
 /// rim it is less by the square of the ratio of diameters.
-#[inline(always)]
-fn check_centers(
-    (outer, outer_rim): (&Shape, &Ellipse),
-    (inner, inner_rim): (&Shape, &Ellipse),
-) -> Result<(), Reject> {
-    let (du, dv) = (outer.center.u - inner.center.u, outer.center.v - inner.center.v);
-    let tolerance = CENTER_TOLERANCE.0 * outer_rim.mean_radius_px() + CENTER_TOLERANCE.1;
-    if du * du + dv * dv <= tolerance * tolerance {
-        return Ok(());
-    }
-    let (a, b) = (outer_rim.semi_major_px, outer_rim.semi_minor_px);
-    let ratio2 = inner_rim.semi_major_px * inner_rim.semi_minor_px / (a * b);
+fn is_concentric_in_perspective(outer: &LaneEllipse<f64>, inner: &LaneEllipse<f64>) -> bool {
+    let (du, dv) = (outer.u - inner.u, outer.v - inner.v);
+    let (a, b) = (outer.a, outer.b);
+    let ratio2 = inner.a * inner.b / (a * b);
     let perspective_px = (a * a - b * b).sqrt() * b / a * (1.0 - ratio2) * a / MIN_FOCAL_PX;
-    let (sin, cos) = outer_rim.angle_rad.sin_cos();
+    let (sin, cos) = outer.angle_rad.sin_cos();
     let (along_major, along_minor) = (du * cos + dv * sin, dv * cos - du * sin);
     let beyond = |px: f64, allowed_px: f64| (px.abs() - allowed_px).max(0.0);
     let along_minor = beyond(along_minor, perspective_px);
     let along_major = beyond(along_major, ASIDE_SHARE * perspective_px);
-    if along_major * along_major + along_minor * along_minor > tolerance * tolerance {
-        Err(Reject::Concentricity)
-    } else {
-        Ok(())
-    }
+    along_major.hypot(along_minor) <= center_tolerance_px(outer)
+}
+
+/// Eq. (5), with blur: a spread of σ² enlarges an ellipse's moments by `share`.
+#[inline(always)]
+fn is_round<T: Lane>(weighed: &WeighedRim<T>) -> T::Mask {
+    let (rim, spread_px2) = (&weighed.rim, weighed.spread().spread_px2);
+    let tolerance = rim.b.under(ROUNDNESS_TOLERANCE.1) + ROUNDNESS_TOLERANCE.0;
+    let share = ((rim.a * rim.a).under(1.0) + (rim.b * rim.b).under(1.0)) * 2.0;
+    (-tolerance).at_most(spread_px2 * share)
+        & ((spread_px2 - MAX_SPREAD_PX2) * share).at_most(tolerance)
 }
 
 /// Both rims are images of circles in one plane, so they have the same shape except for
 /// perspective.
 #[inline(always)]
-fn are_similar(
-    (outer, outer_rim): (&Shape, &Ellipse),
-    (inner, inner_rim): (&Shape, &Ellipse),
-) -> bool {
-    let (o, i) = (outer.matrix_of(outer_rim), inner.matrix_of(inner_rim));
+fn are_similar<T: Lane>(outer: &WeighedRim<T>, inner: &WeighedRim<T>) -> T::Mask {
+    let (o, i) = (&outer.rim, &inner.rim);
     // Scaled to determinant 1.
-    let of = 1.0 / (outer_rim.semi_major_px * outer_rim.semi_minor_px);
-    let inf = 1.0 / (inner_rim.semi_major_px * inner_rim.semi_minor_px);
-    let along = 0.5 * ((o.uu - o.vv) * of - (i.uu - i.vv) * inf);
-    let askew = o.uv * of - i.uv * inf;
+    let (of_outer, of_inner) = ((o.a * o.b).under(1.0), (i.a * i.b).under(1.0));
+    let (m, n) = (&outer.matrix, &inner.matrix);
+    let along = ((m[0] - m[2]) * of_outer - (n[0] - n[2]) * of_inner) * 0.5;
+    let askew = m[1] * of_outer - n[1] * of_inner;
     // The flatter an ellipse, the more an error of one pixel changes its normalized matrix.
-    let flat = outer_rim.semi_major_px / outer_rim.semi_minor_px;
     let (share, rim_px) = SIMILARITY_TOLERANCE;
-    let tolerance = (share + rim_px / inner_rim.semi_minor_px) * flat;
-    along * along + askew * askew <= tolerance * tolerance
+    let tolerance = (i.b.under(rim_px) + share) * (o.a / o.b);
+    (along * along + askew * askew).at_most(tolerance * tolerance)
 }
 
 #[cfg(test)]
@@ -186,7 +234,7 @@ mod tests {
     use super::*;
     use crate::{
         camera::PixelPoint,
-        ellipse::{Chords, Moments, tests::add_run},
+        ellipse::{Chords, Ellipse, Moments, Shape, Symmetric2, tests::add_run},
         marker::ring::pixels::segment_fill::{Extent, Span},
     };
 
@@ -228,14 +276,18 @@ mod tests {
         ([sized(black.n, &boxes[0], &both), sized(white.n, &boxes[1], &white)], black)
     }
 
+    fn entries(matrix: &Symmetric2) -> [f64; 3] {
+        [matrix.uu, matrix.uv, matrix.vv]
+    }
+
     #[test]
     fn equation_1_holds_at_every_angle() {
         for step in 0..12 {
             let angle = f64::from(step) * 0.26;
             let ([(black, outer), (white, inner)], _) = ring(angle, 0.5, 0.4);
-            let found = black.box_share(&outer.covariance);
+            let found = black.box_share(entries(&outer.covariance));
             assert!((found - (1.0 - 0.16)).abs() < 0.05, "{angle} {found}");
-            let found = white.box_share(&inner.covariance);
+            let found = white.box_share(entries(&inner.covariance));
             assert!((found - 1.0).abs() < 0.09, "{angle} {found}");
         }
         // The published form is off by a quarter for an ellipse at 45°.

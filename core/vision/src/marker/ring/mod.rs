@@ -6,6 +6,7 @@
 //! | `pixels` | which pixels belong to disc, ring, edge bands and margin |
 //! | `checks` | sizes, boxes, concentricity, roundness, similarity, levels |
 //! | `subpixel` | levels, weighed moments, removal of blur |
+//! | `weighed_rim` | a rim by its weighed moments |
 //! | `measure` | all steps in order |
 
 pub(crate) mod checks;
@@ -13,3 +14,4 @@ pub(crate) mod measure;
 pub(crate) mod pixels;
 pub(crate) mod probe;
 pub(crate) mod subpixel;
+pub(crate) mod weighed_rim;

@@ -19,10 +19,14 @@ use fearless_simd::Simd;
 use fearless_simd_macros::simd;
 
 use crate::{
-    ellipse::{Ellipse, Moments, Shape},
+    ellipse::Ellipse,
     marker::ring::{
-        pixels::{edge_band::WIDE_PX, ellipse_mask::RimEllipse},
-        subpixel::{moments::GreySum, thin_ring::RimDistances},
+        pixels::edge_band::WIDE_PX,
+        subpixel::{
+            levels::{LevelSample, LevelSamples},
+            thin_ring::RimDistances,
+        },
+        weighed_rim::{RimSpread, WeighedRim},
     },
     normal::Beyond,
     simd::Lane,
@@ -38,64 +42,6 @@ const MAX_MIXED: f64 = 0.3;
 /// Iterations in which σ and the mixed shares are found.
 const TURNS: usize = 2;
 
-/// Where a band ends, inside and outside of a rim, pixels.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Cuts {
-    pub inside_px: f64,
-    pub outside_px: f64,
-}
-
-/// A weighed rim.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct WeighedRim {
-    pub shape: Shape,
-    pub rim: Ellipse,
-    pub cuts: Cuts,
-}
-
-impl WeighedRim {
-    /// From weighted sums relative to `origin`; `None` if they are not those of a shape.
-    #[inline(always)]
-    pub fn new(sums: &Moments, origin: (usize, usize), cuts: Cuts) -> Option<Self> {
-        let shape = sums.shape(origin)?;
-        Some(Self { shape, rim: shape.ellipse(), cuts })
-    }
-
-    /// The quantities that determine its blur.
-    #[inline(always)]
-    fn spread(&self) -> RimSpread<f64> {
-        RimSpread {
-            radius_px: rim_radius_px(self.rim.semi_major_px, self.rim.semi_minor_px),
-            spread_px2: self.shape.spread_px2(&self.rim),
-            cuts: self.cuts,
-        }
-    }
-
-    /// With its matrix.
-    pub fn rim_ellipse(&self) -> RimEllipse {
-        RimEllipse { ellipse: self.rim, matrix: self.shape.matrix_of(&self.rim) }
-    }
-}
-
-/// A level, and its distance from a rim.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct LevelSample<T = f64> {
-    pub level: T,
-    /// Number of pixels.
-    pub pixels: T,
-    pub distance_px: f64,
-}
-
-impl LevelSample {
-    pub fn new(grey: GreySum, distance_px: f64) -> Self {
-        Self { level: grey.mean(), pixels: f64::from(grey.pixels), distance_px }
-    }
-}
-
-/// Levels of black, disc and margin; `None` if the margin is assumed to be as white as the disc.
-pub(crate) type LevelSamples<'a, T = f64> =
-    (&'a LevelSample<T>, &'a LevelSample<T>, Option<&'a LevelSample<T>>);
-
 /// Levels and rims without blur.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SharpRims {
@@ -110,10 +56,10 @@ pub(crate) struct SharpRims {
 pub(crate) fn remove_blur<S: Simd>(
     simd: S,
     (outer, inner): (&WeighedRim, &WeighedRim),
-    levels: LevelSamples,
+    levels: &LevelSamples<f64>,
     thin: Option<&RimDistances>,
 ) -> SharpRims {
-    let (black, white, _) = levels;
+    let LevelSamples { black, white, .. } = levels;
     let rims = (outer.spread(), inner.spread());
     let mut correction = BlurCorrection::none(rims.1.spread_px2);
     for _ in 0..TURNS {
@@ -127,25 +73,11 @@ pub(crate) fn remove_blur<S: Simd>(
         correction = correction.turn((&rims.0, &rims.1), levels, &blur, black_share);
     }
     let (black, white) = correction.levels(black.level, white.level);
-    let (outer, inner) =
-        (outer.rim.grown(correction.grown_px.0), inner.rim.grown(correction.grown_px.1));
+    let (outer, inner) = (
+        outer.rim.grown(correction.grown_px.0).at(0),
+        inner.rim.grown(correction.grown_px.1).at(0),
+    );
     SharpRims { outer, inner, black, white }
-}
-
-/// The quantities of a weighed rim that determine its blur.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct RimSpread<T> {
-    /// [`rim_radius_px`].
-    pub radius_px: T,
-    /// [`Shape::spread_px2`].
-    pub spread_px2: T,
-    pub cuts: Cuts,
-}
-
-/// Radius of a circle with about the circumference of the ellipse with these semiaxes.
-#[inline(always)]
-pub(crate) fn rim_radius_px<T: Lane>(a: T, b: T) -> T {
-    ((a * a + b * b) * 0.5).root()
 }
 
 /// The current estimate of the blur and its effects.
@@ -171,7 +103,7 @@ impl<T: Lane> BlurCorrection<T> {
     #[inline(always)]
     pub fn of_wide(
         (outer, inner): (&RimSpread<T>, &RimSpread<T>),
-        levels: LevelSamples<T>,
+        levels: &LevelSamples<T>,
     ) -> Self {
         let mut correction = Self::none(inner.spread_px2);
         for _ in 0..TURNS {
@@ -186,12 +118,12 @@ impl<T: Lane> BlurCorrection<T> {
     fn turn(
         &self,
         (outer, inner): (&RimSpread<T>, &RimSpread<T>),
-        (black, white, margin): LevelSamples<T>,
+        levels: &LevelSamples<T>,
         blur: &Blur<T>,
         black_share: Option<T>,
     ) -> Self {
         let (r_o, r_i) = (outer.radius_px, inner.radius_px);
-        let mixed = LevelErrors::new((r_o, r_i), (black, white, margin), black_share, blur);
+        let mixed = LevelErrors::new((r_o, r_i), levels, black_share, blur);
         // Weights are shares of the measured contrast.
         let scale = (-mixed.white - mixed.black + 1.0).under(1.0);
         let (of_outer, of_inner) = (
@@ -215,7 +147,7 @@ impl<T: Lane> BlurCorrection<T> {
         Self {
             grown_px: (of_outer.growth_px(&leaks.0, blur), of_inner.growth_px(&leaks.1, blur)),
             // Without a margin, something else lies in the outer band.
-            spread_px2: match margin {
+            spread_px2: match levels.margin {
                 Some(_) => (spread_px2.0 + spread_px2.1) * 0.5,
                 None => spread_px2.1,
             },
@@ -243,10 +175,11 @@ impl<T: Lane> LevelErrors<T> {
     #[inline(always)]
     fn new(
         (r_o, r_i): (T, T),
-        (black, white, margin): LevelSamples<T>,
+        levels: &LevelSamples<T>,
         black_share: Option<T>,
         blur: &Blur<T>,
     ) -> Self {
+        let LevelSamples { black, white, margin } = levels;
         // Both rims give light to the black, one from each side.
         let of_black = match black_share {
             Some(share) => share,

@@ -21,13 +21,12 @@ use fearless_simd::Simd;
 use fearless_simd_macros::simd;
 
 use crate::{
-    camera::PixelPoint,
-    ellipse::Symmetric2,
+    ellipse::Moments,
     frame::Frame,
     marker::{
         reject::Reject,
         ring::{
-            checks::{check_boxes, check_levels, check_shapes},
+            checks::{are_levels, check_boxes, check_shapes, is_inside},
             pixels::{
                 edge_band::{EdgeBands, THIN_PX, WIDE_PX, pixels_in},
                 ellipse_mask::Area,
@@ -36,12 +35,13 @@ use crate::{
             },
             probe::{Probe, Rules},
             subpixel::{
-                blur::{Cuts, LevelSample, SharpRims, WeighedRim, remove_blur},
-                levels::Levels,
+                blur::{SharpRims, remove_blur},
+                levels::{LevelSamples, Levels, PartSums},
                 moments::{BandWeights, moments},
                 thin_ring::RimDistances,
                 unevenness::{Pixels, unevenness},
             },
+            weighed_rim::{Cuts, WeighedRim},
         },
     },
 };
@@ -50,9 +50,6 @@ use crate::{
 const THIN_TURNS: usize = 2;
 /// Deviation of a blurred edge where none is measured, pixels.
 const USUAL_BLUR_PX: f64 = 0.75;
-/// Smallest distance of the outer rim from the frame's edge, pixels.
-pub(crate) const EDGE_PX: f64 = 1.0;
-
 /// Properties of the outer rim besides its ellipse.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RimQuality {
@@ -89,13 +86,14 @@ pub(crate) fn refine_rims<S: Simd>(
     let (words, window) = (patch.words, &patch.window);
     let first = bands.top * words;
     let grey = &patch.grey[first..first + bands.disc_core.len()];
-    let levels = Levels::new(simd, grey, bands, words, *middle);
-    let (black, white) = (levels.black.mean(), levels.disc.mean());
+    let parts = PartSums::new(simd, grey, bands, words, *middle);
+    let levels = Levels::new(&parts, bands.core_px, bands.black_px);
+    let (black, white) = (levels.black.level, levels.white.level);
     let contrast = white - black;
     if contrast.is_nan() || contrast < rules.min_contrast {
         return Err(Reject::Contrast);
     }
-    let margin = levels.margin();
+    let margin = levels.is_margin.then_some(levels.margin);
     // A narrow margin needs the bands of segments.
     if margin.is_none() && layout.sizes.is_none() {
         return Err(Reject::Contrast);
@@ -122,13 +120,11 @@ pub(crate) fn refine_rims<S: Simd>(
         middle: *middle,
         outer: (of_outer, cuts, layout.outer),
         inner: ((bands.disc_core, bands.disc_band), around, layout.inner),
-        white: (margin.map_or(white, |margin| margin.mean()), white),
+        white: (margin.map_or(white, |margin| margin.level), white),
     };
     let mut outer = regions.outer(simd, black)?;
     let mut inner = regions.inner(simd, black)?;
-    let of_white = LevelSample::new(levels.disc, bands.core_px);
-    let of_margin = margin.map(|margin| LevelSample::new(margin, WIDE_PX));
-    let mut of_black = LevelSample::new(levels.black, bands.black_px);
+    let mut samples = LevelSamples { black: levels.black, white: levels.white, margin };
     let thin = bands.black_px < WIDE_PX;
     let origin = (window.left, window.top + bands.top);
     let mut found;
@@ -145,32 +141,33 @@ pub(crate) fn refine_rims<S: Simd>(
                 (&outer.rim_ellipse(), &inner.rim_ellipse()),
             );
         }
-        let levels = (&of_black, &of_white, of_margin.as_ref());
-        found = remove_blur(simd, (&outer, &inner), levels, thin.then_some(&*distances));
+        found = remove_blur(simd, (&outer, &inner), &samples, thin.then_some(&*distances));
         if !thin || turn == THIN_TURNS {
             break;
         }
         turn += 1;
-        of_black.level = found.black;
-        (outer, inner) =
-            (regions.outer(simd, of_black.level)?, regions.inner(simd, of_black.level)?);
+        samples.black.level = found.black;
+        (outer, inner) = (regions.outer(simd, found.black)?, regions.inner(simd, found.black)?);
     }
 
-    check_levels(found.black, found.white, rules)?;
-    if let Some((ring_size, disc_size)) = layout.sizes {
-        check_boxes((ring_size, &outer.shape), (disc_size, &inner.shape), rules)?;
+    if !are_levels(found.black, found.white, rules) {
+        return Err(Reject::Contrast);
     }
-    let similar = check_shapes((&outer.shape, &outer.rim), (&inner.shape, &inner.rim), rules)?;
-    let matrix = outer.shape.matrix_of(&outer.rim);
-    check_edge(frame, outer.shape.center, &matrix)?;
-    let pixels = Pixels::of(patch);
-    let unevenness = unevenness(simd, &pixels, outer.shape.center, &matrix, contrast)?;
+    if let Some((ring_size, disc_size)) = layout.sizes {
+        check_boxes((ring_size, &outer), (disc_size, &inner), rules)?;
+    }
+    let similar = check_shapes(&outer, &inner, rules)?;
+    if !is_inside((frame.width(), frame.height()), &outer) {
+        return Err(Reject::FrameEdge);
+    }
+    let center = outer.rim.at(0).center;
+    let unevenness = unevenness(simd, &Pixels::of(patch), center, &outer.matrix(), contrast)?;
     if margin.is_some() {
-        let bands = (pixels_in(of_outer.1), pixels_in(bands.disc_band));
-        let (of_outer, of_inner) = levels.movement((&outer, &inner), bands, contrast);
-        for (rim, moved) in [(&mut found.outer, of_outer), (&mut found.inner, of_inner)] {
-            rim.center.u -= moved.u;
-            rim.center.v -= moved.v;
+        let pixels = [of_outer.1, bands.disc_band].map(|band| f64::from(pixels_in(band)));
+        let moved = levels.movement((&outer, &inner), (pixels[0], pixels[1]));
+        for (rim, (du, dv)) in [&mut found.outer, &mut found.inner].into_iter().zip(moved) {
+            rim.center.u -= du;
+            rim.center.v -= dv;
         }
     }
     Ok((found, RimQuality { unevenness, similar, cut }))
@@ -193,30 +190,26 @@ struct RimRegions<'a> {
 impl RimRegions<'_> {
     #[inline(always)]
     fn outer<S: Simd>(&self, simd: S, black: f64) -> Result<WeighedRim, Reject> {
-        let weights = BandWeights::between(self.white.0, black);
-        let sums = moments(
-            simd,
-            self.grey,
-            self.outer.0,
-            (self.words, &self.outer.2),
-            self.middle,
-            weights,
-        );
-        WeighedRim::new(&sums, self.origin, self.outer.1).ok_or(Reject::TooSmall)
+        self.weigh(simd, &self.outer, BandWeights::between(self.white.0, black))
     }
 
     #[inline(always)]
     fn inner<S: Simd>(&self, simd: S, black: f64) -> Result<WeighedRim, Reject> {
-        let weights = BandWeights::between(black, self.white.1);
-        let sums = moments(
-            simd,
-            self.grey,
-            self.inner.0,
-            (self.words, &self.inner.2),
-            self.middle,
-            weights,
-        );
-        WeighedRim::new(&sums, self.origin, self.inner.1).ok_or(Reject::TooSmall)
+        self.weigh(simd, &self.inner, BandWeights::between(black, self.white.1))
+    }
+
+    #[inline(always)]
+    fn weigh<S: Simd>(
+        &self,
+        simd: S,
+        (sets, cuts, area): &((&[u64], &[u64]), Cuts, Area),
+        weights: BandWeights,
+    ) -> Result<WeighedRim, Reject> {
+        let Moments { n, u, v, uu, uv, vv } =
+            moments(simd, self.grey, *sets, (self.words, area), self.middle, weights);
+        let origin = (self.origin.0 as f64, self.origin.1 as f64);
+        let weighed = WeighedRim::new([n, v, vv, u, uv, uu], origin, *cuts);
+        if weighed.valid { Ok(weighed) } else { Err(Reject::TooSmall) }
     }
 }
 
@@ -227,15 +220,4 @@ fn cut_px(threshold: f64, black: f64, white: f64) -> f64 {
     let p = ((threshold - black) / (white - black) - 0.5).clamp(-0.4, 0.4);
     let pi = std::f64::consts::PI;
     USUAL_BLUR_PX * (2.0 * pi).sqrt() * (p + p * p * p * pi / 3.0)
-}
-
-/// Whether the rim is far enough from the frame's edge.
-#[inline(always)]
-fn check_edge(frame: &Frame, center: PixelPoint, matrix: &Symmetric2) -> Result<(), Reject> {
-    let (half_u, half_v) = (matrix.uu.sqrt() + EDGE_PX, matrix.vv.sqrt() + EDGE_PX);
-    let inside = center.u >= half_u
-        && center.v >= half_v
-        && center.u + half_u <= (frame.width() - 1) as f64
-        && center.v + half_v <= (frame.height() - 1) as f64;
-    if inside { Ok(()) } else { Err(Reject::FrameEdge) }
 }

@@ -20,25 +20,6 @@ use crate::{
 /// Columns per vector.
 const LANES: usize = 16;
 
-/// Number and sum of grey levels of a set of pixels.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct GreySum {
-    pub pixels: u32,
-    pub sum: u64,
-}
-
-impl GreySum {
-    /// NaN without pixels.
-    pub fn mean(&self) -> f64 {
-        self.sum as f64 / f64::from(self.pixels)
-    }
-
-    /// The union of disjoint sets.
-    pub fn joined(self, other: GreySum) -> GreySum {
-        GreySum { pixels: self.pixels + other.pixels, sum: self.sum + other.sum }
-    }
-}
-
 /// Sets summed by [`levels`].
 const SETS: usize = 4;
 
@@ -145,7 +126,7 @@ impl BandWeights {
     }
 }
 
-/// Moments of the pixels of `core` and `band`, all within `area`, relative to the middle.
+/// Weighted sums over the pixels of `core` and `band`, all within `area`, relative to the middle.
 #[simd]
 pub(crate) fn moments<S: Simd>(
     simd: S,
