@@ -31,10 +31,7 @@ use super::{
 use roundel_vision::{
     camera::{Camera, Intrinsics, Lens},
     id::TrackNumber,
-    marker::{
-        Kind, Mode, Pattern, Ring,
-        rim::{compensated, rim_shift_px},
-    },
+    marker::{Kind, Mode, Pattern, Ring, compensated, rim_shift_px},
     pose::{Detection, RimNoise, RoundelPose, apart_m, locate, photometry::normal_distribution},
     rigid::Rigid,
     time::Timestamp,

@@ -28,7 +28,8 @@ use std::f64::consts::{PI, TAU};
 
 use super::{Imaging, Sensor, sight::Sighting};
 use roundel_vision::{
-    marker::{Beyond, Kind, Mode, WIDE_PX},
+    marker::{Kind, Mode, WIDE_PX},
+    normal::Beyond,
     pose::RimNoise,
 };
 

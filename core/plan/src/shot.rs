@@ -18,7 +18,8 @@ use rand_distr::StandardNormal;
 use super::{FULL_SCALE, Imaging};
 use roundel_vision::{
     ellipse::Ellipse,
-    marker::{Beyond, Polarity, Ring},
+    marker::{Polarity, Ring},
+    normal::Beyond,
     pose::photometry::normal_distribution,
 };
 

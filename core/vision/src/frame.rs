@@ -1,4 +1,4 @@
-//! A borrowed view of one 8-bit grey image; pixel (u, v) is `row(v)[u]`.
+//! A borrowed view of one 8-bit grey image, in which pixel (u, v) is `row(v)[u]`, and windows of it.
 
 use thiserror::Error;
 
@@ -13,37 +13,37 @@ pub struct Frame<'a> {
     stride: usize,
 }
 
-/// Why bytes are no image.
+/// Why bytes do not form an image.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum FrameError {
     /// A side is zero or too long.
     #[error("expected an image of 1 to {MAX_SIDE_PX} pixels a side, found {width} x {height}")]
     Size {
-        /// Columns asked for.
+        /// Requested columns.
         width: usize,
-        /// Rows asked for.
+        /// Requested rows.
         height: usize,
     },
     /// Rows overlap.
     #[error("expected a stride of at least the width {width}, found {stride}")]
     Stride {
-        /// Columns asked for.
+        /// Requested columns.
         width: usize,
-        /// Bytes a row asked for.
+        /// Requested bytes per row.
         stride: usize,
     },
     /// Too few bytes.
     #[error("expected at least {expected} bytes of pixels, found {found}")]
     Length {
-        /// Bytes that size and stride need.
+        /// Bytes required by size and stride.
         expected: usize,
-        /// Bytes there are.
+        /// Bytes given.
         found: usize,
     },
 }
 
 impl<'a> Frame<'a> {
-    /// A view of `pixels`; `stride ≥ width` bytes lie between the starts of two rows.
+    /// A view of `pixels`, with `stride ≥ width` bytes between the starts of two rows.
     pub fn new(
         pixels: &'a [u8],
         width: usize,
@@ -73,7 +73,8 @@ impl<'a> Frame<'a> {
         self.height
     }
 
-    /// All bytes and the stride: pixel (u, v) is byte `v * stride + u`. Some bytes may be no pixels.
+    /// All bytes and the stride: pixel (u, v) is byte `v * stride + u`. Bytes beyond a row's width
+    /// are padding.
     pub(crate) fn pixels(&self) -> (&'a [u8], usize) {
         (self.pixels, self.stride)
     }
@@ -82,6 +83,54 @@ impl<'a> Frame<'a> {
     pub fn row(&self, v: usize) -> &'a [u8] {
         assert!(v < self.height, "row {v} of an image of {} rows", self.height);
         &self.pixels[v * self.stride..v * self.stride + self.width]
+    }
+}
+
+/// A rectangle of pixels: columns `left..right`, rows `top..bottom`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Window {
+    /// First column.
+    pub left: usize,
+    /// First row.
+    pub top: usize,
+    /// One past the last column.
+    pub right: usize,
+    /// One past the last row.
+    pub bottom: usize,
+}
+
+impl Window {
+    /// The whole frame.
+    pub fn of(frame: &Frame) -> Self {
+        Self { left: 0, top: 0, right: frame.width(), bottom: frame.height() }
+    }
+
+    /// The part of `frame` within the half sides `du`, `dv` (≥ 0) around (u, v); may be empty.
+    pub fn around(frame: &Frame, (u, v): (f64, f64), (du, dv): (f64, f64)) -> Self {
+        // The casts saturate, so a far or non-finite centre gives an empty window, not a panic.
+        let column = |x: f64| (x.max(0.0) as usize).min(frame.width());
+        let row = |x: f64| (x.max(0.0) as usize).min(frame.height());
+        Self {
+            left: column((u - du).ceil()),
+            top: row((v - dv).ceil()),
+            right: column((u + du).floor() + 1.0),
+            bottom: row((v + dv).floor() + 1.0),
+        }
+    }
+
+    /// Columns.
+    pub fn width(&self) -> usize {
+        self.right.saturating_sub(self.left)
+    }
+
+    /// Rows.
+    pub fn height(&self) -> usize {
+        self.bottom.saturating_sub(self.top)
+    }
+
+    /// Whether pixel (u, v) lies in the window.
+    pub fn contains(&self, u: usize, v: usize) -> bool {
+        (self.left..self.right).contains(&u) && (self.top..self.bottom).contains(&v)
     }
 }
 
@@ -97,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_shapes_say_what_was_expected() {
+    fn errors_of_invalid_shapes_name_the_expectation() {
         assert_eq!(Frame::new(&[], 0, 1, 1).unwrap_err(), FrameError::Size { width: 0, height: 1 });
         assert_eq!(
             Frame::new(&[0; 9], 3, 3, 2).unwrap_err().to_string(),
@@ -107,5 +156,14 @@ mod tests {
             Frame::new(&[0; 8], 3, 3, 3).unwrap_err(),
             FrameError::Length { expected: 9, found: 8 }
         );
+    }
+
+    #[test]
+    fn windows_are_clipped_to_the_frame() {
+        let pixels = [0u8; 20];
+        let frame = Frame::new(&pixels, 5, 4, 5).unwrap();
+        assert_eq!(Window::around(&frame, (2.0, 2.0), (9.0, 9.0)), Window::of(&frame));
+        let none = Window::around(&frame, (f64::NAN, -50.0), (1.0, 1.0));
+        assert_eq!(none.height(), 0);
     }
 }

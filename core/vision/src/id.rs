@@ -1,25 +1,25 @@
-//! Names of things, as types that cannot be taken for one another.
+//! Identifiers, as types that cannot be mistaken for one another.
 
 use std::fmt;
 
-/// An object of the installation; from 1, given by fusion, never reused while it runs.
+/// An object of the installation: numbered from 1 by fusion, never reused while it runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ObjectId(pub u64);
 
-/// A camera: its place in the configuration, from 0.
+/// A camera: its index in the configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct CameraId(pub u32);
 
-/// One roundel followed by one camera's tracker; from 1, never reused by that tracker.
+/// A roundel tracked by one camera: numbered from 1, never reused by that tracker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TrackNumber(pub u64);
 
-/// A configured kind of roundel: its place in the list of kinds, from 0.
+/// A configured kind of roundel: its index in the list of kinds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct KindId(pub u16);
 
-/// A configured object that carries several roundels, or one of known code: its place in the order of
-/// [X, from 0.
+/// A configured object with several roundels or a known code: its index in the list of such
+/// objects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct BodyId(pub u32);
 

@@ -1,18 +1,18 @@
-//! Finds printed roundels in grey pictures: from pixels to poses in the camera frame.
+//! Finds printed roundels in grey images: from pixels to poses in the camera frame.
 //!
 //! | module | content |
 //! | --- | --- |
-//! | [`time`], [`id`], [`rigid`] | instants, names, rigid transforms with covariance |
-//! | `lanes` | numbers side by side, one case in each lane of a vector |
-//! | `share` | work on a frame's rings, shared among threads |
+//! | [`time`], [`id`], [`rigid`] | instants, identifiers, rigid transforms with covariance |
+//! | `simd` | numeric code generic over one value or one value per vector lane |
+//! | `parallel`, `scratch` | per-thread memory, buffers reserved in advance |
+//! | [`normal`] | the normal distribution, fast enough to evaluate per pixel |
 //! | [`camera`] | lens models |
-//! | [`frame`] | a view of 8-bit grey pixels |
-//! | [`segment`] | windows, and moments of runs of pixels |
-//! | [`ellipse`] | rims from moments |
-//! | [`marker`] | rings found in a frame, and followed from frame to frame |
-//! | [`pose`] | where a ring is in the camera frame, with covariance |
+//! | [`frame`] | view of an 8-bit grey image, and windows of it |
+//! | [`ellipse`] | ellipses from moments |
+//! | [`marker`] | detection of rings in a frame, tracking from frame to frame |
+//! | [`pose`] | pose of a ring in the camera frame, with covariance |
 //!
-//! A module uses only those above it. Frames, units and signs: [`conventions`].
+//! A module imports only those above it. Frames, units and signs: [`conventions`].
 
 #[doc = include_str!("../../docs/conventions.md")]
 pub mod conventions {}
@@ -23,11 +23,11 @@ pub mod camera;
 pub mod ellipse;
 pub mod frame;
 pub mod id;
-mod lanes;
 pub mod marker;
+pub mod normal;
+mod parallel;
 pub mod pose;
 pub mod rigid;
-mod room;
-pub mod segment;
-mod share;
+mod scratch;
+mod simd;
 pub mod time;

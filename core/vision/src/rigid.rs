@@ -1,6 +1,6 @@
-//! Rigid transforms and the covariances that travel with them.
+//! Rigid transforms and their covariances.
 //!
-//! A transform `a_from_b` turns coordinates of frame b into coordinates of frame a. Covariances are
+//! A transform `a_from_b` maps coordinates of frame b to coordinates of frame a. Covariances are
 //! over (position, rotation) with the rotation as a left perturbation, see [`crate::conventions`].
 
 use nalgebra::{Isometry3, Matrix3, Quaternion, SMatrix, SVector, UnitQuaternion, Vector3};
@@ -11,19 +11,19 @@ pub type Rigid = Isometry3<f64>;
 /// Covariance over (position m, rotation rad), in the frame of its pose.
 pub type Covariance6 = SMatrix<f64, 6, 6>;
 
-/// Variance of an angle of which nothing is known: π²/3, that of the uniform one.
+/// Variance of a completely unknown angle: π²/3, that of the uniform distribution.
 pub const UNKNOWN_ANGLE_VARIANCE_RAD2: f64 = std::f64::consts::PI * std::f64::consts::PI / 3.0;
 
-/// Up to here series stand in for sines and their inverses: the square of a sine.
+/// Squared sine below which series replace sines and arc sines.
 pub const SMALL_SQUARED: f64 = 0.01;
 
-/// Of what points straight down less than this points aside, squared: its smallest rotation is any.
-const LEAST_ACROSS: f64 = 1e-30;
+/// Squared sine of the angle to straight down below which the smallest rotation is arbitrary.
+const MIN_ACROSS: f64 = 1e-30;
 
-/// Nearer to half a turn the closed forms of the smallest rotation lose digits: 1 + cos.
-const LEAST_COSINE: f64 = 0.01;
+/// 1 + cos of the rotation below which the closed form of the smallest rotation loses digits.
+const MIN_COSINE: f64 = 0.01;
 
-/// Carries a covariance into another frame by the rotation of a known rigid motion.
+/// Transforms a covariance by the rotation of a known rigid motion.
 pub fn rotate_covariance(rotation: &UnitQuaternion<f64>, covariance: &Covariance6) -> Covariance6 {
     let turn: Matrix3<f64> = rotation.to_rotation_matrix().into_inner();
     let mut both = Covariance6::zeros();
@@ -32,7 +32,7 @@ pub fn rotate_covariance(rotation: &UnitQuaternion<f64>, covariance: &Covariance
     both * covariance * both.transpose()
 }
 
-/// T A Tᵀ of a symmetric A.
+/// T A Tᵀ for symmetric A.
 pub fn turned_covariance(turn: &Matrix3<f64>, covariance: &Matrix3<f64>) -> Matrix3<f64> {
     let half = turn * covariance;
     let mut turned = Matrix3::zeros();
@@ -48,9 +48,10 @@ pub fn turned_covariance(turn: &Matrix3<f64>, covariance: &Matrix3<f64>) -> Matr
     turned
 }
 
-/// The upper triangle row by row: 3 → 6 numbers, 6 → 21.
+/// The upper triangle row by row: 3×3 gives 6 numbers, 6×6 gives 21.
 pub fn upper_triangle<const N: usize>(matrix: &SMatrix<f64, N, N>) -> Vec<f64> {
-    // Collected from a flattened iterator, which does not know its length, it would be moved again and again as it grows.
+    // Reserved up front: a flattened iterator does not know its length, so collecting would
+    // reallocate repeatedly.
     let mut numbers = Vec::with_capacity(N * (N + 1) / 2);
     for row in 0..N {
         numbers.extend((row..N).map(|column| matrix[(row, column)]));
@@ -58,7 +59,7 @@ pub fn upper_triangle<const N: usize>(matrix: &SMatrix<f64, N, N>) -> Vec<f64> {
     numbers
 }
 
-/// The symmetric matrix of an upper triangle; `None` unless it has N (N + 1) / 2 numbers.
+/// The symmetric matrix with this upper triangle; `None` unless there are N (N + 1) / 2 numbers.
 pub fn from_upper_triangle<const N: usize>(numbers: &[f64]) -> Option<SMatrix<f64, N, N>> {
     if numbers.len() != N * (N + 1) / 2 {
         return None;
@@ -76,51 +77,52 @@ pub fn from_upper_triangle<const N: usize>(numbers: &[f64]) -> Option<SMatrix<f6
 }
 
 /// The orientation of a plain roundel or object whose z axis is `normal` (unit): the smallest
-/// rotation from +z, and for -z the half turn about x.
+/// rotation from +z; for -z, the half turn about x.
 pub fn orientation_of_normal(normal: &Vector3<f64>) -> UnitQuaternion<f64> {
-    // (1 + z·n, z × n) is twice the half angle's cosine times that rotation.
+    // (1 + z·n, z × n) is twice the cosine of the half angle times that quaternion.
     let across = normal.x * normal.x + normal.y * normal.y;
     let length = (across + normal.z * normal.z).sqrt();
     let cosine = if normal.z >= 0.0 { length + normal.z } else { across / (length - normal.z) };
-    if across < LEAST_ACROSS * length && normal.z < 0.0 {
+    if across < MIN_ACROSS * length && normal.z < 0.0 {
         return UnitQuaternion::from_quaternion(Quaternion::new(0.0, 1.0, 0.0, 0.0));
     }
     UnitQuaternion::new_normalize(Quaternion::new(cosine, -normal.y, normal.x, 0.0))
 }
 
-/// The turn about z by an angle of which cosine and sine are given.
+/// The rotation about z with this cosine and sine.
 pub fn turn_about_z(cosine: f64, sine: f64) -> UnitQuaternion<f64> {
-    // Half the angle, from the larger one of both.
+    // The half angle, from the larger of its sine and cosine.
     let larger = (0.5 * (1.0 + cosine.abs())).sqrt();
     let smaller = 0.5 * sine.abs() / larger;
     let (w, z) = if cosine >= 0.0 { (larger, smaller) } else { (smaller, larger) };
     UnitQuaternion::new_normalize(Quaternion::new(w, 0.0, 0.0, z.copysign(sine)))
 }
 
-/// The matrix of the smallest rotation from one unit vector to another; `None` where they are nearly opposite.
+/// The matrix of the smallest rotation from one unit vector to another; `None` if they are nearly
+/// opposite.
 pub fn smallest_rotation(from: &Vector3<f64>, to: &Vector3<f64>) -> Option<Matrix3<f64>> {
     let cosine = 1.0 + from.dot(to);
-    (cosine > LEAST_COSINE).then(|| {
+    (cosine > MIN_COSINE).then(|| {
         let cross = from.cross(to).cross_matrix();
         Matrix3::identity() + cross + cross * cross / cosine
     })
 }
 
-/// The same of one vector.
+/// [`smallest_rotation`] applied to one vector.
 pub fn smallest_rotation_of(
     from: &Vector3<f64>,
     to: &Vector3<f64>,
     vector: &Vector3<f64>,
 ) -> Option<Vector3<f64>> {
     let cosine = 1.0 + from.dot(to);
-    (cosine > LEAST_COSINE).then(|| {
+    (cosine > MIN_COSINE).then(|| {
         let axis = from.cross(to);
         let across = axis.cross(vector);
         vector + across + axis.cross(&across) / cosine
     })
 }
 
-/// The rotation by a rotation vector; a small one without sines.
+/// The rotation with this rotation vector; small ones by series.
 pub fn turn_by(vector: &Vector3<f64>) -> UnitQuaternion<f64> {
     let half = vector * 0.5;
     let x = half.norm_squared();
@@ -133,7 +135,7 @@ pub fn turn_by(vector: &Vector3<f64>) -> UnitQuaternion<f64> {
     UnitQuaternion::new_unchecked(Quaternion::from_parts(cos, half * sin))
 }
 
-/// The rotation vector of a rotation; of a small one without arc functions.
+/// The rotation vector of a rotation; small ones by series.
 pub fn vector_of(turn: &UnitQuaternion<f64>) -> Vector3<f64> {
     let part = turn.imag();
     let x = part.norm_squared();
@@ -149,12 +151,12 @@ pub fn arc_sine_share(x: f64) -> f64 {
     1.0 + x * (1.0 / 6.0 + x * (3.0 / 40.0 + x * (5.0 / 112.0 + x * (35.0 / 1152.0 + x * tail))))
 }
 
-/// Whether a symmetric matrix is positive definite, by its factors L D Lᵀ.
+/// Whether a symmetric matrix is positive definite, by its L D Lᵀ factors.
 pub fn is_positive_definite<const N: usize>(matrix: &SMatrix<f64, N, N>) -> bool {
     let mut left = *matrix;
     for pivot in 0..N {
         let diagonal = left[(pivot, pivot)];
-        // Not a number is not positive either.
+        // NaN is not positive either.
         if !(diagonal > 0.0 && diagonal.is_finite()) {
             return false;
         }
@@ -202,7 +204,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn smallest_rotations_are_those_of_their_vectors(
+        fn smallest_rotations_equal_rotations_between_vectors(
             from in [-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64].prop_map(Vector3::from),
             to in [-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64].prop_map(Vector3::from),
         ) {
@@ -223,7 +225,7 @@ mod tests {
         }
 
         #[test]
-        fn small_turns_are_those_of_sines(
+        fn small_rotations_equal_those_by_sines(
             axis in [-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64].prop_map(Vector3::from),
             size in prop_oneof![0.0..0.4f64, 0.0..3.1f64],
         ) {
@@ -241,7 +243,7 @@ mod tests {
         }
 
         #[test]
-        fn turned_covariances_are_the_products(
+        fn rotated_covariances_equal_matrix_products(
             numbers in proptest::collection::vec(-1.0..1.0f64, 9),
             vector in [-3.0..3.0f64, -3.0..3.0f64, -3.0..3.0f64].prop_map(Vector3::from),
         ) {
@@ -254,7 +256,7 @@ mod tests {
         }
 
         #[test]
-        fn positive_definite_is_what_has_a_root(
+        fn positive_definite_matrices_have_a_cholesky_factor(
             numbers in proptest::collection::vec(-1.0..1.0f64, 36),
             added in -1.0..2.0f64,
         ) {
@@ -265,19 +267,19 @@ mod tests {
     }
 
     #[test]
-    fn what_points_nearly_down_is_turned_as_exactly() {
+    fn normals_close_to_straight_down_are_exact() {
         for aside in [0.2, 1e-3, 1e-6, 1e-9, 1e-12] {
             let normal = Vector3::new(0.6 * aside, 0.8 * aside, -f64::sqrt(1.0 - aside * aside));
             let turned = orientation_of_normal(&normal);
             assert!((turned * Vector3::z() - normal).norm() < 1e-15, "{aside}");
-            // About what lies across both.
+            // The rotation axis is the common perpendicular.
             let axis = Vector3::z().cross(&normal).normalize();
             assert!((turned * axis - axis).norm() < 1e-15, "{aside}");
         }
     }
 
     #[test]
-    fn turns_about_z_are_those_of_their_angles() {
+    fn rotations_about_z_equal_axis_angle_rotations() {
         for step in -20..=20 {
             let angle_rad = f64::from(step) * std::f64::consts::PI / 20.0;
             let expected = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle_rad);
@@ -294,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn triangle_of_wrong_length_is_refused() {
+    fn a_triangle_of_wrong_length_is_rejected() {
         assert_eq!(from_upper_triangle::<6>(&[0.0; 20]), None);
     }
 }

@@ -1,4 +1,4 @@
-//! Instants as nanoseconds since the Unix epoch. Nothing here reads a clock.
+//! Instants as nanoseconds since the Unix epoch. Reads no clock.
 
 use std::fmt;
 
@@ -7,7 +7,7 @@ use std::fmt;
 pub struct Timestamp(i64);
 
 impl Timestamp {
-    /// The instant that many nanoseconds after the Unix epoch.
+    /// The instant `ns` nanoseconds after the Unix epoch.
     pub const fn from_ns(ns: i64) -> Self {
         Self(ns)
     }
@@ -22,17 +22,17 @@ impl Timestamp {
         self.ns_since(earlier) as f64 * 1e-9
     }
 
-    /// Nanoseconds from `earlier` to this instant, held at the range of `i64`.
+    /// Nanoseconds from `earlier` to this instant, saturating.
     pub fn ns_since(self, earlier: Timestamp) -> i64 {
         self.0.saturating_sub(earlier.0)
     }
 
-    /// The instant so many seconds later (earlier if negative), to the nanosecond.
+    /// The instant `seconds` later (earlier if negative), rounded to nanoseconds.
     pub fn plus_seconds(self, seconds: f64) -> Self {
         Self(self.0.saturating_add((seconds * 1e9).round() as i64))
     }
 
-    /// The instant so many nanoseconds later, held at the range of `i64`.
+    /// The instant `ns` later, saturating.
     pub fn plus_ns(self, ns: i64) -> Self {
         Self(self.0.saturating_add(ns))
     }
@@ -45,8 +45,8 @@ impl fmt::Display for Timestamp {
     }
 }
 
-/// When row `v_px` of an image of `height` rows was exposed, the middle of its exposure, if the middle
-/// row was at `frame` and each row follows the one above it by `line_time_s` (0 for a global shutter).
+/// Middle of the exposure of row `v_px` of an image of `height` rows, if the middle row was exposed
+/// at `frame` and each row follows the one above it by `line_time_s` (0 for a global shutter).
 pub fn row_time(frame: Timestamp, v_px: f64, height: usize, line_time_s: f64) -> Timestamp {
     frame.plus_seconds((v_px - 0.5 * (height as f64 - 1.0)) * line_time_s)
 }

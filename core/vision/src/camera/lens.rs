@@ -6,16 +6,15 @@
 //!   x″ = x' g(r²) + 2 p₁ x' y' + p₂ (r² + 2 x'²), y″ = y' g(r²) + p₁ (r² + 2 y'²) + 2 p₂ x' y', where
 //!   g(s) = (1 + k₁ s + k₂ s² + k₃ s³) / (1 + k₄ s + k₅ s² + k₆ s³), k₄ to k₆ zero for `plumb_bob`;
 //! - `equidistant` (Kannala and Brandt 2006; OpenCV's `fisheye`): with θ the angle to the optical
-//!   axis, (x″, y″) = (x, y)/√(x² + y²) · θ (1 + k₁ θ² + k₂ θ⁴ + k₃ θ⁶ + k₄ θ⁸). It goes on beyond 90°.
+//!   axis, (x″, y″) = (x, y)/√(x² + y²) · θ (1 + k₁ θ² + k₂ θ⁴ + k₃ θ⁶ + k₄ θ⁸). Valid beyond 90°.
 //!
-//! Fitted polynomials turn back somewhere outside the image they were fitted to, and two rays then
-//! share one pixel. Each lens therefore has a *reach*, the radius (or angle) up to which the image
-//! grows strictly with it; beyond it nothing is projected.
+//! Outside the image they were fitted to, polynomials turn back and two rays share one pixel. Each lens therefore has a
+//! *reach*, the radius (or angle) up to which the image radius is strictly increasing; nothing is projected beyond it.
 
 use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
 
 use super::LensError;
-use crate::lanes::{Lane, Mask, Mat2, Vec2};
+use crate::simd::{Lane, Mask, Mat2, Vec2};
 
 /// A distortion model with its coefficients, named and ordered as in ROS' `camera_info`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,19 +27,19 @@ pub enum Lens {
     Equidistant([f64; 4]),
 }
 
-/// Steps of the angle from the axis in which the reach is looked for.
+/// Steps in which the angle from the axis is scanned for the reach.
 const REACH_STEPS: usize = 4096;
-/// A planar model (x/z) is followed up to this angle from the axis, radians (89.9°).
+/// Largest angle from the axis of a planar model (x/z), radians (89.9°).
 const PLANAR_LIMIT_RAD: f64 = 1.569_051_0;
-/// Newton's steps before giving up; four or five are the rule.
+/// Newton steps before giving up; four or five usually suffice.
 const MAX_STEPS: usize = 60;
-/// A step this small, relative to the point, ends Newton's method: convergence being quadratic, the
-/// point is then exact to rounding.
+/// Newton's method stops at a step this small, relative to the point: convergence is quadratic, so
+/// the point is then exact to rounding.
 const STEP_TOLERANCE: f64 = 1e-9;
 
 impl Lens {
-    /// The model of that name with coefficients in ROS' order; `plumb_bob` may leave out k3. `None` for a name
-    /// or a number of coefficients that there is not.
+    /// The model with this ROS name and coefficients in ROS' order; `plumb_bob` may omit k3. `None`
+    /// for an unknown name or a wrong number of coefficients.
     pub fn from_ros(name: &str, coefficients: &[f64]) -> Option<Self> {
         match (name, coefficients) {
             ("plumb_bob", &[k1, k2, p1, p2]) => Some(Self::PlumbBob([k1, k2, p1, p2, 0.0])),
@@ -69,8 +68,8 @@ impl Lens {
         }
     }
 
-    /// How far from the axis the image still grows: r = tan θ for the planar models, θ in radians for
-    /// `equidistant` (π at most).
+    /// Radius up to which the image radius increases: r = tan θ for the planar models, θ in radians
+    /// (at most π) for `equidistant`.
     pub(super) fn reach(&self) -> f64 {
         let limit_rad = match self {
             Lens::Equidistant(_) => std::f64::consts::PI,
@@ -246,8 +245,8 @@ impl Lens {
         Ok((angle_rad, slope))
     }
 
-    /// Newton on both coordinates, from the distorted point itself; where that fails, from the radial
-    /// model's exact inverse.
+    /// Newton's method on both coordinates, started at the distorted point; if that fails, at the
+    /// exact inverse of the radial model.
     fn undistort_planar(
         &self,
         planar: &Planar,
@@ -263,7 +262,7 @@ impl Lens {
             return Ok(found);
         }
         let image_radius = image.norm();
-        // A little past the radial image's edge the tangential terms may still reach the point.
+        // Slightly outside the radial image, the tangential terms may still reach the point.
         let radius = self.invert_radial(reach, image_radius).unwrap_or(0.999 * reach);
         let start = image * (radius / image_radius);
         newton(&start).ok_or(LensError::Outside)
@@ -285,7 +284,7 @@ impl Lens {
             }
             let step = (image_radius - value) / slope;
             let mut next = radius + step;
-            // Newton's method leaves the bracket only where the curve is nearly flat: halve there.
+            // Newton's method leaves the bracket only where the curve is nearly flat: bisect there.
             if !(next >= low && next <= high) {
                 next = 0.5 * (low + high);
             }
@@ -319,7 +318,7 @@ impl Lens {
     }
 }
 
-/// A direction and how it moves with the point of the image, in focal lengths.
+/// A direction, with its derivative by the image point, in focal lengths.
 pub(super) struct Ray {
     pub direction: Vector3<f64>,
     pub by_image: [Vector3<f64>; 2],
@@ -334,7 +333,7 @@ pub(super) struct Planar {
 }
 
 impl Planar {
-    /// g(s) and dg/ds, and where that is before any pole.
+    /// g(s) and dg/ds, and the lanes before any pole.
     #[inline(always)]
     fn gain<T: Lane>(&self, s: T) -> (T, T, T::Mask) {
         let [k1, k2, k3] = self.above;
@@ -350,7 +349,7 @@ impl Planar {
         (gain, slope, below.is_positive())
     }
 
-    /// The distorted point and its derivative, and where there are such.
+    /// The distorted point and its derivative, and the lanes where they exist.
     #[inline(always)]
     pub fn distort<T: Lane>(&self, point: Vec2<T>) -> (Vec2<T>, Mat2<T>, T::Mask) {
         let Vec2 { x, y } = point;
@@ -371,8 +370,8 @@ impl Planar {
         (image, slope, is_known)
     }
 
-    /// The point within the reach that is distorted to `image`, with the derivative there, and where one
-    /// is found.
+    /// The point within the reach that distorts to `image`, with the derivative there, and the
+    /// lanes where it was found.
     #[inline(always)]
     pub(super) fn newton<T: Lane>(
         &self,

@@ -1,32 +1,49 @@
-//! Rings of one frame.
+//! Detection of all rings in one frame.
 //!
-//! A [`Detector`] is immutable and may be shared; memory that grows with the frame is the caller's
-//! [`Scratch`]. [`Detector::detect`] searches the whole frame once; [`crate::marker::Tracker`] uses
-//! the same steps in parts.
+//! A [`Detector`] is immutable and can be shared; the caller owns the [`Scratch`], whose memory grows with the frame.
+//! [`Detector::detect`] searches the whole frame once; [`crate::marker::Tracker`] uses the same steps on parts of it.
 
 use fearless_simd::Level;
 
 use crate::{
-    frame::Frame,
+    camera::PixelPoint,
+    frame::{Frame, Window},
     id::KindId,
     marker::{
         Ring,
-        abreast::{self, AbreastScratch},
-        claim::Claim,
-        code::CodeReader,
-        code::measure::{self as coded, CodedKind},
-        examine::{Probe, Rules},
+        batch::{self, BatchScratch},
+        coded::{
+            measure::{self as coded, CodedKind},
+            reader::CodeReader,
+        },
         kind::{Kind, Pattern, Polarity, RATIO_LIMITS},
         mask::Mask,
-        measure::{MeasureScratch, measure},
-        param::{self, DetectorError, Params},
+        params::{self, DetectorError, Params},
         reject::{Reject, RejectCounts, Rejected, Rejects},
-        search::{SearchRules, SearchScratch},
+        ring::{
+            measure::{MeasureScratch, measure},
+            probe::{Probe, Rules},
+        },
+        search::{
+            SearchRules, SearchScratch,
+            claim::Claim,
+            cross::{Candidate, cross},
+            hits::{Hit, find_hits},
+            row_edges::ROW_STEP,
+            threshold::BinarySearch,
+        },
+        validate::{
+            disc_center::check_center, elliptical_disc::check_disc, letter::check_letter,
+            outline::check_rims,
+        },
     },
-    room::make_room,
-    segment::Window,
+    scratch::reserve_total,
 };
 
+/// Depth of the binary search for the threshold of a candidate.
+const SEARCH_DEPTH: u32 = 2;
+/// Margin of the window around a candidate: a factor, and pixels.
+const BEYOND: (f64, f64) = (1.25, 3.0);
 /// Finds rings of the given kinds.
 #[derive(Clone, Debug)]
 pub struct Detector {
@@ -35,25 +52,25 @@ pub struct Detector {
     params: Params,
     rules: Rules,
     pub(crate) search_rules: SearchRules,
-    /// Those that some kind has; without kinds, rings are black.
+    /// Polarities of the kinds; black rings if there are none.
     pub(crate) polarities: Vec<Polarity>,
     pub(crate) mask: Mask,
-    /// What the processor can do, found out once.
+    /// Instruction set, detected once.
     pub(crate) level: Level,
 }
 
-/// Rings of a frame that there is room for from the start, at most.
-pub(crate) const MOST_ROOM: usize = 1024;
+/// Rings per frame for which capacity is reserved in advance.
+pub(crate) const RESERVED_RINGS: usize = 1024;
 
-/// Memory of detection, kept from frame to frame. The first frame of a size takes room for whatever may
-/// turn up in any other, address space of about three frames; nothing is allocated from then on, and
-/// memory is used only as far as rings have filled it.
+/// Memory of detection, reused from frame to frame. The first frame of a size reserves address
+/// space of about three frames for the worst case; nothing is allocated afterwards, and pages are
+/// used only as far as rings fill them.
 #[derive(Debug, Default)]
 pub struct Scratch {
-    /// Width and height of the frames that there is room for.
+    /// Width and height of the frames for which memory is reserved.
     size: (usize, usize),
     pub(crate) measure: MeasureScratch,
-    pub(crate) abreast: AbreastScratch,
+    pub(crate) batch: BatchScratch,
     pub(crate) search: SearchScratch,
     pub(crate) found: Vec<Ring>,
     pub(crate) claims: Vec<Claim>,
@@ -61,42 +78,43 @@ pub struct Scratch {
 }
 
 impl Scratch {
-    /// Room for what a frame can show: rings as large as itself, and an edge at each pixel of a row.
-    pub(crate) fn make_room(&mut self, frame: &Frame, max_roundels: usize) {
+    /// Reserves memory for rings as large as the frame and an edge at each pixel of a row.
+    pub(crate) fn reserve(&mut self, frame: &Frame, max_roundels: usize) {
         let size = (frame.width(), frame.height());
         if self.size == size {
             return;
         }
         self.size = size;
-        self.measure.make_room(size);
-        self.abreast.make_room(size.1);
-        self.search.make_room(size.0);
-        let most = max_roundels.min(MOST_ROOM);
-        make_room(&mut self.found, most);
-        make_room(&mut self.claims, most);
+        self.measure.reserve(size);
+        self.batch.reserve(size.1);
+        self.search.reserve(size.0);
+        let max = max_roundels.min(RESERVED_RINGS);
+        reserve_total(&mut self.found, max);
+        reserve_total(&mut self.claims, max);
     }
 
-    /// Candidates of the newest frame that died, by stage.
+    /// Rejected candidates of the newest frame, by stage.
     pub fn rejects(&self) -> &RejectCounts {
         &self.rejects.counts
     }
 
-    /// Whether candidates that die are kept with their places, at most
-    /// [`crate::marker::MAX_REJECTED`] a frame; off at first.
+    /// Enables keeping rejected candidates with their positions, at most
+    /// [`crate::marker::MAX_REJECTED`] a frame; off by default.
     pub fn explain(&mut self, on: bool) {
         self.rejects.keep(on);
     }
 
-    /// Candidates of the newest frame that died, if they are kept.
+    /// Rejected candidates of the newest frame, if they are kept.
     pub fn rejected(&self) -> &[Rejected] {
         self.rejects.list.as_deref().unwrap_or_default()
     }
 }
 
 impl Detector {
-    /// A detector of these kinds; without any, every plausible black ring is found and has no kind.
+    /// A detector of these kinds. Without kinds, every plausible black ring is found and has no
+    /// kind.
     pub fn new(kinds: Vec<Kind>, params: Params) -> Result<Self, DetectorError> {
-        param::check(&kinds, &params)?;
+        params::check(&kinds, &params)?;
         let ratios = kinds
             .iter()
             .map(Kind::ratios)
@@ -120,30 +138,30 @@ impl Detector {
         Ok(Self { kinds, coded, params, rules, search_rules, polarities, mask, level })
     }
 
-    /// The same detector, blind to roundels whose centre lies in the mask.
+    /// The same detector, ignoring roundels whose centre lies in the mask.
     pub fn with_mask(self, mask: Mask) -> Self {
         Self { mask, ..self }
     }
 
-    /// The same detector; without any kinds it looks for rings of this polarity, instead of black ones.
-    pub fn with_polarity_of_any(mut self, polarity: Polarity) -> Self {
+    /// The same detector; without kinds, it finds rings of this polarity instead of black ones.
+    pub fn with_default_polarity(mut self, polarity: Polarity) -> Self {
         if self.kinds.is_empty() {
             self.polarities = vec![polarity];
         }
         self
     }
 
-    /// The kinds, in the order that [`crate::id::KindId`] counts them.
+    /// The kinds, indexed by [`crate::id::KindId`].
     pub fn kinds(&self) -> &[Kind] {
         &self.kinds
     }
 
-    /// The limits.
+    /// The limits of detection.
     pub fn params(&self) -> &Params {
         &self.params
     }
 
-    /// All rings of one frame, in the order of the rows that they were found in.
+    /// All rings of one frame, in the order of the rows in which they were found.
     pub fn detect<'s>(&self, frame: &Frame, scratch: &'s mut Scratch) -> &'s [Ring] {
         scratch.rejects.clear();
         scratch.claims.clear();
@@ -152,16 +170,16 @@ impl Detector {
         &scratch.found
     }
 
-    /// Rings at the scratch's probes that are just where they are expected, side by side; others are left
-    /// to [`Detector::measure`].
-    pub(crate) fn measure_each(&self, frame: &Frame, scratch: &mut AbreastScratch) {
+    /// Measures rings at the scratch's probes that are where predicted, several at once; the rest
+    /// needs [`Detector::measure`].
+    pub(crate) fn measure_batch(&self, frame: &Frame, scratch: &mut BatchScratch) {
         for ring in &mut scratch.rings {
             *ring = None;
         }
         if !self.coded.is_empty() || self.kinds.is_empty() || !self.rules.similar {
             return;
         }
-        abreast::measure_each(frame, &self.rules, &self.kinds, scratch);
+        batch::measure_batch(frame, &self.rules, &self.kinds, scratch);
         for ring in &mut scratch.rings {
             let center = ring.as_ref().map(|ring| ring.outer.center);
             if center.is_some_and(|center| self.mask.covers(center)) {
@@ -181,8 +199,8 @@ impl Detector {
         if self.mask.covers(ring.outer.center) { Err(Reject::Masked) } else { Ok(ring) }
     }
 
-    /// A ring with teeth that are read is what they say. One without may be plain, and one that is
-    /// neither is a coded one that cannot be read.
+    /// A ring whose teeth are decoded is coded. Otherwise it is measured as a plain one; if that
+    /// fails too, it is a coded ring that cannot be read.
     fn measure_any(
         &self,
         frame: &Frame,
@@ -198,6 +216,119 @@ impl Detector {
         }
         let plain = measure(frame, probe, &self.rules, &self.kinds, scratch);
         plain.or_else(|reject| coded.map_err(|_| reject))
+    }
+}
+
+impl Detector {
+    /// Appends rings whose disc crosses `window` and that are not claimed yet to `found`, and
+    /// claims them, until `found` has `max` of them.
+    pub(crate) fn search(&self, frame: &Frame, window: Window, max: usize, scratch: &mut Scratch) {
+        scratch.reserve(frame, self.params().max_roundels);
+        let mut memory = std::mem::take(&mut scratch.search);
+        let SearchScratch { row, hits, claimed } = &mut memory;
+        claimed.clear(window);
+        scratch.claims.iter().for_each(|claim| claimed.add(claim));
+        let rules = &self.search_rules.for_width(frame.width());
+        for v in (window.top..window.bottom).step_by(ROW_STEP) {
+            if scratch.found.len() >= max {
+                break;
+            }
+            row.read(self.level, frame, v, &window, rules.step);
+            for &polarity in &self.polarities {
+                find_hits(row, &rules.hit_in(v), polarity, hits);
+                for hit in &mut hits.hits {
+                    hit.u += window.left;
+                    if scratch.found.len() >= max || claimed.contains(hit.u, v) {
+                        continue;
+                    }
+                    if let Some(ring) = self.measure_hit(frame, (hit, v), polarity, rules, scratch)
+                    {
+                        let claim = Claim::new(&ring);
+                        claimed.add(&claim);
+                        scratch.claims.push(claim);
+                        scratch.found.push(ring);
+                    }
+                }
+            }
+        }
+        scratch.search = memory;
+    }
+
+    /// The ring of a hit, at the first threshold of the binary search that shows it.
+    fn measure_hit(
+        &self,
+        frame: &Frame,
+        (hit, v): (&Hit, usize),
+        polarity: Polarity,
+        rules: &SearchRules,
+        scratch: &mut Scratch,
+    ) -> Option<Ring> {
+        let center = PixelPoint { u: hit.u as f64, v: v as f64 };
+        let mut rejected =
+            Rejected { center, half_box_px: (hit.half_px, hit.half_px), reject: Reject::Masked };
+        if self.mask.covers(center) {
+            scratch.rejects.add(rejected);
+            return None;
+        }
+        let mut first = None;
+        for threshold in BinarySearch::new(hit.black, hit.white, SEARCH_DEPTH) {
+            let measured = cross(frame, (hit, v), threshold, &rules.cross, polarity);
+            let measured = measured.and_then(|candidate| {
+                let (u, v) = candidate.center;
+                rejected.center = PixelPoint { u: u as f64, v: v as f64 };
+                rejected.half_box_px = candidate.half_box_px;
+                self.measure_candidate(frame, &candidate, polarity, scratch)
+            });
+            match measured {
+                Ok(ring) => return Some(ring),
+                Err(reject) => {
+                    first = first.or(Some(reject));
+                    // Another threshold helps only if the rims are bridged at this one.
+                    if reject != Reject::BlackTooLarge && reject != Reject::WhiteTooLarge {
+                        break;
+                    }
+                }
+            }
+        }
+        scratch.rejects.add(Rejected { reject: first.unwrap_or(Reject::Contrast), ..rejected });
+        None
+    }
+
+    fn measure_candidate(
+        &self,
+        frame: &Frame,
+        candidate: &Candidate,
+        polarity: Polarity,
+        scratch: &mut Scratch,
+    ) -> Result<Ring, Reject> {
+        let (half_u, half_v) = candidate.half_box_px;
+        let reach = |half: f64| half * BEYOND.0 + BEYOND.1;
+        let center = candidate.ring_center;
+        let probe = Probe {
+            center: candidate.center,
+            threshold: candidate.threshold,
+            bounds: Window::around(frame, center, (reach(half_u), reach(half_v))),
+            polarity,
+            predicted: None,
+        };
+        let ring = self.measure(frame, &probe, &mut scratch.measure)?;
+        let pattern = self.kind_of(&ring).map_or(Pattern::Plain, |kind| kind.pattern);
+        let smooth = !matches!(pattern, Pattern::Coded(_));
+        check_rims(frame, &ring, smooth)?;
+        if smooth {
+            check_center(frame, &ring)?;
+        }
+        match (pattern, self.kind_of(&ring)) {
+            (Pattern::Elliptical { .. }, Some(kind)) => check_disc(&ring, kind)?,
+            (Pattern::Plain, _) => check_letter(&ring)?,
+            _ => (),
+        }
+        let covered = scratch.claims.iter().any(|claim| claim.covers(&ring));
+        if covered { Err(Reject::Claimed) } else { Ok(ring) }
+    }
+
+    fn kind_of(&self, ring: &Ring) -> Option<&Kind> {
+        ring.kind.and_then(|kind| self.kinds().get(usize::from(kind.0)))
     }
 }
 

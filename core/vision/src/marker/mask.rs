@@ -1,10 +1,9 @@
 //! Regions of a camera's frames where no roundel is reported: reflections, posters, a neighbour's
 //! arena.
 //!
-//! What counts is a roundel's centre: one whose centre lies in a masked region is not measured, if the
-//! search comes upon it, and not followed, if it moves there. One that only reaches into such a
-//! region is seen as any other. Hits are asked for before anything is spent on them, so a masked
-//! region costs no more than an empty one.
+//! The roundel's centre decides: if it lies in a masked region, the roundel is neither measured in the search nor tracked.
+//! A roundel that only extends into such a region is unaffected. The mask is tested first, so a masked region costs no
+//! more than an empty one.
 
 use thiserror::Error;
 
@@ -19,26 +18,26 @@ pub struct Mask {
 #[derive(Clone, Debug, PartialEq)]
 struct Polygon {
     corners: Vec<PixelPoint>,
-    /// Box: smallest and largest u and v.
+    /// Bounding box: smallest and largest u and v.
     low: PixelPoint,
     high: PixelPoint,
 }
 
-/// Corners that make no polygon.
+/// Why corners do not form a polygon.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum MaskError {
     /// Too few corners.
     #[error("mask polygon {polygon}: expected at least 3 corners, found {found}")]
     Corners {
-        /// Which polygon, counted from 0.
+        /// Index of the polygon.
         polygon: usize,
-        /// How many corners it has.
+        /// Number of corners.
         found: usize,
     },
-    /// A corner that is no number.
+    /// A corner with a coordinate that is not finite.
     #[error("mask polygon {polygon}: expected finite pixels, found ({}, {})", found.u, found.v)]
     NotFinite {
-        /// Which polygon, counted from 0.
+        /// Index of the polygon.
         polygon: usize,
         /// The corner.
         found: PixelPoint,
@@ -46,9 +45,8 @@ pub enum MaskError {
 }
 
 impl Mask {
-    /// The regions inside any of these polygons, each closed from its last corner to its first; a
-    /// polygon that crosses itself is inside where a ray from the point leaves it an odd number of
-    /// times. Corners may lie outside the frame.
+    /// The union of polygons, each closed from its last corner to its first, by the even-odd rule.
+    /// Corners may lie outside the frame.
     pub fn of_polygons(polygons: &[Vec<PixelPoint>]) -> Result<Self, MaskError> {
         let polygons = polygons.iter().enumerate().map(|(polygon, corners)| {
             if corners.len() < 3 {
@@ -82,7 +80,7 @@ impl Polygon {
         }
         let before = self.corners.iter().cycle().skip(self.corners.len() - 1);
         let crossed = self.corners.iter().zip(before).filter(|(a, b)| {
-            // A ray towards +u crosses edges that have one end above it and one not.
+            // A ray towards +u crosses the edges with one end above it and one below.
             (a.v > at.v) != (b.v > at.v) && at.u < a.u + (at.v - a.v) * (b.u - a.u) / (b.v - a.v)
         });
         crossed.count() % 2 == 1
@@ -99,7 +97,7 @@ mod tests {
 
     #[test]
     fn a_point_is_covered_by_any_polygon() {
-        // An L, and a triangle that reaches out of the frame.
+        // An L, and a triangle that extends beyond the frame.
         let l = corners(&[(10., 10.), (30., 10.), (30., 20.), (20., 20.), (20., 40.), (10., 40.)]);
         let triangle = corners(&[(50.0, 50.0), (90.0, 50.0), (50.0, -30.0)]);
         let mask = Mask::of_polygons(&[l, triangle]).unwrap();
@@ -120,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_corners_are_named() {
+    fn errors_of_invalid_corners_name_them() {
         let fine = corners(&[(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]);
         let error = Mask::of_polygons(&[fine.clone(), corners(&[(0.0, 0.0), (1.0, 0.0)])]);
         assert_eq!(error, Err(MaskError::Corners { polygon: 1, found: 2 }));

@@ -1,24 +1,20 @@
-//! Rings found in a frame, and followed from frame to frame.
+//! Detection of rings in a frame, and tracking from frame to frame.
 //!
-//! | step | module | paper |
+//! | stage | module | paper |
 //! | --- | --- | --- |
-//! | rows with black, white, black | `edge`, `scan` | 3.1, 3.6 |
-//! | chords through the centre | `cross`, `chord` | 3.1 |
-//! | threshold at each place | `threshold` | 3.2, eq. (3) |
-//! | one ring, wherever it is thought to be | `measure` | 3.1, 3.3 |
-//! | its pixels as words of bits | `patch` | 3.2 |
-//! | disc and black, followed by runs | `segments`, `spans` | 3.1, algorithm 1 |
-//! | the pixels near its rims | `belt`, `levels` | – |
-//! | the same of a ring that is followed | `follow`, `oval` | – |
-//! | several of these, side by side | `abreast` | – |
-//! | rims to a fraction of a pixel | `weigh`, `blur`, `normal` | eqs. (4), (6) |
-//! | areas, roundness, shapes | `examine`, `outline` | 3.1, 3.3, eqs. (1), (2), (5) |
-//! | kind by ratio of diameters | `kind` | 3.4 |
-//! | elliptical discs, by their axes | `elliptical` | 7.2, 7.4 |
-//! | rims that are ellipses, a disc white to its middle, no letter | `harmonic`, `middle`, `stroke` | – |
-//! | compensation of the rims | [`rim`] | 3.5, eqs. (7), (8) |
+//! | candidates: rows with black, white, black; chords through the centre; local threshold | `search` | 3.1, 3.2, 3.6, eq. (3) |
+//! | one ring: its pixels, tests, both rims to a fraction of a pixel | `ring` | 3.1 to 3.3, algorithms 1 and 2, eqs. (1) to (6) |
+//! | several tracked rings at once, one per vector lane | `batch` | – |
+//! | kind by the ratio of diameters, compensation of the rims | `classify` | 3.4, 3.5, 7.2, eqs. (7), (8) |
+//! | further tests of new rings: rims are ellipses, disc white to its centre, not a letter | `validate` | – |
+//! | identities: layouts, dictionaries, votes of a track | `code` | – |
+//! | rings with teeth: rims, code, yaw | `coded` | – |
 //! | all rings of a frame | `detector` | 3.6 |
-//! | from frame to frame | `tracker` | 3, 3.6 |
+//! | from frame to frame | `track` | 3, 3.6 |
+//!
+//! `kind`, `params`, `mask` and `reject` hold the types that describe roundels, limits, masked regions and rejected
+//! candidates. The order of imports is: `reject`, `mask`, `code`, `kind`, `params`, `classify`, `ring`, then `search`,
+//! `validate`, `batch` and `coded`, then `detector`, `track`.
 //!
 //! ```
 //! use roundel_vision::{frame::Frame, marker::{Detector, Kind, Params, Scratch, Tracker}};
@@ -36,56 +32,33 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-mod abreast;
-pub(crate) mod belt;
-mod blur;
-mod chord;
-mod claim;
+mod batch;
+mod classify;
 mod code;
-mod cross;
+mod coded;
 mod detector;
-mod edge;
-mod elliptical;
-mod examine;
-mod follow;
-mod harmonic;
 mod kind;
-mod levels;
 mod mask;
-mod measure;
-mod middle;
-pub(crate) mod normal;
-mod occupied;
-mod outline;
-mod oval;
-mod param;
-mod patch;
+mod params;
 mod reject;
-pub mod rim;
-mod scan;
+mod ring;
 mod search;
-mod segments;
-mod spans;
-mod stroke;
-mod thin;
-mod threshold;
-mod tracker;
-mod weigh;
-mod zones;
+mod track;
+mod validate;
 
-pub use belt::WIDE_PX;
-pub use code::{
-    Code, CodeError, CodeLayout, CodeReader, CodeReading, Dictionary, Tooth, VotedCode,
-};
+pub use classify::compensation::{compensated, rim_shift_px};
+pub use code::{Code, CodeError, CodeLayout, CodeReading, Dictionary, Tooth, VotedCode};
+pub use coded::reader::CodeReader;
 pub use detector::{Detector, Scratch};
-pub use elliptical::AXIS_RATIO_LIMIT;
-pub use kind::{Kind, Pattern, Polarity, RATIO_LIMITS, is_measurable, tells_heading};
+pub use kind::{
+    AXIS_RATIO_LIMIT, Kind, Pattern, Polarity, RATIO_LIMITS, is_measurable, shows_heading,
+};
 pub use mask::{Mask, MaskError};
-pub use normal::Beyond;
-pub use param::{DetectorError, Mode, Params};
+pub use params::{DetectorError, Mode, Params};
 pub use reject::{MAX_REJECTED, Reject, RejectCounts, Rejected};
-pub use threshold::BinarySearch;
-pub use tracker::Tracker;
+pub use ring::pixels::edge_band::WIDE_PX;
+pub use search::threshold::BinarySearch;
+pub use track::Tracker;
 
 use crate::{
     ellipse::Ellipse,
@@ -95,29 +68,29 @@ use crate::{
 /// One roundel as imaged.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ring {
-    /// Black ring's outer rim.
+    /// Outer rim of the ring.
     pub outer: Ellipse,
-    /// White disc's rim.
+    /// Rim of the disc.
     pub inner: Ellipse,
-    /// The kind whose ratio of diameters it has; `None` if no kinds are configured.
+    /// The kind with this ratio of diameters; `None` if no kinds are configured.
     pub kind: Option<KindId>,
-    /// Grey level that parted black from white; the next frame's start.
+    /// Grey level that separates black from white; the initial threshold in the next frame.
     pub threshold: u8,
-    /// Grey level of the black ring.
+    /// Grey level of black.
     pub black: f64,
-    /// Mean grey level of the white disc.
+    /// Mean grey level of white.
     pub white: f64,
-    /// How far the grey levels along the outer rim stray from those of a whole rim: rms, as a share
-    /// of the contrast. Noise alone gives two thirds of its own share; a cover gives more.
+    /// Deviation of the grey levels along the outer rim from their mean: rms, as a share of the
+    /// contrast. Noise alone gives two thirds of its own share; partial cover gives more.
     pub unevenness: f64,
     /// Which of ring and disc is black.
     pub polarity: Polarity,
-    /// What the teeth say; `None` if there are none, or they cannot be read.
+    /// The decoded teeth; `None` for a ring without teeth or with unreadable ones.
     pub code: Option<CodeReading>,
 }
 
 impl Ring {
-    /// A whole ring, black 20 on white 220, of no known kind.
+    /// A complete ring, black 20 on white 220, of unknown kind.
     pub fn of_rims(outer: Ellipse, inner: Ellipse) -> Self {
         Self {
             outer,
@@ -132,9 +105,9 @@ impl Ring {
         }
     }
 
-    /// What was measured of a black ring in a picture with its levels turned over, if that was done.
+    /// Undoes the inversion of grey levels under which a white ring is measured as a black one.
     #[inline(always)]
-    fn seen_as(self, polarity: Polarity) -> Self {
+    fn with_polarity(self, polarity: Polarity) -> Self {
         match polarity {
             Polarity::BlackRing => self,
             Polarity::WhiteRing => Self {
@@ -148,13 +121,13 @@ impl Ring {
     }
 }
 
-/// A ring with the number of the track that it continues or begins.
+/// A ring with the number of its track.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackedRing {
-    /// This tracker's number for the roundel.
+    /// The tracker's number for the roundel.
     pub track: TrackNumber,
-    /// Where it is now.
+    /// The ring in the newest frame.
     pub ring: Ring,
-    /// What all frames of the track say of its code; `None` if none was read yet.
+    /// The code by the vote of all frames of the track; `None` before the first reading.
     pub code: Option<VotedCode>,
 }

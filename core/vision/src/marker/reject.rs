@@ -1,5 +1,4 @@
-//! Why a candidate is no roundel: one reason for each stage that can refuse it, counted, and on
-//! request kept with the place.
+//! Why a candidate is rejected: one reason per stage, counted, and kept with its position on request.
 
 use std::fmt;
 
@@ -7,7 +6,7 @@ use crate::camera::PixelPoint;
 
 macro_rules! rejects {
     ($($(#[doc = $doc:literal])+ $name:ident = $text:literal,)+) => {
-        /// The stage at which a candidate died, in the order in which they are passed.
+        /// The stage that rejected a candidate, in the order of the pipeline.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
         pub enum Reject {
             $($(#[doc = $doc])+ $name,)+
@@ -17,7 +16,7 @@ macro_rules! rejects {
             /// All stages, in order.
             pub const ALL: &'static [Reject] = &[$(Reject::$name,)+];
 
-            /// What was wrong, in a few words.
+            /// Short description.
             pub fn reason(self) -> &'static str {
                 match self { $(Reject::$name => $text,)+ }
             }
@@ -28,47 +27,47 @@ macro_rules! rejects {
 rejects! {
     /// Search: black is not equally wide on both sides of the white.
     Chord = "black and white do not alternate evenly along row and column",
-    /// The frame's edge cuts it, or is too near to measure its rim.
+    /// Cut by the frame's edge, or too close to it to measure the rim.
     FrameEdge = "cut by the frame's edge",
-    /// Nothing black next to the place where a ring's disc should be.
+    /// No black where the ring of a disc should be.
     NoBlack = "no black where the ring should be",
-    /// The black segment goes on past the size looked for.
+    /// The black segment exceeds the expected size.
     BlackTooLarge = "black segment larger than the roundel looked for",
     /// The black segment has too few pixels.
     TooSmall = "too small",
-    /// Eq. (2) of the black segment.
+    /// Eq. (2) for the black segment.
     BlackBox = "black segment's area does not fit its box (eq. 2)",
     /// No white at the black segment's centre.
     NoWhite = "no white at the ring's centre",
     /// The white segment is not enclosed by the black one.
     WhiteTooLarge = "white disc not enclosed by the black ring",
-    /// Eq. (2) of the white segment.
+    /// Eq. (2) for the white segment.
     WhiteBox = "white segment's area does not fit its box (eq. 2)",
     /// Ratio of the segments' areas.
     AreaRatio = "ratio of black to white area",
-    /// Centres of the two segments apart.
+    /// Distance of the segments' centres.
     Concentricity = "ring and disc are not concentric",
-    /// Eq. (5) of the disc or of ring and disc together.
+    /// Eq. (5) for the disc or for ring and disc together.
     Roundness = "not an ellipse (eq. 5)",
-    /// Flatter than any tilt looked for.
+    /// Flatter than the largest tilt searched for.
     Tilt = "too flat",
     /// The two rims have different shapes.
     Similarity = "ring and disc have different shapes",
-    /// Black and white too near.
+    /// Too little difference of black and white.
     Contrast = "contrast too low",
     /// The grey levels along the rims contradict the segments.
     Profile = "grey levels at the rims are not those of a roundel",
-    /// No configured kind has such a ratio.
+    /// No configured kind has this ratio.
     Kind = "ratio of diameters fits no kind",
-    /// The outer rim's grey levels are not those of a whole rim.
+    /// The outer rim is partly covered.
     Covered = "the outer rim is partly covered",
-    /// Search: the levels along a rim have corners, teeth or gaps.
+    /// Search: the levels along a rim show corners, teeth or gaps.
     Outline = "a rim is no ellipse but has corners, teeth or gaps",
-    /// Its centre lies in a region that is not searched.
+    /// The centre lies in a masked region.
     Masked = "in a masked region",
-    /// Another roundel stands there already.
+    /// Another roundel has been found there.
     Claimed = "already taken for another roundel",
-    /// Tracking: a roundel, but not where or not how the track must be.
+    /// Tracking: too far from the track's prediction, or of another size.
     Gate = "too far from the track's prediction",
 }
 
@@ -78,17 +77,17 @@ impl fmt::Display for Reject {
     }
 }
 
-/// How many candidates of one frame died at each stage.
+/// Number of candidates of one frame rejected at each stage.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RejectCounts([u32; Reject::ALL.len()]);
 
 impl RejectCounts {
-    /// Candidates that this stage refused.
+    /// Candidates rejected at this stage.
     pub fn count(&self, reject: Reject) -> u32 {
         self.0[reject as usize]
     }
 
-    /// Candidates refused by any stage.
+    /// Candidates rejected at any stage.
     pub fn total(&self) -> u32 {
         self.0.iter().fold(0, |sum, &n| sum.saturating_add(n))
     }
@@ -104,45 +103,46 @@ impl RejectCounts {
     }
 }
 
-/// A candidate that died.
+/// A rejected candidate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rejected {
-    /// Where it was looked for.
+    /// Where it was measured.
     pub center: PixelPoint,
-    /// Half the sides of the box that it was thought to fill, along u and v, pixels.
+    /// Half the sides of its estimated bounding box, along u and v, pixels.
     pub half_box_px: (f64, f64),
-    /// Why it died.
+    /// Reason.
     pub reject: Reject,
 }
 
-/// Rejected candidates of one frame that are kept at most; all are counted. Where there are more,
-/// those that died first are thinned out, evenly over the frame: what came furthest tells most.
+/// Largest number of rejected candidates kept per frame; all are counted. Beyond it, candidates of
+/// the earliest stage are thinned out evenly over the frame, since those that came furthest are the
+/// most informative.
 pub const MAX_REJECTED: usize = 4096;
 
-/// What died in one frame.
+/// Rejected candidates of one frame.
 #[derive(Debug, Default)]
 pub(crate) struct Rejects {
     pub counts: RejectCounts,
-    /// The newest frame's rejected candidates, if they are wanted.
+    /// The newest frame's rejected candidates, if they are kept.
     pub list: Option<Vec<Rejected>>,
-    /// Of each stage one candidate of so many is kept, as a power of two.
+    /// Per stage, one candidate in 2ⁿ is kept.
     thinned: [u32; Reject::ALL.len()],
 }
 
 impl Rejects {
-    /// Forgets all.
+    /// Removes all.
     pub fn clear(&mut self) {
         self.counts = RejectCounts::default();
         self.thinned = Default::default();
         self.list.iter_mut().for_each(Vec::clear);
     }
 
-    /// Whether candidates are kept from now on.
+    /// Enables or disables keeping candidates.
     pub fn keep(&mut self, keep: bool) {
         self.list = keep.then(|| self.list.take().unwrap_or_default());
     }
 
-    /// Counts a candidate, and keeps it where wanted.
+    /// Counts a candidate, and keeps it if enabled.
     pub fn add(&mut self, rejected: Rejected) {
         let number = self.counts.count(rejected.reject);
         self.counts.add(rejected.reject);
@@ -155,7 +155,8 @@ impl Rejects {
     }
 }
 
-/// Leaves out every other candidate of the earliest stage that has more than one; false if none has.
+/// Drops every other candidate of the earliest stage that has more than one; false if there is
+/// none.
 fn thin(list: &mut Vec<Rejected>, thinned: &mut [u32; Reject::ALL.len()]) -> bool {
     let mut kept = [0usize; Reject::ALL.len()];
     list.iter().for_each(|rejected| kept[rejected.reject as usize] += 1);
@@ -187,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn candidates_are_kept_on_request_and_up_to_the_limit() {
+    fn candidates_are_kept_on_request_up_to_the_limit() {
         let center = PixelPoint { u: 1.0, v: 2.0 };
         let rejected = Rejected { center, half_box_px: (3.0, 4.0), reject: Reject::Tilt };
         let mut rejects = Rejects::default();
@@ -203,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn too_many_candidates_lose_the_least_telling_ones_evenly() {
+    fn too_many_candidates_are_thinned_evenly_from_the_earliest_stage() {
         let rejected = |row: usize, reject| {
             let center = PixelPoint { u: 0.0, v: row as f64 };
             Rejected { center, half_box_px: (3.0, 4.0), reject }

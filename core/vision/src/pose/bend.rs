@@ -25,7 +25,7 @@ use super::{
     rim::{Flat, POINTS},
     seen::RimSeen,
 };
-use crate::lanes::{Lane, Mat2, Vec2};
+use crate::simd::{Lane, Mat2, Vec2};
 
 /// |a| + |b| + |c| at most …
 const MAX_BEND: f64 = 6e-3;

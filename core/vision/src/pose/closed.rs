@@ -2,7 +2,7 @@
 //!
 //! What [`super`] describes is one chain of some twenty divisions and roots, each of which waits for the one
 //! before, with little in it that one ring could do at a time. Rings of one camera take the same chain,
-//! each in its lane ([`crate::lanes`]): [`locate_each`]. Where a ring needs what is rare, it leaves the others
+//! each in its lane ([`crate::simd`]): [`locate_each`]. Where a ring needs what is rare, it leaves the others
 //! for it: before the fit if the lens bends it too much for the closed form (`rim`), after that if it nearly
 //! faces the camera (`upright`), if a second step is needed or if one circle is none (`refine`). Its result is
 //! that of [`locate`] to the last bit (`locator::tests::rings_side_by_side_are_each_as_alone`).
@@ -24,8 +24,8 @@ use super::{
 };
 use crate::{
     camera::Camera,
-    lanes::{Lane, Mask, Mat3, Vec3},
     rigid::{Covariance6, UNKNOWN_ANGLE_VARIANCE_RAD2},
+    simd::{Lane, Mask, Mat3, Vec3},
 };
 
 /// What two rims' ten numbers say beyond the five of a pose.

@@ -23,7 +23,7 @@
 //! its points where this has it by its tangents.)
 
 use super::{information::Harmonics, rim::Rim};
-use crate::lanes::{Lane, Vec2, Vec3};
+use crate::simd::{Lane, Vec2, Vec3};
 
 /// A circle's place in a local frame, by the numbers that its image depends on.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -16,7 +16,7 @@ use super::{
     rim::Rim,
     smear::{self, Covariance5, Smear},
 };
-use crate::lanes::{Lane, Mat2, Vec2, Vec3};
+use crate::simd::{Lane, Mat2, Vec2, Vec3};
 
 /// The normal matrix at a circle, in blocks of place (α, ln d) and lean, and what it is made of.
 pub struct Linear<T: Lane> {

@@ -1,7 +1,7 @@
 //! A roundel with an elliptical disc: its pose from both rims, and its heading.
 //!
 //! **Pose.** The outer rim is a circle's. Of the disc's rim only size and centre count, as those of the
-//! circle of the same area: with the rims' matrices **O** and **I** (`marker::elliptical`), p and q the
+//! circle of the same area: with the rims' matrices **O** and **I** (`marker::classify::elliptical`), p and q the
 //! disc's semiaxes over the outer radius, that circle's image has the matrix √(det **I**/det **O**) **O**.
 //! Perspective moves the image of a conic of the plane by its matrix times a vector k of the tilt, so
 //! that the centres of the rims lie (1 - **S**) k apart, with **S** = diag(p², q²) turned by the heading,

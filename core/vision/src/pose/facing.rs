@@ -29,7 +29,7 @@
 
 use nalgebra::{Matrix2, Vector2};
 
-use crate::lanes::{Lane, Vec2};
+use crate::simd::{Lane, Vec2};
 
 /// What an image says of a lean; complex numbers as vectors.
 #[derive(Clone, Copy, Debug)]

@@ -10,7 +10,7 @@ use super::{
     noise::{Known, RimErrors},
     seen::RimSeen,
 };
-use crate::lanes::Lane;
+use crate::simd::Lane;
 
 /// Five numbers of a rim.
 pub type Harmonics<T> = [T; 5];

@@ -33,7 +33,7 @@ use crate::{
     frame::Frame,
     id::KindId,
     marker::{Kind, Mode, Ring, TrackedRing},
-    share::Shares,
+    parallel::PerThread,
     time::Timestamp,
 };
 
@@ -66,7 +66,7 @@ pub struct Locator {
     kinds: Vec<Kind>,
     mode: Mode,
     noise: RimNoise,
-    shares: Shares<FitScratch>,
+    shares: PerThread<FitScratch>,
     memories: Recall<Memory>,
     /// Rings of the newest frame that are followed.
     following: Vec<Following>,
@@ -89,7 +89,7 @@ impl Locator {
     /// For rings of these kinds, in the order that [`KindId`] counts them.
     pub fn new(camera: Camera, kinds: Vec<Kind>, mode: Mode) -> Self {
         let noise = RimNoise::default();
-        let (shares, memories) = (Shares::default(), Recall::new());
+        let (shares, memories) = (PerThread::default(), Recall::new());
         Self { camera, kinds, mode, noise, shares, memories, following: Vec::new(), shutter: None }
     }
 
@@ -204,7 +204,7 @@ impl Locator {
         let pose = locate(&self.camera, kind, ring, &self.noise)?;
         let mut located = Located::by_rims(ring, pose);
         let with = (&self.camera, kind, self.mode);
-        located.improve(with, frame, (None, None), self.shares.own());
+        located.improve(with, frame, (None, None), self.shares.first());
         Ok(located)
     }
 
@@ -227,7 +227,7 @@ impl Locator {
         let (camera, kinds, mode) = (&*camera, &*kinds, *mode);
         // Without a fit there is hardly anything to do.
         let at_a_time = if mode == Mode::Precise { 1 } else { usize::MAX };
-        shares.work(following, at_a_time, |scratch, first, following| {
+        shares.for_each_chunk(following, at_a_time, |scratch, first, following| {
             for (place, one) in following.iter_mut().enumerate() {
                 let tracked = &tracked[first + place];
                 let (Ok(located), Ok(kind)) = (&mut one.located, kind_of(kinds, tracked.ring.kind))

@@ -58,9 +58,9 @@ use crate::{
     camera::{Camera, LensError},
     ellipse::Ellipse,
     id::TrackNumber,
-    lanes::Vec3,
     marker::{Kind, Pattern, Ring},
     rigid::Covariance6,
+    simd::Vec3,
     time::Timestamp,
 };
 pub use locator::{ImageQuality, Located, Locator};

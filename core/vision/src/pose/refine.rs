@@ -17,7 +17,7 @@
 //! and one inverse, serve both.
 
 use super::{cone::Circle, derivative::Linear, facing, rim::Rim, smear::Covariance5};
-use crate::lanes::{Lane, Vec2, Vec3};
+use crate::simd::{Lane, Vec2, Vec3};
 
 /// A circle, and what is known of it.
 #[derive(Clone, Copy, Debug)]

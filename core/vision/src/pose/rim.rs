@@ -23,7 +23,7 @@ use super::{
 };
 use crate::{
     camera::{Camera, LensError, NearRays},
-    lanes::{Lane, Mask, Mat2, Mat3, Vec2, Vec3},
+    simd::{Lane, Mask, Mat2, Mat3, Vec2, Vec3},
 };
 
 /// Points on a rim. Five harmonics need at least five; eight keep those that a lens adds, up to the

@@ -5,8 +5,8 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use super::noise::{Known, RimErrors, RingNoise};
 use crate::{
     ellipse::Ellipse,
-    lanes::{Lane, Vec2},
     marker::Ring,
+    simd::{Lane, Vec2},
 };
 
 /// A rim as imaged, pixels.

@@ -28,7 +28,7 @@
 //! **Limits.** Turns within the exposure are not modelled; those of coded and elliptical discs neither.
 
 use super::{cone::PER_ROOT, rim::Rim};
-use crate::lanes::{Lane, Mat2, Vec3};
+use crate::simd::{Lane, Mat2, Vec3};
 
 /// What is missed of ν, squared and as a share, in variances.
 pub const MISSED: f64 = 0.05;

@@ -15,7 +15,7 @@ use super::{
 };
 use crate::{
     camera::NearRays,
-    lanes::{Mat2, Mat3, Vec2},
+    simd::{Mat2, Mat3, Vec2},
 };
 
 /// Turns, at most, in which the ellipse through the points is found …

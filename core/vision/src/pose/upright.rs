@@ -15,7 +15,7 @@ use super::{
     smear::Covariance5,
     smear::MISSED,
 };
-use crate::lanes::{Lane, Vec2};
+use crate::simd::{Lane, Vec2};
 
 /// What both rims say of the tilt, and how much that weighs.
 #[derive(Clone, Copy)]

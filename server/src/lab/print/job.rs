@@ -4,7 +4,7 @@ use roundel_core::{
     calib::board::{Board, BoardError},
     marker::{
         AXIS_RATIO_LIMIT, CodeError, CodeLayout, Kind, Pattern, Polarity, RATIO_LIMITS,
-        is_measurable, tells_heading,
+        is_measurable, shows_heading,
     },
 };
 use thiserror::Error;
@@ -88,7 +88,7 @@ impl PrintJob {
             return Err(PrintJobError::Ratio { found });
         }
         let axis_ratio = minor_m.map(|minor_m| minor_m / kind.inner_diameter_m);
-        if let Some(found) = axis_ratio.filter(|&ratio| !tells_heading(ratio)) {
+        if let Some(found) = axis_ratio.filter(|&ratio| !shows_heading(ratio)) {
             return Err(PrintJobError::Axes { found });
         }
         items_of_kind(&kind, numbers)

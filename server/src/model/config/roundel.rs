@@ -4,7 +4,7 @@ use roundel_core::{
     id::KindId,
     marker::{
         AXIS_RATIO_LIMIT, CodeLayout, Kind, Pattern, Polarity, RATIO_LIMITS, is_measurable,
-        tells_heading,
+        shows_heading,
     },
     world::MotionClass,
 };
@@ -158,7 +158,7 @@ fn with_ellipse(table: &Table<'_, '_>, kind: Kind) -> Option<Kind> {
     let minor_mm = table.optional_number("inner_minor_mm", size)?;
     let minor_diameter_m = minor_mm * 1e-3;
     let (outer_m, inner_m) = (kind.outer_diameter_m, kind.inner_diameter_m);
-    if !(is_measurable(minor_diameter_m / outer_m) && tells_heading(minor_diameter_m / inner_m)) {
+    if !(is_measurable(minor_diameter_m / outer_m) && shows_heading(minor_diameter_m / inner_m)) {
         return table.reject(
             "inner_minor_mm",
             format!(

@@ -1,28 +1,37 @@
 //! The identities of a layout.
 //!
 //! A word read from a roundel may begin at any bit, so an identity is a necklace: all rotations of a
-//! word, named by the smallest. Periodic words are none, since their yaw would be ambiguous. Of the
-//! others, in rising order, each is taken that is at the least distance or further from every rotation
-//! of every one before, and numbered from 1; this is WhyCode's order, so numbers agree with its prints.
+//! word, named by the smallest. Periodic words are excluded, since their yaw would be ambiguous. The
+//! others are taken in ascending order if they have the minimum distance from every rotation
+//! of every word taken before, and numbered from 1. This is WhyCode's order, so the numbers agree with its prints.
 
 use crate::marker::code::{
-    Code,
+    Code, CodeError,
     layout::{CodeLayout, Tooth},
+    necklace::{is_periodic, necklaces, rotated, rotation_distance},
 };
 
-/// All identities of a layout, and a table from words to identities.
+/// All identities of a layout, and a lookup table from words to identities.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Dictionary {
     layout: CodeLayout,
     /// Smallest rotations, by number.
     words: Vec<u16>,
-    /// By word: number (0: none), and how many bits the word is rotated to the left.
+    /// By word: number (0: none), and the number of bits by which the word is rotated to the left.
     table: Vec<(u16, u8)>,
 }
 
+impl CodeLayout {
+    /// All identities of this layout.
+    pub fn codes(&self) -> Result<Dictionary, CodeError> {
+        self.check()?;
+        Ok(Dictionary::new(*self))
+    }
+}
+
 impl Dictionary {
-    /// The identities of a layout that has passed its check.
-    pub(super) fn new(layout: CodeLayout) -> Self {
+    /// The layout must have passed its check.
+    fn new(layout: CodeLayout) -> Self {
         let bits = layout.bits;
         let mut near = Excluded::new(bits, layout.min_distance);
         let mut words = Vec::new();
@@ -41,17 +50,17 @@ impl Dictionary {
         Self { layout, words, table }
     }
 
-    /// How its codes are printed.
+    /// The layout of its codes.
     pub fn layout(&self) -> CodeLayout {
         self.layout
     }
 
-    /// How many identities there are; they are numbered from 1 to this.
+    /// Number of identities, which are numbered from 1 to this.
     pub fn len(&self) -> usize {
         self.words.len()
     }
 
-    /// Whether there is no identity; never, for a valid layout.
+    /// Whether there are no identities; never for a valid layout.
     pub fn is_empty(&self) -> bool {
         self.words.is_empty()
     }
@@ -63,72 +72,43 @@ impl Dictionary {
         self.words.iter().enumerate().map(move |(index, &word)| (code(index), word))
     }
 
-    /// The word of an identity as printed; `None` if there is none of that number.
+    /// The word of an identity as printed; `None` if the number is unknown.
     pub fn word(&self, number: u16) -> Option<u16> {
         self.words.get(usize::from(number).checked_sub(1)?).copied()
     }
 
-    /// The teeth of an identity as printed; `None` if there is none of that number.
+    /// The teeth of an identity as printed; `None` if the number is unknown.
     pub fn teeth(&self, number: u16) -> Option<Vec<Tooth>> {
         Some(self.layout.teeth(self.word(number)?))
     }
 
-    /// The identity whose word, its first `shift` bits moved to the end, is `word`.
+    /// The identity of a word, and the number of leading bits of the identity's word that were
+    /// moved to its end.
     pub fn find(&self, word: u16) -> Option<(Code, u8)> {
         let &(number, shift) = self.table.get(usize::from(word))?;
         (number > 0).then_some((Code { bits: self.layout.bits, number }, shift))
     }
 
-    /// Least Hamming distance of an identity to any other, over all rotations; `None` if there is none
-    /// of that number, or no other.
+    /// Smallest Hamming distance of an identity to any other, over all rotations; `None` if the
+    /// number is unknown, or there is no other.
     pub fn distance(&self, number: u16) -> Option<u8> {
         let word = self.word(number)?;
         let others = self.words.iter().filter(|&&other| other != word);
-        others.map(|&other| least_distance(word, other, self.layout.bits)).min()
+        others.map(|&other| rotation_distance(word, other, self.layout.bits)).min()
     }
 
-    /// Bits in which an identity differs from its own rotations, at least: what a wrong yaw costs.
-    /// `None` if there is none of that number.
+    /// Smallest Hamming distance of an identity to its own rotations: the bit errors that give a
+    /// wrong yaw. `None` if the number is unknown.
     pub fn own_distance(&self, number: u16) -> Option<u8> {
         let (word, bits) = (self.word(number)?, self.layout.bits);
         (1..bits).map(|shift| (word ^ rotated(word, shift, bits)).count_ones() as u8).min()
     }
 }
 
-/// The largest distance that leaves two identities or more.
-pub(super) fn most_distance(bits: u8) -> u8 {
-    // The first identity is the smallest necklace, 0…01; what matters is how far another can be.
-    let first = 1;
-    let others = necklaces(bits).filter(|&word| word != first && !is_periodic(word, bits));
-    others.map(|word| least_distance(first, word, bits)).max().unwrap_or(1)
-}
-
-/// Rotation to the left by `shift` < `bits` bits.
-pub(super) fn rotated(word: u16, shift: u8, bits: u8) -> u16 {
-    let (word, mask) = (u32::from(word), (1u32 << bits) - 1);
-    ((word << shift | word >> (bits - shift)) & mask) as u16
-}
-
-/// Words that are the smallest of their rotations, rising.
-fn necklaces(bits: u8) -> impl Iterator<Item = u16> {
-    let last = ((1u32 << bits) - 1) as u16;
-    (0..=last).filter(move |&word| (1..bits).all(|shift| rotated(word, shift, bits) >= word))
-}
-
-fn is_periodic(word: u16, bits: u8) -> bool {
-    (1..bits).any(|shift| rotated(word, shift, bits) == word)
-}
-
-fn least_distance(one: u16, other: u16, bits: u8) -> u8 {
-    (0..bits).fold(bits, |least, shift| {
-        least.min((one ^ rotated(other, shift, bits)).count_ones() as u8)
-    })
-}
-
-/// Words that are too near to an identity.
+/// Words too close to an identity.
 struct Excluded {
     is_near: Vec<bool>,
-    /// Words with fewer ones than the least distance.
+    /// Words with fewer ones than the minimum distance.
     ball: Vec<u16>,
 }
 
@@ -153,7 +133,6 @@ impl Excluded {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::marker::code::CodeError;
 
     fn codes(bits: u8, min_distance: u8) -> Result<Dictionary, CodeError> {
         CodeLayout { bits, min_distance }.codes()
@@ -167,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn every_word_of_an_identity_leads_back_to_it() {
+    fn every_rotation_of_a_word_finds_its_identity() {
         let dictionary = codes(10, 2).unwrap();
         for (code, word) in dictionary.iter() {
             for shift in 0..10 {
@@ -185,10 +164,10 @@ mod tests {
     fn distances_hold_and_no_further_code_would_fit() {
         for (bits, min_distance) in [(8, 1), (8, 2), (9, 3), (11, 4)] {
             let dictionary = codes(bits, min_distance).unwrap();
-            let least = (1..=dictionary.len() as u16).map(|n| dictionary.distance(n).unwrap());
-            assert!(least.min().unwrap() >= min_distance, "{bits} {min_distance}");
+            let min = (1..=dictionary.len() as u16).map(|n| dictionary.distance(n).unwrap());
+            assert!(min.min().unwrap() >= min_distance, "{bits} {min_distance}");
             for word in necklaces(bits).filter(|&word| !is_periodic(word, bits)) {
-                let near = |&other: &u16| least_distance(word, other, bits) < min_distance;
+                let near = |&other: &u16| rotation_distance(word, other, bits) < min_distance;
                 let taken = dictionary.words.contains(&word);
                 assert!(taken || dictionary.words.iter().any(near), "{bits} {min_distance} {word}");
             }

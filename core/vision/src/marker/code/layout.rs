@@ -1,7 +1,7 @@
 //! Where the teeth of a code are printed.
 //!
 //! In units of the print: a black disc of radius 700, a white disc of 420 in it, black teeth that
-//! reach from its rim down to a white core of 240. A code of N bits has 2N slots of π/N each, counted
+//! extend from its rim down to a white core of 240. A code of N bits has 2N slots of π/N each, counted
 //! counter-clockwise from the print's right; each bit has two of them, the most significant bit first,
 //! and one tooth: in the first slot if it is 0, in the second if it is 1. So every code has as much
 //! black as white, and no tooth is wider than two slots.
@@ -10,40 +10,40 @@ use std::f64::consts::PI;
 
 use thiserror::Error;
 
-use crate::marker::code::dictionary::{Dictionary, most_distance};
+use crate::marker::code::necklace::max_distance;
 
-/// How codes of a kind are printed: WhyCode's Manchester code of `bits` bits, whose rotation-minimal
-/// numbers are the identities.
+/// Layout of a coded kind: WhyCode's Manchester code of `bits` bits, whose rotation-minimal words
+/// are the identities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct CodeLayout {
     /// Bits, 5 to 16; twice as many slots.
     pub bits: u8,
-    /// Least Hamming distance of any two identities, over all rotations; 1 or more.
+    /// Smallest Hamming distance of any two identities, over all rotations; 1 or more.
     pub min_distance: u8,
 }
 
-/// Why there are no such codes.
+/// Why a layout is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum CodeError {
-    /// Too few bits to tell codes apart, or too many for a print.
+    /// Too few bits to distinguish codes, or too many for a print.
     #[error(
         "expected codes of {} to {} bits, found {found}",
         CodeLayout::BITS.0,
         CodeLayout::BITS.1
     )]
     Bits {
-        /// As asked for.
+        /// Requested bits.
         found: u8,
     },
-    /// No two codes are that different.
-    #[error("expected a Hamming distance of 1 to {most} for codes of {bits} bits, found {found}")]
+    /// No two codes have this distance.
+    #[error("expected a Hamming distance of 1 to {max} for codes of {bits} bits, found {found}")]
     Distance {
         /// The code's bits.
         bits: u8,
-        /// As asked for.
+        /// Requested distance.
         found: u8,
-        /// The largest distance that leaves two identities or more.
-        most: u8,
+        /// The largest distance with at least two identities.
+        max: u8,
     },
 }
 
@@ -57,14 +57,12 @@ pub struct Tooth {
 }
 
 impl CodeLayout {
-    /// Fewest and most bits.
+    /// Smallest and largest number of bits.
     pub const BITS: (u8, u8) = (5, 16);
     /// Inner over outer diameter of a print.
     pub const RATIO: f64 = 420.0 / 700.0;
-    /// The white core's radius over that of the white disc between the teeth.
+    /// Radius of the white core over that of the white disc between the teeth.
     pub const CORE_SHARE: f64 = 240.0 / 420.0;
-    /// The white area over that of the whole disc: its core, and half of what is round it.
-    pub const WHITE_SHARE: f64 = 0.5 * (1.0 + Self::CORE_SHARE * Self::CORE_SHARE);
 
     /// Whether there are at least two such codes.
     pub fn check(&self) -> Result<(), CodeError> {
@@ -72,20 +70,14 @@ impl CodeLayout {
         if bits < Self::BITS.0 || bits > Self::BITS.1 {
             return Err(CodeError::Bits { found: bits });
         }
-        let most = most_distance(bits);
-        if min_distance == 0 || min_distance > most {
-            return Err(CodeError::Distance { bits, found: min_distance, most });
+        let max = max_distance(bits);
+        if min_distance == 0 || min_distance > max {
+            return Err(CodeError::Distance { bits, found: min_distance, max });
         }
         Ok(())
     }
 
-    /// All identities of this layout.
-    pub fn codes(&self) -> Result<Dictionary, CodeError> {
-        self.check()?;
-        Ok(Dictionary::new(*self))
-    }
-
-    /// The teeth of a word of this layout, in order; those of neighbouring slots are one.
+    /// The teeth of a word of this layout, in order; adjacent ones are merged.
     pub fn teeth(&self, word: u16) -> Vec<Tooth> {
         let bits = u32::from(self.bits);
         let slot_rad = PI / f64::from(bits);
@@ -124,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn teeth_stand_where_the_bits_say() {
+    fn teeth_follow_the_bits() {
         // 00001: four teeth in first slots, the last in the tenth slot.
         let teeth = layout(5, 1).teeth(1);
         let slots: Vec<_> =
@@ -137,18 +129,18 @@ mod tests {
     }
 
     #[test]
-    fn impossible_layouts_say_what_is_possible() {
+    fn errors_of_invalid_layouts_name_the_limits() {
         assert_eq!(layout(4, 1).check(), Err(CodeError::Bits { found: 4 }));
         assert_eq!(
             layout(17, 1).check().unwrap_err().to_string(),
             "expected codes of 5 to 16 bits, found 17"
         );
         for bits in 5..=16 {
-            let Err(CodeError::Distance { most, .. }) = layout(bits, 200).check() else {
+            let Err(CodeError::Distance { max, .. }) = layout(bits, 200).check() else {
                 panic!("{bits} bits at a distance of 200");
             };
-            assert!(layout(bits, most).codes().unwrap().len() >= 2);
-            assert!(layout(bits, most + 1).codes().is_err());
+            assert!(layout(bits, max).codes().unwrap().len() >= 2);
+            assert!(layout(bits, max + 1).codes().is_err());
             assert!(layout(bits, 0).codes().is_err());
         }
     }

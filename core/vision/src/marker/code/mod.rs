@@ -1,34 +1,21 @@
-//! Identities and yaw in the teeth round a coded roundel's disc, as WhyCode prints them.
+//! Identities in the teeth around a coded roundel's disc, as printed by WhyCode.
 //!
-//! | what | module |
+//! | module | content |
 //! | --- | --- |
-//! | where teeth are printed | `layout` |
-//! | which words are identities | `dictionary` |
-//! | from a roundel's plane to the image | `chart` |
-//! | grey levels round the teeth | `profile` |
-//! | from them to a word | `word` |
-//! | a reading, with its confidence and its zero | `reader` |
-//! | a track's readings together | `vote` |
-//! | grey levels between pixels | `light` |
-//! | a coded roundel's outline and rims | `spoke`, `contour`, `points`, `gaps`, `measure` |
+//! | `layout` | where teeth are printed |
+//! | `necklace` | words up to rotation |
+//! | `dictionary` | which words are identities |
+//! | `vote` | the identity of a track, from the readings of its frames |
+//!
+//! [`crate::marker::CodeReader`] reads them.
 
-mod chart;
-mod contour;
 mod dictionary;
-mod gaps;
 mod layout;
-mod light;
-pub(crate) mod measure;
-mod points;
-mod profile;
-mod reader;
-mod spoke;
+mod necklace;
 mod vote;
-mod word;
 
 pub use dictionary::Dictionary;
 pub use layout::{CodeError, CodeLayout, Tooth};
-pub use reader::CodeReader;
 pub(crate) use vote::Vote;
 pub use vote::VotedCode;
 
@@ -39,31 +26,31 @@ use crate::camera::PixelPoint;
 pub struct Code {
     /// Bits of its layout.
     pub bits: u8,
-    /// Its number, counted from 1 in the order of the smallest rotations.
+    /// Its number, from 1 in the order of the smallest rotations.
     pub number: u16,
 }
 
-/// What the teeth of one roundel in one frame say.
+/// The decoded teeth of one roundel in one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CodeReading {
     /// The identity.
     pub code: Code,
-    /// Its word as printed, the first bit the most significant; `None` where the teeth were not seen.
+    /// Its word as printed, the first bit the most significant; `None` if the teeth were not seen.
     pub word: Option<u16>,
     /// Where the print's x axis leaves the white disc, raw pixels: the code's zero.
     pub zero: PixelPoint,
-    /// Where its opposite does: an error of the centre turns the two by opposite angles.
+    /// The point opposite of it: an error of the centre turns the two by opposite angles.
     pub opposite: PixelPoint,
     /// Standard deviation of the angle about the normal, radians.
     pub yaw_deviation_rad: f64,
     /// Likelihood of this reading against all others, 0 to 1.
     pub confidence: f64,
-    /// Bits that were corrected.
+    /// Number of corrected bits.
     pub corrected: u8,
 }
 
 impl CodeReading {
-    /// A reading beyond doubt, its opposite unknown.
+    /// A reading with certainty, its opposite unknown.
     pub fn certain(code: Code, zero: PixelPoint) -> Self {
         Self {
             code,

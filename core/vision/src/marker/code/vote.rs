@@ -1,18 +1,18 @@
-//! What one track's readings say together.
+//! The identity of a track, from the readings of its frames.
 //!
-//! A reading of confidence c speaks for its code by the log-odds ln(c / (1 - c)), and against all
-//! others. Sums over a track's frames give the code that most speaks for. What one frame can say is
-//! bounded, since a scratch or a shadow misleads many frames alike; and what is known is bounded, so
-//! that a track whose roundel has been exchanged learns it: a code long established gives way after
-//! [`KNOWN`] / 2 / [`SPOKEN`] frames that agree on another one, and never to a single frame.
+//! A reading of confidence c adds the log-odds ln(c / (1 - c)) to its code, and subtracts them from all
+//! others. The code with the largest sum wins. The contribution of one frame is limited, since a scratch or a shadow
+//! misleads many frames alike. The sum is limited too, so that a track whose roundel has been exchanged adapts: an
+//! established code gives way after [`MAX_LOG_ODDS`] / 2 / [`MAX_FRAME_LOG_ODDS`] frames that agree on another one, and
+//! never to a single frame.
 
 use crate::marker::code::{Code, CodeReading};
 
-/// Log-odds that one frame speaks for at most: a likelihood of 0.998.
-const SPOKEN: f64 = 6.0;
-/// Log-odds that a code is known by at most.
-const KNOWN: f64 = 36.0;
-/// Codes that one track weighs against each other.
+/// Largest log-odds of one frame: a likelihood of 0.998.
+const MAX_FRAME_LOG_ODDS: f64 = 6.0;
+/// Largest log-odds of a code.
+const MAX_LOG_ODDS: f64 = 36.0;
+/// Number of codes that a track keeps.
 const RIVALS: usize = 3;
 
 /// The code of a track.
@@ -20,40 +20,40 @@ const RIVALS: usize = 3;
 pub struct VotedCode {
     /// The identity.
     pub code: Code,
-    /// Likelihood against all others that the track has shown, 0 to 1.
+    /// Likelihood against all others that the track has read, 0 to 1.
     pub confidence: f64,
 }
 
-/// A track's votes.
+/// The votes of a track.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Vote {
-    /// Codes with their log-odds, the likeliest first; those of 0 or less are free places.
+    /// Codes with their log-odds, the likeliest first.
     rivals: [Option<(Code, f64)>; RIVALS],
 }
 
 impl Vote {
-    /// Takes a frame's reading.
+    /// Adds a frame's reading.
     pub fn add(&mut self, reading: &CodeReading) {
         let doubt = (1.0 - reading.confidence).max(f64::MIN_POSITIVE);
-        let spoken = (reading.confidence / doubt).ln().clamp(0.0, SPOKEN);
-        let mut is_known = false;
+        let log_odds = (reading.confidence / doubt).ln().clamp(0.0, MAX_FRAME_LOG_ODDS);
+        let mut is_rival = false;
         for (code, sum) in self.rivals.iter_mut().flatten() {
             if *code == reading.code {
-                *sum = (*sum + spoken).min(KNOWN);
-                is_known = true;
+                *sum = (*sum + log_odds).min(MAX_LOG_ODDS);
+                is_rival = true;
             } else {
-                *sum -= spoken;
+                *sum -= log_odds;
             }
         }
         for rival in &mut self.rivals {
             *rival = rival.filter(|(_, sum)| *sum > 0.0);
         }
-        if !is_known && spoken > 0.0 {
-            // The places are in order, and a free one comes last.
-            self.rivals[RIVALS - 1] = Some((reading.code, spoken));
+        if !is_rival && log_odds > 0.0 {
+            // Sorted, with free slots last.
+            self.rivals[RIVALS - 1] = Some((reading.code, log_odds));
         }
         let sum = |rival: &Option<(Code, f64)>| rival.map_or(0.0, |(_, sum)| sum);
-        // Stable: of two that are level, the one known before stays.
+        // Stable: of two equal ones, the earlier one stays.
         self.rivals.sort_by(|one, other| sum(other).total_cmp(&sum(one)));
     }
 
@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn a_single_frame_does_not_change_what_is_known() {
+    fn a_single_frame_does_not_change_an_established_code() {
         let mut vote = Vote::default();
         assert_eq!(vote.code(), None);
         vote.add(&reading(7, 0.999));
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn an_exchanged_roundel_is_learnt_in_a_few_frames() {
+    fn an_exchanged_roundel_is_recognized_in_a_few_frames() {
         let mut vote = Vote::default();
         for _ in 0..1_000 {
             vote.add(&reading(7, 1.0));
@@ -114,14 +114,14 @@ mod tests {
         vote.add(&reading(5, 0.6));
         vote.add(&reading(5, 0.6));
         assert_eq!(voted(&vote), Some(7));
-        // One that says nothing changes nothing.
+        // Even odds change nothing.
         let mut vote = Vote::default();
         vote.add(&reading(7, 0.5));
         assert_eq!(vote.code(), None);
     }
 
     #[test]
-    fn many_codes_leave_the_likeliest() {
+    fn the_likeliest_of_many_codes_wins() {
         let mut vote = Vote::default();
         for number in [1, 2, 3, 4, 5, 6, 2, 7, 2, 8, 2] {
             vote.add(&reading(number, 0.99));

@@ -21,7 +21,7 @@ use super::{
     scatter::scatter,
     view::Nodes,
 };
-use crate::{ellipse::Chords, frame::Frame, room::make_room};
+use crate::{ellipse::Chords, frame::Frame, scratch::reserve_total};
 
 /// Rows are padded to whole vectors of any width.
 pub const LANES: usize = 16;
@@ -86,10 +86,10 @@ impl Window {
     /// Room for windows of so many columns and rows.
     pub fn make_room(&mut self, (columns, rows): (usize, usize)) {
         let width = columns.next_multiple_of(LANES);
-        make_room(&mut self.image, width * rows + LANES);
-        make_room(&mut self.pixels, width * rows + LANES);
-        make_room(&mut self.grey, width + LANES);
-        make_room(&mut self.spans, rows);
+        reserve_total(&mut self.image, width * rows + LANES);
+        reserve_total(&mut self.pixels, width * rows + LANES);
+        reserve_total(&mut self.grey, width + LANES);
+        reserve_total(&mut self.spans, rows);
         self.patches.make_room(width);
     }
 

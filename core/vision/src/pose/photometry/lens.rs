@@ -12,8 +12,8 @@ use nalgebra::{Matrix2, Matrix3, SMatrix, Vector3};
 
 use crate::{
     camera::{Camera, LensError, PixelPoint},
-    lanes::{Mask, Vec3},
     pose::Skew,
+    simd::{Mask, Vec3},
 };
 
 /// Coefficients of a polynomial of fifth order in two variables: of t₁ⁱ t₂ʲ, i rising last.

@@ -10,7 +10,7 @@
 
 use fearless_simd::prelude::*;
 
-use crate::room::make_room;
+use crate::scratch::reserve_total;
 
 /// Rows and columns of a patch.
 const SIDE: usize = 4;
@@ -40,7 +40,7 @@ impl Patches {
     /// Room for rows of so many columns.
     pub fn make_room(&mut self, width: usize) {
         for group in &mut self.groups {
-            make_room(&mut group.columns, width + 2 * LANES);
+            reserve_total(&mut group.columns, width + 2 * LANES);
         }
     }
 

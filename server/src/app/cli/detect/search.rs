@@ -56,7 +56,7 @@ impl ImageSearch {
         let params = Params { mode, ..Params::default() };
         let detector = Detector::new(print.kind().into_iter().collect(), params)
             .context("--marker")?
-            .with_polarity_of_any(print.polarity);
+            .with_default_polarity(print.polarity);
         let locator = camera.map(|camera| Locator::new(camera, detector.kinds().to_vec(), mode));
         let finder = if arguments.sequence {
             let mut tracker = Tracker::new(detector);

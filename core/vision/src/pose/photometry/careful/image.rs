@@ -8,7 +8,7 @@ use fearless_simd::{Level, Simd, dispatch};
 use fearless_simd_macros::simd;
 
 use super::super::{contour::MOST_NODES, view::Nodes};
-use crate::room::make_room;
+use crate::scratch::reserve_total;
 
 /// Images: fall (later d), two gradients, curvature, and the spread of either rim.
 pub const IMAGES: usize = 6;
@@ -94,8 +94,8 @@ struct Axis {
 impl Images {
     /// Room for windows of so many pixels.
     pub fn make_room(&mut self, pixels: usize) {
-        make_room(&mut self.planes, pixels * IMAGES);
-        make_room(&mut self.normals, MOST_NODES);
+        reserve_total(&mut self.planes, pixels * IMAGES);
+        reserve_total(&mut self.normals, MOST_NODES);
     }
 
     /// Lays the window over columns and rows of the frame; all are included.

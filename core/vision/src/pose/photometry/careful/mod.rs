@@ -41,7 +41,7 @@ use super::{
     state::{BLUR, Problem, State, UNKNOWNS, WHITE},
     window_of,
 };
-use crate::{ellipse::Ellipse, room::make_room};
+use crate::{ellipse::Ellipse, scratch::reserve_total};
 use cells::{Cell, Known, Products, SPREAD};
 use image::{Images, Normal};
 use pixels::Pixel;
@@ -87,10 +87,10 @@ impl Careful {
     /// Room for windows of so many pixels.
     pub fn make_room(&mut self, pixels: usize) {
         self.images.make_room(pixels);
-        make_room(&mut self.pixels, pixels);
-        make_room(&mut self.cells, cells::MOST);
-        make_room(&mut self.before, cells::MOST);
-        make_room(&mut self.list, cells::MOST);
+        reserve_total(&mut self.pixels, pixels);
+        reserve_total(&mut self.cells, cells::MOST);
+        reserve_total(&mut self.before, cells::MOST);
+        reserve_total(&mut self.list, cells::MOST);
     }
 
     /// Whether all of the inner rim's cells agreed in the newest fit.

@@ -1,0 +1,17 @@
+//! One ring: its pixels, its tests, and both rims to a fraction of a pixel (paper, sections 3.1 to 3.3).
+//!
+//! | module | content |
+//! | --- | --- |
+//! | `probe` | where to measure, and the limits for a ring |
+//! | `pixels` | which pixels belong to disc, ring, edge bands and margin |
+//! | `checks` | sizes, boxes, concentricity, roundness, similarity, levels |
+//! | `subpixel` | levels, weighed moments, removal of blur |
+//! | `weighed_rim` | a rim by its weighed moments |
+//! | `measure` | all steps in order |
+
+pub(crate) mod checks;
+pub(crate) mod measure;
+pub(crate) mod pixels;
+pub(crate) mod probe;
+pub(crate) mod subpixel;
+pub(crate) mod weighed_rim;

@@ -1,0 +1,309 @@
+//! Vectors and matrices of two and three numbers per lane.
+//!
+//! Nalgebra's types need a `Zero` that a runtime-sized vector does not have. Sums are evaluated in the order written, so
+//! that each lane equals the scalar result.
+
+use std::ops::{Add, Mul, Neg, Sub};
+
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+
+use crate::simd::Lane;
+
+/// (x, y).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Vec2<T> {
+    pub x: T,
+    pub y: T,
+}
+
+/// (x, y, z).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Vec3<T> {
+    pub x: T,
+    pub y: T,
+    pub z: T,
+}
+
+/// Rows first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mat2<T> {
+    pub m11: T,
+    pub m12: T,
+    pub m21: T,
+    pub m22: T,
+}
+
+/// By rows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mat3<T>(pub [Vec3<T>; 3]);
+
+impl<T: Lane> Vec2<T> {
+    #[inline(always)]
+    pub fn new(x: T, y: T) -> Self {
+        Self { x, y }
+    }
+
+    #[inline(always)]
+    pub fn dot(self, other: Self) -> T {
+        self.x * other.x + self.y * other.y
+    }
+
+    #[inline(always)]
+    pub fn square(self) -> T {
+        self.dot(self)
+    }
+
+    #[inline(always)]
+    pub fn push(self, z: T) -> Vec3<T> {
+        Vec3 { x: self.x, y: self.y, z }
+    }
+
+    #[inline(always)]
+    pub fn choose(mask: T::Mask, yes: Self, no: Self) -> Self {
+        Self { x: T::choose(mask, yes.x, no.x), y: T::choose(mask, yes.y, no.y) }
+    }
+
+    #[inline(always)]
+    pub fn lane(self, lane: usize) -> Vec2<f64> {
+        Vec2 { x: self.x.lane(lane), y: self.y.lane(lane) }
+    }
+}
+
+impl<T: Lane> Add for Vec2<T> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        Self { x: self.x + other.x, y: self.y + other.y }
+    }
+}
+
+impl<T: Lane> Sub for Vec2<T> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        Self { x: self.x - other.x, y: self.y - other.y }
+    }
+}
+
+impl<T: Lane> Neg for Vec2<T> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn neg(self) -> Self {
+        Self { x: -self.x, y: -self.y }
+    }
+}
+
+impl<T: Lane> Mul<T> for Vec2<T> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn mul(self, by: T) -> Self {
+        Self { x: self.x * by, y: self.y * by }
+    }
+}
+
+impl<T: Lane> Vec3<T> {
+    #[inline(always)]
+    pub fn new(x: T, y: T, z: T) -> Self {
+        Self { x, y, z }
+    }
+
+    #[inline(always)]
+    pub fn dot(self, other: Self) -> T {
+        self.x * other.x + self.y * other.y + self.z * other.z
+    }
+
+    #[inline(always)]
+    pub fn square(self) -> T {
+        self.dot(self)
+    }
+
+    #[inline(always)]
+    pub fn cross(self, other: Self) -> Self {
+        Self {
+            x: self.y * other.z - self.z * other.y,
+            y: self.z * other.x - self.x * other.z,
+            z: self.x * other.y - self.y * other.x,
+        }
+    }
+
+    #[inline(always)]
+    pub fn xy(self) -> Vec2<T> {
+        Vec2 { x: self.x, y: self.y }
+    }
+
+    #[inline(always)]
+    pub fn choose(mask: T::Mask, yes: Self, no: Self) -> Self {
+        Self {
+            x: T::choose(mask, yes.x, no.x),
+            y: T::choose(mask, yes.y, no.y),
+            z: T::choose(mask, yes.z, no.z),
+        }
+    }
+
+    #[inline(always)]
+    pub fn lane(self, lane: usize) -> Vec3<f64> {
+        Vec3 { x: self.x.lane(lane), y: self.y.lane(lane), z: self.z.lane(lane) }
+    }
+}
+
+impl<T: Lane> Add for Vec3<T> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        Self { x: self.x + other.x, y: self.y + other.y, z: self.z + other.z }
+    }
+}
+
+impl<T: Lane> Sub for Vec3<T> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        Self { x: self.x - other.x, y: self.y - other.y, z: self.z - other.z }
+    }
+}
+
+impl<T: Lane> Mul<T> for Vec3<T> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn mul(self, by: T) -> Self {
+        Self { x: self.x * by, y: self.y * by, z: self.z * by }
+    }
+}
+
+impl<T: Lane> Mat2<T> {
+    #[inline(always)]
+    pub fn new(m11: T, m12: T, m21: T, m22: T) -> Self {
+        Self { m11, m12, m21, m22 }
+    }
+
+    #[inline(always)]
+    pub fn of_columns(first: Vec2<T>, second: Vec2<T>) -> Self {
+        Self { m11: first.x, m12: second.x, m21: first.y, m22: second.y }
+    }
+
+    #[inline(always)]
+    pub fn columns(self) -> [Vec2<T>; 2] {
+        [Vec2::new(self.m11, self.m21), Vec2::new(self.m12, self.m22)]
+    }
+
+    #[inline(always)]
+    pub fn determinant(self) -> T {
+        self.m11 * self.m22 - self.m12 * self.m21
+    }
+
+    /// The inverse, and the lanes that have one.
+    #[inline(always)]
+    pub fn inverse(self) -> (Self, T::Mask) {
+        let determinant = self.determinant();
+        let per = determinant.under(1.0);
+        let inverse = Self::new(self.m22 * per, -self.m12 * per, -self.m21 * per, self.m11 * per);
+        (inverse, determinant.size().is_positive())
+    }
+
+    #[inline(always)]
+    pub fn times(self, other: Self) -> Self {
+        let [first, second] = other.columns();
+        Self::of_columns(self * first, self * second)
+    }
+
+    /// M Mᵀ.
+    #[inline(always)]
+    pub fn square(self) -> Self {
+        let mixed = self.m11 * self.m21 + self.m12 * self.m22;
+        Self::new(
+            self.m11 * self.m11 + self.m12 * self.m12,
+            mixed,
+            mixed,
+            self.m21 * self.m21 + self.m22 * self.m22,
+        )
+    }
+
+    #[inline(always)]
+    pub fn choose(mask: T::Mask, yes: Self, no: Self) -> Self {
+        let [a, b] = yes.columns();
+        let [c, d] = no.columns();
+        Self::of_columns(Vec2::choose(mask, a, c), Vec2::choose(mask, b, d))
+    }
+
+    #[inline(always)]
+    pub fn lane(self, lane: usize) -> Mat2<f64> {
+        Mat2 {
+            m11: self.m11.lane(lane),
+            m12: self.m12.lane(lane),
+            m21: self.m21.lane(lane),
+            m22: self.m22.lane(lane),
+        }
+    }
+}
+
+impl<T: Lane> Mul<Vec2<T>> for Mat2<T> {
+    type Output = Vec2<T>;
+
+    #[inline(always)]
+    fn mul(self, v: Vec2<T>) -> Vec2<T> {
+        Vec2::new(self.m11 * v.x + self.m12 * v.y, self.m21 * v.x + self.m22 * v.y)
+    }
+}
+
+impl<T: Lane> Mat3<T> {
+    #[inline(always)]
+    pub fn transpose(self) -> Self {
+        let [a, b, c] = self.0;
+        Self([Vec3::new(a.x, b.x, c.x), Vec3::new(a.y, b.y, c.y), Vec3::new(a.z, b.z, c.z)])
+    }
+
+    #[inline(always)]
+    pub fn times(self, other: Self) -> Self {
+        let [a, b, c] = other.transpose().0;
+        Self([self * a, self * b, self * c]).transpose()
+    }
+
+    #[inline(always)]
+    pub fn lane(self, lane: usize) -> Mat3<f64> {
+        Mat3([self.0[0].lane(lane), self.0[1].lane(lane), self.0[2].lane(lane)])
+    }
+}
+
+impl<T: Lane> Mul<Vec3<T>> for Mat3<T> {
+    type Output = Vec3<T>;
+
+    #[inline(always)]
+    fn mul(self, v: Vec3<T>) -> Vec3<T> {
+        Vec3::new(self.0[0].dot(v), self.0[1].dot(v), self.0[2].dot(v))
+    }
+}
+
+impl From<Vec2<f64>> for Vector2<f64> {
+    #[inline(always)]
+    fn from(v: Vec2<f64>) -> Self {
+        Self::new(v.x, v.y)
+    }
+}
+
+impl From<Vec3<f64>> for Vector3<f64> {
+    #[inline(always)]
+    fn from(v: Vec3<f64>) -> Self {
+        Self::new(v.x, v.y, v.z)
+    }
+}
+
+impl From<Mat2<f64>> for Matrix2<f64> {
+    #[inline(always)]
+    fn from(m: Mat2<f64>) -> Self {
+        Self::new(m.m11, m.m12, m.m21, m.m22)
+    }
+}
+
+impl From<Mat3<f64>> for Matrix3<f64> {
+    #[inline(always)]
+    fn from(Mat3([x, y, z]): Mat3<f64>) -> Self {
+        Self::new(x.x, x.y, x.z, y.x, y.y, y.z, z.x, z.y, z.z)
+    }
+}
