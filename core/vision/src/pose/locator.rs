@@ -18,21 +18,23 @@
 //!
 //! Memory of tracks is bounded without being told of their end (`recall`).
 
-use super::{
-    PoseError, RimNoise, RoundelPose,
-    closed::LANES,
-    locate, locate_each,
-    memory::{Memory, start},
-    photometry::{self, FitScratch, Start},
-    recall::Recall,
-    shutter::{Shutter, Skew},
-    yaw,
-};
 use crate::{
     camera::Camera,
     frame::Frame,
     id::KindId,
     marker::{Kind, Mode, Ring, TrackedRing},
+    pose::{
+        PoseError, RimNoise, RoundelPose,
+        circle::closed_form::LANES,
+        locate, locate_each,
+        photometry::{
+            self, FitScratch, Start,
+            history::{Memory, start},
+        },
+        recent_tracks::Recall,
+        shutter::{Shutter, Skew},
+        yaw,
+    },
     share::Shares,
     time::Timestamp,
 };
@@ -305,12 +307,12 @@ impl Located {
 mod tests {
     use proptest::prelude::*;
 
-    use super::super::tests::{camera, pose, rim_of};
     use super::*;
     use crate::{
         camera::{Lens, PixelPoint},
         id::TrackNumber,
         marker::{CodeLayout, Pattern},
+        pose::tests::{camera, pose, rim_of},
         rigid::orientation_of_normal,
     };
 

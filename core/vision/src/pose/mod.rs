@@ -26,29 +26,14 @@
 //! Limits: a plain ring says which of two normals is right only by the difference of its rims' centres,
 //! a fraction of a pixel: `normal_likelihood` near 0.5 means just that.
 
-mod bend;
-mod closed;
-mod cone;
-mod course;
-mod derivative;
-mod elliptical;
-mod facing;
-mod information;
+mod circle;
 mod locator;
-mod memory;
-mod noise;
 pub mod photometry;
-mod recall;
-mod refine;
+mod recent_tracks;
 mod rim;
-mod seen;
 mod shutter;
-mod smear;
-mod stretch;
 #[cfg(test)]
 mod tests;
-mod turns;
-mod upright;
 mod yaw;
 
 use nalgebra::{Matrix3, Vector3};
@@ -63,9 +48,10 @@ use crate::{
     rigid::Covariance6,
     time::Timestamp,
 };
+use circle::{closed_form, elliptical_disc};
 pub use locator::{ImageQuality, Located, Locator};
-pub use noise::RimNoise;
-use seen::RingFound;
+pub use rim::noise::RimNoise;
+use rim::rim_pair::RingFound;
 pub use shutter::Skew;
 
 /// Pose of a roundel in the camera frame.
@@ -179,8 +165,8 @@ pub fn locate(
     noise: &RimNoise,
 ) -> Result<RoundelPose, PoseError> {
     match found(kind, ring, noise)? {
-        Some(found) => closed::locate(camera, &found),
-        None => elliptical::locate(camera, kind, ring, noise),
+        Some(found) => closed_form::locate(camera, &found),
+        None => elliptical_disc::locate(camera, kind, ring, noise),
     }
 }
 
@@ -193,27 +179,27 @@ pub fn apart_m(
     noise: &RimNoise,
 ) -> Result<Vector3<f64>, PoseError> {
     match found(kind, ring, noise)? {
-        Some(found) => closed::apart_m(camera, &found),
+        Some(found) => closed_form::apart_m(camera, &found),
         None => Ok(Vector3::zeros()),
     }
 }
 
-/// As [`locate`], of up to [`closed::LANES`] rings of one camera at once, each in its place.
+/// As [`locate`], of up to [`circle::closed_form::LANES`] rings of one camera at once, each in its place.
 fn locate_each<'a>(
     camera: &Camera,
     rings: impl Iterator<Item = Result<(&'a Kind, &'a Ring), PoseError>>,
     noise: &RimNoise,
-    poses: &mut [Result<RoundelPose, PoseError>; closed::LANES],
+    poses: &mut [Result<RoundelPose, PoseError>; closed_form::LANES],
 ) {
-    let mut round = [None; closed::LANES];
+    let mut round = [None; closed_form::LANES];
     for ((ring, round), pose) in rings.zip(&mut round).zip(&mut *poses) {
         match ring.and_then(|(kind, ring)| Ok((found(kind, ring, noise)?, kind, ring))) {
             Ok((Some(found), ..)) => *round = Some(found),
-            Ok((None, kind, ring)) => *pose = elliptical::locate(camera, kind, ring, noise),
+            Ok((None, kind, ring)) => *pose = elliptical_disc::locate(camera, kind, ring, noise),
             Err(error) => *pose = Err(error),
         }
     }
-    closed::locate_each(camera, &round, poses);
+    closed_form::locate_each(camera, &round, poses);
 }
 
 /// What the closed form sees of a ring; `None` of one with an elliptical disc.
@@ -234,7 +220,7 @@ fn found(kind: &Kind, ring: &Ring, noise: &RimNoise) -> Result<Option<RingFound>
 
 /// Rows of a right-handed frame whose z lies along `axis`, of any length.
 fn frame_along(axis: &Vector3<f64>) -> Matrix3<f64> {
-    rim::frame_along(Vec3::new(axis.x, axis.y, axis.z)).into()
+    rim::projection::frame_along(Vec3::new(axis.x, axis.y, axis.z)).into()
 }
 
 fn check(kind: &Kind, ring: &Ring, noise: &RimNoise) -> Result<(), PoseError> {

@@ -5,13 +5,13 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 
-use super::{
-    noise::{CLEAN_UNEVENNESS, RimErrors},
-    refine::Estimates,
-    *,
-};
 use crate::{
     camera::{Intrinsics, Lens, PixelPoint},
+    pose::{
+        circle::refine::Estimates,
+        rim::noise::{CLEAN_UNEVENNESS, RimErrors},
+        *,
+    },
     rigid::{UNKNOWN_ANGLE_VARIANCE_RAD2, mahalanobis_squared, orientation_of_normal},
 };
 
@@ -236,10 +236,11 @@ fn tally(radius_px: f64, tilts_rad: std::ops::Range<f64>, runs: usize, noise: &R
             tally.wrong += usize::from(!right);
             tally.expected_wrong += 1.0 - reported.normal_likelihood;
             let carried =
-                rim::carry(&camera, &RingFound::new(&found, radii_m, of_ring).seen()).unwrap();
-            let Estimates { first, other, .. } = closed::estimate(&carried.rims).unwrap();
+                rim::projection::carry(&camera, &RingFound::new(&found, radii_m, of_ring).seen())
+                    .unwrap();
+            let Estimates { first, other, .. } = closed_form::estimate(&carried.rims).unwrap();
             let alone = Estimates::alone(if right { first } else { other });
-            closed::finish(&carried.local_from_camera, &alone).pose(0)
+            closed_form::finish(&carried.local_from_camera, &alone).pose(0)
         };
         let off_m = position_m - nearer.position_m;
         let turn = nearer.normal.cross(&normal);

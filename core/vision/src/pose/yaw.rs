@@ -15,10 +15,10 @@ use std::f64::consts::{FRAC_PI_2, PI};
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
-use super::RoundelPose;
 use crate::{
     camera::{Camera, PixelPoint},
     marker::CodeReading,
+    pose::RoundelPose,
     rigid::{Covariance6, UNKNOWN_ANGLE_VARIANCE_RAD2, orientation_of_normal},
 };
 

@@ -51,54 +51,34 @@
 //! **Limits.** Refused are coded prints whose teeth no frame has read, and elliptical discs of whose rim a part is
 //! covered. Paper is expected to go on for 3 px, or 3.5 blurs, round the outer rim.
 
-mod blur;
-mod careful;
-mod columns;
-mod contour;
-mod descend;
-mod differences;
-mod heading;
-mod image;
-mod lens;
-mod linear;
-mod look;
-mod mirror;
-mod motion;
-mod normal;
-mod patches;
-mod placed;
-mod recalled;
-mod scatter;
+pub(super) mod history;
+mod hypotheses;
+mod model;
+mod robust;
 mod scratch;
-mod solution;
-mod solve;
-mod state;
-mod teeth;
+mod solver;
 #[cfg(test)]
 mod tests;
-mod turn;
-mod upright;
-mod view;
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 use thiserror::Error;
 
-use super::{RoundelPose, Skew, frame_along, yaw};
 use crate::{
     camera::{Camera, LensError},
     ellipse::{Chords, Ellipse},
     frame::Frame,
     marker::{Kind, Pattern, Ring},
+    pose::{RoundelPose, Skew, frame_along, yaw},
 };
-use blur::BLUR_LIMITS_PX;
-pub use blur::normal_distribution;
-use lens::LocalLens;
-use placed::{Placed, placed};
-pub use recalled::RecalledProducts;
+use hypotheses::{Placed, placed};
+use model::{blur_kernel::BLUR_LIMITS_PX, local_lens::LocalLens, motion, projection::Place};
+pub use model::{blur_kernel::normal_distribution, teeth::Teeth};
 pub use scratch::FitScratch;
-use state::{Problem, State};
-pub use teeth::Teeth;
-use view::Place;
+pub use solver::normal_equation_cache::RecalledProducts;
+use solver::{
+    solution,
+    state::{Problem, State},
+};
 
 /// Where a fit starts.
 #[derive(Clone, Debug, PartialEq)]

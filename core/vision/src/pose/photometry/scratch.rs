@@ -3,8 +3,11 @@
 use fearless_simd::Level;
 
 use super::{
-    blur::Kernels, careful::Careful, contour::Contours, image::Window, lens::Plan, normal::Sums,
-    view::Nodes,
+    model::{
+        blur_kernel::Kernels, column_products::Sums, contour::Contours, local_lens::Plan,
+        projection::Nodes, window::Window,
+    },
+    robust::Careful,
 };
 use crate::frame::Frame;
 

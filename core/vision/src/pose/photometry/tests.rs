@@ -1,6 +1,9 @@
 use fearless_simd::Level;
 
-use super::{mirror::glance, *};
+use super::{
+    solver::{gauss_newton, mirror::glance},
+    *,
+};
 use crate::{
     camera::{Intrinsics, Lens},
     marker::{Code, CodeLayout, CodeReading},
@@ -198,10 +201,10 @@ fn the_mirrored_place_is_as_bad_as_it_promises() {
     let axes = axes_of(&(local_from_camera * first.pose.normal));
     let place = Place { position_m: Vector3::z() * range_m, axes };
     let state = State::new(place, &first.ring, first.blur_px, &first.motion_px);
-    let solution = descend::solve(&problem, state, &mut scratch).unwrap();
+    let solution = gauss_newton::solve(&problem, state, &mut scratch).unwrap();
     let at = (&solution.linear, solution.noise2, None);
     let promised = glance(&problem, &solution.state, at, &mut scratch).unwrap();
-    let found = descend::solve(&problem, solution.state.mirrored(), &mut scratch).unwrap();
+    let found = gauss_newton::solve(&problem, solution.state.mirrored(), &mut scratch).unwrap();
     let (promised_m, found_m) = (promised.state.place.position_m, found.state.place.position_m);
     let [promised, found] = [promised.misfit, found.misfit].map(|misfit| misfit - solution.misfit);
     assert!((promised / found - 1.0).abs() < 0.2, "{promised} {found}");

@@ -1,0 +1,165 @@
+//! A circle and its image: the closed way there, and the closed way back.
+//!
+//! A plane through the camera's centre with normal l touches the circle of radius R about p with the
+//! unit normal n where (l·p)² = R² (|l|² - (l·n)²). The circle's image therefore has the dual conic
+//!
+//! D ∝ p pᵀ - R² (I - n nᵀ)
+//!
+//! In a frame whose z is near p, with p = d (α, 1), r = R/d, n = (w, -√(1 - |w|²)) and
+//! κ = 1 - r² |w|², that is an ellipse with centre and shape A Aᵀ
+//!
+//! c = (α + r² w n_z)/κ      M = c cᵀ - (α αᵀ - r² (I - w wᵀ))/κ
+//!
+//! The *lean* w says how the circle is tilted: |w| is the sine. M has it squared, so that w and -w look
+//! nearly alike, and face-on nothing is left to the first order; c has it linearly, but times r².
+//!
+//! Back: in the frame along the axis of the cone, D ∝ diag(-a², -b², 1) in the semiaxes' directions, and
+//! since D + R² I/k has rank 2 for the right scale k, the smallest eigenvalue -a² is -R²/k, and
+//!
+//! d = R/a √((1 + a²)/(1 + b²))      |w|² = (a² - b²)/(a² (1 + b²)), w along the minor axis, ±
+//! α = b √(a² - b²)/√(1 + a²), along w
+//!
+//! (paper, eqs. 9 and 10 and section 4.3 as corrected in [`crate::errata`], which have the same conic by
+//! its points where this has it by its tangents.)
+
+use crate::{
+    lanes::{Lane, Vec2, Vec3},
+    pose::rim::{information::Harmonics, projection::Rim},
+};
+
+/// A circle's place in a local frame, by the numbers that its image depends on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Circle<T> {
+    /// α: where the centre is in the plane z = 1.
+    pub aside: Vec2<T>,
+    /// d: the centre's z, metres.
+    pub depth_m: T,
+    /// w: the unit normal's x and y; its z is negative.
+    pub lean: Vec2<T>,
+}
+
+/// 1/√2.
+pub const PER_ROOT: f64 = std::f64::consts::FRAC_1_SQRT_2;
+/// The largest sine of the tilt: 89°, where a ring is hardly a line.
+const MAX_LEAN_SQUARED: f64 = 0.9997;
+
+impl<T: Lane> Circle<T> {
+    /// The two circles of which this rim, near the frame's axis, is the image, and where it is the image of a
+    /// circle in front of the camera.
+    #[inline(always)]
+    pub fn both(rim: &Rim<T>) -> ([Self; 2], T::Mask) {
+        let m = rim.shape;
+        let (x, y) = ((m.m11 - m.m22) * 0.5, m.m12);
+        let spread = (x * x + y * y).root();
+        let a2 = (m.m11 + m.m22) * 0.5 + spread;
+        let b2 = a2 - spread * 2.0;
+        let per_both = (a2 * (b2 + 1.0)).under(1.0);
+        let lean_squared = spread * 2.0 * per_both;
+        let depth_m = rim.radius_m * ((a2 + 1.0) * per_both).root();
+        let lean = Self::held(minor_direction(x, y, spread) * lean_squared.root());
+        let r2 = (rim.radius_m / depth_m).squared();
+        let square = lean.square();
+        // What puts the image's centre where it is: the axis may be off by rounding and less.
+        let middle = rim.center * (-(r2 * square) + 1.0);
+        let aside = lean * (r2 * (-square + 1.0).root());
+        let first = Self { aside: middle + aside, depth_m, lean };
+        let second = Self { aside: middle - aside, depth_m, lean: -lean };
+        ([first, second], b2.is_positive())
+    }
+
+    /// A lean, held at what a circle can have.
+    #[inline(always)]
+    pub fn held(lean: Vec2<T>) -> Vec2<T> {
+        let limit = lean.x.splat(MAX_LEAN_SQUARED);
+        lean * (limit / lean.square().larger(limit)).root()
+    }
+
+    /// Centre, metres.
+    #[inline(always)]
+    pub fn position_m(&self) -> Vec3<T> {
+        let aside = self.aside * self.depth_m;
+        aside.push(self.depth_m)
+    }
+
+    /// z of the normal.
+    #[inline(always)]
+    pub fn facing(&self) -> T {
+        -(-self.lean.square() + 1.0).root()
+    }
+
+    /// Unit normal facing the camera.
+    #[inline(always)]
+    pub fn normal(&self) -> Vec3<T> {
+        self.lean.push(self.facing())
+    }
+
+    /// The circle moved by (α, ln d, w), and where it is then one in front of the camera.
+    #[inline(always)]
+    pub fn moved(&self, by: &[T; 5]) -> (Self, T::Mask) {
+        let moved = Self {
+            aside: self.aside + Vec2::new(by[0], by[1]),
+            depth_m: self.depth_m * by[2].exponential(),
+            lean: self.lean + Vec2::new(by[3], by[4]),
+        };
+        let upright = moved.lean.square().below(by[0].splat(MAX_LEAN_SQUARED));
+        let away = moved.normal().dot(moved.position_m());
+        (moved, upright & away.below(by[0].splat(0.0)))
+    }
+
+    /// A rim's five numbers as seen less those that this circle would give it.
+    #[inline(always)]
+    pub fn compare(&self, rim: &Rim<T>) -> Harmonics<T> {
+        let Self { aside, depth_m, lean } = *self;
+        let r2 = (rim.radius_m / depth_m).squared();
+        let per_squeeze = (-(r2 * lean.square()) + 1.0).under(1.0);
+        let center = (aside + lean * (r2 * self.facing())) * per_squeeze;
+        let (a, w, c) = (aside, lean, center);
+        let m11 = c.x * c.x - (a.x * a.x - r2 * (-(w.x * w.x) + 1.0)) * per_squeeze;
+        let m12 = c.x * c.y - (a.x * a.y + r2 * (w.x * w.y)) * per_squeeze;
+        let m22 = c.y * c.y - (a.y * a.y - r2 * (-(w.y * w.y) + 1.0)) * per_squeeze;
+        let seen = &rim.shape;
+        harmonics(rim, rim.center - center, [seen.m11 - m11, seen.m12 - m12, seen.m22 - m22])
+    }
+
+    #[inline(always)]
+    pub fn choose(mask: T::Mask, yes: &Self, no: &Self) -> Self {
+        Self {
+            aside: Vec2::choose(mask, yes.aside, no.aside),
+            depth_m: T::choose(mask, yes.depth_m, no.depth_m),
+            lean: Vec2::choose(mask, yes.lean, no.lean),
+        }
+    }
+}
+
+/// The unit vector along the minor axis of the shape with half the difference `x` of its diagonal, `y`
+/// off it, and `spread` their root of squares.
+#[inline(always)]
+fn minor_direction<T: Lane>(x: T, y: T, spread: T) -> Vec2<T> {
+    let (zero, one) = (x.splat(0.0), x.splat(1.0));
+    // The major axis has twice its angle along (x, y); of the two halves of its cosine the larger one
+    // keeps its digits.
+    let larger = ((x.size() / spread + 1.0) * 0.5).root();
+    let smaller = y * 0.5 / (spread * larger);
+    let along =
+        Vec2::choose(zero.at_most(x), Vec2::new(-smaller, larger), Vec2::new(-larger, smaller));
+    Vec2::choose(spread.is_positive(), along, Vec2::new(one, zero))
+}
+
+/// The five numbers of a small change of a rim's centre and shape (its 11, 12 and 22): with y = A⁻¹ δc
+/// and N = A⁻¹ δM A⁻ᵀ, q = u·y + ½ uᵀ N u over the unit vectors u.
+#[inline(always)]
+fn harmonics<T: Lane>(rim: &Rim<T>, center: Vec2<T>, [m11, m12, m22]: [T; 3]) -> Harmonics<T> {
+    let i = &rim.inverse;
+    let (p, q) = (i.m11 * m11 + i.m12 * m12, i.m11 * m12 + i.m12 * m22);
+    let (s, t) = (i.m21 * m11 + i.m22 * m12, i.m21 * m12 + i.m22 * m22);
+    let n11 = p * i.m11 + q * i.m12;
+    let n12 = p * i.m21 + q * i.m22;
+    let n22 = s * i.m21 + t * i.m22;
+    [
+        (n11 + n22) * 0.25,
+        (i.m11 * center.x + i.m12 * center.y) * PER_ROOT,
+        (i.m21 * center.x + i.m22 * center.y) * PER_ROOT,
+        (n11 - n22) * (0.25 * PER_ROOT),
+        n12 * (0.5 * PER_ROOT),
+    ]
+}

@@ -1,0 +1,244 @@
+//! A roundel with an elliptical disc: its pose from both rims, and its heading.
+//!
+//! **Pose.** The outer rim is a circle's. Of the disc's rim only size and centre count, as those of the
+//! circle of the same area: with the rims' matrices **O** and **I** (`marker::elliptical`), p and q the
+//! disc's semiaxes over the outer radius, that circle's image has the matrix √(det **I**/det **O**) **O**.
+//! Perspective moves the image of a conic of the plane by its matrix times a vector k of the tilt, so
+//! that the centres of the rims lie (1 - **S**) k apart, with **S** = diag(p², q²) turned by the heading,
+//! and those of outer rim and circle (1 - p q) k. In the image 1 - **S** is 1 - **I** **O**⁻¹: the
+//! circle's centre follows whichever of two normals is right. The disc's elongation is left to the
+//! heading, so that its errors are not those of the tilt.
+//!
+//! **Heading.** Rays through points of the disc's rim at t, evenly spaced, meet the roundel's plane at X(t),
+//! whose first harmonics A = (a b) are the rim's semiaxes there: the longer axis is the first eigenvector
+//! of A Aᵀ. An opposite heading looks the same, so it is told modulo π, in (-π/2, π/2].
+//!
+//! **Covariance.** The rim's elongation and turn (`information`), their phase moved by that of A, turn the axes by
+//! 2pq/(p² - q²) times a rotation's share; to that comes what an error of the normal turns them by, g of
+//! [`super::yaw`], here by central differences.
+//!
+//! Perspective moves the heading by the square of the disc's size as an angle: 10⁻³ where the roundel is
+//! 60 px wide at a focal length of 1,100 px and tilted by 60°. Judged by `tests/elliptical.rs` of the
+//! tests crate, in both modes.
+
+use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
+
+use super::closed_form;
+use crate::{
+    camera::{Camera, PixelPoint},
+    ellipse::{Ellipse, Symmetric2},
+    marker::{Kind, Ring},
+    pose::{
+        PoseError, RimNoise, RoundelPose,
+        rim::{
+            information::Information,
+            noise::{Known, RimErrors, RingNoise},
+            rim_pair::{RimSeen, RingFound},
+        },
+        yaw,
+    },
+    rigid::orientation_of_normal,
+};
+
+/// Points on the disc's rim.
+const POINTS: usize = 8;
+/// Turn of the normal over which the heading's derivative is taken, radians.
+const STEP_RAD: f64 = 1e-4;
+
+/// [`super::locate`] for an elliptical disc.
+pub fn locate(
+    camera: &Camera,
+    kind: &Kind,
+    ring: &Ring,
+    noise: &RimNoise,
+) -> Result<RoundelPose, PoseError> {
+    let round = rounded(kind, ring).ok_or(PoseError::NoCircle)?;
+    let outer_m = 0.5 * kind.outer_diameter_m;
+    let radii_m = [outer_m, outer_m * kind.mean_ratio()];
+    let (least, most) = kind.ratios();
+    // The ends of the longer axis are washed out sooner than a circle's rim is.
+    let disc_px = ring.inner.semi_minor_px * (least / most).sqrt();
+    // There the black is narrowest, too.
+    let black_px = ring.outer.semi_minor_px * (1.0 - most);
+    let noise = RingNoise { disc: Known::size(), ..noise.of_ring(ring, disc_px, black_px) };
+    let mut pose = closed_form::locate(camera, &RingFound::new(&round, radii_m, noise))?;
+    let rays = DiscRays::new(camera, &ring.inner)
+        .map_err(|source| PoseError::Lens { rim: "inner", source })?;
+    let heading = rays.heading(&pose).ok_or(PoseError::NoCircle)?;
+    let variance =
+        heading.variance_rad2(kind, &ring.inner, &noise.rims[1]).ok_or(PoseError::NoCircle)?;
+    pose.yaw_rad = Some(heading.yaw_rad);
+    pose.yaw_symmetry = 2;
+    let by_tilt = rays.by_tilt(&pose, &heading);
+    let deviation_rad = variance.sqrt().max(yaw::LEAST_DEVIATION_RAD);
+    let still = Vector3::zeros();
+    pose.covariance =
+        yaw::turned(&pose.covariance, &pose.normal, &still, &by_tilt, deviation_rad.powi(2));
+    Ok(pose)
+}
+
+/// The ring with the round disc of the same area; `None` if its rims are no ellipses.
+fn rounded(kind: &Kind, ring: &Ring) -> Option<Ring> {
+    let (outer, inner) = (&ring.outer, &ring.inner);
+    let full = |m: Symmetric2| Matrix2::new(m.uu, m.uv, m.uv, m.vv);
+    let (o, i) = (full(outer.matrix()), full(inner.matrix()));
+    let apart = Vector2::new(inner.center.u - outer.center.u, inner.center.v - outer.center.v);
+    let bent = (Matrix2::identity() - i * o.try_inverse()?).try_inverse()?;
+    let moved = bent * apart * (1.0 - kind.mean_ratio().powi(2));
+    let scale = inner.mean_radius_px() / outer.mean_radius_px();
+    let round = Ellipse {
+        center: PixelPoint { u: outer.center.u + moved.x, v: outer.center.v + moved.y },
+        semi_major_px: scale * outer.semi_major_px,
+        semi_minor_px: scale * outer.semi_minor_px,
+        angle_rad: outer.angle_rad,
+    };
+    round.is_valid().then_some(Ring { inner: round, ..*ring })
+}
+
+/// Rays through points of the disc's rim, evenly spaced in t.
+pub struct DiscRays([Vector3<f64>; POINTS]);
+
+/// Where the disc's longer axis points.
+pub struct Heading {
+    /// About the normal, in (-π/2, π/2].
+    pub yaw_rad: f64,
+    /// Unit, in the camera's frame.
+    pub axis: Vector3<f64>,
+    /// The t of the longer axis.
+    phase_rad: f64,
+}
+
+impl DiscRays {
+    /// The rays; an error where the lens has none.
+    pub fn new(camera: &Camera, inner: &Ellipse) -> Result<Self, crate::camera::LensError> {
+        let (sin, cos) = inner.angle_rad.sin_cos();
+        let mut rays = [Vector3::zeros(); POINTS];
+        for (ray, (cos_t, sin_t)) in rays.iter_mut().zip(turns()) {
+            let (x, y) = (inner.semi_major_px * cos_t, inner.semi_minor_px * sin_t);
+            *ray = camera.bearing(PixelPoint {
+                u: inner.center.u + x * cos - y * sin,
+                v: inner.center.v + x * sin + y * cos,
+            })?;
+        }
+        Ok(Self(rays))
+    }
+
+    /// The heading on a roundel of this pose; `None` if its plane is seen from the edge.
+    pub fn heading(&self, pose: &RoundelPose) -> Option<Heading> {
+        self.heading_on(&pose.position_m, &pose.normal)
+    }
+
+    fn heading_on(&self, position_m: &Vector3<f64>, normal: &Vector3<f64>) -> Option<Heading> {
+        let height = normal.dot(position_m);
+        let (mut a, mut b) = (Vector3::zeros(), Vector3::zeros());
+        for (ray, (cos_t, sin_t)) in self.0.iter().zip(turns()) {
+            let along = height / normal.dot(ray);
+            if !(along > 0.0 && along.is_finite()) {
+                return None;
+            }
+            a += ray * (along * cos_t);
+            b += ray * (along * sin_t);
+        }
+        let orientation = orientation_of_normal(normal);
+        let in_plane = |v: &Vector3<f64>| (orientation.inverse() * v).xy();
+        let (p, q) = (in_plane(&a), in_plane(&b));
+        let shape = Symmetric2 {
+            uu: p.x * p.x + q.x * q.x,
+            uv: p.x * p.y + q.x * q.y,
+            vv: p.y * p.y + q.y * q.y,
+        };
+        let (_, _, yaw_rad) = shape.eigen();
+        let axis = orientation * Vector3::new(yaw_rad.cos(), yaw_rad.sin(), 0.0);
+        let phase_rad = 0.5 * (2.0 * p.dot(&q)).atan2(p.norm_squared() - q.norm_squared());
+        Some(Heading { yaw_rad, axis, phase_rad })
+    }
+
+    /// g: how far an error of the normal turns the heading about it, beyond what it turns with it.
+    fn by_tilt(&self, pose: &RoundelPose, heading: &Heading) -> Vector3<f64> {
+        let normal = &pose.normal;
+        let turned = |about: &Vector3<f64>| {
+            let turn = UnitQuaternion::from_scaled_axis(*about);
+            let (normal, carried) = (turn * normal, turn * heading.axis);
+            let found = self.heading_on(&pose.position_m, &normal)?.axis;
+            let sign = carried.dot(&found).signum();
+            Some(sign * carried.cross(&found).dot(&normal))
+        };
+        let mut by_tilt = Vector3::zeros();
+        for about in [heading.axis, normal.cross(&heading.axis)] {
+            if let (Some(there), Some(back)) =
+                (turned(&(about * STEP_RAD)), turned(&(about * -STEP_RAD)))
+            {
+                by_tilt += about * ((there - back) / (2.0 * STEP_RAD));
+            }
+        }
+        by_tilt
+    }
+}
+
+impl Heading {
+    /// Variance from the errors of the disc's rim alone.
+    fn variance_rad2(&self, kind: &Kind, inner: &Ellipse, noise: &RimErrors<f64>) -> Option<f64> {
+        let (known, true) = Information::of(&RimSeen::of(inner), noise) else { return None };
+        let turn = 1.0 / known.turn;
+        let elongation =
+            known.size / (known.size * known.elongation - known.size_and_elongation.powi(2));
+        let (sin, cos) = (2.0 * self.phase_rad).sin_cos();
+        let (least, most) = kind.ratios();
+        let lever = 2.0 * least * most / (most * most - least * least);
+        // A harmonic's rms is its size over √2.
+        Some(2.0 * lever * lever * (sin * sin * elongation + cos * cos * turn))
+    }
+}
+
+/// cos t and sin t of the points.
+fn turns() -> impl Iterator<Item = (f64, f64)> {
+    (0..POINTS).map(|point| {
+        let (sin, cos) = (std::f64::consts::TAU * point as f64 / POINTS as f64).sin_cos();
+        (cos, sin)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::{
+        camera::Lens,
+        marker::Pattern,
+        pose::tests::{camera, pose, rim_of},
+    };
+
+    proptest! {
+        #[test]
+        fn exact_rims_give_pose_and_heading(
+            u in 100.0..1820.0f64, v in 100.0..980.0f64, distance_m in 1.5..8.0f64,
+            tilt_rad in 0.35..1.05f64, turn_rad in -3.1..3.1f64, yaw_rad in -3.1..3.1f64,
+            q in 0.3..0.5f64, lens in 0..2usize,
+        ) {
+            let lens = [[0.0; 5], [-0.12, 0.04, 0.0008, -0.0006, 0.0]][lens];
+            let camera = camera(Lens::PlumbBob(lens));
+            let pixel = PixelPoint { u, v };
+            let (position_m, normal) = pose(&camera, pixel, distance_m, tilt_rad, turn_rad);
+            let turn = orientation_of_normal(&normal)
+                * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad);
+            let pattern = Pattern::Elliptical { minor_diameter_m: 0.16 * q };
+            let kind = Kind { pattern, ..Kind::plain("", 0.16, 0.096) };
+            let ring = Ring {
+                unevenness: 0.011,
+                ..Ring::of_rims(
+                    rim_of(&camera, &position_m, &turn, [0.08; 2]),
+                    rim_of(&camera, &position_m, &turn, [0.048, 0.08 * q]),
+                )
+            };
+            let found = crate::pose::locate(&camera, &kind, &ring, &RimNoise::default()).unwrap();
+            prop_assert!((found.normal - normal).norm() < 2e-3, "{found:?} {normal}");
+            prop_assert!((found.position_m - position_m).norm() < 2e-4 * distance_m);
+            let off = (found.yaw_rad.unwrap() - yaw_rad).sin().abs();
+            prop_assert!(off < 3e-3, "{off}");
+            prop_assert!(found.covariance.cholesky().is_some());
+            // Not that of an unknown angle, however small the disc is.
+            prop_assert!(yaw::deviation_rad(&found) < 0.4, "{}", yaw::deviation_rad(&found));
+        }
+    }
+}

@@ -1,0 +1,237 @@
+//! A circle fitted to both rims, with covariance and misfit.
+//!
+//! The unknowns are x = (α, ln d, w) of [`Circle`]; the residuals are both rims' five numbers, seen less
+//! predicted, h(x), with the derivatives J and the rims' information W:
+//!
+//! (Σ Jᵀ W J) δx = Σ Jᵀ W h      misfit = Σ hᵀ W h - δxᵀ Σ Jᵀ W h
+//!
+//! (`derivative`).
+//!
+//! The start is the outer rim's own circle, and what the inner rim changes is little: one step of Gauss
+//! and Newton is the solution, unless it moves the lean by more than a share of itself, over which the
+//! elongation's derivative (2w) is another.
+//!
+//! What motion within the exposure adds to both rims alike is put right after the step (`smear`).
+//!
+//! With the other lean, -w, only the terms of ln d with α and w change their sign: one normal matrix,
+//! and one inverse, serve both.
+
+use super::{cone::Circle, jacobian::Linear, motion_blur::Covariance5, tilt_posterior};
+use crate::{
+    lanes::{Lane, Vec2, Vec3},
+    pose::rim::projection::Rim,
+};
+
+/// A circle, and what is known of it.
+#[derive(Clone, Copy, Debug)]
+pub struct Estimate<T> {
+    pub circle: Circle<T>,
+    pub covariance: Covariance5<T>,
+    /// Squared Mahalanobis length of what the circle leaves unexplained of both rims.
+    pub misfit: T,
+}
+
+/// The likelier circle with the other one, and the likelihood of the first against it; where there is one
+/// alone, it is its own other one, with the likelihood 1.
+#[derive(Clone, Copy, Debug)]
+pub struct Estimates<T> {
+    pub first: Estimate<T>,
+    pub other: Estimate<T>,
+    pub likelihood: T,
+}
+
+/// Steps at most; one is the rule.
+const MAX_STEPS: usize = 10;
+/// A step whose square is this share of the lean's square, or less, is the last one.
+const LAST_STEP: f64 = 0.02;
+
+/// Fits both circles to both rims; `None` if both leave the space of circles in front of the camera. The
+/// second one's lean is about the first one's reversed.
+#[inline(always)]
+pub fn refine(starts: &[Circle<f64>; 2], rims: &[Rim<f64>; 2]) -> Option<Estimates<f64>> {
+    let [first, second] = Step::both(starts, rims);
+    match [first.finish(rims), second.finish(rims)] {
+        [Some(a), Some(b)] => Some(Estimates::of(&a, &b)),
+        // One of the two has left the space of circles in front of the camera: it is no candidate.
+        [Some(only), None] | [None, Some(only)] => Some(Estimates::alone(only)),
+        [None, None] => None,
+    }
+}
+
+/// As [`refine`], and where a single step of both circles does it.
+#[inline(always)]
+pub fn refine_once<T: Lane>(
+    starts: &[Circle<T>; 2],
+    rims: &[Rim<T>; 2],
+) -> (Estimates<T>, T::Mask) {
+    let [a, b] = Step::both(starts, rims);
+    let known = a.valid & b.valid & a.is_last & b.is_last;
+    (Estimates::of(&a.estimate, &b.estimate), known)
+}
+
+impl<T: Lane> Estimates<T> {
+    #[inline(always)]
+    pub fn alone(only: Estimate<T>) -> Self {
+        Self { first: only, other: only, likelihood: only.misfit.splat(1.0) }
+    }
+
+    /// Of two, which may be one.
+    #[inline(always)]
+    fn of(a: &Estimate<T>, b: &Estimate<T>) -> Self {
+        let swapped = b.misfit.below(a.misfit);
+        let first = Estimate::choose(swapped, b, a);
+        let other = Estimate::choose(swapped, a, b);
+        let odds = ((first.misfit - other.misfit) * 0.5).exponential();
+        let likelihood = (odds + 1.0).under(1.0);
+        // Seen from near, perspective alone tells the tilt, and both starts end in one place.
+        let is_apart = tilt_posterior::are_apart(&first.lean(), &other.lean());
+        Self {
+            first,
+            other: Estimate::choose(is_apart, &other, &first),
+            likelihood: T::choose(is_apart, likelihood, odds.splat(1.0)),
+        }
+    }
+}
+
+/// What a step of Gauss and Newton makes of a circle.
+#[derive(Clone, Copy)]
+struct Step<T: Lane> {
+    estimate: Estimate<T>,
+    /// Where that is a circle in front of the camera.
+    valid: T::Mask,
+    /// Where no further step is needed.
+    is_last: T::Mask,
+}
+
+impl Step<f64> {
+    #[inline(always)]
+    fn finish(self, rims: &[Rim<f64>; 2]) -> Option<Estimate<f64>> {
+        let mut step = self;
+        for _ in 1..MAX_STEPS {
+            if !step.valid || step.is_last {
+                break;
+            }
+            let circle = &step.estimate.circle;
+            let linear = Linear::of(circle, rims);
+            let (covariance, valid) = linear.covariance();
+            step = Step::from(circle, rims, &linear, &covariance, 1.0);
+            step.valid &= valid;
+        }
+        step.valid.then_some(step.estimate)
+    }
+}
+
+impl<T: Lane> Step<T> {
+    /// From either circle.
+    #[inline(always)]
+    fn both(starts: &[Circle<T>; 2], rims: &[Rim<T>; 2]) -> [Self; 2] {
+        let linear = Linear::of(&starts[0], rims);
+        let (covariance, valid) = linear.covariance();
+        let mirrored = mirrored(&covariance);
+        let mut first = Self::from(&starts[0], rims, &linear, &covariance, 1.0);
+        let mut second = Self::from(&starts[1], rims, &linear, &mirrored, -1.0);
+        (first.valid, second.valid) = (first.valid & valid, second.valid & valid);
+        [first, second]
+    }
+
+    /// With the derivatives at this circle (`sign` 1) or at its mirror image (-1).
+    #[inline(always)]
+    fn from(
+        circle: &Circle<T>,
+        rims: &[Rim<T>; 2],
+        linear: &Linear<T>,
+        covariance: &Covariance5<T>,
+        sign: f64,
+    ) -> Self {
+        let (mut right, mut smeared, mut square) = linear.rims[0].pull(circle, &rims[0], sign);
+        let (right_inner, smeared_inner, square_inner) =
+            linear.rims[1].pull(circle, &rims[1], sign);
+        square = square + square_inner;
+        for k in 0..2 {
+            smeared[k] = smeared[k] + smeared_inner[k];
+        }
+        for k in 0..5 {
+            right[k] = right[k] + right_inner[k];
+        }
+        let mut change = right;
+        for row in 0..5 {
+            let c = &covariance[row];
+            change[row] = c[0] * right[0]
+                + c[1] * right[1]
+                + c[2] * right[2]
+                + c[3] * right[3]
+                + c[4] * right[4];
+        }
+        let explained = change[0] * right[0]
+            + change[1] * right[1]
+            + change[2] * right[2]
+            + change[3] * right[3]
+            + change[4] * right[4];
+        let mut covariance = *covariance;
+        let fall = linear.smear.free(smeared, sign, &mut change, &mut covariance);
+        let tilted = circle.lean.square();
+        let (circle, valid) = circle.moved(&change);
+        let turned = change[3] * change[3] + change[4] * change[4];
+        let misfit = (square - explained - fall).larger(square.splat(0.0));
+        // A millionth of a radian is nothing, however upright the circle is.
+        let is_last = turned.at_most(tilted * LAST_STEP + 1e-12);
+        Self { estimate: Estimate { circle, covariance, misfit }, valid, is_last }
+    }
+}
+
+/// The covariance of the circle with the other lean.
+#[inline(always)]
+fn mirrored<T: Lane>(covariance: &Covariance5<T>) -> Covariance5<T> {
+    let mut mirrored = *covariance;
+    for k in [0, 1, 3, 4] {
+        mirrored[2][k] = -mirrored[2][k];
+        mirrored[k][2] = -mirrored[k][2];
+    }
+    mirrored
+}
+
+impl<T: Lane> Estimate<T> {
+    /// The lean with its covariance's 11, 12 and 22.
+    #[inline(always)]
+    fn lean(&self) -> (Vec2<T>, [T; 3]) {
+        let c = &self.covariance;
+        (self.circle.lean, [c[3][3], c[3][4], c[4][4]])
+    }
+
+    /// The changes of the position by (α, ln d), and of the rotation by w, in the local frame.
+    ///
+    /// p = d (α, 1); the normal moves by δn = (δw, -(w·δw)/n_z), and the left rotation that does it,
+    /// with nothing about the normal, is n × δn.
+    #[inline(always)]
+    pub fn changes(&self) -> ([Vec3<T>; 3], [Vec3<T>; 2]) {
+        let depth_m = self.circle.depth_m;
+        let normal = self.circle.normal();
+        let (zero, one) = (depth_m.splat(0.0), depth_m.splat(1.0));
+        let per_facing = normal.z.under(-1.0);
+        let place = [
+            Vec3::new(depth_m, zero, zero),
+            Vec3::new(zero, depth_m, zero),
+            self.circle.position_m(),
+        ];
+        let turns = [
+            normal.cross(Vec3::new(one, zero, normal.x * per_facing)),
+            normal.cross(Vec3::new(zero, one, normal.y * per_facing)),
+        ];
+        (place, turns)
+    }
+
+    #[inline(always)]
+    fn choose(mask: T::Mask, yes: &Self, no: &Self) -> Self {
+        let mut covariance = yes.covariance;
+        for (row, other) in covariance.iter_mut().zip(&no.covariance) {
+            for (own, other) in row.iter_mut().zip(other) {
+                *own = T::choose(mask, *own, *other);
+            }
+        }
+        Self {
+            circle: Circle::choose(mask, &yes.circle, &no.circle),
+            covariance,
+            misfit: T::choose(mask, yes.misfit, no.misfit),
+        }
+    }
+}

@@ -1,0 +1,176 @@
+//! The rim of a coded print's white disc, teeth included, as quadrature nodes.
+//!
+//! Each of the 2N slots has an arc, at the disc's radius or, where its tooth is, at the core's; where the
+//! two meet there is a radial edge. Corners end what makes equal steps converge, so every arc and every
+//! edge has Gauss' nodes of its own, about as far apart as those of the smooth outer rim.
+
+use std::f64::consts::PI;
+
+use crate::marker::CodeLayout;
+
+/// The teeth of one print.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Teeth {
+    /// Of its code.
+    pub bits: u8,
+    /// As printed, the first bit the most significant.
+    pub word: u16,
+}
+
+/// Nodes of the outer rim at most, so that there is room for those of teeth: arcs and edges are as long as
+/// 1.2 outer rims, with [`DENSER`] nodes on a length and [`MORE`] on each.
+pub const MOST_OF_OUTER: usize = 16_384;
+/// Nodes of a panel over those that equal steps round a smooth curve would have …
+const DENSER: f64 = 1.3;
+/// … and on top.
+const MORE: f64 = 0.7;
+/// Spacings of one panel at most.
+const PANEL: f64 = 8.0;
+
+/// A piece of the contour.
+#[derive(Clone, Copy, Debug)]
+enum Piece {
+    /// At a radius, between two angles.
+    Arc(f64, [f64; 2]),
+    /// At an angle, between two radii.
+    Edge(f64, [f64; 2]),
+}
+
+impl Teeth {
+    /// Whether a slot, counted round and round, holds a tooth: that of a 0 is in its bit's first one.
+    fn is_tooth(self, slot: u32) -> bool {
+        let bits = u32::from(self.bits);
+        let slot = slot % (2 * bits);
+        u32::from(self.word >> (bits - 1 - slot / 2) & 1) == slot % 2
+    }
+
+    /// Nodes x, y, dx, dy counter-clockwise round the white of a disc of the radius `ratio`, as far apart
+    /// as steps of `spacing` would be; lengths in outer radii.
+    pub fn nodes(self, ratio: f64, spacing: f64) -> impl Iterator<Item = [f64; 4]> {
+        self.pieces(ratio).flat_map(move |piece| piece.nodes(spacing))
+    }
+
+    fn pieces(self, ratio: f64) -> impl Iterator<Item = Piece> {
+        let slot_rad = PI / f64::from(self.bits);
+        let radius = move |slot: u32| {
+            if self.is_tooth(slot) { ratio * CodeLayout::CORE_SHARE } else { ratio }
+        };
+        (0..2 * u32::from(self.bits)).flat_map(move |slot| {
+            let (here, next) = (radius(slot), radius(slot + 1));
+            let ends_rad = [slot, slot + 1].map(|slot| slot_rad * f64::from(slot));
+            let edge = (here != next).then_some(Piece::Edge(ends_rad[1], [here, next]));
+            std::iter::once(Piece::Arc(here, ends_rad)).chain(edge)
+        })
+    }
+}
+
+impl Piece {
+    fn nodes(self, spacing: f64) -> impl Iterator<Item = [f64; 4]> {
+        let (Self::Arc(_, [from, to]) | Self::Edge(_, [from, to])) = self;
+        let length = match self {
+            Self::Arc(radius, _) => radius * (to - from),
+            Self::Edge(..) => (to - from).abs(),
+        };
+        let panels = (length / (PANEL * spacing)).ceil().max(1.0);
+        let count = (DENSER * length / (panels * spacing) + MORE).ceil() as usize;
+        let half = 0.5 * (to - from) / panels;
+        (0..panels as usize).flat_map(move |panel| {
+            let middle = from + half * (2.0 * panel as f64 + 1.0);
+            (0..count).map(move |index| {
+                let (place, weight) = gauss(count, index);
+                self.node(middle + half * place, half * weight)
+            })
+        })
+    }
+
+    /// At a place between its ends, with a share of the way between them.
+    fn node(self, place: f64, share: f64) -> [f64; 4] {
+        match self {
+            Self::Arc(radius, _) => {
+                let (sin, cos) = place.sin_cos();
+                [radius * cos, radius * sin, -radius * sin * share, radius * cos * share]
+            }
+            Self::Edge(angle, _) => {
+                let (sin, cos) = angle.sin_cos();
+                [place * cos, place * sin, cos * share, sin * share]
+            }
+        }
+    }
+}
+
+/// A node of Gauss' and Legendre's quadrature over [-1, 1], and its weight.
+fn gauss(count: usize, index: usize) -> (f64, f64) {
+    let n = count as f64;
+    let mut x = (PI * (index as f64 + 0.75) / (n + 0.5)).cos();
+    let mut slope = 1.0;
+    // From so near, Newton's steps double the digits.
+    for _ in 0..5 {
+        let (mut before, mut value) = (0.0, 1.0);
+        for degree in 0..count {
+            let k = degree as f64;
+            (before, value) = (value, ((2.0 * k + 1.0) * x * value - k * before) / (k + 1.0));
+        }
+        slope = n * (x * value - before) / (x * x - 1.0);
+        x -= value / slope;
+    }
+    (x, 2.0 / ((1.0 - x * x) * slope * slope))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RATIO: f64 = CodeLayout::RATIO;
+
+    #[test]
+    fn half_of_the_annulus_between_core_and_rim_is_white() {
+        let core = RATIO * CodeLayout::CORE_SHARE;
+        for (bits, word) in [(5, 1), (8, 0b0010_1101), (12, 0b0000_0101_0111), (16, 0x1357)] {
+            for spacing in [0.02, 0.3] {
+                let nodes = Teeth { bits, word }.nodes(RATIO, spacing);
+                let area: f64 = nodes.map(|[x, y, dx, dy]| 0.5 * (x * dy - y * dx)).sum();
+                let expected = 0.5 * PI * (RATIO * RATIO + core * core);
+                assert!((area - expected).abs() < 1e-9, "{bits} bits: {area}");
+            }
+        }
+    }
+
+    #[test]
+    fn teeth_are_where_the_layout_has_them() {
+        let (bits, word) = (8, 0b0010_1101);
+        let printed = CodeLayout { bits, min_distance: 1 }.teeth(word);
+        let teeth = Teeth { bits, word };
+        for slot in 0..16 {
+            let middle_rad = (f64::from(slot) + 0.5) * PI / 8.0;
+            let is_tooth = printed
+                .iter()
+                .any(|tooth| tooth.from_rad < middle_rad && middle_rad < tooth.to_rad);
+            assert_eq!(teeth.is_tooth(slot), is_tooth, "slot {slot}");
+        }
+    }
+
+    /// What nodes leave out at their usual distance from each other, in units of the contrast, for a
+    /// Gaussian anywhere.
+    #[test]
+    fn usual_nodes_see_what_dense_ones_see() {
+        // Of an edge that blur and pixels have rounded.
+        let deviation = 0.06;
+        let image = |spacing: f64, [u, v]: [f64; 2]| -> f64 {
+            let nodes = Teeth { bits: 8, word: 0b0010_1101 }.nodes(RATIO, spacing);
+            let terms = nodes.map(|[x, y, dx, _]| {
+                let (p, q) = ((x - u) / deviation, (y - v) / deviation);
+                // Φ to a part in a thousand is of the same shape for both.
+                let above = 1.0 / (1.0 + (-1.702 * q).exp());
+                -above * (-0.5 * p * p).exp() * dx / (deviation * (2.0 * PI).sqrt())
+            });
+            terms.sum()
+        };
+        let usual = crate::pose::photometry::SPACING * deviation;
+        let mut worst: f64 = 0.0;
+        for i in 0..400 {
+            let at = [f64::from(i % 20), f64::from(i / 20)].map(|k| 0.07 * (k - 9.7));
+            worst = worst.max((image(usual, at) - image(0.2 * usual, at)).abs());
+        }
+        assert!(worst < 2e-3, "{worst}");
+    }
+}

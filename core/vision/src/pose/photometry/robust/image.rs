@@ -1,0 +1,312 @@
+//! The images that a contour gives, in plain loops and with a bloom.
+//!
+//! As in the fast fit (`super::super::image`) nodes add to images over the pixels round them, but the
+//! kernel is that of the very blur, both rims may have moved by a bloom, and how the black share d
+//! follows a rim that moves towards black, -∮ K ds, is an image of its own for each rim.
+
+use fearless_simd::{Level, Simd, dispatch};
+use fearless_simd_macros::simd;
+
+use crate::{
+    pose::photometry::model::{contour::MOST_NODES, projection::Nodes},
+    room::make_room,
+};
+
+/// Images: fall (later d), two gradients, curvature, and the spread of either rim.
+pub const IMAGES: usize = 6;
+/// Steps of the table of the normal distribution, to a unit …
+const FINE: f64 = 256.0;
+/// … and where it ends.
+const END: f64 = 6.0;
+/// Up to this blur a node reaches over 8 pixels, beyond it over 16.
+const NARROW_PX: f64 = 1.12;
+/// Places on one axis: pixels of the widest node, one more for the fall, and a pixel's two sides.
+const PLACES: usize = 20;
+
+/// The normal distribution and its density.
+#[derive(Clone, Debug)]
+pub struct Normal(Vec<[f32; 2]>);
+
+impl Default for Normal {
+    fn default() -> Self {
+        let count = (2.0 * END * FINE) as usize + 2;
+        let mut below = 0.0;
+        let density = |z: f64| (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt();
+        let list = (0..count).map(|i| {
+            let z = i as f64 / FINE - END;
+            let here = density(z);
+            // Simpson's rule from step to step.
+            if i > 0 {
+                let step = 1.0 / FINE;
+                below += step / 6.0 * (density(z - step) + 4.0 * density(z - 0.5 * step) + here);
+            }
+            [below as f32, here as f32]
+        });
+        Self(list.collect())
+    }
+}
+
+impl Normal {
+    /// Φ(z) and φ(z), to 2e-6.
+    #[inline(always)]
+    pub fn at(&self, z: f64) -> [f64; 2] {
+        let place = ((z + END) * FINE).clamp(0.0, 2.0 * END * FINE);
+        let index = place as usize;
+        let rest = place - index as f64;
+        let (low, high) = (self.0[index], self.0[index + 1]);
+        [0, 1].map(|k| f64::from(low[k]) + rest * f64::from(high[k] - low[k]))
+    }
+
+    /// φ(z)/Φ(-z) and -2 ln Φ(-z), each to 1 %.
+    #[inline(always)]
+    pub fn beyond(&self, z: f64) -> (f64, f64) {
+        if z > 3.5 {
+            // Laplace's continued fraction.
+            let pull = z + 1.0 / (z + 2.0 / (z + 3.0 / (z + 4.0 / z)));
+            return (pull, z * z + 2.0 * (pull * std::f64::consts::TAU.sqrt()).ln());
+        }
+        let [above, density] = self.at(-z);
+        (density / above, -2.0 * above.ln())
+    }
+}
+
+/// A window's images.
+#[derive(Clone, Debug, Default)]
+pub struct Images {
+    /// Column and row of the frame at the top left.
+    pub origin: (i64, i64),
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    planes: Vec<f32>,
+    normals: Vec<[f32; 2]>,
+}
+
+/// What one axis of a node comes to.
+struct Axis {
+    /// First pixel.
+    first: usize,
+    /// k, its slope, and e.
+    weight: [f32; PLACES],
+    slope: [f32; PLACES],
+    fall: [f32; PLACES],
+}
+
+impl Images {
+    /// Room for windows of so many pixels.
+    pub fn make_room(&mut self, pixels: usize) {
+        make_room(&mut self.planes, pixels * IMAGES);
+        make_room(&mut self.normals, MOST_NODES);
+    }
+
+    /// Lays the window over columns and rows of the frame; all are included.
+    pub fn lay(&mut self, columns: (i64, i64), rows: (i64, i64)) {
+        self.origin = (columns.0, rows.0);
+        self.width = (columns.1 - columns.0 + 1) as usize;
+        self.height = (rows.1 - rows.0 + 1) as usize;
+        let size = self.width * self.height * IMAGES;
+        self.planes.resize(size.max(self.planes.len()), 0.0);
+    }
+
+    /// One image.
+    pub fn plane(&self, index: usize) -> &[f32] {
+        let size = self.width * self.height;
+        &self.planes[index * size..(index + 1) * size]
+    }
+
+    /// Draws the contour; false if it leaves the window.
+    pub fn draw(&mut self, level: Level, nodes: &Nodes, blur_px: f64, normal: &Normal) -> bool {
+        dispatch!(level, simd => draw(simd, self, (nodes, blur_px), normal))
+    }
+
+    #[inline(always)]
+    fn draw_plain(&mut self, nodes: &Nodes, blur_px: f64, normal: &Normal) -> bool {
+        let size = self.width * self.height;
+        self.planes[..size * IMAGES].fill(0.0);
+        let reach = if blur_px <= NARROW_PX { 8 } else { 16 };
+        for index in 0..nodes.x.len() {
+            let (x, y) = (f64::from(nodes.x[index]), f64::from(nodes.y[index]));
+            let (Some(across), Some(down)) = (
+                Axis::new(x, self.width, reach, blur_px, normal),
+                Axis::new(y, self.height, reach, blur_px, normal),
+            ) else {
+                return false;
+            };
+            let way = (nodes.dx[index], nodes.dy[index]);
+            let rim = usize::from(index >= nodes.outer);
+            if reach == 8 {
+                self.add::<8>(&across, &down, way, rim)
+            } else {
+                self.add::<16>(&across, &down, way, rim)
+            }
+        }
+        for row in 1..self.height {
+            let (above, here) = self.planes[(row - 1) * self.width..].split_at_mut(self.width);
+            for (here, above) in here.iter_mut().zip(above.iter()).take(self.width) {
+                *here += above;
+            }
+        }
+        true
+    }
+
+    #[inline(always)]
+    fn add<const REACH: usize>(
+        &mut self,
+        across: &Axis,
+        down: &Axis,
+        (dx, dy): (f32, f32),
+        rim: usize,
+    ) {
+        let size = self.width * self.height;
+        let length = (dx * dx + dy * dy).sqrt();
+        let (weight, slope) = (&across.weight[..REACH], &across.slope[..REACH]);
+        for row in 0..=REACH {
+            let start = (down.first + row) * self.width + across.first;
+            let mut put = |image: usize, of: &[f32], factor: f32| {
+                let pixels = &mut self.planes[image * size + start..][..REACH];
+                for (pixel, of) in pixels.iter_mut().zip(of) {
+                    *pixel += of * factor;
+                }
+            };
+            put(0, weight, down.fall[row] * dx);
+            put(1, weight, down.weight[row] * dy);
+            put(2, weight, -down.weight[row] * dx);
+            put(3, slope, down.weight[row] * dy);
+            put(3, weight, -down.slope[row] * dx);
+            put(4 + rim, weight, -down.weight[row] * length);
+        }
+    }
+
+    /// Moves both rims into the black by so many pixels.
+    pub fn spread(&mut self, nodes: &mut Nodes, by_px: f64) {
+        let by_px = by_px as f32;
+        let count = nodes.x.len();
+        self.normals.clear();
+        self.normals.extend(nodes.dx.iter().zip(&nodes.dy).map(|(dx, dy)| {
+            let per_length = 1.0 / (dx * dx + dy * dy).sqrt();
+            [-dy * per_length, dx * per_length]
+        }));
+        for (from, to) in [(0, nodes.outer), (nodes.outer, count)] {
+            let around = &self.normals[from..to];
+            let round = |i: usize, by: usize| around[(i + by) % around.len()];
+            // Shares of the way may run against the order of the nodes.
+            let (x, y) = (&nodes.x[from..], &nodes.y[from..]);
+            let forward = (x[1] - x[0]) * nodes.dx[from] + (y[1] - y[0]) * nodes.dy[from];
+            let along_px = by_px * forward.signum();
+            for i in 0..around.len() {
+                let end = around.len();
+                let (one, two) =
+                    ([round(i, 1), round(i, end - 1)], [round(i, 2), round(i, end - 2)]);
+                // The normal's change from node to node, exact to the fourth order.
+                let change = [0, 1]
+                    .map(|k| (8.0 * (one[0][k] - one[1][k]) - (two[0][k] - two[1][k])) / 12.0);
+                nodes.x[from + i] += by_px * around[i][0];
+                nodes.y[from + i] += by_px * around[i][1];
+                nodes.dx[from + i] += along_px * change[0];
+                nodes.dy[from + i] += along_px * change[1];
+            }
+        }
+    }
+}
+
+/// One body for all that the processor can do, in which the loops become vector instructions.
+#[simd]
+fn draw<S: Simd>(
+    simd: S,
+    images: &mut Images,
+    (nodes, blur_px): (&Nodes, f64),
+    normal: &Normal,
+) -> bool {
+    let _ = simd;
+    images.draw_plain(nodes, blur_px, normal)
+}
+
+impl Axis {
+    /// Of a node at a place on an axis of so many pixels; `None` if it reaches beyond them.
+    #[inline(always)]
+    fn new(place: f64, pixels: usize, reach: usize, blur_px: f64, normal: &Normal) -> Option<Self> {
+        let half = reach as f64 / 2.0;
+        if !(place > half && place + half + 2.0 < pixels as f64) {
+            return None;
+        }
+        let first = place as usize + 1 - reach / 2;
+        // At the sides of the pixels, from the one above the first on: Φ, φ and F.
+        let mut sides = [[0.0; 3]; PLACES];
+        for (i, side) in sides.iter_mut().enumerate().take(reach + 3) {
+            let t = place - first as f64 + 1.5 - i as f64;
+            let [below, density] = normal.at(t / blur_px);
+            *side = [below, density / blur_px, t * below + blur_px * density];
+        }
+        let mut axis =
+            Self { first, weight: [0.0; PLACES], slope: [0.0; PLACES], fall: [0.0; PLACES] };
+        for i in 0..=reach {
+            let [before, high, low] = [sides[i], sides[i + 1], sides[i + 2]];
+            axis.weight[i] = (high[0] - low[0]) as f32;
+            axis.slope[i] = (high[1] - low[1]) as f32;
+            axis.fall[i] = (before[2] - 2.0 * high[2] + low[2]) as f32;
+        }
+        Some(axis)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A ring of radii 12 and 5 px; `turn` says which way round its nodes come.
+    fn ring(turn: f64) -> Nodes {
+        let mut nodes = Nodes::default();
+        for (radius, sign) in [(12.0, 1.0), (5.0, -1.0)] {
+            for i in 0..64 {
+                let step = std::f64::consts::TAU / 64.0;
+                let (sin, cos) = (turn * step * i as f64).sin_cos();
+                nodes.x.push((24.3 + radius * cos) as f32);
+                nodes.y.push((23.8 + radius * sin) as f32);
+                nodes.dx.push((-sign * step * radius * sin) as f32);
+                nodes.dy.push((sign * step * radius * cos) as f32);
+            }
+        }
+        nodes.outer = 64;
+        nodes
+    }
+
+    #[test]
+    fn a_bloom_takes_black_from_both_rims() {
+        let (normal, bloom_px) = (Normal::default(), 0.4);
+        for turn in [1.0, -1.0] {
+            let mut images = Images::default();
+            images.lay((0, 47), (0, 47));
+            let mut nodes = ring(turn);
+            images.spread(&mut nodes, bloom_px);
+            assert!(images.draw(Level::new(), &nodes, 0.8, &normal));
+            let share = images.plane(0);
+            // In the middle of black, of white, and outside.
+            for (u, expected) in [(24 + 9, 1.0), (24, 0.0), (2, 0.0)] {
+                let share = share[24 * images.width + u];
+                assert!((share - expected).abs() < 2e-3, "{turn} {u}: {share}");
+            }
+            let area: f32 = share.iter().sum();
+            let expected =
+                std::f64::consts::PI * ((12.0 - bloom_px).powi(2) - (5.0 + bloom_px).powi(2));
+            assert!((f64::from(area) / expected - 1.0).abs() < 2e-3, "{turn}: {area} {expected}");
+            // What a further bloom would take is as long as both rims.
+            let spread: f32 = images.plane(4).iter().chain(images.plane(5)).sum();
+            let around = -std::f64::consts::TAU * (12.0 + 5.0);
+            assert!((f64::from(spread) / around - 1.0).abs() < 2e-3, "{turn}: {spread} {around}");
+        }
+    }
+
+    #[test]
+    fn cut_off_pixels_pull_as_far_as_they_are_off() {
+        let normal = Normal::default();
+        let (far, _) = normal.beyond(8.0);
+        assert!((far - 8.12).abs() < 0.02, "{far}");
+        let (above, _) = normal.beyond(3.4999);
+        let (beyond, _) = normal.beyond(3.5001);
+        assert!((above / beyond - 1.0).abs() < 0.01, "{above} {beyond}");
+        let (pull, misfit) = normal.beyond(0.0);
+        assert!((pull - 0.7979).abs() < 1e-3 && (misfit - 2.0 * 2f64.ln()).abs() < 1e-3);
+        assert!(normal.beyond(-4.0).0 < 1e-3);
+    }
+}

@@ -1,0 +1,146 @@
+//! What a fit has found: whether noise explains what is left, the covariance, and the rims.
+
+use nalgebra::{SMatrix, Vector3};
+
+use super::{
+    cholesky::{Factor, MOST},
+    linearize::{Parts, project},
+    normal_equation_cache::RecalledProducts,
+    normal_equations::Linear,
+    state::{MOTION, Problem, State},
+};
+use crate::{
+    ellipse::{Ellipse, Shape},
+    pose::photometry::FitScratch,
+    rigid::{Covariance6, UNKNOWN_ANGLE_VARIANCE_RAD2},
+};
+
+/// Unknowns with their information.
+#[derive(Clone, Debug)]
+pub struct Solution {
+    pub state: State,
+    /// Sum of squared residuals, grey levels².
+    pub misfit: f64,
+    /// Variance of a pixel, grey levels².
+    pub noise2: f64,
+    pub iterations: usize,
+    pub linear: Linear,
+}
+
+/// Over shift, shift, logarithm of the range and two turns.
+pub type Covariance5 = SMatrix<f64, 5, 5>;
+
+/// Deviations of the noise that levels stay away from the ends of the scale.
+const ENDS_NOISE: f64 = 3.0;
+
+impl Solution {
+    /// Whether noise explains the residual, and the scale of grey levels holds white and black.
+    pub fn is_plain(&self) -> bool {
+        let (state, linear) = (&self.state, &self.linear);
+        let slack = ENDS_NOISE * self.noise2.sqrt();
+        let levels = [state.white, state.white + state.step];
+        let (low, high) = (levels[0].min(levels[1]), levels[0].max(levels[1]));
+        linear.is_even() && low > slack && high < 255.0 - slack
+    }
+
+    /// The factor of the information, with what is known beforehand.
+    pub fn factor(&self) -> Option<Factor> {
+        let (information, _) = self.linear.with_prior(&self.state, self.noise2);
+        Factor::new(&information, self.linear.free())
+    }
+
+    /// Of (position, rotation) in the camera's frame, by [`Self::factor`].
+    pub fn covariance(&self, problem: &Problem, factor: &Factor) -> Covariance6 {
+        let own: Covariance5 = factor.inverse_of_last() * self.noise2;
+        let axes = &self.state.place.axes;
+        let turns = [0, 1].map(|axis| axes.column(axis).into_owned());
+        self.carried(problem, &self.state, &own, &turns)
+    }
+
+    /// What later frames may recall: what this one recalled itself, or what it has taken anew.
+    pub fn recalled(&self, problem: &Problem) -> Option<RecalledProducts> {
+        if self.linear.recalled {
+            problem.recalled.copied()
+        } else {
+            RecalledProducts::of(problem, &self.state, &self.linear)
+        }
+    }
+
+    /// Variance of either part of the motion's square by noise alone, px⁴, as far as the prior lets it;
+    /// none where it was held.
+    pub fn motion_variance(&self) -> Option<f64> {
+        let prior = self.linear.motion_prior?;
+        let factor = self.factor()?;
+        let variance = |unknown: usize| {
+            let mut unit = [0.0; MOST];
+            unit[unknown] = self.noise2;
+            factor.solve(&unit)[unknown]
+        };
+        let posterior = 0.5 * (variance(MOTION) + variance(MOTION + 1));
+        let prior = prior + self.state.motion2.norm_squared();
+        Some(posterior * (1.0 - posterior / prior).max(0.0))
+    }
+
+    /// A covariance over shift, range and turns about these axes as one of (position, rotation) in the
+    /// camera's frame, with nothing about the normal, for a state near the solution's.
+    pub fn carried(
+        &self,
+        problem: &Problem,
+        state: &State,
+        own: &Covariance5,
+        turns: &[Vector3<f64>; 2],
+    ) -> Covariance6 {
+        let camera_from_local = problem.lens.local_from_camera.transpose();
+        let (unit_m, place) = (self.linear.unit_m, &state.place);
+        let mut map = SMatrix::<f64, 6, 5>::zeros();
+        let along = [Vector3::x() * unit_m, Vector3::y() * unit_m, place.position_m];
+        for (column, along) in along.into_iter().enumerate() {
+            map.fixed_view_mut::<3, 1>(0, column).copy_from(&(camera_from_local * along));
+        }
+        for (axis, turn) in turns.iter().enumerate() {
+            map.fixed_view_mut::<3, 1>(3, 3 + axis).copy_from(&(camera_from_local * turn));
+        }
+        let mut covariance = map * (0.5 * (own + own.transpose())) * map.transpose();
+        let normal = camera_from_local * place.axes.column(2);
+        let mut rotation = covariance.fixed_view_mut::<3, 3>(3, 3);
+        rotation += normal * normal.transpose() * UNKNOWN_ANGLE_VARIANCE_RAD2;
+        covariance
+    }
+}
+
+/// A blur whose nodes stand as far apart as can be: for areas and their moments few are enough.
+const FEW_NODES_PX: f64 = 1e6;
+
+/// Both rims as a state images them.
+pub fn rims(
+    problem: &Problem,
+    state: &State,
+    scratch: &mut FitScratch,
+) -> Option<(Ellipse, Ellipse)> {
+    let mut parts = Parts {
+        level: scratch.level,
+        contours: &mut scratch.contours,
+        nodes: &mut scratch.nodes,
+        window: scratch.window.origin,
+    };
+    // The disc's rim is that between the teeth.
+    project(&Problem { teeth: None, ..*problem }, state, FEW_NODES_PX, &mut parts);
+    let nodes = &scratch.nodes;
+    let outer = nodes.outer;
+    let rim = |from: usize, to: usize| {
+        let (x, y, dx, dy) =
+            (&nodes.x[from..to], &nodes.y[from..to], &nodes.dx[from..to], &nodes.dy[from..to]);
+        ellipse_of(x, y, dx, dy, scratch.window.origin)
+    };
+    Some((rim(0, outer)?, rim(outer, nodes.x.len())?))
+}
+
+/// The ellipse of the area, centre and second moments that a contour encloses.
+fn ellipse_of(x: &[f32], y: &[f32], dx: &[f32], dy: &[f32], origin: (i64, i64)) -> Option<Ellipse> {
+    let points = (0..x.len()).map(|i| [x[i], y[i], dx[i], dy[i]].map(f64::from));
+    let mut shape = Shape::of_contour(points);
+    shape.center.u += origin.0 as f64;
+    shape.center.v += origin.1 as f64;
+    let ellipse = shape.ellipse();
+    ellipse.is_valid().then_some(ellipse)
+}
