@@ -29,9 +29,9 @@ use crate::{
         locate, locate_each,
         photometry::{
             self, FitScratch, Start,
-            history::{Memory, start},
+            history::{FitHistory, start},
         },
-        recent_tracks::Recall,
+        recent_tracks::RecentTracks,
         shutter::{Shutter, Skew},
         yaw,
     },
@@ -69,30 +69,30 @@ pub struct Locator {
     mode: Mode,
     noise: RimNoise,
     shares: Shares<FitScratch>,
-    memories: Recall<Memory>,
+    histories: RecentTracks<FitHistory>,
     /// Rings of the newest frame that are followed.
-    following: Vec<Following>,
+    pending: Vec<PendingRing>,
     /// If it is a rolling one.
     shutter: Option<Shutter>,
 }
 
 /// A ring on its way to what its mode makes of it.
 #[derive(Clone, Debug)]
-struct Following {
+struct PendingRing {
     located: Result<Located, PoseError>,
     /// What is to be kept of it.
-    memory: Option<Memory>,
+    history: Option<FitHistory>,
 }
 
 /// From this confidence of a track's code on a frame that does not read it has the teeth of those before.
-const CERTAIN: f64 = 0.99;
+const MIN_CODE_CONFIDENCE: f64 = 0.99;
 
 impl Locator {
     /// For rings of these kinds, in the order that [`KindId`] counts them.
     pub fn new(camera: Camera, kinds: Vec<Kind>, mode: Mode) -> Self {
         let noise = RimNoise::default();
-        let (shares, memories) = (Shares::default(), Recall::new());
-        Self { camera, kinds, mode, noise, shares, memories, following: Vec::new(), shutter: None }
+        let (shares, histories) = (Shares::default(), RecentTracks::new());
+        Self { camera, kinds, mode, noise, shares, histories, pending: Vec::new(), shutter: None }
     }
 
     /// With a shutter that exposes each row so much later than the one above it; 0: all rows at once.
@@ -123,7 +123,7 @@ impl Locator {
 
     /// Forgets all tracks, as after a gap in the frames.
     pub fn reset(&mut self) {
-        self.memories.clear();
+        self.histories.clear();
         self.shutter.iter_mut().for_each(Shutter::reset);
     }
 
@@ -158,41 +158,41 @@ impl Locator {
         located: &mut Vec<Result<Located, PoseError>>,
     ) {
         located.clear();
-        self.expose(frame, time, tracked);
-        self.following.clear();
+        self.update_shutter(frame, time, tracked);
+        self.pending.clear();
         let skews = self.shutter.as_ref().map(Shutter::skews);
         let mut poses = [const { Err(PoseError::NoCircle) }; LANES];
         for (chunk, tracked) in tracked.chunks(LANES).enumerate() {
-            let mut straight = [None; LANES];
+            let mut deskewed = [None; LANES];
             let skews = skews.map_or(&[][..], |skews| &skews[chunk * LANES..]);
-            for ((straight, skew), one) in straight.iter_mut().zip(skews).zip(tracked) {
-                *straight = Some(skew.ring(&one.ring));
+            for ((deskewed, skew), one) in deskewed.iter_mut().zip(skews).zip(tracked) {
+                *deskewed = Some(skew.ring(&one.ring));
             }
-            let rings = tracked.iter().zip(&straight).map(|(one, straight)| {
-                let ring = straight.as_ref().unwrap_or(&one.ring);
+            let rings = tracked.iter().zip(&deskewed).map(|(one, deskewed)| {
+                let ring = deskewed.as_ref().unwrap_or(&one.ring);
                 Ok((kind_of(&self.kinds, ring.kind)?, ring))
             });
             locate_each(&self.camera, rings, &self.noise, &mut poses);
-            self.following.extend(tracked.iter().zip(&mut poses).map(|(one, pose)| {
+            self.pending.extend(tracked.iter().zip(&mut poses).map(|(one, pose)| {
                 let pose = std::mem::replace(pose, Err(PoseError::NoCircle));
-                Following::new(pose.map(|pose| Located::by_rims(&one.ring, pose)))
+                PendingRing::new(pose.map(|pose| Located::from_rims(&one.ring, pose)))
             }));
         }
-        self.follow(frame, tracked);
-        located.extend(self.following.drain(..).map(|one| one.located));
+        self.refine_all(frame, tracked);
+        located.extend(self.pending.drain(..).map(|one| one.located));
     }
 
     /// The pose of a ring that a tracker follows, in the frame that it was found in.
     pub fn locate(&mut self, frame: &Frame, tracked: &TrackedRing) -> Result<Located, PoseError> {
-        self.expose(frame, None, std::slice::from_ref(tracked));
+        self.update_shutter(frame, None, std::slice::from_ref(tracked));
         let kind = kind_of(&self.kinds, tracked.ring.kind)?;
-        let straight = self.skew(0).map(|skew| skew.ring(&tracked.ring));
-        let ring = straight.as_ref().unwrap_or(&tracked.ring);
+        let deskewed = self.skew(0).map(|skew| skew.ring(&tracked.ring));
+        let ring = deskewed.as_ref().unwrap_or(&tracked.ring);
         let pose = locate(&self.camera, kind, ring, &self.noise)?;
-        self.following.clear();
-        self.following.push(Following::new(Ok(Located::by_rims(&tracked.ring, pose))));
-        self.follow(frame, std::slice::from_ref(tracked));
-        self.following.pop().map_or(Err(PoseError::NoCircle), |one| one.located)
+        self.pending.clear();
+        self.pending.push(PendingRing::new(Ok(Located::from_rims(&tracked.ring, pose))));
+        self.refine_all(frame, std::slice::from_ref(tracked));
+        self.pending.pop().map_or(Err(PoseError::NoCircle), |one| one.located)
     }
 
     /// The pose of a ring of a picture that stands alone, of a kind that need not be one of this
@@ -204,16 +204,16 @@ impl Locator {
         ring: &Ring,
     ) -> Result<Located, PoseError> {
         let pose = locate(&self.camera, kind, ring, &self.noise)?;
-        let mut located = Located::by_rims(ring, pose);
+        let mut located = Located::from_rims(ring, pose);
         let with = (&self.camera, kind, self.mode);
-        located.improve(with, frame, (None, None), self.shares.own());
+        located.refine(with, frame, (None, None), self.shares.own());
         Ok(located)
     }
 
     /// Takes the frame's rings in, if the shutter is a rolling one.
-    fn expose(&mut self, frame: &Frame, time: Option<Timestamp>, tracked: &[TrackedRing]) {
+    fn update_shutter(&mut self, frame: &Frame, time: Option<Timestamp>, tracked: &[TrackedRing]) {
         if let Some(shutter) = &mut self.shutter {
-            shutter.expose((time, frame.height()), tracked, (&self.kinds, &self.noise));
+            shutter.update((time, frame.height()), tracked, (&self.kinds, &self.noise));
         }
     }
 
@@ -223,40 +223,42 @@ impl Locator {
     }
 
     /// From the straightened rims of the frame's rings to what the mode makes of them.
-    fn follow(&mut self, frame: &Frame, tracked: &[TrackedRing]) {
-        let Self { camera, kinds, mode, shares, memories, following, shutter, .. } = self;
+    fn refine_all(&mut self, frame: &Frame, tracked: &[TrackedRing]) {
+        let Self { camera, kinds, mode, shares, histories, pending, shutter, .. } = self;
         let skews = shutter.as_ref().map(Shutter::skews);
         let (camera, kinds, mode) = (&*camera, &*kinds, *mode);
         // Without a fit there is hardly anything to do.
         let at_a_time = if mode == Mode::Precise { 1 } else { usize::MAX };
-        shares.work(following, at_a_time, |scratch, first, following| {
-            for (place, one) in following.iter_mut().enumerate() {
+        shares.work(pending, at_a_time, |scratch, first, pending| {
+            for (place, one) in pending.iter_mut().enumerate() {
                 let tracked = &tracked[first + place];
                 let (Ok(located), Ok(kind)) = (&mut one.located, kind_of(kinds, tracked.ring.kind))
                 else {
                     continue;
                 };
                 let skew = skews.map(|skews| skews[first + place]);
-                let is_certain = tracked.code.is_some_and(|code| code.confidence >= CERTAIN);
-                let before = memories.of(tracked.track).copied();
-                let before = if is_certain { before } else { before.map(Memory::without_teeth) };
-                one.memory = located.improve((camera, kind, mode), frame, (before, skew), scratch);
+                let is_certain =
+                    tracked.code.is_some_and(|code| code.confidence >= MIN_CODE_CONFIDENCE);
+                let before = histories.of(tracked.track).copied();
+                let before =
+                    if is_certain { before } else { before.map(FitHistory::without_teeth) };
+                one.history = located.refine((camera, kind, mode), frame, (before, skew), scratch);
                 if let Some(skew) = skew {
                     skew.widen(&mut located.pose, camera, kind);
                 }
             }
         });
-        for (tracked, one) in tracked.iter().zip(following) {
+        for (tracked, one) in tracked.iter().zip(pending) {
             if one.located.is_ok() {
-                memories.renew(tracked.track, one.memory.take());
+                histories.renew(tracked.track, one.history.take());
             }
         }
     }
 }
 
-impl Following {
+impl PendingRing {
     fn new(located: Result<Located, PoseError>) -> Self {
-        Self { located, memory: None }
+        Self { located, history: None }
     }
 }
 
@@ -265,25 +267,25 @@ fn kind_of(kinds: &[Kind], id: Option<KindId>) -> Result<&Kind, PoseError> {
 }
 
 impl Located {
-    fn by_rims(ring: &Ring, pose: RoundelPose) -> Self {
+    fn from_rims(ring: &Ring, pose: RoundelPose) -> Self {
         Self { ring: *ring, pose, by: Mode::Fast, image: None }
     }
 
     /// From the rims' pose to the mode's, and to the yaw that a code tells; what to keep of a fit.
-    fn improve(
+    fn refine(
         &mut self,
         (camera, kind, mode): (&Camera, &Kind, Mode),
         frame: &Frame,
-        (before, skew): (Option<Memory>, Option<Skew>),
+        (before, skew): (Option<FitHistory>, Option<Skew>),
         scratch: &mut FitScratch,
-    ) -> Option<Memory> {
+    ) -> Option<FitHistory> {
         let code = self.ring.code;
-        let mut memory = None;
+        let mut history = None;
         if mode == Mode::Precise {
             let start = start(&self.pose, &self.ring.outer.center, before.as_ref());
             let start = Start { skew, ..start };
             if let Ok(fit) = photometry::fit(frame, camera, kind, &self.ring, &start, scratch) {
-                memory = Some(Memory::of(&fit, &start, before.as_ref()));
+                history = Some(FitHistory::of(&fit, &start, before.as_ref()));
                 *self = Self {
                     ring: fit.ring,
                     pose: fit.pose,
@@ -299,7 +301,7 @@ impl Located {
             let reading = skew.map_or(*reading, |skew| skew.code(reading));
             yaw::add(&mut self.pose, camera, &reading);
         }
-        memory
+        history
     }
 }
 

@@ -51,7 +51,7 @@ use crate::{
 use circle::{closed_form, elliptical_disc};
 pub use locator::{ImageQuality, Located, Locator};
 pub use rim::noise::RimNoise;
-use rim::rim_pair::RingFound;
+use rim::rim_pair::RingMeasurement;
 pub use shutter::Skew;
 
 /// Pose of a roundel in the camera frame.
@@ -78,12 +78,12 @@ impl RoundelPose {
     /// The yaw that it has if `other_normal` is the right one: the print's x points the same way in the
     /// picture.
     pub fn other_yaw_rad(&self) -> Option<f64> {
-        self.yaw_rad.map(|yaw_rad| yaw::carried_rad(self, yaw_rad, &self.other_normal))
+        self.yaw_rad.map(|yaw_rad| yaw::transferred_rad(self, yaw_rad, &self.other_normal))
     }
 
     /// Where the print's x points then, if this is where it points with `normal`; camera frame.
     pub fn other_x(&self, x: &Vector3<f64>) -> Vector3<f64> {
-        yaw::x_for(x, &self.position_m, &self.other_normal)
+        yaw::x_with_normal(x, &self.position_m, &self.other_normal)
     }
 }
 
@@ -172,14 +172,14 @@ pub fn locate(
 
 /// From where the likelier of both normals puts the centre to where the other one does, camera frame, metres; nothing of
 /// an elliptical disc, whose heading tells them apart.
-pub fn apart_m(
+pub fn other_offset_m(
     camera: &Camera,
     kind: &Kind,
     ring: &Ring,
     noise: &RimNoise,
 ) -> Result<Vector3<f64>, PoseError> {
     match found(kind, ring, noise)? {
-        Some(found) => closed_form::apart_m(camera, &found),
+        Some(found) => closed_form::other_offset_m(camera, &found),
         None => Ok(Vector3::zeros()),
     }
 }
@@ -191,31 +191,31 @@ fn locate_each<'a>(
     noise: &RimNoise,
     poses: &mut [Result<RoundelPose, PoseError>; closed_form::LANES],
 ) {
-    let mut round = [None; closed_form::LANES];
-    for ((ring, round), pose) in rings.zip(&mut round).zip(&mut *poses) {
+    let mut lanes = [None; closed_form::LANES];
+    for ((ring, lanes), pose) in rings.zip(&mut lanes).zip(&mut *poses) {
         match ring.and_then(|(kind, ring)| Ok((found(kind, ring, noise)?, kind, ring))) {
-            Ok((Some(found), ..)) => *round = Some(found),
+            Ok((Some(found), ..)) => *lanes = Some(found),
             Ok((None, kind, ring)) => *pose = elliptical_disc::locate(camera, kind, ring, noise),
             Err(error) => *pose = Err(error),
         }
     }
-    closed_form::locate_each(camera, &round, poses);
+    closed_form::locate_each(camera, &lanes, poses);
 }
 
 /// What the closed form sees of a ring; `None` of one with an elliptical disc.
-fn found(kind: &Kind, ring: &Ring, noise: &RimNoise) -> Result<Option<RingFound>, PoseError> {
+fn found(kind: &Kind, ring: &Ring, noise: &RimNoise) -> Result<Option<RingMeasurement>, PoseError> {
     check(kind, ring, noise)?;
     if let Pattern::Elliptical { .. } = kind.pattern {
         return Ok(None);
     }
     let radii_m = [0.5 * kind.outer_diameter_m, 0.5 * kind.inner_diameter_m];
     let noise = if let Pattern::Coded(layout) = kind.pattern {
-        noise.of_coded(ring, layout.bits)
+        noise.for_coded_ring(ring, layout.bits)
     } else {
         let disc_px = ring.inner.semi_minor_px;
-        noise.of_ring(ring, disc_px, ring.outer.semi_minor_px - disc_px)
+        noise.for_ring(ring, disc_px, ring.outer.semi_minor_px - disc_px)
     };
-    Ok(Some(RingFound::new(ring, radii_m, noise)))
+    Ok(Some(RingMeasurement::new(ring, radii_m, noise)))
 }
 
 /// Rows of a right-handed frame whose z lies along `axis`, of any length.

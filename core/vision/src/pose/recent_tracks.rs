@@ -5,63 +5,63 @@
 use crate::id::TrackNumber;
 
 /// So many rings, at least, are remembered; twice as many at most.
-const REMEMBERED: usize = 1024;
+const CAPACITY: usize = 1024;
 
 /// One thing of each track.
 #[derive(Clone, Debug)]
-pub struct Recall<T> {
+pub struct RecentTracks<T> {
     /// By the tracks' numbers.
-    kept: Vec<Kept<T>>,
+    entries: Vec<Entry<T>>,
     /// Rings looked up so far.
     calls: u64,
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Kept<T> {
+struct Entry<T> {
     track: TrackNumber,
     /// The call that kept it last.
     call: u64,
-    what: T,
+    value: T,
 }
 
-impl<T> Recall<T> {
+impl<T> RecentTracks<T> {
     /// With room for all that it may come to keep.
     pub fn new() -> Self {
-        Self { kept: Vec::with_capacity(2 * REMEMBERED), calls: 0 }
+        Self { entries: Vec::with_capacity(2 * CAPACITY), calls: 0 }
     }
 
     /// What is kept of a track.
     pub fn of(&self, track: TrackNumber) -> Option<&T> {
-        self.place(track).ok().map(|index| &self.kept[index].what)
+        self.position(track).ok().map(|index| &self.entries[index].value)
     }
 
     /// What is kept of a track becomes this, if it is something.
     pub fn renew(&mut self, track: TrackNumber, next: Option<T>) {
         self.calls += 1;
-        let Some(what) = next else { return };
-        let kept = Kept { track, call: self.calls, what };
-        match self.place(track) {
-            Ok(index) => self.kept[index] = kept,
-            Err(index) => self.insert(index, kept),
+        let Some(value) = next else { return };
+        let entries = Entry { track, call: self.calls, value };
+        match self.position(track) {
+            Ok(index) => self.entries[index] = entries,
+            Err(index) => self.insert(index, entries),
         }
     }
 
-    fn place(&self, track: TrackNumber) -> Result<usize, usize> {
-        self.kept.binary_search_by_key(&track, |kept| kept.track)
+    fn position(&self, track: TrackNumber) -> Result<usize, usize> {
+        self.entries.binary_search_by_key(&track, |entries| entries.track)
     }
 
     /// Forgets all of them.
     pub fn clear(&mut self) {
-        self.kept.clear();
+        self.entries.clear();
     }
 
     /// Keeps a new track, at its place in the order of numbers, and never more than there is room for:
     /// each call keeps one, so that the last [`REMEMBERED`] calls' are no more than that.
-    fn insert(&mut self, index: usize, kept: Kept<T>) {
-        self.kept.insert(index, kept);
-        if self.kept.len() >= 2 * REMEMBERED {
-            let oldest = self.calls.saturating_sub(REMEMBERED as u64);
-            self.kept.retain(|kept| kept.call > oldest);
+    fn insert(&mut self, index: usize, entries: Entry<T>) {
+        self.entries.insert(index, entries);
+        if self.entries.len() >= 2 * CAPACITY {
+            let oldest = self.calls.saturating_sub(CAPACITY as u64);
+            self.entries.retain(|entries| entries.call > oldest);
         }
     }
 }
@@ -72,9 +72,9 @@ mod tests {
 
     #[test]
     fn who_stays_away_is_forgotten_and_who_is_seen_is_not() {
-        let mut recall = Recall::new();
-        let most = 4 * REMEMBERED as u64;
-        for number in 1..most {
+        let mut recall = RecentTracks::new();
+        let end = 4 * CAPACITY as u64;
+        for number in 1..end {
             for track in [0, number] {
                 let before = (track == 0 && number > 1).then(|| number - 1);
                 assert_eq!(recall.of(TrackNumber(track)), before.as_ref(), "{track}");
@@ -83,9 +83,9 @@ mod tests {
                 recall.renew(TrackNumber(track), None);
                 assert_eq!(recall.of(TrackNumber(track)), Some(&number));
             }
-            assert!(recall.kept.len() < 2 * REMEMBERED);
+            assert!(recall.entries.len() < 2 * CAPACITY);
         }
         assert_eq!(recall.of(TrackNumber(1)), None);
-        assert_eq!(recall.of(TrackNumber(most - 1)), Some(&(most - 1)));
+        assert_eq!(recall.of(TrackNumber(end - 1)), Some(&(end - 1)));
     }
 }

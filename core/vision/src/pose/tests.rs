@@ -185,7 +185,7 @@ fn stray(ellipse: &Ellipse, noise: &RimErrors<f64>, draw: &mut impl FnMut() -> f
 
 /// What became of many roundels of one size and a range of tilts.
 #[derive(Debug, Default)]
-struct Tally {
+struct Statistics {
     runs: usize,
     /// Whole error of the pose with the nearer normal within the 95 % ellipsoid of five dimensions.
     whole_inside: usize,
@@ -201,11 +201,16 @@ struct Tally {
     depth_normalized: f64,
 }
 
-fn tally(radius_px: f64, tilts_rad: std::ops::Range<f64>, runs: usize, noise: &RimNoise) -> Tally {
+fn statistics(
+    radius_px: f64,
+    tilts_rad: std::ops::Range<f64>,
+    runs: usize,
+    noise: &RimNoise,
+) -> Statistics {
     let camera = camera(Lens::PlumbBob([-0.08, 0.02, 0.0003, -0.0004, 0.0]));
     let kind = kind();
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(7);
-    let mut tally = Tally { runs, ..Tally::default() };
+    let mut statistics = Statistics { runs, ..Statistics::default() };
     for _ in 0..runs {
         // Normals spread evenly over their part of the sphere.
         let cos = random.random_range(tilts_rad.end.cos()..tilts_rad.start.cos());
@@ -219,43 +224,46 @@ fn tally(radius_px: f64, tilts_rad: std::ops::Range<f64>, runs: usize, noise: &R
         let exact = ring(&camera, &position_m, &normal);
         let mut draw = || -> f64 { StandardNormal.sample(&mut random) };
         let disc_px = exact.inner.semi_minor_px;
-        let of_ring = noise.of_ring(&exact, disc_px, exact.outer.semi_minor_px - disc_px);
-        let outer = stray(&exact.outer, &of_ring.rims[0], &mut draw);
-        let inner = stray(&exact.inner, &of_ring.rims[1], &mut draw);
+        let for_ring = noise.for_ring(&exact, disc_px, exact.outer.semi_minor_px - disc_px);
+        let outer = stray(&exact.outer, &for_ring.rims[0], &mut draw);
+        let inner = stray(&exact.inner, &for_ring.rims[1], &mut draw);
         let found = Ring { outer, inner, ..exact };
         let reported = locate(&camera, &kind, &found, noise).unwrap();
         let off_m = position_m - reported.position_m;
         let spread = reported.covariance.fixed_view::<3, 3>(0, 0).into_owned();
-        tally.position_inside += usize::from(mahalanobis_squared(&off_m, &spread).unwrap() < 7.815);
+        statistics.position_inside +=
+            usize::from(mahalanobis_squared(&off_m, &spread).unwrap() < 7.815);
         let radii_m = [0.5 * kind.outer_diameter_m, 0.5 * kind.inner_diameter_m];
         let nearer = if reported.normal == reported.other_normal {
             reported
         } else {
             let off = |n: &Vector3<f64>| (n - normal).norm();
             let right = off(&reported.normal) <= off(&reported.other_normal);
-            tally.wrong += usize::from(!right);
-            tally.expected_wrong += 1.0 - reported.normal_likelihood;
-            let carried =
-                rim::projection::carry(&camera, &RingFound::new(&found, radii_m, of_ring).seen())
-                    .unwrap();
-            let Estimates { first, other, .. } = closed_form::estimate(&carried.rims).unwrap();
+            statistics.wrong += usize::from(!right);
+            statistics.expected_wrong += 1.0 - reported.normal_likelihood;
+            let projected = rim::projection::project(
+                &camera,
+                &RingMeasurement::new(&found, radii_m, for_ring).rim_pair(),
+            )
+            .unwrap();
+            let Estimates { first, other, .. } = closed_form::estimate(&projected.rims).unwrap();
             let alone = Estimates::alone(if right { first } else { other });
-            closed_form::finish(&carried.local_from_camera, &alone).pose(0)
+            closed_form::finish(&projected.local_from_camera, &alone).pose(0)
         };
         let off_m = position_m - nearer.position_m;
         let turn = nearer.normal.cross(&normal);
         let error = SVector::<f64, 6>::new(off_m.x, off_m.y, off_m.z, turn.x, turn.y, turn.z);
         // The turn has nothing about the normal, whose variance is therefore of no matter.
         let square = mahalanobis_squared(&error, &nearer.covariance).unwrap();
-        tally.whole_inside += usize::from(square < 11.07);
+        statistics.whole_inside += usize::from(square < 11.07);
         let axis = position_m.normalize();
         let depth = -off_m.dot(&axis) / distance_m;
-        tally.depth += depth;
-        tally.depth_squared += depth * depth;
+        statistics.depth += depth;
+        statistics.depth_squared += depth * depth;
         let stated = axis.dot(&(nearer.covariance.fixed_view::<3, 3>(0, 0) * axis));
-        tally.depth_normalized += (depth * distance_m).powi(2) / stated;
+        statistics.depth_normalized += (depth * distance_m).powi(2) / stated;
     }
-    tally
+    statistics
 }
 
 /// Both modes' honesty, from small to large, from face-on to steep, in the detector's noise and in
@@ -272,12 +280,13 @@ fn covariance_is_that_of_the_errors() {
     for (noise, radii_px) in cases {
         for &radius_px in radii_px {
             for tilts in [0.0..0.01, 0.0..5.0, 5.0..15.0, 15.0..30.0, 30.0..50.0, 50.0..60.0] {
-                let tally = tally(radius_px, degrees(tilts.clone()), 800, &noise);
-                let share = |count: f64| count / tally.runs as f64;
-                let (bias, rms) = (share(tally.depth), share(tally.depth_squared).sqrt());
-                let whole = share(tally.whole_inside as f64);
-                let position = share(tally.position_inside as f64);
-                let (wrong, expected) = (share(tally.wrong as f64), share(tally.expected_wrong));
+                let statistics = statistics(radius_px, degrees(tilts.clone()), 800, &noise);
+                let share = |count: f64| count / statistics.runs as f64;
+                let (bias, rms) = (share(statistics.depth), share(statistics.depth_squared).sqrt());
+                let whole = share(statistics.whole_inside as f64);
+                let position = share(statistics.position_inside as f64);
+                let (wrong, expected) =
+                    (share(statistics.wrong as f64), share(statistics.expected_wrong));
                 let name = format!(
                     "{:.2} px, {radius_px:2} px, {:4.1}-{:4.1}°: {whole:.3} {position:.3}, \
                      {wrong:.3} ({expected:.3}), bias {:+.2} of rms {:.4} %, {:.2} of stated",
@@ -286,15 +295,15 @@ fn covariance_is_that_of_the_errors() {
                     tilts.end,
                     bias / rms,
                     100.0 * rms,
-                    share(tally.depth_normalized).sqrt(),
+                    share(statistics.depth_normalized).sqrt(),
                 );
                 println!("{name}");
                 // 800 runs stray by 0.8 points.
                 assert!((0.92..0.985).contains(&position), "{name}");
                 assert!(bias.abs() < rms / 3.0, "{name}");
                 // Exactly face-on, where the two hypotheses are least of a use, they miss the middle.
-                let least = if tilts.end > 1.0 { 0.92 } else { 0.89 };
-                assert!((least..0.985).contains(&whole), "{name}");
+                let minimum = if tilts.end > 1.0 { 0.92 } else { 0.89 };
+                assert!((minimum..0.985).contains(&whole), "{name}");
                 assert!(tilts.end < 1.0 || (wrong - expected).abs() < 0.05, "{name}");
             }
         }

@@ -25,8 +25,8 @@ use crate::{
     pose::{
         PoseError, RoundelPose,
         rim::{
-            projection::{self, Carried, Rim},
-            rim_pair::{RingFound, RingSeen},
+            projection::{self, ConeFrameRims, Rim},
+            rim_pair::{RimPair, RingMeasurement},
         },
     },
     rigid::{Covariance6, UNKNOWN_ANGLE_VARIANCE_RAD2},
@@ -42,7 +42,7 @@ pub const LANES: usize = 8;
 
 /// The numbers of a pose.
 #[derive(Clone, Copy)]
-pub struct Numbers<T> {
+pub struct PoseLanes<T> {
     position_m: Vec3<T>,
     normal: Vec3<T>,
     normal_likelihood: T,
@@ -51,7 +51,7 @@ pub struct Numbers<T> {
 }
 
 /// Of one ring.
-pub fn locate(camera: &Camera, found: &RingFound) -> Result<RoundelPose, PoseError> {
+pub fn locate(camera: &Camera, found: &RingMeasurement) -> Result<RoundelPose, PoseError> {
     dispatch!(Level::new(), simd => locate_with(simd, camera, found))
 }
 
@@ -59,16 +59,16 @@ pub fn locate(camera: &Camera, found: &RingFound) -> Result<RoundelPose, PoseErr
 fn locate_with<S: Simd>(
     simd: S,
     camera: &Camera,
-    found: &RingFound,
+    found: &RingMeasurement,
 ) -> Result<RoundelPose, PoseError> {
     let _ = simd;
-    fit(&projection::carry(camera, &found.seen())?)
+    fit(&projection::project(camera, &found.rim_pair())?)
 }
 
 /// Of each ring there is, as [`locate`] gives it; other places keep what they have.
 pub fn locate_each(
     camera: &Camera,
-    found: &[Option<RingFound>; LANES],
+    found: &[Option<RingMeasurement>; LANES],
     poses: &mut [Result<RoundelPose, PoseError>; LANES],
 ) {
     let mut rings =
@@ -79,9 +79,9 @@ pub fn locate_each(
         (Some((place, one)), None) => poses[place] = locate(camera, one),
         (Some((_, one)), Some(_)) => {
             let all = found.each_ref().map(|ring| ring.as_ref().unwrap_or(one));
-            let wanted = found.each_ref().map(Option::is_some);
+            let requested = found.each_ref().map(Option::is_some);
             dispatch!(Level::new(), simd => {
-                locate_each_with(simd, camera, &all, &wanted, poses)
+                locate_each_with(simd, camera, &all, &requested, poses)
             });
         }
     }
@@ -91,57 +91,57 @@ pub fn locate_each(
 fn locate_each_with<S: Simd>(
     simd: S,
     camera: &Camera,
-    found: &[&RingFound; LANES],
-    wanted: &[bool; LANES],
+    found: &[&RingMeasurement; LANES],
+    requested: &[bool; LANES],
     poses: &mut [Result<RoundelPose, PoseError>; LANES],
 ) {
-    let seen = RingSeen::gather(f64x8::simd_from(simd, 0.0), found);
-    let carried = projection::flat_closed(camera, &seen.rims).carry(&seen);
-    let (circles, is_circle) = Circle::both(&carried.rims[0]);
-    let is_upright = frontal::is_needed(&circles[0], &carried.rims);
-    let (estimates, once) = refine::refine_once(&circles, &carried.rims);
-    let numbers = finish(&carried.local_from_camera, &estimates);
-    let known = carried.known & is_circle & !is_upright & once;
-    for (lane, pose) in poses.iter_mut().enumerate().filter(|(lane, _)| wanted[*lane]) {
-        *pose = if known.is_set(lane) {
-            Ok(numbers.pose(lane))
-        } else if carried.known.is_set(lane) {
-            fit_alone(&carried.lane(lane))
+    let pair = RimPair::gather(f64x8::simd_from(simd, 0.0), found);
+    let projected = projection::flatten_by_series(camera, &pair.rims).project(&pair);
+    let (circles, is_circle) = Circle::both(&projected.rims[0]);
+    let is_upright = frontal::applies(&circles[0], &projected.rims);
+    let (estimates, single_step) = refine::refine_once(&circles, &projected.rims);
+    let lanes = finish(&projected.local_from_camera, &estimates);
+    let valid = projected.valid & is_circle & !is_upright & single_step;
+    for (lane, pose) in poses.iter_mut().enumerate().filter(|(lane, _)| requested[*lane]) {
+        *pose = if valid.is_set(lane) {
+            Ok(lanes.pose(lane))
+        } else if projected.valid.is_set(lane) {
+            fit_alone(&projected.lane(lane))
         } else {
             locate(camera, found[lane])
         };
     }
 }
 
-fn fit_alone(carried: &Carried<f64>) -> Result<RoundelPose, PoseError> {
-    dispatch!(Level::new(), simd => fit_with(simd, carried))
+fn fit_alone(projected: &ConeFrameRims<f64>) -> Result<RoundelPose, PoseError> {
+    dispatch!(Level::new(), simd => fit_with(simd, projected))
 }
 
 #[simd]
-fn fit_with<S: Simd>(simd: S, carried: &Carried<f64>) -> Result<RoundelPose, PoseError> {
+fn fit_with<S: Simd>(simd: S, projected: &ConeFrameRims<f64>) -> Result<RoundelPose, PoseError> {
     let _ = simd;
-    fit(carried)
+    fit(projected)
 }
 
 /// From where the likelier normal puts the centre to where the other one does, camera frame, metres.
-pub fn apart_m(camera: &Camera, found: &RingFound) -> Result<Vector3<f64>, PoseError> {
-    let carried = projection::carry(camera, &found.seen())?;
-    let Estimates { first, other, .. } = estimate(&carried.rims)?;
+pub fn other_offset_m(camera: &Camera, found: &RingMeasurement) -> Result<Vector3<f64>, PoseError> {
+    let projected = projection::project(camera, &found.rim_pair())?;
+    let Estimates { first, other, .. } = estimate(&projected.rims)?;
     let apart = other.circle.position_m() - first.circle.position_m();
-    Ok((carried.local_from_camera.transpose() * apart).into())
+    Ok((projected.local_from_camera.transpose() * apart).into())
 }
 
 /// From rims carried through the lens.
 #[inline(always)]
-fn fit(carried: &Carried<f64>) -> Result<RoundelPose, PoseError> {
-    Ok(finish(&carried.local_from_camera, &estimate(&carried.rims)?).pose(0))
+fn fit(projected: &ConeFrameRims<f64>) -> Result<RoundelPose, PoseError> {
+    Ok(finish(&projected.local_from_camera, &estimate(&projected.rims)?).pose(0))
 }
 
 /// Both circles, the likelier one first.
 #[inline(always)]
 pub fn estimate(rims: &[Rim<f64>; 2]) -> Result<Estimates<f64>, PoseError> {
     let (circles, true) = Circle::both(&rims[0]) else { return Err(PoseError::NoCircle) };
-    if frontal::is_needed(&circles[0], rims) {
+    if frontal::applies(&circles[0], rims) {
         return Ok(frontal::estimate(&circles[0], rims));
     }
     refine::refine(&circles, rims).ok_or(PoseError::NoCircle)
@@ -156,7 +156,7 @@ fn growth<T: Lane>(misfit: T) -> T {
 
 /// The first estimate in the camera frame, with what the other leaves in doubt.
 #[inline(always)]
-pub fn finish<T: Lane>(local_from_camera: &Mat3<T>, estimates: &Estimates<T>) -> Numbers<T> {
+pub fn finish<T: Lane>(local_from_camera: &Mat3<T>, estimates: &Estimates<T>) -> PoseLanes<T> {
     let Estimates { first, other, likelihood } = estimates;
     let camera_from_local = local_from_camera.transpose();
     let normal = camera_from_local * first.circle.normal();
@@ -175,7 +175,7 @@ pub fn finish<T: Lane>(local_from_camera: &Mat3<T>, estimates: &Estimates<T>) ->
             *own = *own + n[row] * n[column] * UNKNOWN_ANGLE_VARIANCE_RAD2;
         }
     }
-    Numbers {
+    PoseLanes {
         position_m: camera_from_local * position_m,
         normal,
         normal_likelihood: *likelihood,
@@ -196,8 +196,8 @@ fn covariance<T: Lane>(estimate: &Estimate<T>, camera_from_local: &Mat3<T>) -> [
     let growth = growth(estimate.misfit);
     let c = &estimate.covariance;
     // Rows of the five numbers' covariance, each carried to six.
-    let mut carried = [[growth; 6]; 5];
-    for (number, row) in carried.iter_mut().enumerate() {
+    let mut projected = [[growth; 6]; 5];
+    for (number, row) in projected.iter_mut().enumerate() {
         let c = c[number];
         for k in 0..3 {
             row[k] = growth * (c[0] * by[0][k] + c[1] * by[1][k] + c[2] * by[2][k]);
@@ -207,19 +207,19 @@ fn covariance<T: Lane>(estimate: &Estimate<T>, camera_from_local: &Mat3<T>) -> [
     let mut covariance = [[growth; 6]; 6];
     for row in 0..3 {
         for column in row..6 {
-            covariance[row][column] = by[0][row] * carried[0][column]
-                + by[1][row] * carried[1][column]
-                + by[2][row] * carried[2][column];
+            covariance[row][column] = by[0][row] * projected[0][column]
+                + by[1][row] * projected[1][column]
+                + by[2][row] * projected[2][column];
         }
         for column in row..3 {
             covariance[3 + row][3 + column] =
-                by[3][row] * carried[3][3 + column] + by[4][row] * carried[4][3 + column];
+                by[3][row] * projected[3][3 + column] + by[4][row] * projected[4][3 + column];
         }
     }
     covariance
 }
 
-impl<T: Lane> Numbers<T> {
+impl<T: Lane> PoseLanes<T> {
     /// In one lane.
     #[inline(always)]
     pub fn pose(&self, lane: usize) -> RoundelPose {

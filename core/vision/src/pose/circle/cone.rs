@@ -56,7 +56,7 @@ impl<T: Lane> Circle<T> {
         let per_both = (a2 * (b2 + 1.0)).under(1.0);
         let lean_squared = spread * 2.0 * per_both;
         let depth_m = rim.radius_m * ((a2 + 1.0) * per_both).root();
-        let lean = Self::held(minor_direction(x, y, spread) * lean_squared.root());
+        let lean = Self::clamped(minor_direction(x, y, spread) * lean_squared.root());
         let r2 = (rim.radius_m / depth_m).squared();
         let square = lean.square();
         // What puts the image's centre where it is: the axis may be off by rounding and less.
@@ -69,7 +69,7 @@ impl<T: Lane> Circle<T> {
 
     /// A lean, held at what a circle can have.
     #[inline(always)]
-    pub fn held(lean: Vec2<T>) -> Vec2<T> {
+    pub fn clamped(lean: Vec2<T>) -> Vec2<T> {
         let limit = lean.x.splat(MAX_LEAN_SQUARED);
         lean * (limit / lean.square().larger(limit)).root()
     }
@@ -83,14 +83,14 @@ impl<T: Lane> Circle<T> {
 
     /// z of the normal.
     #[inline(always)]
-    pub fn facing(&self) -> T {
+    pub fn normal_z(&self) -> T {
         -(-self.lean.square() + 1.0).root()
     }
 
     /// Unit normal facing the camera.
     #[inline(always)]
     pub fn normal(&self) -> Vec3<T> {
-        self.lean.push(self.facing())
+        self.lean.push(self.normal_z())
     }
 
     /// The circle moved by (α, ln d, w), and where it is then one in front of the camera.
@@ -108,17 +108,17 @@ impl<T: Lane> Circle<T> {
 
     /// A rim's five numbers as seen less those that this circle would give it.
     #[inline(always)]
-    pub fn compare(&self, rim: &Rim<T>) -> Harmonics<T> {
+    pub fn residuals(&self, rim: &Rim<T>) -> Harmonics<T> {
         let Self { aside, depth_m, lean } = *self;
         let r2 = (rim.radius_m / depth_m).squared();
         let per_squeeze = (-(r2 * lean.square()) + 1.0).under(1.0);
-        let center = (aside + lean * (r2 * self.facing())) * per_squeeze;
+        let center = (aside + lean * (r2 * self.normal_z())) * per_squeeze;
         let (a, w, c) = (aside, lean, center);
         let m11 = c.x * c.x - (a.x * a.x - r2 * (-(w.x * w.x) + 1.0)) * per_squeeze;
         let m12 = c.x * c.y - (a.x * a.y + r2 * (w.x * w.y)) * per_squeeze;
         let m22 = c.y * c.y - (a.y * a.y - r2 * (-(w.y * w.y) + 1.0)) * per_squeeze;
-        let seen = &rim.shape;
-        harmonics(rim, rim.center - center, [seen.m11 - m11, seen.m12 - m12, seen.m22 - m22])
+        let shape = &rim.shape;
+        harmonics(rim, rim.center - center, [shape.m11 - m11, shape.m12 - m12, shape.m22 - m22])
     }
 
     #[inline(always)]

@@ -32,8 +32,8 @@ use crate::{
         PoseError, RimNoise, RoundelPose,
         rim::{
             information::Information,
-            noise::{Known, RimErrors, RingNoise},
-            rim_pair::{RimSeen, RingFound},
+            noise::{DiscWeights, RimErrors, RingNoise},
+            rim_pair::{RimEllipse, RingMeasurement},
         },
         yaw,
     },
@@ -52,16 +52,17 @@ pub fn locate(
     ring: &Ring,
     noise: &RimNoise,
 ) -> Result<RoundelPose, PoseError> {
-    let round = rounded(kind, ring).ok_or(PoseError::NoCircle)?;
+    let round = with_round_disc(kind, ring).ok_or(PoseError::NoCircle)?;
     let outer_m = 0.5 * kind.outer_diameter_m;
     let radii_m = [outer_m, outer_m * kind.mean_ratio()];
-    let (least, most) = kind.ratios();
+    let (min_ratio, max_ratio) = kind.ratios();
     // The ends of the longer axis are washed out sooner than a circle's rim is.
-    let disc_px = ring.inner.semi_minor_px * (least / most).sqrt();
+    let disc_px = ring.inner.semi_minor_px * (min_ratio / max_ratio).sqrt();
     // There the black is narrowest, too.
-    let black_px = ring.outer.semi_minor_px * (1.0 - most);
-    let noise = RingNoise { disc: Known::size(), ..noise.of_ring(ring, disc_px, black_px) };
-    let mut pose = closed_form::locate(camera, &RingFound::new(&round, radii_m, noise))?;
+    let black_px = ring.outer.semi_minor_px * (1.0 - max_ratio);
+    let noise =
+        RingNoise { disc: DiscWeights::without_shape(), ..noise.for_ring(ring, disc_px, black_px) };
+    let mut pose = closed_form::locate(camera, &RingMeasurement::new(&round, radii_m, noise))?;
     let rays = DiscRays::new(camera, &ring.inner)
         .map_err(|source| PoseError::Lens { rim: "inner", source })?;
     let heading = rays.heading(&pose).ok_or(PoseError::NoCircle)?;
@@ -70,15 +71,15 @@ pub fn locate(
     pose.yaw_rad = Some(heading.yaw_rad);
     pose.yaw_symmetry = 2;
     let by_tilt = rays.by_tilt(&pose, &heading);
-    let deviation_rad = variance.sqrt().max(yaw::LEAST_DEVIATION_RAD);
+    let deviation_rad = variance.sqrt().max(yaw::MIN_DEVIATION_RAD);
     let still = Vector3::zeros();
     pose.covariance =
-        yaw::turned(&pose.covariance, &pose.normal, &still, &by_tilt, deviation_rad.powi(2));
+        yaw::with_yaw(&pose.covariance, &pose.normal, &still, &by_tilt, deviation_rad.powi(2));
     Ok(pose)
 }
 
 /// The ring with the round disc of the same area; `None` if its rims are no ellipses.
-fn rounded(kind: &Kind, ring: &Ring) -> Option<Ring> {
+fn with_round_disc(kind: &Kind, ring: &Ring) -> Option<Ring> {
     let (outer, inner) = (&ring.outer, &ring.inner);
     let full = |m: Symmetric2| Matrix2::new(m.uu, m.uv, m.uv, m.vv);
     let (o, i) = (full(outer.matrix()), full(inner.matrix()));
@@ -99,7 +100,7 @@ fn rounded(kind: &Kind, ring: &Ring) -> Option<Ring> {
 pub struct DiscRays([Vector3<f64>; POINTS]);
 
 /// Where the disc's longer axis points.
-pub struct Heading {
+pub struct DiscHeading {
     /// About the normal, in (-π/2, π/2].
     pub yaw_rad: f64,
     /// Unit, in the camera's frame.
@@ -113,7 +114,7 @@ impl DiscRays {
     pub fn new(camera: &Camera, inner: &Ellipse) -> Result<Self, crate::camera::LensError> {
         let (sin, cos) = inner.angle_rad.sin_cos();
         let mut rays = [Vector3::zeros(); POINTS];
-        for (ray, (cos_t, sin_t)) in rays.iter_mut().zip(turns()) {
+        for (ray, (cos_t, sin_t)) in rays.iter_mut().zip(phases()) {
             let (x, y) = (inner.semi_major_px * cos_t, inner.semi_minor_px * sin_t);
             *ray = camera.bearing(PixelPoint {
                 u: inner.center.u + x * cos - y * sin,
@@ -124,14 +125,14 @@ impl DiscRays {
     }
 
     /// The heading on a roundel of this pose; `None` if its plane is seen from the edge.
-    pub fn heading(&self, pose: &RoundelPose) -> Option<Heading> {
+    pub fn heading(&self, pose: &RoundelPose) -> Option<DiscHeading> {
         self.heading_on(&pose.position_m, &pose.normal)
     }
 
-    fn heading_on(&self, position_m: &Vector3<f64>, normal: &Vector3<f64>) -> Option<Heading> {
+    fn heading_on(&self, position_m: &Vector3<f64>, normal: &Vector3<f64>) -> Option<DiscHeading> {
         let height = normal.dot(position_m);
         let (mut a, mut b) = (Vector3::zeros(), Vector3::zeros());
-        for (ray, (cos_t, sin_t)) in self.0.iter().zip(turns()) {
+        for (ray, (cos_t, sin_t)) in self.0.iter().zip(phases()) {
             let along = height / normal.dot(ray);
             if !(along > 0.0 && along.is_finite()) {
                 return None;
@@ -150,13 +151,13 @@ impl DiscRays {
         let (_, _, yaw_rad) = shape.eigen();
         let axis = orientation * Vector3::new(yaw_rad.cos(), yaw_rad.sin(), 0.0);
         let phase_rad = 0.5 * (2.0 * p.dot(&q)).atan2(p.norm_squared() - q.norm_squared());
-        Some(Heading { yaw_rad, axis, phase_rad })
+        Some(DiscHeading { yaw_rad, axis, phase_rad })
     }
 
     /// g: how far an error of the normal turns the heading about it, beyond what it turns with it.
-    fn by_tilt(&self, pose: &RoundelPose, heading: &Heading) -> Vector3<f64> {
+    fn by_tilt(&self, pose: &RoundelPose, heading: &DiscHeading) -> Vector3<f64> {
         let normal = &pose.normal;
-        let turned = |about: &Vector3<f64>| {
+        let with_yaw = |about: &Vector3<f64>| {
             let turn = UnitQuaternion::from_scaled_axis(*about);
             let (normal, carried) = (turn * normal, turn * heading.axis);
             let found = self.heading_on(&pose.position_m, &normal)?.axis;
@@ -166,7 +167,7 @@ impl DiscRays {
         let mut by_tilt = Vector3::zeros();
         for about in [heading.axis, normal.cross(&heading.axis)] {
             if let (Some(there), Some(back)) =
-                (turned(&(about * STEP_RAD)), turned(&(about * -STEP_RAD)))
+                (with_yaw(&(about * STEP_RAD)), with_yaw(&(about * -STEP_RAD)))
             {
                 by_tilt += about * ((there - back) / (2.0 * STEP_RAD));
             }
@@ -175,23 +176,25 @@ impl DiscRays {
     }
 }
 
-impl Heading {
+impl DiscHeading {
     /// Variance from the errors of the disc's rim alone.
     fn variance_rad2(&self, kind: &Kind, inner: &Ellipse, noise: &RimErrors<f64>) -> Option<f64> {
-        let (known, true) = Information::of(&RimSeen::of(inner), noise) else { return None };
-        let turn = 1.0 / known.turn;
-        let elongation =
-            known.size / (known.size * known.elongation - known.size_and_elongation.powi(2));
+        let (information, true) = Information::of(&RimEllipse::of(inner), noise) else {
+            return None;
+        };
+        let turn = 1.0 / information.turn;
+        let elongation = information.size
+            / (information.size * information.elongation - information.size_and_elongation.powi(2));
         let (sin, cos) = (2.0 * self.phase_rad).sin_cos();
-        let (least, most) = kind.ratios();
-        let lever = 2.0 * least * most / (most * most - least * least);
+        let (min_ratio, max_ratio) = kind.ratios();
+        let lever = 2.0 * min_ratio * max_ratio / (max_ratio * max_ratio - min_ratio * min_ratio);
         // A harmonic's rms is its size over √2.
         Some(2.0 * lever * lever * (sin * sin * elongation + cos * cos * turn))
     }
 }
 
 /// cos t and sin t of the points.
-fn turns() -> impl Iterator<Item = (f64, f64)> {
+fn phases() -> impl Iterator<Item = (f64, f64)> {
     (0..POINTS).map(|point| {
         let (sin, cos) = (std::f64::consts::TAU * point as f64 / POINTS as f64).sin_cos();
         (cos, sin)

@@ -9,7 +9,7 @@ use nalgebra::{Matrix2, Vector2};
 
 use super::{
     cone::Circle,
-    motion_blur::{Covariance5, MISSED},
+    motion_blur::{Covariance5, MODEL_ERROR},
     refine::{Estimate, Estimates},
     tilt_posterior::{self, Evidence, Lean},
 };
@@ -56,9 +56,9 @@ impl<T: Lane> Weights<T> {
 /// Where the circle is tilted too little, and seen from too far, for Gauss and Newton. `about` is the outer
 /// rim's own circle.
 #[inline(always)]
-pub fn is_needed<T: Lane>(about: &Circle<T>, rims: &[Rim<T>; 2]) -> T::Mask {
+pub fn applies<T: Lane>(about: &Circle<T>, rims: &[Rim<T>; 2]) -> T::Mask {
     let weights = Weights::of(about, rims);
-    tilt_posterior::is_needed(about.lean.square(), weights.squared_sigma, weights.linear)
+    tilt_posterior::applies(about.lean.square(), weights.squared_sigma, weights.linear)
 }
 
 /// The one or two circles where that is so.
@@ -74,10 +74,10 @@ pub fn estimate(about: &Circle<f64>, rims: &[Rim<f64>; 2]) -> Estimates<f64> {
     let shapes = [0, 1].map(|k| Matrix2::from(rims[k].shape) / r2[k]);
     let squares = shapes.map(|m| Vector2::new(m.m22 - m.m11, -2.0 * m.m12));
     let outer = &rims[0];
-    let bent = outer.left_out * Matrix2::from(outer.shape).determinant();
-    let smear = Smeared::of(&squares, &weights, bent);
-    let squared = mean2(squares, &smear.weights);
-    let squared_sigma = smear.sigma;
+    let lens_part = outer.residual_shape * Matrix2::from(outer.shape).determinant();
+    let elongation = ElongationWeights::of(&squares, &weights, lens_part);
+    let squared = mean2(squares, &elongation.weights);
+    let squared_sigma = elongation.sigma;
     let size_weight = rims.map(|rim| rim.information.size);
     let sizes = shapes.map(|m| 0.25 * (m.m11 * m.m22 - m.m12 * m.m12).ln());
     let size = mean(sizes, &size_weight);
@@ -94,14 +94,14 @@ pub fn estimate(about: &Circle<f64>, rims: &[Rim<f64>; 2]) -> Estimates<f64> {
         let circle = Circle {
             aside: Vec2::new(aside.x, aside.y),
             depth_m: about.depth_m * (-size - 0.25 * lean.squared).exp(),
-            lean: Circle::held(Vec2::new(lean.mean.x, lean.mean.y)),
+            lean: Circle::clamped(Vec2::new(lean.mean.x, lean.mean.y)),
         };
         let covariance = covariance(lean, per_center, 1.0 / size_information, follow);
         // Five numbers are fitted, and the other five are left: the rims' differences of size and
         // elongation, and what the centres' distance says against this lean.
         let between = |weights: &[f64; 2]| weights[0] * weights[1] / (weights[0] + weights[1]);
         let misfit = between(&size_weight) * (sizes[0] - sizes[1]).powi(2)
-            + (squares[0] - squares[1]).norm_squared() / smear.apart
+            + (squares[0] - squares[1]).norm_squared() / elongation.apart
             + linear_information * (linear - lean.mean).norm_squared();
         Estimate { circle, covariance, misfit }
     };
@@ -114,7 +114,7 @@ pub fn estimate(about: &Circle<f64>, rims: &[Rim<f64>; 2]) -> Estimates<f64> {
 
 /// The elongations' weights with what motion within the exposure adds to both (`super::smear`): to w² of
 /// either rim ν over the square of its radius.
-struct Smeared {
+struct ElongationWeights {
     /// They add up to 1; one may be negative.
     weights: [f64; 2],
     /// What the mean strays by, and the variance of the difference, in either component.
@@ -122,9 +122,9 @@ struct Smeared {
     apart: f64,
 }
 
-impl Smeared {
+impl ElongationWeights {
     /// `bent`: of |ν̂|², what the lens explains.
-    fn of(squares: &[Vector2<f64>; 2], weights: &Weights<f64>, bent: f64) -> Self {
+    fn of(squares: &[Vector2<f64>; 2], weights: &Weights<f64>, lens_part: f64) -> Self {
         let sigma = weights.squared_sigma;
         // An elliptical disc's rim has no say.
         if weights.squared[1] <= 0.0 {
@@ -134,9 +134,10 @@ impl Smeared {
         let [by_outer, by_inner] = weights.r2.map(|r2| 1.0 / r2);
         let per_apart = 1.0 / (by_inner - by_outer).powi(2);
         let found = (squares[1] - squares[0]).norm_squared() * per_apart;
-        let prior = 0.5 * (found - bent).max(0.0);
-        let missed = MISSED * prior;
-        let (outer, inner) = (outer + missed * by_outer.powi(2), inner + missed * by_inner.powi(2));
+        let prior = 0.5 * (found - lens_part).max(0.0);
+        let model_error = MODEL_ERROR * prior;
+        let (outer, inner) =
+            (outer + model_error * by_outer.powi(2), inner + model_error * by_inner.powi(2));
         let both = prior * by_outer * by_inner;
         let (outer, inner) =
             (outer + prior * by_outer * by_outer, inner + prior * by_inner * by_inner);

@@ -13,7 +13,7 @@
 
 use super::{
     cone::{Circle, PER_ROOT},
-    motion_blur::{self, Covariance5, Smear},
+    motion_blur::{self, Covariance5, MotionBlur},
 };
 use crate::{
     lanes::{Lane, Mat2, Vec2, Vec3},
@@ -21,15 +21,15 @@ use crate::{
 };
 
 /// The normal matrix at a circle, in blocks of place (α, ln d) and lean, and what it is made of.
-pub struct Linear<T: Lane> {
-    pub rims: [LinearRim<T>; 2],
-    normal: Normal<T>,
-    pub smear: Smear<T>,
+pub struct Linearization<T: Lane> {
+    pub rims: [RimJacobian<T>; 2],
+    normal: NormalMatrix<T>,
+    pub blur: MotionBlur<T>,
 }
 
 /// A normal matrix.
 #[derive(Clone, Copy)]
-struct Normal<T> {
+struct NormalMatrix<T> {
     /// Its 11, 12, 13, 22, 23 and 33.
     place: [T; 6],
     between: [[T; 2]; 3],
@@ -39,7 +39,7 @@ struct Normal<T> {
 
 /// Derivatives of one rim's numbers.
 #[derive(Clone, Copy)]
-pub struct LinearRim<T: Lane> {
+pub struct RimJacobian<T: Lane> {
     /// Of the centre by ln d.
     by_depth: Vec2<T>,
     /// Of the centre by w.
@@ -47,22 +47,22 @@ pub struct LinearRim<T: Lane> {
     /// Of size, elongation and turn by either component of w.
     shape_by_lean: [Vec3<T>; 2],
     /// What it says of motion within the exposure.
-    smear: (Smear<T>, motion_blur::Weighted<T>),
+    blur: (MotionBlur<T>, motion_blur::Weighted<T>),
 }
 
-impl<T: Lane> Linear<T> {
+impl<T: Lane> Linearization<T> {
     #[inline(always)]
     pub fn of(circle: &Circle<T>, rims: &[Rim<T>; 2]) -> Self {
-        let linear = [LinearRim::of(circle, &rims[0]), LinearRim::of(circle, &rims[1])];
+        let linear = [RimJacobian::of(circle, &rims[0]), RimJacobian::of(circle, &rims[1])];
         let normal = linear[0].normal(&rims[0]).plus(&linear[1].normal(&rims[1]));
-        let smear = linear[0].smear.0.plus(&linear[1].smear.0);
-        Self { rims: linear, normal, smear }
+        let blur = linear[0].blur.0.plus(&linear[1].blur.0);
+        Self { rims: linear, normal, blur }
     }
 
     /// The inverse, by the complement of the place, and where the matrix is positive definite.
     #[inline(always)]
     pub fn covariance(&self) -> (Covariance5<T>, T::Mask) {
-        let Normal { place, between: b, lean } = &self.normal;
+        let NormalMatrix { place, between: b, lean } = &self.normal;
         let (place, place_valid) = inverse3(place);
         let mut follow = *b;
         for row in 0..3 {
@@ -99,7 +99,7 @@ impl<T: Lane> Linear<T> {
     }
 }
 
-impl<T: Lane> Normal<T> {
+impl<T: Lane> NormalMatrix<T> {
     #[inline(always)]
     fn plus(mut self, other: &Self) -> Self {
         for k in 0..6 {
@@ -115,13 +115,13 @@ impl<T: Lane> Normal<T> {
     }
 }
 
-impl<T: Lane> LinearRim<T> {
+impl<T: Lane> RimJacobian<T> {
     #[inline(always)]
     fn of(circle: &Circle<T>, rim: &Rim<T>) -> Self {
         let r2 = (rim.radius_m / circle.depth_m).squared();
-        let (w, facing, i) = (circle.lean, circle.facing(), &rim.inverse);
-        let bend = -r2 / facing;
-        let level = r2 * facing;
+        let (w, normal_z, i) = (circle.lean, circle.normal_z(), &rim.inverse);
+        let bend = -r2 / normal_z;
+        let level = r2 * normal_z;
         let mixed = bend * w.x * w.y;
         let by_lean = Mat2::new(level + bend * w.x * w.x, mixed, mixed, level + bend * w.y * w.y);
         let v = *i * w * r2;
@@ -135,13 +135,13 @@ impl<T: Lane> LinearRim<T> {
                 n12 * (0.5 * PER_ROOT),
             );
         }
-        let smear = Smear::of(rim, &shape_by_lean);
-        Self { by_depth: w * (level * -2.0), by_lean, shape_by_lean, smear }
+        let blur = MotionBlur::of(rim, &shape_by_lean);
+        Self { by_depth: w * (level * -2.0), by_lean, shape_by_lean, blur }
     }
 
     /// This rim's part of Σ Jᵀ W J.
     #[inline(always)]
-    fn normal(&self, rim: &Rim<T>) -> Normal<T> {
+    fn normal(&self, rim: &Rim<T>) -> NormalMatrix<T> {
         let (w, i) = (&rim.information, &rim.inverse);
         // Information about the centre in the plane.
         let (along, across) = (w.along * 0.5, w.across * 0.5);
@@ -162,7 +162,7 @@ impl<T: Lane> LinearRim<T> {
             );
         }
         let [first, second] = weighted;
-        Normal {
+        NormalMatrix {
             place: [p11, p12, by_depth.x, p22, by_depth.y, self.by_depth.dot(by_depth) + w.size],
             between: [
                 [pt1.x, pt2.x],
@@ -179,8 +179,8 @@ impl<T: Lane> LinearRim<T> {
 
     /// This rim's part of Σ Jᵀ W h, of Σ sᵀ W h and of Σ hᵀ W h.
     #[inline(always)]
-    pub fn pull(&self, circle: &Circle<T>, rim: &Rim<T>, sign: f64) -> ([T; 5], [T; 2], T) {
-        let left = circle.compare(rim);
+    pub fn gradient(&self, circle: &Circle<T>, rim: &Rim<T>, sign: f64) -> ([T; 5], [T; 2], T) {
+        let left = circle.residuals(rim);
         let weighted = rim.information.times(&left);
         let square = left[0] * weighted[0]
             + left[1] * weighted[1]
@@ -189,22 +189,22 @@ impl<T: Lane> LinearRim<T> {
             + left[4] * weighted[4];
         // The centre's part, in the plane, and the shape's.
         let i = &rim.inverse;
-        let pull = Vec2::new(
+        let gradient = Vec2::new(
             (i.m11 * weighted[1] + i.m21 * weighted[2]) * PER_ROOT,
             (i.m12 * weighted[1] + i.m22 * weighted[2]) * PER_ROOT,
         );
         let [t1, t2] = self.by_lean.columns();
         let shape = Vec3::new(weighted[0], weighted[3], weighted[4]) * square.splat(sign);
         let right = [
-            pull.x,
-            pull.y,
-            self.by_depth.dot(pull) * sign - weighted[0],
-            t1.dot(pull) + shape.dot(self.shape_by_lean[0]),
-            t2.dot(pull) + shape.dot(self.shape_by_lean[1]),
+            gradient.x,
+            gradient.y,
+            self.by_depth.dot(gradient) * sign - weighted[0],
+            t1.dot(gradient) + shape.dot(self.shape_by_lean[0]),
+            t2.dot(gradient) + shape.dot(self.shape_by_lean[1]),
         ];
         let shape = Vec3::new(left[0], left[3], left[4]);
-        let smeared = [shape.dot(self.smear.1[0]), shape.dot(self.smear.1[1])];
-        (right, smeared, square)
+        let blur_gradient = [shape.dot(self.blur.1[0]), shape.dot(self.blur.1[1])];
+        (right, blur_gradient, square)
     }
 }
 

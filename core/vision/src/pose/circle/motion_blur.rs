@@ -34,11 +34,11 @@ use crate::{
 };
 
 /// What is missed of ν, squared and as a share, in variances.
-pub const MISSED: f64 = 0.05;
+pub const MODEL_ERROR: f64 = 0.05;
 /// ν is free where its information's determinant is more than this share of what it would be with the pose known.
-const TOLD: f64 = 1e-5;
+const MIN_DETERMINANT_SHARE: f64 = 1e-5;
 /// What is more than a motion of so many pixels, of whose square |ν| is a sixth, is none.
-const MOST_PX: f64 = 8.0;
+const MAX_MOTION_PX: f64 = 8.0;
 
 /// Over the pose's (α, ln d, w).
 pub type Covariance5<T> = [[T; 5]; 5];
@@ -48,7 +48,7 @@ pub type Weighted<T> = [Vec3<T>; 2];
 
 /// What both rims say of ν together.
 #[derive(Clone, Copy)]
-pub struct Smear<T: Lane> {
+pub struct MotionBlur<T: Lane> {
     /// Σ sᵀ W s: its 11, 12 and 22.
     own: [T; 3],
     /// u, of ln d and w.
@@ -56,9 +56,9 @@ pub struct Smear<T: Lane> {
     /// Pixels² in the unit of ν, of the outer rim.
     scale_px2: T,
     /// |ν̂|² that its bending by the lens explains.
-    bent: T,
+    lens_part: T,
     /// Where a rim has a shape of its own: that of an elliptical disc says nothing.
-    known: T::Mask,
+    has_shape: T::Mask,
 }
 
 /// s of a rim: size, elongation and turn by either component of ν.
@@ -77,7 +77,7 @@ fn shape<T: Lane>(i: &Mat2<T>) -> [Vec3<T>; 2] {
     ]
 }
 
-impl<T: Lane> Smear<T> {
+impl<T: Lane> MotionBlur<T> {
     /// Of one rim, the outer one first, whose size, elongation and turn follow the lean so.
     #[inline(always)]
     pub fn of(rim: &Rim<T>, by_lean: &[Vec3<T>; 2]) -> (Self, Weighted<T>) {
@@ -100,13 +100,13 @@ impl<T: Lane> Smear<T> {
         let i = &rim.inverse;
         let scale_px2 = (i.m11 * i.m22 - i.m12 * i.m21).size() * rim.area_px2;
         let shape = &rim.shape;
-        let bent = rim.left_out * (shape.m11 * shape.m22 - shape.m12 * shape.m21);
-        (Self { own, with, scale_px2, bent, known: w.elongation.is_positive() }, weighted)
+        let lens_part = rim.residual_shape * (shape.m11 * shape.m22 - shape.m12 * shape.m21);
+        (Self { own, with, scale_px2, lens_part, has_shape: w.elongation.is_positive() }, weighted)
     }
 
     #[inline(always)]
     pub fn plus(mut self, other: &Self) -> Self {
-        self.known = self.known & other.known;
+        self.has_shape = self.has_shape & other.has_shape;
         for k in 0..3 {
             self.own[k] = self.own[k] + other.own[k];
             for j in 0..2 {
@@ -119,9 +119,9 @@ impl<T: Lane> Smear<T> {
     /// Puts a step right, at a circle (`sign` 1) or at its mirror image (-1); `pull` is Σ sᵀ W h. The misfit's
     /// fall.
     #[inline(always)]
-    pub fn free(
+    pub fn marginalize(
         &self,
-        pull: [T; 2],
+        gradient: [T; 2],
         sign: f64,
         change: &mut [T; 5],
         covariance: &mut Covariance5<T>,
@@ -135,16 +135,18 @@ impl<T: Lane> Smear<T> {
         let g11 = self.own[0] - dot(&one, &c_one);
         let g12 = self.own[1] - dot(&one, &c_two);
         let g22 = self.own[2] - dot(&two, &c_two);
-        let g = [pull[0] - dot(&one, change), pull[1] - dot(&two, change)];
+        let g = [gradient[0] - dot(&one, change), gradient[1] - dot(&two, change)];
         let determinant = g11 * g22 - g12 * g12;
         let per = determinant.under(1.0);
-        let found = [(g22 * g[0] - g12 * g[1]) * per, (g11 * g[1] - g12 * g[0]) * per];
-        let square = found[0] * found[0] + found[1] * found[1];
-        let most_px2 = MOST_PX * MOST_PX / 6.0;
-        let moves = (square * self.scale_px2.squared()).below(square.splat(most_px2 * most_px2));
-        let told = self.known & moves & (self.own[0] * self.own[2] * TOLD).below(determinant);
-        let nothing = square.splat(0.0);
-        let prior = T::choose(told, (square - self.bent).larger(nothing) * 0.5, nothing);
+        let estimate = [(g22 * g[0] - g12 * g[1]) * per, (g11 * g[1] - g12 * g[0]) * per];
+        let square = estimate[0] * estimate[0] + estimate[1] * estimate[1];
+        let max_px2 = MAX_MOTION_PX * MAX_MOTION_PX / 6.0;
+        let is_motion = (square * self.scale_px2.squared()).below(square.splat(max_px2 * max_px2));
+        let observable = self.has_shape
+            & is_motion
+            & (self.own[0] * self.own[2] * MIN_DETERMINANT_SHARE).below(determinant);
+        let zero = square.splat(0.0);
+        let prior = T::choose(observable, (square - self.lens_part).larger(zero) * 0.5, zero);
         // K = V (V G + 1)⁻¹, which is none where V is.
         let (a11, a12, a22) = (prior * g11 + 1.0, prior * g12, prior * g22 + 1.0);
         let by = prior * (a11 * a22 - a12 * a12).under(1.0);
@@ -159,10 +161,10 @@ impl<T: Lane> Smear<T> {
                 (covariance[row][column], covariance[column][row]) = (own, own);
             }
         }
-        let missed = prior * (g11 + g22) * (0.5 * MISSED) + 1.0;
+        let model_error = prior * (g11 + g22) * (0.5 * MODEL_ERROR) + 1.0;
         for row in covariance.iter_mut() {
             for value in row {
-                *value = *value * missed;
+                *value = *value * model_error;
             }
         }
         g[0] * k[0] + g[1] * k[1]
@@ -220,11 +222,11 @@ mod tests {
                 smeared(&rim_of(&camera, &position_m, &turn, [radius_m; 2]), [2.5 * cos, 2.5 * sin])
             };
             let ring = Ring::of_rims(rim(0.08), rim(0.032));
-            let found = locate(&camera, &kind, &ring, &RimNoise::default()).unwrap();
-            let off = [found.normal, found.other_normal].map(|n| n.angle(&normal));
+            let estimate = locate(&camera, &kind, &ring, &RimNoise::default()).unwrap();
+            let off = [estimate.normal, estimate.other_normal].map(|n| n.angle(&normal));
             assert!(off[0].min(off[1]) < 0.06, "{i}: {off:?}");
             let lean = |n: &nalgebra::Vector3<f64>| n.dot(&position_m.normalize()).powi(2);
-            let off = lean(&found.normal) - lean(&normal);
+            let off = lean(&estimate.normal) - lean(&normal);
             // The outer rim alone would say a hundredth of a square more or less.
             assert!(off.abs() < 3e-3, "{i}: {off}");
         }

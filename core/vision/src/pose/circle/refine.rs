@@ -16,7 +16,7 @@
 //! With the other lean, -w, only the terms of ln d with α and w change their sign: one normal matrix,
 //! and one inverse, serve both.
 
-use super::{cone::Circle, jacobian::Linear, motion_blur::Covariance5, tilt_posterior};
+use super::{cone::Circle, jacobian::Linearization, motion_blur::Covariance5, tilt_posterior};
 use crate::{
     lanes::{Lane, Vec2, Vec3},
     pose::rim::projection::Rim,
@@ -49,7 +49,7 @@ const LAST_STEP: f64 = 0.02;
 /// second one's lean is about the first one's reversed.
 #[inline(always)]
 pub fn refine(starts: &[Circle<f64>; 2], rims: &[Rim<f64>; 2]) -> Option<Estimates<f64>> {
-    let [first, second] = Step::both(starts, rims);
+    let [first, second] = GaussNewtonStep::both(starts, rims);
     match [first.finish(rims), second.finish(rims)] {
         [Some(a), Some(b)] => Some(Estimates::of(&a, &b)),
         // One of the two has left the space of circles in front of the camera: it is no candidate.
@@ -64,9 +64,9 @@ pub fn refine_once<T: Lane>(
     starts: &[Circle<T>; 2],
     rims: &[Rim<T>; 2],
 ) -> (Estimates<T>, T::Mask) {
-    let [a, b] = Step::both(starts, rims);
-    let known = a.valid & b.valid & a.is_last & b.is_last;
-    (Estimates::of(&a.estimate, &b.estimate), known)
+    let [a, b] = GaussNewtonStep::both(starts, rims);
+    let is_single_step = a.valid & b.valid & a.is_last & b.is_last;
+    (Estimates::of(&a.estimate, &b.estimate), is_single_step)
 }
 
 impl<T: Lane> Estimates<T> {
@@ -84,18 +84,18 @@ impl<T: Lane> Estimates<T> {
         let odds = ((first.misfit - other.misfit) * 0.5).exponential();
         let likelihood = (odds + 1.0).under(1.0);
         // Seen from near, perspective alone tells the tilt, and both starts end in one place.
-        let is_apart = tilt_posterior::are_apart(&first.lean(), &other.lean());
+        let are_two = tilt_posterior::are_distinct(&first.lean(), &other.lean());
         Self {
             first,
-            other: Estimate::choose(is_apart, &other, &first),
-            likelihood: T::choose(is_apart, likelihood, odds.splat(1.0)),
+            other: Estimate::choose(are_two, &other, &first),
+            likelihood: T::choose(are_two, likelihood, odds.splat(1.0)),
         }
     }
 }
 
 /// What a step of Gauss and Newton makes of a circle.
 #[derive(Clone, Copy)]
-struct Step<T: Lane> {
+struct GaussNewtonStep<T: Lane> {
     estimate: Estimate<T>,
     /// Where that is a circle in front of the camera.
     valid: T::Mask,
@@ -103,7 +103,7 @@ struct Step<T: Lane> {
     is_last: T::Mask,
 }
 
-impl Step<f64> {
+impl GaussNewtonStep<f64> {
     #[inline(always)]
     fn finish(self, rims: &[Rim<f64>; 2]) -> Option<Estimate<f64>> {
         let mut step = self;
@@ -112,20 +112,20 @@ impl Step<f64> {
                 break;
             }
             let circle = &step.estimate.circle;
-            let linear = Linear::of(circle, rims);
+            let linear = Linearization::of(circle, rims);
             let (covariance, valid) = linear.covariance();
-            step = Step::from(circle, rims, &linear, &covariance, 1.0);
+            step = GaussNewtonStep::from(circle, rims, &linear, &covariance, 1.0);
             step.valid &= valid;
         }
         step.valid.then_some(step.estimate)
     }
 }
 
-impl<T: Lane> Step<T> {
+impl<T: Lane> GaussNewtonStep<T> {
     /// From either circle.
     #[inline(always)]
     fn both(starts: &[Circle<T>; 2], rims: &[Rim<T>; 2]) -> [Self; 2] {
-        let linear = Linear::of(&starts[0], rims);
+        let linear = Linearization::of(&starts[0], rims);
         let (covariance, valid) = linear.covariance();
         let mirrored = mirrored(&covariance);
         let mut first = Self::from(&starts[0], rims, &linear, &covariance, 1.0);
@@ -139,16 +139,17 @@ impl<T: Lane> Step<T> {
     fn from(
         circle: &Circle<T>,
         rims: &[Rim<T>; 2],
-        linear: &Linear<T>,
+        linear: &Linearization<T>,
         covariance: &Covariance5<T>,
         sign: f64,
     ) -> Self {
-        let (mut right, mut smeared, mut square) = linear.rims[0].pull(circle, &rims[0], sign);
+        let (mut right, mut blur_gradient, mut square) =
+            linear.rims[0].gradient(circle, &rims[0], sign);
         let (right_inner, smeared_inner, square_inner) =
-            linear.rims[1].pull(circle, &rims[1], sign);
+            linear.rims[1].gradient(circle, &rims[1], sign);
         square = square + square_inner;
         for k in 0..2 {
-            smeared[k] = smeared[k] + smeared_inner[k];
+            blur_gradient[k] = blur_gradient[k] + smeared_inner[k];
         }
         for k in 0..5 {
             right[k] = right[k] + right_inner[k];
@@ -168,7 +169,7 @@ impl<T: Lane> Step<T> {
             + change[3] * right[3]
             + change[4] * right[4];
         let mut covariance = *covariance;
-        let fall = linear.smear.free(smeared, sign, &mut change, &mut covariance);
+        let fall = linear.blur.marginalize(blur_gradient, sign, &mut change, &mut covariance);
         let tilted = circle.lean.square();
         let (circle, valid) = circle.moved(&change);
         let turned = change[3] * change[3] + change[4] * change[4];

@@ -71,12 +71,12 @@ pub struct Leans {
 }
 
 /// The posterior's curvature, 4 s + λ, from which on it is Gaussian.
-const GAUSSIAN: f64 = 18.0;
+const GAUSSIAN_CURVATURE: f64 = 18.0;
 /// The share taken from the mean of |z|² at s = λ = 0, the s over which it dies out squared, and how λ
 /// lessens the one and widens the other.
-const UNBIASED: (f64, f64, f64) = (1.8, 2.2, 0.45);
+const BIAS_CORRECTION: (f64, f64, f64) = (1.8, 2.2, 0.45);
 /// Squared distance of two leans, in their common deviations, from which on they are two hypotheses.
-const APART: f64 = 16.0;
+const SEPARATION: f64 = 16.0;
 /// A half with less of the weight than this share is no hypothesis.
 const NEGLIGIBLE: f64 = 1e-4;
 /// The grid of z: columns, rows and their distance.
@@ -86,9 +86,9 @@ const STEP: f64 = 0.4;
 
 /// Where the posterior is no Gaussian: `squared` is |ê|.
 #[inline(always)]
-pub fn is_needed<T: Lane>(squared: T, squared_sigma: T, linear_information: T) -> T::Mask {
+pub fn applies<T: Lane>(squared: T, squared_sigma: T, linear_information: T) -> T::Mask {
     let curvature = squared * 4.0 + linear_information * squared_sigma * squared_sigma;
-    curvature.below(squared_sigma * GAUSSIAN)
+    curvature.below(squared_sigma * GAUSSIAN_CURVATURE)
 }
 
 /// Sums over one half of the grid.
@@ -118,20 +118,20 @@ pub fn leans(evidence: &Evidence) -> Leans {
     let turned =
         Vector2::new(along.dot(&linear), along.x * linear.y - along.y * linear.x) * (1.0 / root);
     let [left, right] = integrate(s, lambda, &turned);
-    let unbiased = {
-        let (share, dies, lessens) = UNBIASED;
-        let wide = 1.0 + lessens * lambda;
-        share / wide * (-s * s / (dies * wide)).exp()
+    let bias = {
+        let (share, decay, damping) = BIAS_CORRECTION;
+        let width = 1.0 + damping * lambda;
+        share / width * (-s * s / (decay * width)).exp()
     };
-    let lean = |half: &Half| half.lean(unbiased, root, &along);
+    let lean = |half: &Half| half.lean(bias, root, &along);
     let spread = |half: &Half| {
         let (mean, c) = half.moments();
         (Vec2::new(mean.x, mean.y), [c.m11, c.m12, c.m22])
     };
-    let is_apart = are_apart(&spread(&left), &spread(&right));
-    let least = left.weight.min(right.weight);
-    if !is_apart || least < NEGLIGIBLE * (left.weight + right.weight) {
-        return Leans { first: lean(&left.with(&right)), other: None, likelihood: 1.0 };
+    let are_two = are_distinct(&spread(&left), &spread(&right));
+    let smaller = left.weight.min(right.weight);
+    if !are_two || smaller < NEGLIGIBLE * (left.weight + right.weight) {
+        return Leans { first: lean(&left.plus(&right)), other: None, likelihood: 1.0 };
     }
     let (first, other) = if left.weight > right.weight { (left, right) } else { (right, left) };
     let likelihood = first.weight / (first.weight + other.weight);
@@ -140,11 +140,11 @@ pub fn leans(evidence: &Evidence) -> Leans {
 
 /// Where two leans, mean and covariance (its 11, 12 and 22) each, are two hypotheses rather than one broad one.
 #[inline(always)]
-pub fn are_apart<T: Lane>(one: &(Vec2<T>, [T; 3]), other: &(Vec2<T>, [T; 3])) -> T::Mask {
+pub fn are_distinct<T: Lane>(one: &(Vec2<T>, [T; 3]), other: &(Vec2<T>, [T; 3])) -> T::Mask {
     let apart = one.0 - other.0;
     let (s11, s12, s22) = (one.1[0] + other.1[0], one.1[1] + other.1[1], one.1[2] + other.1[2]);
     let across = s22 * apart.x * apart.x - s12 * apart.x * apart.y * 2.0 + s11 * apart.y * apart.y;
-    ((s11 * s22 - s12 * s12) * APART).below(across)
+    ((s11 * s22 - s12 * s12) * SEPARATION).below(across)
 }
 
 /// Sums of the posterior over the left and the right half of the grid.
@@ -152,7 +152,7 @@ pub fn are_apart<T: Lane>(one: &(Vec2<T>, [T; 3]), other: &(Vec2<T>, [T; 3])) ->
 fn integrate(s: f64, lambda: f64, at: &Vector2<f64>) -> [Half; 2] {
     let place = |k: usize, count: usize| (k as f64 - 0.5 * (count as f64 - 1.0)) * STEP;
     let mut exponents = [[0.0; COLUMNS]; ROWS];
-    let mut most = f64::NEG_INFINITY;
+    let mut max_exponent = f64::NEG_INFINITY;
     for (row, exponents) in exponents.iter_mut().enumerate() {
         let y = place(row, ROWS);
         for (column, exponent) in exponents.iter_mut().enumerate() {
@@ -160,7 +160,7 @@ fn integrate(s: f64, lambda: f64, at: &Vector2<f64>) -> [Half; 2] {
             let (real, imaginary) = (x * x - y * y - s, 2.0 * x * y);
             let (dx, dy) = (x - at.x, y - at.y);
             *exponent = -0.5 * (real * real + imaginary * imaginary + lambda * (dx * dx + dy * dy));
-            most = if *exponent > most { *exponent } else { most };
+            max_exponent = if *exponent > max_exponent { *exponent } else { max_exponent };
         }
     }
     let mut halves = [Half::default(); 2];
@@ -170,7 +170,7 @@ fn integrate(s: f64, lambda: f64, at: &Vector2<f64>) -> [Half; 2] {
             for column in 0..COLUMNS / 2 {
                 let column = side * (COLUMNS / 2) + column;
                 let x = place(column, COLUMNS);
-                let w = power(exponents[column] - most);
+                let w = fast_exp(exponents[column] - max_exponent);
                 let square = x * x + y * y;
                 half.weight += w;
                 half.x += w * x;
@@ -190,7 +190,7 @@ fn integrate(s: f64, lambda: f64, at: &Vector2<f64>) -> [Half; 2] {
 /// eˣ for x ≤ 0 as (1 + x/2¹⁰)^(2¹⁰): multiplications alone, so that a row is a few vector
 /// instructions; off by x²/2¹¹ of itself.
 #[inline(always)]
-fn power(x: f64) -> f64 {
+fn fast_exp(x: f64) -> f64 {
     let mut value = (1.0 + x * (1.0 / 1024.0)).max(0.0);
     for _ in 0..10 {
         value *= value;
@@ -215,7 +215,7 @@ pub fn half_angle(of: &Vector2<f64>, length: f64) -> Vector2<f64> {
 }
 
 impl Half {
-    fn with(&self, other: &Half) -> Half {
+    fn plus(&self, other: &Half) -> Half {
         Half {
             weight: self.weight + other.weight,
             x: self.x + other.x,
@@ -237,17 +237,17 @@ impl Half {
     }
 
     /// These moments as a lean.
-    fn lean(&self, unbiased: f64, root: f64, along: &Vector2<f64>) -> Lean {
+    fn lean(&self, bias: f64, root: f64, along: &Vector2<f64>) -> Lean {
         let (mean, covariance) = self.moments();
         let per_weight = 1.0 / self.weight.max(f64::MIN_POSITIVE);
         let square = (self.xx + self.yy) * per_weight;
         let cross = Vector2::new(self.cubic.0, self.cubic.1) * per_weight - mean * square;
-        let variance = self.quartic * per_weight - square * square + unbiased * unbiased;
+        let variance = self.quartic * per_weight - square * square + bias * bias;
         let turn = Matrix2::new(along.x, -along.y, along.y, along.x) * root;
         Lean {
             mean: turn * mean,
             covariance: turn * covariance * turn.transpose(),
-            squared: (square - unbiased) * root * root,
+            squared: (square - bias) * root * root,
             squared_variance: variance * root.powi(4),
             cross: turn * cross * (root * root),
         }

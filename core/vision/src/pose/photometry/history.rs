@@ -23,7 +23,7 @@ use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Vector2, Vector3};
 
-use super::{DEFAULT_BLUR_PX, Fit, RecalledProducts, Start, Teeth};
+use super::{DEFAULT_BLUR_PX, Fit, NormalEquationCache, Start, Teeth};
 use crate::{
     camera::PixelPoint,
     pose::{RoundelPose, yaw},
@@ -31,46 +31,46 @@ use crate::{
 
 /// What is kept of a ring.
 #[derive(Clone, Copy, Debug)]
-pub struct Memory {
+pub struct FitHistory {
     normal: Vector3<f64>,
     blur_px: f64,
     motion_px: Vector2<f64>,
     center: PixelPoint,
-    stillness: Stillness,
-    code: Option<Turning>,
-    recalled: Option<RecalledProducts>,
+    motion_test: MotionTest,
+    code: Option<TeethMotion>,
+    cache: Option<NormalEquationCache>,
 }
 
 /// How a coded ring is turned.
 #[derive(Clone, Copy, Debug)]
-struct Turning {
+struct TeethMotion {
     teeth: Teeth,
     yaw_rad: f64,
     /// Since the frame before.
     turned_rad: f64,
 }
 
-impl Memory {
+impl FitHistory {
     /// Of a fit from a start.
     pub fn of(fit: &Fit, start: &Start, before: Option<&Self>) -> Self {
-        let mut stillness = before.map_or(Stillness::default(), |before| before.stillness);
+        let mut motion_test = before.map_or(MotionTest::default(), |before| before.motion_test);
         let motion_px2 = fit.motion_px.norm_squared();
-        stillness.note(motion_px2, fit.motion_variance_px4, start.moved_px);
+        motion_test.update(motion_px2, fit.motion_variance_px4, start.moved_px);
         let code = fit.teeth.zip(fit.pose.yaw_rad).map(|(teeth, yaw_rad)| {
-            let carried_rad = before.and_then(|before| before.carried(&fit.pose));
-            let turned_rad =
-                carried_rad.map_or(0.0, |(_, carried_rad)| wrapped(yaw_rad - carried_rad));
-            Turning { teeth, yaw_rad, turned_rad }
+            let transferred_rad = before.and_then(|before| before.predicted_yaw(&fit.pose));
+            let turned_rad = transferred_rad
+                .map_or(0.0, |(_, transferred_rad)| wrap_angle(yaw_rad - transferred_rad));
+            TeethMotion { teeth, yaw_rad, turned_rad }
         });
         Self {
             normal: fit.pose.normal,
             blur_px: fit.blur_px,
             motion_px: fit.motion_px,
             center: fit.ring.outer.center,
-            stillness,
+            motion_test,
             code,
             // A fit that looked for motion gives none.
-            recalled: fit.recalled.or(start.recalled),
+            cache: fit.cache.or(start.cache),
         }
     }
 
@@ -80,21 +80,21 @@ impl Memory {
     }
 
     /// What it has of a code, with the yaw that a ring of this pose has if it has not turned.
-    fn carried(&self, pose: &RoundelPose) -> Option<(Turning, f64)> {
+    fn predicted_yaw(&self, pose: &RoundelPose) -> Option<(TeethMotion, f64)> {
         let code = self.code?;
         let before = yaw::axes(&self.normal, code.yaw_rad);
-        let axes = yaw::axes_for(&before, &pose.position_m, &pose.normal);
-        Some((code, yaw::of_axes_rad(&axes)))
+        let axes = yaw::axes_with_normal(&before, &pose.position_m, &pose.normal);
+        Some((code, yaw::from_axes_rad(&axes)))
     }
 }
 
 /// Into [-π, π).
-fn wrapped(angle_rad: f64) -> f64 {
+fn wrap_angle(angle_rad: f64) -> f64 {
     (angle_rad + PI).rem_euclid(TAU) - PI
 }
 
 /// Where a fit starts: of the rims' normals, from the one that the frame before says.
-pub fn start(pose: &RoundelPose, center: &PixelPoint, before: Option<&Memory>) -> Start {
+pub fn start(pose: &RoundelPose, center: &PixelPoint, before: Option<&FitHistory>) -> Start {
     let mut pose = pose.clone();
     let Some(before) = before else {
         return Start {
@@ -105,16 +105,16 @@ pub fn start(pose: &RoundelPose, center: &PixelPoint, before: Option<&Memory>) -
             is_still: false,
             skew: None,
             teeth: None,
-            recalled: None,
+            cache: None,
         };
     };
     if pose.other_normal.dot(&before.normal) > pose.normal.dot(&before.normal) {
         pose.yaw_rad = pose.other_yaw_rad();
         std::mem::swap(&mut pose.normal, &mut pose.other_normal);
     }
-    let code = before.carried(&pose);
-    if let Some((Turning { turned_rad, .. }, carried_rad)) = code {
-        pose.yaw_rad = Some(carried_rad + turned_rad);
+    let code = before.predicted_yaw(&pose);
+    if let Some((TeethMotion { turned_rad, .. }, transferred_rad)) = code {
+        pose.yaw_rad = Some(transferred_rad + turned_rad);
     }
     let moved_px = (center.u - before.center.u).hypot(center.v - before.center.v);
     Start {
@@ -122,58 +122,58 @@ pub fn start(pose: &RoundelPose, center: &PixelPoint, before: Option<&Memory>) -
         blur_px: before.blur_px,
         motion_px: before.motion_px,
         moved_px,
-        is_still: before.stillness.holds(moved_px),
+        is_still: before.motion_test.may_hold_still(moved_px),
         skew: None,
         teeth: code.map(|(code, _)| code.teeth),
-        recalled: before.recalled,
+        cache: before.cache,
     }
 }
 
 /// The mean of |μ|²/2v below which there is no motion.
-const NOTHING: f64 = 1.6;
+const STILL_RATIO: f64 = 1.6;
 /// Of so many fits, of which the last ones weigh more.
-const MEAN_OF: u8 = 4;
+const MEAN_COUNT: u8 = 4;
 /// After so many fits that held the motion the next one does not.
-const EVERY: u8 = 8;
+const MAX_HELD_FITS: u8 = 8;
 /// Motion that no fit would show, pixels: still of as much more, and …
-const UNSEEN_PX: f64 = 0.3;
+const INVISIBLE_PX: f64 = 0.3;
 /// … by this share faster than it was, a ring counts as moving no faster.
-const FASTER: f64 = 1.25;
+const SPEED_MARGIN: f64 = 1.25;
 
 /// What the fits of a ring have said of motion within the exposure.
 #[derive(Clone, Copy, Debug, Default)]
-struct Stillness {
+struct MotionTest {
     /// Mean of |μ|²/2v over fits with the motion free …
-    share: f64,
+    ratio: f64,
     /// … and of how many, up to [`MEAN_OF`].
     fits: u8,
     /// How far the ring had moved from frame to frame in the last of them, pixels.
     moved_px: f64,
     /// Fits since then.
-    held: u8,
+    held_fits: u8,
 }
 
-impl Stillness {
+impl MotionTest {
     /// Whether a fit may hold the motion of a ring that has moved so far.
-    fn holds(&self, moved_px: f64) -> bool {
+    fn may_hold_still(&self, moved_px: f64) -> bool {
         self.fits > 0
-            && self.share < NOTHING
-            && self.held < EVERY
-            && moved_px < FASTER * self.moved_px + UNSEEN_PX
+            && self.ratio < STILL_RATIO
+            && self.held_fits < MAX_HELD_FITS
+            && moved_px < SPEED_MARGIN * self.moved_px + INVISIBLE_PX
     }
 
     /// Takes a fit in: |μ| and v, if the motion was free.
-    fn note(&mut self, motion_px2: f64, variance_px4: Option<f64>, moved_px: f64) {
+    fn update(&mut self, motion_px2: f64, variance_px4: Option<f64>, moved_px: f64) {
         let Some(variance_px4) = variance_px4 else {
-            self.held = self.held.saturating_add(1);
+            self.held_fits = self.held_fits.saturating_add(1);
             return;
         };
-        let nothing_px4 = 2.0 * variance_px4 + UNSEEN_PX.powi(4);
-        self.fits = (self.fits + 1).min(MEAN_OF);
-        let share = motion_px2 * motion_px2 / nothing_px4;
-        self.share += (share - self.share) / f64::from(self.fits);
+        let still_px4 = 2.0 * variance_px4 + INVISIBLE_PX.powi(4);
+        self.fits = (self.fits + 1).min(MEAN_COUNT);
+        let ratio = motion_px2 * motion_px2 / still_px4;
+        self.ratio += (ratio - self.ratio) / f64::from(self.fits);
         self.moved_px = if moved_px.is_finite() { moved_px } else { 0.0 };
-        self.held = 0;
+        self.held_fits = 0;
     }
 }
 
@@ -184,13 +184,13 @@ mod tests {
     /// A ring that moves by 2 px from frame to frame, whose exposure begins to show motion in some frame.
     #[test]
     fn motion_is_looked_for_seldom_where_there_is_none_and_always_where_there_is() {
-        let (mut stillness, variance_px4) = (Stillness::default(), 0.04);
+        let (mut motion_test, variance_px4) = (MotionTest::default(), 0.04);
         let mut free_at = Vec::new();
         for frame in 0..60 {
-            let is_free = !stillness.holds(2.0);
+            let is_free = !motion_test.may_hold_still(2.0);
             // Noise, and from the 40th frame on motion of 1 px as well.
             let motion_px2 = if frame < 40 { 0.25 } else { 1.0 };
-            stillness.note(motion_px2, is_free.then_some(variance_px4), 2.0);
+            motion_test.update(motion_px2, is_free.then_some(variance_px4), 2.0);
             if is_free {
                 free_at.push(frame);
             }
@@ -198,17 +198,21 @@ mod tests {
         let before = free_at.iter().filter(|frame| **frame < 40).count();
         assert!(before < 8, "{free_at:?}");
         let noticed = free_at.iter().copied().find(|frame| *frame >= 40).unwrap();
-        assert!(noticed <= 40 + i32::from(EVERY), "{free_at:?}");
+        assert!(noticed <= 40 + i32::from(MAX_HELD_FITS), "{free_at:?}");
         assert!((noticed..60).all(|frame| free_at.contains(&frame)), "{free_at:?}");
     }
 
     #[test]
     fn what_moves_faster_than_before_is_free() {
-        let mut stillness = Stillness::default();
-        assert!(!stillness.holds(0.0));
-        stillness.note(0.0, Some(0.04), f64::INFINITY);
-        assert!(stillness.holds(0.2) && !stillness.holds(0.5));
-        stillness.note(0.0, Some(0.04), 2.0);
-        assert!(stillness.holds(2.2) && !stillness.holds(3.2) && !stillness.holds(f64::NAN));
+        let mut motion_test = MotionTest::default();
+        assert!(!motion_test.may_hold_still(0.0));
+        motion_test.update(0.0, Some(0.04), f64::INFINITY);
+        assert!(motion_test.may_hold_still(0.2) && !motion_test.may_hold_still(0.5));
+        motion_test.update(0.0, Some(0.04), 2.0);
+        assert!(
+            motion_test.may_hold_still(2.2)
+                && !motion_test.may_hold_still(3.2)
+                && !motion_test.may_hold_still(f64::NAN)
+        );
     }
 }

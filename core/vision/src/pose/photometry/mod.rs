@@ -70,11 +70,11 @@ use crate::{
     marker::{Kind, Pattern, Ring},
     pose::{RoundelPose, Skew, frame_along, yaw},
 };
-use hypotheses::{Placed, placed};
-use model::{blur_kernel::BLUR_LIMITS_PX, local_lens::LocalLens, motion, projection::Place};
+use hypotheses::{PoseEstimate, estimate_pose};
+use model::{blur_kernel::BLUR_LIMITS_PX, local_lens::LocalLens, motion, projection::PrintPose};
 pub use model::{blur_kernel::normal_distribution, teeth::Teeth};
 pub use scratch::FitScratch;
-pub use solver::normal_equation_cache::RecalledProducts;
+pub use solver::normal_equation_cache::NormalEquationCache;
 use solver::{
     solution,
     state::{Problem, State},
@@ -101,7 +101,7 @@ pub struct Start {
     /// pose has a yaw, right to a part of a slot.
     pub teeth: Option<Teeth>,
     /// What a fit of the same ring in an earlier frame gave to be recalled, which takes less time.
-    pub recalled: Option<RecalledProducts>,
+    pub cache: Option<NormalEquationCache>,
 }
 
 /// The blur to start from where nothing is known, pixels.
@@ -128,7 +128,7 @@ pub struct Fit {
     /// Iterations that were needed.
     pub iterations: usize,
     /// For fits in later frames.
-    pub recalled: Option<RecalledProducts>,
+    pub cache: Option<NormalEquationCache>,
 }
 
 /// Why a ring has no fitted pose.
@@ -147,27 +147,27 @@ pub enum FitError {
     Lens(#[from] LensError),
     /// The rims reach outside of what is looked at.
     #[error("expected rims near those that were found, the fit went elsewhere")]
-    Away,
+    OutOfWindow,
     /// No minimum was found in the steps there are.
     #[error("expected a start from which the fit settles, found one from which it does not")]
-    Restless,
+    NotConverged,
     /// The pixels do not tell the pose.
     #[error("expected pixels that tell a pose, found too few or too flat ones")]
-    Flat,
+    Uninformative,
     /// Too much of the rims is covered or otherwise not as printed.
     #[error("expected rims that agree with each other, found too many stretches that do not")]
-    Disturbed,
+    Obstructed,
 }
 
 /// How far outside the outer rim pixels count: pixels, and in blurs.
 const REACH: (f64, f64) = (3.0, 3.5);
 /// Besides half of the motion, of which this is the most, pixels.
-const MOST_MOTION_PX: f64 = 8.0;
+const MAX_MOTION_PX: f64 = 8.0;
 /// They end before the white margin does, which may be as narrow as this share of the outer semiaxis,
 /// less so many pixels for the blur of its own edge: what lies beyond is not in the model …
 const MARGIN: (f64, f64) = (0.3, 0.8);
 /// … but never nearer than this.
-const LEAST_REACH_PX: f64 = 0.6;
+const MIN_REACH_PX: f64 = 0.6;
 /// Nodes stand this many blurs apart.
 const SPACING: f64 = 1.45;
 /// The window is so much wider than the pixels that count, so that contours may move.
@@ -187,15 +187,15 @@ pub fn fit(
     if !(facing && range_m.is_finite() && ring.outer.is_valid() && start.blur_px.is_finite()) {
         return Err(FitError::Start);
     }
-    let mut is_presumed = false;
+    let mut teeth_are_predicted = false;
     let (heading_rad, teeth) = match kind.pattern {
         Pattern::Plain => (None, None),
         Pattern::Elliptical { .. } => (Some(start.pose.yaw_rad.ok_or(FitError::Pattern)?), None),
         Pattern::Coded(_) => {
-            let read = read(start, camera, ring);
+            let read_code = read_code(start, camera, ring);
             let (yaw_rad, teeth) =
-                read.or(start.pose.yaw_rad.zip(start.teeth)).ok_or(FitError::Pattern)?;
-            is_presumed = read.is_none();
+                read_code.or(start.pose.yaw_rad.zip(start.teeth)).ok_or(FitError::Pattern)?;
+            teeth_are_predicted = read_code.is_none();
             (Some(yaw_rad), Some(teeth))
         }
     };
@@ -207,59 +207,59 @@ pub fn fit(
     let with = (scratch.level, &scratch.plan);
     let lens = LocalLens::new(camera, local_from_camera, spread, skew, with)?;
     let blur_px = start.blur_px.clamp(BLUR_LIMITS_PX.0, BLUR_LIMITS_PX.1);
-    let margin_px = (MARGIN.0 * ring.outer.semi_minor_px - MARGIN.1).max(LEAST_REACH_PX);
-    let most_px = if start.is_still { 0.0 } else { MOST_MOTION_PX };
-    let motion_px = start.motion_px.cap_magnitude(most_px);
+    let margin_px = (MARGIN.0 * ring.outer.semi_minor_px - MARGIN.1).max(MIN_REACH_PX);
+    let max_px = if start.is_still { 0.0 } else { MAX_MOTION_PX };
+    let motion_px = start.motion_px.cap_magnitude(max_px);
     let reach_px = (REACH.0.max(REACH.1 * blur_px) + 0.5 * motion_px.norm()).min(margin_px);
     let counted = ring.outer.grown(reach_px);
     let chords = Chords::new(&counted);
-    scratch.window.lay(window_of(&counted), (scratch.level, frame), &chords);
+    scratch.window.set_region(window_of(&counted), (scratch.level, frame), &chords);
     let motion_prior = motion::prior(start.moved_px);
     let is_still = start.is_still;
     let problem = Problem {
         frame,
         kind,
         teeth,
-        is_presumed,
+        teeth_are_predicted,
         radius_m,
         lens: &lens,
         chords,
         motion_prior,
         is_still,
-        recalled: start.recalled.as_ref(),
+        cache: start.cache.as_ref(),
     };
     let normal = &start.pose.normal;
     let axes = match heading_rad {
         None => axes_of(&(local_from_camera * normal).normalize()),
         Some(yaw_rad) => local_from_camera * yaw::axes(normal, yaw_rad),
     };
-    let place = Place { position_m: Vector3::new(0.0, 0.0, range_m), axes };
+    let place = PrintPose { position_m: Vector3::new(0.0, 0.0, range_m), axes };
     let first = State::new(place, ring, blur_px, &motion_px);
     let deviation_rad = heading_rad.map(|_| yaw::deviation_rad(&start.pose));
-    let placed = placed(&problem, first, deviation_rad, &counted, scratch)?;
-    let fit = finish(&problem, ring, &placed, scratch);
+    let estimate_pose = estimate_pose(&problem, first, deviation_rad, &counted, scratch)?;
+    let fit = finish(&problem, ring, &estimate_pose, scratch);
     match problem.teeth {
-        Some(teeth) if is_presumed && !fit.tells(teeth) => Err(FitError::Flat),
+        Some(teeth) if teeth_are_predicted && !fit.resolves(teeth) => Err(FitError::Uninformative),
         _ => Ok(fit),
     }
 }
 
 /// Teeth that are not read are seen where the yaw's deviation is no more than this share of a slot: else the
 /// fit may as well have settled at other ones.
-const SEEN_SHARE: f64 = 1.0 / 6.0;
+const MAX_YAW_SHARE: f64 = 1.0 / 6.0;
 
 impl Fit {
     /// Whether the pixels tell how these teeth are turned.
-    fn tells(&self, teeth: Teeth) -> bool {
+    fn resolves(&self, teeth: Teeth) -> bool {
         let slot_rad = std::f64::consts::PI / f64::from(teeth.bits);
-        yaw::deviation_rad(&self.pose) < SEEN_SHARE * slot_rad
+        yaw::deviation_rad(&self.pose) < MAX_YAW_SHARE * slot_rad
     }
 }
 
 /// The yaw and the teeth that a reading gives a start.
-fn read(start: &Start, camera: &Camera, ring: &Ring) -> Option<(f64, Teeth)> {
-    let seen = ring.code?;
-    let reading = start.skew.map_or(seen, |skew| skew.code(&seen));
+fn read_code(start: &Start, camera: &Camera, ring: &Ring) -> Option<(f64, Teeth)> {
+    let observed = ring.code?;
+    let reading = start.skew.map_or(observed, |skew| skew.code(&observed));
     let mut turned = start.pose.clone();
     yaw::add(&mut turned, camera, &reading);
     Some((turned.yaw_rad?, Teeth { bits: reading.code.bits, word: reading.word? }))
@@ -282,25 +282,30 @@ fn axes_of(normal: &Vector3<f64>) -> Matrix3<f64> {
 }
 
 /// A fit in the camera's frame.
-fn finish(problem: &Problem, ring: &Ring, placed: &Placed, scratch: &mut FitScratch) -> Fit {
-    let state = &placed.state;
+fn finish(
+    problem: &Problem,
+    ring: &Ring,
+    estimate_pose: &PoseEstimate,
+    scratch: &mut FitScratch,
+) -> Fit {
+    let state = &estimate_pose.state;
     let camera_from_local = problem.lens.local_from_camera.transpose();
-    let mut covariance = placed.covariance;
+    let mut covariance = estimate_pose.covariance;
     // The two normals put the centre at slightly different places, and which is right is not known.
-    let apart = camera_from_local * placed.apart_m;
+    let apart = camera_from_local * estimate_pose.other_offset_m;
     let mut position = covariance.fixed_view_mut::<3, 3>(0, 0);
-    position += apart * apart.transpose() * (1.0 - placed.likelihood);
-    let axes = camera_from_local * state.place.axes;
+    position += apart * apart.transpose() * (1.0 - estimate_pose.likelihood);
+    let axes = camera_from_local * state.pose.axes;
     let (yaw_rad, yaw_symmetry) = match problem.kind.pattern {
         Pattern::Plain => (None, 1),
         Pattern::Elliptical { .. } => (Some(yaw::heading_rad(&axes)), 2),
-        Pattern::Coded(_) => (Some(yaw::of_axes_rad(&axes)), 1),
+        Pattern::Coded(_) => (Some(yaw::from_axes_rad(&axes)), 1),
     };
     let pose = RoundelPose {
-        position_m: camera_from_local * state.place.position_m,
+        position_m: camera_from_local * state.pose.position_m,
         normal: axes.column(2).into_owned(),
-        normal_likelihood: placed.likelihood,
-        other_normal: camera_from_local * placed.other_normal,
+        normal_likelihood: estimate_pose.likelihood,
+        other_normal: camera_from_local * estimate_pose.other_normal,
         yaw_rad,
         yaw_symmetry,
         covariance,
@@ -312,11 +317,11 @@ fn finish(problem: &Problem, ring: &Ring, placed: &Placed, scratch: &mut FitScra
         pose,
         ring,
         blur_px: state.blur2.sqrt(),
-        motion_px: motion::of_square(&state.motion2),
-        motion_variance_px4: placed.motion_variance,
-        noise: placed.noise2.sqrt(),
+        motion_px: motion::from_square(&state.motion2),
+        motion_variance_px4: estimate_pose.motion_variance,
+        noise: estimate_pose.noise2.sqrt(),
         teeth: problem.teeth,
-        iterations: placed.iterations,
-        recalled: placed.recalled,
+        iterations: estimate_pose.iterations,
+        cache: estimate_pose.cache,
     }
 }

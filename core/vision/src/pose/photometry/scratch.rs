@@ -4,10 +4,10 @@ use fearless_simd::Level;
 
 use super::{
     model::{
-        blur_kernel::Kernels, column_products::Sums, contour::Contours, local_lens::Plan,
-        projection::Nodes, window::Window,
+        blur_kernel::Kernels, column_products::ProductSums, contour::Contours,
+        local_lens::SamplingPlan, projection::Nodes, window::Window,
     },
-    robust::Careful,
+    robust::RobustScratch,
 };
 use crate::frame::Frame;
 
@@ -18,13 +18,13 @@ pub struct FitScratch {
     pub(super) level: Level,
     /// Of the frames that there is room for.
     pub(super) size: (usize, usize),
-    pub(super) plan: Plan,
+    pub(super) plan: SamplingPlan,
     pub(super) kernels: Kernels,
     pub(super) contours: Contours,
     pub(super) nodes: Nodes,
     pub(super) window: Window,
-    pub(super) sums: Sums,
-    pub(super) careful: Careful,
+    pub(super) sums: ProductSums,
+    pub(super) robust: RobustScratch,
 }
 
 impl Default for FitScratch {
@@ -32,19 +32,19 @@ impl Default for FitScratch {
         Self {
             level: Level::new(),
             size: (0, 0),
-            plan: Plan::default(),
+            plan: SamplingPlan::default(),
             kernels: Kernels::default(),
             contours: Contours::default(),
             nodes: Nodes::default(),
             window: Window::default(),
-            sums: Sums::default(),
-            careful: Careful::default(),
+            sums: ProductSums::default(),
+            robust: RobustScratch::default(),
         }
     }
 }
 
 /// By so many pixels the window of a ring as large as the frame may be wider than the frame.
-const BEYOND_PX: usize = 64;
+const MARGIN_PX: usize = 64;
 
 impl FitScratch {
     /// Room for what a frame can show. Memory that no ring comes to use is asked for, but not touched.
@@ -54,8 +54,8 @@ impl FitScratch {
             return;
         }
         self.size = size;
-        let (columns, rows) = (size.0 + BEYOND_PX, size.1 + BEYOND_PX);
+        let (columns, rows) = (size.0 + MARGIN_PX, size.1 + MARGIN_PX);
         self.window.make_room((columns, rows));
-        self.careful.make_room(columns * rows);
+        self.robust.make_room(columns * rows);
     }
 }

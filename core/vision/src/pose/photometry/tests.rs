@@ -1,7 +1,7 @@
 use fearless_simd::Level;
 
 use super::{
-    solver::{gauss_newton, mirror::glance},
+    solver::{gauss_newton, mirror::evaluate_mirrored},
     *,
 };
 use crate::{
@@ -38,7 +38,7 @@ fn picture(
     normal: &Vector3<f64>,
 ) -> Vec<u8> {
     let (outer, inner) = (0.5 * kind.outer_diameter_m, 0.5 * kind.inner_diameter_m);
-    picture_of(camera, position_m, normal, |place| !(inner..outer).contains(&place.norm()))
+    picture_of(camera, position_m, normal, |at| !(inner..outer).contains(&at.norm()))
 }
 
 /// The same of whatever is white in the plane, by the place from the middle.
@@ -71,7 +71,7 @@ fn start(camera: &Camera, kind: &Kind, ring: &Ring) -> Start {
         is_still: false,
         skew: None,
         teeth: None,
-        recalled: None,
+        cache: None,
     }
 }
 
@@ -185,31 +185,31 @@ fn the_mirrored_place_is_as_bad_as_it_promises() {
     .unwrap();
     let counted = ring.outer.grown(3.0);
     let chords = Chords::new(&counted);
-    scratch.window.lay(window_of(&counted), (scratch.level, &frame), &chords);
+    scratch.window.set_region(window_of(&counted), (scratch.level, &frame), &chords);
     let problem = Problem {
         frame: &frame,
         kind: &kind,
         teeth: None,
-        recalled: None,
+        cache: None,
         radius_m,
         lens: &lens,
         chords,
         motion_prior: 1.0,
         is_still: false,
-        is_presumed: false,
+        teeth_are_predicted: false,
     };
     let axes = axes_of(&(local_from_camera * first.pose.normal));
-    let place = Place { position_m: Vector3::z() * range_m, axes };
-    let state = State::new(place, &first.ring, first.blur_px, &first.motion_px);
+    let at = PrintPose { position_m: Vector3::z() * range_m, axes };
+    let state = State::new(at, &first.ring, first.blur_px, &first.motion_px);
     let solution = gauss_newton::solve(&problem, state, &mut scratch).unwrap();
-    let at = (&solution.linear, solution.noise2, None);
-    let promised = glance(&problem, &solution.state, at, &mut scratch).unwrap();
+    let at = (&solution.equations, solution.noise2, None);
+    let promised = evaluate_mirrored(&problem, &solution.state, at, &mut scratch).unwrap();
     let found = gauss_newton::solve(&problem, solution.state.mirrored(), &mut scratch).unwrap();
-    let (promised_m, found_m) = (promised.state.place.position_m, found.state.place.position_m);
+    let (promised_m, found_m) = (promised.state.pose.position_m, found.state.pose.position_m);
     let [promised, found] = [promised.misfit, found.misfit].map(|misfit| misfit - solution.misfit);
     assert!((promised / found - 1.0).abs() < 0.2, "{promised} {found}");
-    let apart_m = found_m - solution.state.place.position_m;
-    assert!((promised_m - found_m).norm() < 0.2 * apart_m.norm(), "{promised_m} {found_m}");
+    let other_offset_m = found_m - solution.state.pose.position_m;
+    assert!((promised_m - found_m).norm() < 0.2 * other_offset_m.norm(), "{promised_m} {found_m}");
 }
 
 /// Teeth, yaw and all, from a reading that is off by a third of a pixel.
@@ -226,8 +226,8 @@ fn a_coded_roundel_is_fitted_with_its_yaw() {
     let word = 0b0010_1101;
     let teeth = layout.teeth(word);
     let axes = yaw::axes(&normal, YAW_RAD);
-    let pixels = picture_of(&camera, &position_m, &normal, |place| {
-        let (x, y) = (axes.column(0).dot(&place), axes.column(1).dot(&place));
+    let pixels = picture_of(&camera, &position_m, &normal, |at| {
+        let (x, y) = (axes.column(0).dot(&at), axes.column(1).dot(&at));
         let (radius, angle_rad) = (x.hypot(y) / 0.08, y.atan2(x).rem_euclid(std::f64::consts::TAU));
         let in_tooth = teeth.iter().any(|t| t.from_rad <= angle_rad && angle_rad < t.to_rad);
         radius > 1.0 || radius < if in_tooth { 0.6 * CodeLayout::CORE_SHARE } else { 0.6 }
@@ -259,7 +259,7 @@ fn products_are_recalled_where_they_serve() {
     let start = Start { is_still: true, moved_px: 0.0, ..start(&camera, &kind, &ring) };
     let (position_m, normal) = (start.pose.position_m, start.pose.normal);
     let mut scratch = FitScratch::default();
-    let mut fit_at = |position_m: &Vector3<f64>, turn_rad: f64, blur_px, recalled| {
+    let mut fit_at = |position_m: &Vector3<f64>, turn_rad: f64, blur_px, cache| {
         let normal = nalgebra::Rotation3::new(Vector3::x() * turn_rad) * normal;
         let mut pixels = picture(&camera, &kind, position_m, &normal);
         // Mean 5 and deviation 3: without noise every step is far more than it.
@@ -270,27 +270,27 @@ fn products_are_recalled_where_they_serve() {
         // Right to a hundredth of a pixel, as rims are.
         let position_m = position_m * 1.0001;
         let pose = RoundelPose { position_m, normal, ..start.pose.clone() };
-        let start = Start { pose, blur_px, recalled, ..start.clone() };
+        let start = Start { pose, blur_px, cache, ..start.clone() };
         fit(&frame, &camera, &kind, &ring, &start, &mut scratch).unwrap()
     };
-    let Fit { recalled, blur_px, .. } = fit_at(&position_m, 0.0, DEFAULT_BLUR_PX, None);
-    assert!(recalled.is_some());
+    let Fit { cache, blur_px, .. } = fit_at(&position_m, 0.0, DEFAULT_BLUR_PX, None);
+    assert!(cache.is_some());
 
     let near_m = position_m + Vector3::new(1e-3, -6e-4, 2e-3);
-    let [anew, again] = [None, recalled].map(|recalled| fit_at(&near_m, 0.01, blur_px, recalled));
-    assert_eq!(again.recalled, recalled, "they stay those of the first frame");
-    assert_ne!(anew.recalled, recalled);
+    let [fresh, cached] = [None, cache].map(|cache| fit_at(&near_m, 0.01, blur_px, cache));
+    assert_eq!(cached.cache, cache, "they stay those of the first frame");
+    assert_ne!(fresh.cache, cache);
     let deviation = |fit: &Fit, axis: usize| fit.pose.covariance[(axis, axis)].sqrt();
     for axis in 0..3 {
-        let apart_m = (again.pose.position_m - anew.pose.position_m)[axis].abs();
-        assert!(apart_m < 0.1 * deviation(&anew, axis), "{axis}: {apart_m}");
-        let ratio = deviation(&again, axis) / deviation(&anew, axis);
+        let other_offset_m = (cached.pose.position_m - fresh.pose.position_m)[axis].abs();
+        assert!(other_offset_m < 0.1 * deviation(&fresh, axis), "{axis}: {other_offset_m}");
+        let ratio = deviation(&cached, axis) / deviation(&fresh, axis);
         assert!((ratio - 1.0).abs() < 0.05, "{axis}: {ratio}");
     }
 
     for (position_m, turn_rad) in [(position_m, 0.15), (position_m * 1.04, 0.0)] {
-        let [anew, again] =
-            [None, recalled].map(|recalled| fit_at(&position_m, turn_rad, blur_px, recalled));
-        assert_eq!(again, anew, "{turn_rad}");
+        let [fresh, cached] =
+            [None, cache].map(|cache| fit_at(&position_m, turn_rad, blur_px, cache));
+        assert_eq!(cached, fresh, "{turn_rad}");
     }
 }

@@ -7,8 +7,8 @@
 //! g cos 2t and g cos 4t are those over the eight points.
 
 use super::{
-    noise::{Known, RimErrors},
-    rim_pair::RimSeen,
+    noise::{DiscWeights, RimErrors},
+    rim_pair::RimEllipse,
 };
 use crate::lanes::Lane;
 
@@ -32,7 +32,7 @@ pub struct Information<T> {
 impl<T: Lane> Information<T> {
     /// Of a rim, and where there is one.
     #[inline(always)]
-    pub fn of(rim: &RimSeen<T>, noise: &RimErrors<T>) -> (Self, T::Mask) {
+    pub fn of(rim: &RimEllipse<T>, noise: &RimErrors<T>) -> (Self, T::Mask) {
         let (a, b) = (rim.semi_major_px, rim.semi_minor_px);
         let between = ((a * a + b * b) * 0.5).root();
         let (g0, g2, g4) =
@@ -64,18 +64,18 @@ impl<T: Lane> Information<T> {
             across: across.under(1.0),
             turn: turn.under(1.0),
         };
-        let known = determinant.is_positive()
+        let valid = determinant.is_positive()
             & along.is_positive()
             & across.is_positive()
             & turn.is_positive();
-        (information, known)
+        (information, valid)
     }
 
     /// What of it is left where not all numbers say something. Elongation and turn that say nothing take with
     /// them what they say of the size.
     #[inline(always)]
-    pub fn only(&self, known: &Known<T>) -> Self {
-        let Known { size: by_size, shape: by_shape } = *known;
+    pub fn weighted_by(&self, valid: &DiscWeights<T>) -> Self {
+        let DiscWeights { size: by_size, shape: by_shape } = *valid;
         let by_elongation = self.size_and_elongation.squared() / self.elongation;
         Self {
             size: (self.size - (-by_shape + 1.0) * by_elongation) * by_size,

@@ -10,8 +10,8 @@
 //! and the ellipse exact. What is left out is of the third order of P₂, by [`LEFT_OUT`].
 
 use super::{
-    projection::{COS, Flat, POINTS, SIN, line, plane_points},
-    rim_pair::RimSeen,
+    projection::{COS, POINTS, PlaneEllipse, SIN, linearized_lens, plane_points},
+    rim_pair::RimEllipse,
 };
 use crate::{
     camera::NearRays,
@@ -19,21 +19,21 @@ use crate::{
 };
 
 /// Turns, at most, in which the ellipse through the points is found …
-const TURNS: usize = 8;
+const MAX_ITERATIONS: usize = 8;
 /// … and what a turn that moves it by no more than this leaves is nothing: it gains two digits.
 const SETTLED: f64 = 1e-6;
 /// What the turns leave out of a rim's shape, in cubes of |P₂|: as much as rims under the strongest lenses have shown
 /// (`tests/golden.rs`), exact ones 1.3, those fitted to points 5.
-const LEFT_OUT: f64 = 5.0;
+const RESIDUAL_FACTOR: f64 = 5.0;
 
-impl Flat<f64> {
+impl PlaneEllipse<f64> {
     /// The ellipse through the images of a rim's points, the outer (0) or the inner one (1); `None` if
     /// one lies 90° or more from the frame's axis.
     #[inline(always)]
-    pub fn through(
+    pub fn fitted_through(
         near: &NearRays<f64, { 2 * POINTS }>,
         rim: usize,
-        seen: &[RimSeen<f64>; 2],
+        rims: &[RimEllipse<f64>; 2],
         base_from_camera: &Option<Mat3<f64>>,
     ) -> Option<Self> {
         let own = near.rays.map(|axis| std::array::from_fn(|i| axis[rim * POINTS + i]));
@@ -53,27 +53,27 @@ impl Flat<f64> {
             let v = inverse * (Vec2::new(x[i], y[i]) - center);
             (x[i], y[i]) = (v.x, v.y);
         }
-        let (middle, linear) = line(near, seen[0].center, &seen[rim], base_from_camera);
+        let (middle, linear) = linearized_lens(near, rims[0].center, &rims[rim], base_from_camera);
         let (middle, linear) = (inverse * (middle - center), inverse.times(linear));
         // dy/ds = P₁ + 2 P₂ + 3 P₃, with the even part y₀ + P₂ and the odd one P₁ + P₃.
         let (mut along_x, mut along_y) = ([0.0; POINTS], [0.0; POINTS]);
-        let mut bent = 0.0;
+        let mut bending = 0.0;
         for i in 0..POINTS {
             let opposite = (i + POINTS / 2) % POINTS;
             let (even, odd) = (0.5 * (x[i] + x[opposite]), 0.5 * (x[i] - x[opposite]));
             let first = linear.m11 * COS[i] + linear.m12 * SIN[i];
             along_x[i] = 3.0 * odd - 2.0 * first + 2.0 * (even - middle.x);
-            bent += (even - middle.x).powi(2);
+            bending += (even - middle.x).powi(2);
             let (even, odd) = (0.5 * (y[i] + y[opposite]), 0.5 * (y[i] - y[opposite]));
             let first = linear.m21 * COS[i] + linear.m22 * SIN[i];
             along_y[i] = 3.0 * odd - 2.0 * first + 2.0 * (even - middle.y);
-            bent += (even - middle.y).powi(2);
+            bending += (even - middle.y).powi(2);
         }
         // The unit circle's own ellipse: moved by `shift`, its points longer by the factor `grown`.
         let mut shift = Vec2::new(0.0, 0.0);
-        let mut grown = Mat2::new(1.0, 0.0, 0.0, 1.0);
-        for _ in 0..TURNS {
-            let (back, true) = grown.inverse() else { return None };
+        let mut growth = Mat2::new(1.0, 0.0, 0.0, 1.0);
+        for _ in 0..MAX_ITERATIONS {
+            let (back, true) = growth.inverse() else { return None };
             let mut q = [0.0; POINTS];
             for i in 0..POINTS {
                 let (dx, dy) = (x[i] - shift.x, y[i] - shift.y);
@@ -89,17 +89,22 @@ impl Flat<f64> {
             let (size, elongation, turn) =
                 (mean(&q, &ONE), 2.0 * mean(&q, &COS_2), 2.0 * mean(&q, &SIN_2));
             shift = shift + moved;
-            grown.m11 += size + elongation;
-            grown.m12 += turn;
-            grown.m21 += turn;
-            grown.m22 += size - elongation;
-            let most = moved.x.abs() + moved.y.abs() + size.abs() + elongation.abs() + turn.abs();
-            if most <= SETTLED {
+            growth.m11 += size + elongation;
+            growth.m12 += turn;
+            growth.m21 += turn;
+            growth.m22 += size - elongation;
+            let change = moved.x.abs() + moved.y.abs() + size.abs() + elongation.abs() + turn.abs();
+            if change <= SETTLED {
                 break;
             }
         }
-        let left_out = (bent / POINTS as f64).powi(3) * (LEFT_OUT * LEFT_OUT);
-        Some(Self { center: center + affine * shift, semiaxes: affine.times(grown), left_out })
+        let residual_shape =
+            (bending / POINTS as f64).powi(3) * (RESIDUAL_FACTOR * RESIDUAL_FACTOR);
+        Some(Self {
+            center: center + affine * shift,
+            semiaxes: affine.times(growth),
+            residual_shape,
+        })
     }
 }
 

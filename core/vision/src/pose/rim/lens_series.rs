@@ -22,8 +22,8 @@
 use std::ops::{Add, Mul, Sub};
 
 use super::{
-    projection::{Flat, POINTS},
-    rim_pair::RimSeen,
+    projection::{POINTS, PlaneEllipse},
+    rim_pair::RimEllipse,
 };
 use crate::lanes::{Lane, Mat2, Vec2};
 
@@ -56,7 +56,7 @@ struct Terms<T> {
 
 /// A lens near a rim.
 #[derive(Clone, Copy, Debug)]
-pub struct Bend<T> {
+pub struct LensSeries<T> {
     terms: Terms<T>,
     /// Image of the rim's centre in the plane …
     middle: Vec2<T>,
@@ -66,7 +66,7 @@ pub struct Bend<T> {
 
 /// An ellipse m + p w + r w̄, |w| = 1.
 #[derive(Clone, Copy, Debug)]
-struct Oval<T> {
+struct HarmonicEllipse<T> {
     m: Complex<T>,
     p: Complex<T>,
     r: Complex<T>,
@@ -140,7 +140,7 @@ impl<T: Lane> Mul for Complex<T> {
     }
 }
 
-impl<T: Lane> Bend<T> {
+impl<T: Lane> LensSeries<T> {
     /// From the images of the rim's eight points, of its centre and of its semiaxes by the derivative
     /// there, and where the lens bends it so little that the closed form holds.
     #[inline(always)]
@@ -160,34 +160,34 @@ impl<T: Lane> Bend<T> {
 
     /// The outer rim's ellipse.
     #[inline(always)]
-    pub fn outer(&self) -> Flat<T> {
+    pub fn outer(&self) -> PlaneEllipse<T> {
         let Terms { a, b, .. } = self.terms;
-        let (h0, h) = self.terms.second_order();
+        let (h0, h) = self.terms.ellipse_terms();
         let zero = h0.splat(0.0);
-        self.flat(&Oval { m: a.conj() + b, p: Complex::new(h0 + 1.0, zero), r: h })
+        self.flat(&HarmonicEllipse { m: a.conj() + b, p: Complex::new(h0 + 1.0, zero), r: h })
     }
 
     /// The ellipse of the inner rim, whose centre is so far from the outer one's, in units of the outer
     /// one's semiaxes and in their directions.
     #[inline(always)]
-    pub fn inner(&self, outer: &RimSeen<T>, inner: &RimSeen<T>) -> Flat<T> {
-        self.flat(&self.terms.carried(&place(outer, inner)))
+    pub fn inner(&self, outer: &RimEllipse<T>, inner: &RimEllipse<T>) -> PlaneEllipse<T> {
+        self.flat(&self.terms.image_of(&place(outer, inner)))
     }
 
     #[inline(always)]
-    fn flat(&self, oval: &Oval<T>) -> Flat<T> {
-        let Oval { m, p, r } = *oval;
+    fn flat(&self, ellipse: &HarmonicEllipse<T>) -> PlaneEllipse<T> {
+        let HarmonicEllipse { m, p, r } = *ellipse;
         let center = self.middle + self.semiaxes * Vec2::new(m.re, m.im);
         // At w = 1 and w = i.
         let (first, second) = (p + r, p - r);
         let own = Mat2::new(first.re, -second.im, first.im, second.re);
-        Flat { center, semiaxes: self.semiaxes.times(own), left_out: m.re.splat(0.0) }
+        PlaneEllipse { center, semiaxes: self.semiaxes.times(own), residual_shape: m.re.splat(0.0) }
     }
 }
 
 /// The inner rim where the outer one is the unit circle.
 #[inline(always)]
-fn place<T: Lane>(outer: &RimSeen<T>, inner: &RimSeen<T>) -> Oval<T> {
+fn place<T: Lane>(outer: &RimEllipse<T>, inner: &RimEllipse<T>) -> HarmonicEllipse<T> {
     let (per_a, per_b) = (outer.semi_major_px.under(1.0), outer.semi_minor_px.under(1.0));
     let unit =
         Mat2::new(outer.cos * per_a, outer.sin * per_a, -(outer.sin * per_b), outer.cos * per_b);
@@ -195,7 +195,7 @@ fn place<T: Lane>(outer: &RimSeen<T>, inner: &RimSeen<T>) -> Oval<T> {
     let m = Complex::of(unit * (inner.center - outer.center));
     let (major, minor) = (Complex::of(unit * major), Complex::of(unit * minor));
     let turned = Complex::new(-minor.im, minor.re);
-    Oval { m, p: (major - turned).times(0.5), r: (major + turned).times(0.5) }
+    HarmonicEllipse { m, p: (major - turned).times(0.5), r: (major + turned).times(0.5) }
 }
 
 /// Means of the odd orders: with cos kt and sin kt, k = 1 (`sign` 1) or 3 (-1).
@@ -237,7 +237,7 @@ impl<T: Lane> Terms<T> {
 
     /// h₀ and h.
     #[inline(always)]
-    fn second_order(&self) -> (T, Complex<T>) {
+    fn ellipse_terms(&self) -> (T, Complex<T>) {
         let Self { a, b, c, d, e, f, .. } = *self;
         let h0 = e.re + a.norm_sqr() - c.norm_sqr() * 0.75;
         (h0, d.conj() + f - (a * a).conj() - b.conj() * c - (a * c).times(2.0))
@@ -245,9 +245,9 @@ impl<T: Lane> Terms<T> {
 
     /// The image of an ellipse.
     #[inline(always)]
-    fn carried(&self, of: &Oval<T>) -> Oval<T> {
+    fn image_of(&self, of: &HarmonicEllipse<T>) -> HarmonicEllipse<T> {
         let Self { a, b, c, d, e, f, g } = *self;
-        let Oval { m: z, p: alpha, r: beta } = *of;
+        let HarmonicEllipse { m: z, p: alpha, r: beta } = *of;
         let m = z + a * z * z + b.scaled(z.norm_sqr()) + c * (z * z).conj();
         // The derivative there, of z and of z̄, but for z² times the cubic terms, and below the image of
         // w and of w̄ by it.
@@ -277,9 +277,9 @@ impl<T: Lane> Terms<T> {
             f: f * (alpha * alpha).conj(),
             g,
         };
-        let (h0, h) = own.second_order();
+        let (h0, h) = own.ellipse_terms();
         let shift = own.a.conj() + own.b;
-        Oval {
+        HarmonicEllipse {
             m: m + p * shift + r * shift.conj(),
             p: p.scaled(h0 + 1.0) + r * h.conj(),
             r: p * h + r.scaled(h0 + 1.0),
@@ -298,16 +298,16 @@ mod tests {
         ellipse::Ellipse,
         marker::Ring,
         pose::{
-            rim::projection::{flat_by_turns, flat_closed},
+            rim::projection::{flatten_by_iteration, flatten_by_series},
             tests::camera,
         },
     };
 
     /// The most that two ellipses differ by, as a share of the size.
-    fn off(one: &Flat<f64>, other: &Flat<f64>) -> f64 {
-        let semiaxes = |flat: &Flat<f64>| Matrix2::from(flat.semiaxes);
+    fn off(one: &PlaneEllipse<f64>, other: &PlaneEllipse<f64>) -> f64 {
+        let semiaxes = |flat: &PlaneEllipse<f64>| Matrix2::from(flat.semiaxes);
         let size = semiaxes(one).norm();
-        let shape = |flat: &Flat<f64>| semiaxes(flat) * semiaxes(flat).transpose();
+        let shape = |flat: &PlaneEllipse<f64>| semiaxes(flat) * semiaxes(flat).transpose();
         let moved = (one.center - other.center).square().sqrt() / size;
         moved.max((shape(one) - shape(other)).norm() / (size * size))
     }
@@ -335,14 +335,14 @@ mod tests {
                 };
                 let inner = rim(0.4, apart * radius_px * share, turned_rad * (1.0 - share));
                 let ring = Ring::of_rims(rim(1.0, 0.0, 0.0), inner);
-                let seen = [&ring.outer, &ring.inner].map(RimSeen::of);
-                let closed = flat_closed(&camera, &seen);
-                if !closed.known {
+                let rims = [&ring.outer, &ring.inner].map(RimEllipse::of);
+                let series = flatten_by_series(&camera, &rims);
+                if !series.valid {
                     continue;
                 }
-                let turns = flat_by_turns(&camera, &seen).unwrap();
-                for (closed, turns) in closed.flats.iter().zip(&turns.flats) {
-                    let off = off(closed, turns);
+                let iterated = flatten_by_iteration(&camera, &rims).unwrap();
+                for (series, iterated) in series.flats.iter().zip(&iterated.flats) {
+                    let off = off(series, iterated);
                     prop_assert!(off < 1e-5, "{lens:?}: {off}");
                 }
             }

@@ -7,9 +7,9 @@ use crate::{ellipse::Ellipse, marker::Ring};
 /// The unevenness that [`RimNoise`] is stated for …
 pub(crate) const CLEAN_UNEVENNESS: f64 = 0.011;
 /// … how much quieter and noisier a rim can be …
-const NOISE: (f64, f64) = (0.6, 3.0);
+const EDGE_NOISE_RANGE: (f64, f64) = (0.6, 3.0);
 /// … and the unevenness that noise and pixels alone come to: a share of the contrast, and grey levels.
-const QUIET: (f64, f64) = (0.02, 1.0);
+const NOISE_UNEVENNESS: (f64, f64) = (0.02, 1.0);
 /// Pixels that a rim's numbers are off for each unit of its unevenness; from rendered rings partly
 /// covered by their neighbours' sheets.
 const UNEVEN_PX: f64 = 4.0;
@@ -69,15 +69,15 @@ impl RimNoise {
     ///
     /// A black ring grown thin adds less: across 4 px of it errors are 1.6 times as large. The larger of the
     /// two counts, which at a ratio of diameters of 0.4 is the disc's, at 0.6 mostly the black's.
-    pub(crate) fn of_ring(&self, ring: &Ring, disc_px: f64, black_px: f64) -> RingNoise<f64> {
+    pub(crate) fn for_ring(&self, ring: &Ring, disc_px: f64, black_px: f64) -> RingNoise<f64> {
         if self.is_of_ring {
-            return RingNoise { rims: [self.as_stated(); 2], disc: Known::whole() };
+            return RingNoise { rims: [self.as_stated(); 2], disc: DiscWeights::all() };
         }
         let by_disc = (THIN_DISC_PX / disc_px).powi(6).min(MAX_GROWTH);
         let by_black = (THIN_BLACK_PX / black_px).powi(4).min(MAX_GROWTH_BY_BLACK);
         let growth = 1.0 + by_disc.max(by_black);
-        let rim = self.of_rim(ring, growth);
-        RingNoise { rims: [rim; 2], disc: Known::whole() }
+        let rim = self.for_rim(ring, growth);
+        RingNoise { rims: [rim; 2], disc: DiscWeights::all() }
     }
 
     fn as_stated(&self) -> RimErrors<f64> {
@@ -89,11 +89,11 @@ impl RimNoise {
     /// The outer rim's points are as many on a large rim as on a small one, so that more pixels of a large one
     /// are not seen. Of the disc's rim only the centre is left, its size being used up in compensation: told
     /// by as many gaps as there are bits, and where these were not read, by spokes.
-    pub(crate) fn of_coded(&self, ring: &Ring, bits: u8) -> RingNoise<f64> {
+    pub(crate) fn for_coded_ring(&self, ring: &Ring, bits: u8) -> RingNoise<f64> {
         let (outer, inner) = (&ring.outer, &ring.inner);
         let minor_px = outer.semi_minor_px;
         let growth = 1.0 + (CODED_PX / minor_px).powi(8).min(MAX_GROWTH);
-        let rim = self.of_rim(ring, growth);
+        let rim = self.for_rim(ring, growth);
         let thinned = |rim: &Ellipse, points: f64| {
             let radius_px = rim.semi_major_px.hypot(rim.semi_minor_px) * FRAC_1_SQRT_2;
             (TAU * radius_px / points).max(1.0).sqrt()
@@ -111,12 +111,12 @@ impl RimNoise {
             let off_px = SPOKES_PX * (1.0 + (FEW_SPOKES_PX / minor_px).powi(2));
             of_inner.uneven_px = off_px.hypot(rim.uneven_px);
         }
-        RingNoise { rims: [of_outer, of_inner], disc: Known::centre() }
+        RingNoise { rims: [of_outer, of_inner], disc: DiscWeights::center_only() }
     }
 
     /// Variance of either coordinate of the outer rim's centre, pixels²: of a circle's, by the same errors.
     pub(crate) fn center_variance_px2(&self, ring: &Ring, is_coded: bool) -> f64 {
-        let RimErrors { edge_px, floor_px, uneven_px } = self.of_rim(ring, 1.0);
+        let RimErrors { edge_px, floor_px, uneven_px } = self.for_rim(ring, 1.0);
         let center_px = if is_coded { CODED_CENTER_PX } else { CENTER_PX };
         let edge_px2 = edge_px * edge_px / (PI * ring.outer.mean_radius_px());
         edge_px2 + (0.25 * floor_px).powi(2) + 2.0 * uneven_px * uneven_px + center_px * center_px
@@ -126,13 +126,15 @@ impl RimNoise {
     ///
     /// What the levels along the rim stray is the image's noise, up to a point, and moves the rim's
     /// edge in proportion; beyond that the rim is partly another's, and all its numbers may be off.
-    fn of_rim(&self, ring: &Ring, growth: f64) -> RimErrors<f64> {
-        let quiet = QUIET.0 + QUIET.1 / (ring.white - ring.black).max(1.0);
-        let noise = (ring.unevenness.min(quiet) / CLEAN_UNEVENNESS).clamp(NOISE.0, NOISE.1);
+    fn for_rim(&self, ring: &Ring, growth: f64) -> RimErrors<f64> {
+        let noise_unevenness =
+            NOISE_UNEVENNESS.0 + NOISE_UNEVENNESS.1 / (ring.white - ring.black).max(1.0);
+        let noise = (ring.unevenness.min(noise_unevenness) / CLEAN_UNEVENNESS)
+            .clamp(EDGE_NOISE_RANGE.0, EDGE_NOISE_RANGE.1);
         RimErrors {
             edge_px: self.edge_px * growth * noise,
             floor_px: self.floor_px * growth,
-            uneven_px: UNEVEN_PX * (ring.unevenness - quiet).max(0.0),
+            uneven_px: UNEVEN_PX * (ring.unevenness - noise_unevenness).max(0.0),
         }
     }
 }
@@ -143,7 +145,7 @@ pub struct RingNoise<T> {
     /// Outer and inner.
     pub rims: [RimErrors<T>; 2],
     /// What the inner one says of the pose.
-    pub disc: Known<T>,
+    pub disc: DiscWeights<T>,
 }
 
 /// How far a rim strays.
@@ -159,25 +161,25 @@ pub struct RimErrors<T> {
 
 /// Which of a rim's numbers say something of the pose, besides its centre: 1 for those that do, else 0.
 #[derive(Clone, Copy, Debug)]
-pub struct Known<T> {
+pub struct DiscWeights<T> {
     pub size: T,
     /// Elongation and turn; never without the size.
     pub shape: T,
 }
 
-impl Known<f64> {
+impl DiscWeights<f64> {
     /// Of a circle.
-    pub fn whole() -> Self {
+    pub fn all() -> Self {
         Self { size: 1.0, shape: 1.0 }
     }
 
     /// Of what is no circle.
-    pub fn size() -> Self {
-        Self { shape: 0.0, ..Self::whole() }
+    pub fn without_shape() -> Self {
+        Self { shape: 0.0, ..Self::all() }
     }
 
     /// Of a circle whose shape is that of another one.
-    pub fn centre() -> Self {
+    pub fn center_only() -> Self {
         Self { size: 0.0, shape: 0.0 }
     }
 }

@@ -17,8 +17,8 @@
 
 use super::{
     information::Information,
-    lens_series::Bend,
-    rim_pair::{RimSeen, RingSeen},
+    lens_series::LensSeries,
+    rim_pair::{RimEllipse, RimPair},
 };
 use crate::{
     camera::{Camera, LensError, NearRays},
@@ -43,7 +43,7 @@ pub struct Rim<T> {
     /// Product of its semiaxes as seen, pixels².
     pub area_px2: T,
     /// Squared share of that by which its shape may be another, since a lens bends it.
-    pub left_out: T,
+    pub residual_shape: T,
     /// Of its five numbers.
     pub information: Information<T>,
 }
@@ -51,68 +51,70 @@ pub struct Rim<T> {
 /// Both rims in a frame whose z is the axis of the outer rim's cone, so that a circle of which the rim is an
 /// image lies on it up to its tilt.
 #[derive(Clone, Copy, Debug)]
-pub struct Carried<T: Lane> {
+pub struct ConeFrameRims<T: Lane> {
     pub local_from_camera: Mat3<T>,
     /// Outer and inner.
     pub rims: [Rim<T>; 2],
     /// Where they are ellipses there.
-    pub known: T::Mask,
+    pub valid: T::Mask,
 }
 
 /// Both rims in the plane z = 1 of a base frame.
 #[derive(Clone, Copy, Debug)]
-pub struct Flattened<T: Lane> {
+pub struct PlaneRims<T: Lane> {
     /// The base frame; `None` for the camera's own.
     pub base_from_camera: Option<Mat3<T>>,
     /// Outer and inner.
-    pub flats: [Flat<T>; 2],
+    pub flats: [PlaneEllipse<T>; 2],
     /// Where that holds.
-    pub known: T::Mask,
+    pub valid: T::Mask,
 }
 
 /// The rims through any lens.
 #[inline(always)]
-pub fn carry(camera: &Camera, seen: &RingSeen<f64>) -> Result<Carried<f64>, PoseError> {
-    let mut flattened = flat_closed(camera, &seen.rims);
-    if !flattened.known {
-        flattened = flat_by_turns(camera, &seen.rims)?;
+pub fn project(camera: &Camera, pair: &RimPair<f64>) -> Result<ConeFrameRims<f64>, PoseError> {
+    let mut flattened = flatten_by_series(camera, &pair.rims);
+    if !flattened.valid {
+        flattened = flatten_by_iteration(camera, &pair.rims)?;
     }
-    let carried = flattened.carry(seen);
-    if carried.known { Ok(carried) } else { Err(PoseError::NoCircle) }
+    let carried = flattened.project(pair);
+    if carried.valid { Ok(carried) } else { Err(PoseError::NoCircle) }
 }
 
 /// The rims in closed form, where the lens bends them little.
 #[inline(always)]
-pub fn flat_closed<T: Lane>(camera: &Camera, rims: &[RimSeen<T>; 2]) -> Flattened<T> {
+pub fn flatten_by_series<T: Lane>(camera: &Camera, rims: &[RimEllipse<T>; 2]) -> PlaneRims<T> {
     let [outer, inner] = rims;
     let near = camera.rays_near_each(outer.center, &points(outer, outer.center));
     let base_from_camera = base(camera, near.middle);
-    let (middle, semiaxes) = line(&near, outer.center, outer, &base_from_camera);
+    let (middle, semiaxes) = linearized_lens(&near, outer.center, outer, &base_from_camera);
     let (points, ahead) = plane_points(&near.rays, &base_from_camera);
-    let (bend, bent_little) = Bend::of(&points, middle, semiaxes);
-    let mut known = near.settled & bent_little;
+    let (bend, bent_little) = LensSeries::of(&points, middle, semiaxes);
+    let mut valid = near.settled & bent_little;
     if base_from_camera.is_some() {
-        known = known & ahead;
+        valid = valid & ahead;
     }
-    Flattened { base_from_camera, flats: [bend.outer(), bend.inner(outer, inner)], known }
+    PlaneRims { base_from_camera, flats: [bend.outer(), bend.inner(outer, inner)], valid }
 }
 
 /// The same for any lens.
 #[inline(always)]
-pub fn flat_by_turns(
+pub fn flatten_by_iteration(
     camera: &Camera,
-    seen: &[RimSeen<f64>; 2],
-) -> Result<Flattened<f64>, PoseError> {
-    let near = match camera.rays_near(seen[0].center, &offsets(seen)) {
+    pair: &[RimEllipse<f64>; 2],
+) -> Result<PlaneRims<f64>, PoseError> {
+    let near = match camera.rays_near(pair[0].center, &offsets(pair)) {
         Ok(near) => near,
-        Err(source) => return Err(PoseError::Lens { rim: refused(camera, &seen[0]), source }),
+        Err(source) => {
+            return Err(PoseError::Lens { rim: first_rejected_rim(camera, &pair[0]), source });
+        }
     };
     let base_from_camera = base(camera, near.middle);
-    let outer = Flat::through(&near, 0, seen, &base_from_camera);
-    let inner = Flat::through(&near, 1, seen, &base_from_camera);
+    let outer = PlaneEllipse::fitted_through(&near, 0, pair, &base_from_camera);
+    let inner = PlaneEllipse::fitted_through(&near, 1, pair, &base_from_camera);
     let behind = |rim| PoseError::Lens { rim, source: LensError::Behind };
     let (outer, inner) = (outer.ok_or(behind("outer"))?, inner.ok_or(behind("inner"))?);
-    Ok(Flattened { base_from_camera, flats: [outer, inner], known: true })
+    Ok(PlaneRims { base_from_camera, flats: [outer, inner], valid: true })
 }
 
 /// Rays of planar models are points of one plane, in which a lens without distortion is linear.
@@ -135,7 +137,7 @@ pub fn frame_along<T: Lane>(axis: Vec3<T>) -> Mat3<T> {
 
 /// A rim's points from a pixel.
 #[inline(always)]
-fn points<T: Lane>(rim: &RimSeen<T>, from: Vec2<T>) -> [[T; POINTS]; 2] {
+fn points<T: Lane>(rim: &RimEllipse<T>, from: Vec2<T>) -> [[T; POINTS]; 2] {
     let [major, minor] = rim.semiaxes();
     let at = rim.center - from;
     let mut points = [[at.x; POINTS], [at.y; POINTS]];
@@ -148,10 +150,10 @@ fn points<T: Lane>(rim: &RimSeen<T>, from: Vec2<T>) -> [[T; POINTS]; 2] {
 
 /// The rims' points from the outer rim's centre, pixels: the outer rim's, then the inner one's.
 #[inline(always)]
-fn offsets(rims: &[RimSeen<f64>; 2]) -> [[f64; 2 * POINTS]; 2] {
+fn offsets(rims: &[RimEllipse<f64>; 2]) -> [[f64; 2 * POINTS]; 2] {
     let mut offsets = [[0.0; 2 * POINTS]; 2];
-    for (rim, seen) in rims.iter().enumerate() {
-        let points = points(seen, rims[0].center);
+    for (rim, pair) in rims.iter().enumerate() {
+        let points = points(pair, rims[0].center);
         for axis in 0..2 {
             offsets[axis][rim * POINTS..(rim + 1) * POINTS].copy_from_slice(&points[axis]);
         }
@@ -181,10 +183,10 @@ pub fn plane_points<T: Lane>(
 
 /// Image of the rim's own centre, and of its semiaxes by the derivative there.
 #[inline(always)]
-pub fn line<T: Lane, const N: usize>(
+pub fn linearized_lens<T: Lane, const N: usize>(
     near: &NearRays<T, N>,
     middle_px: Vec2<T>,
-    rim: &RimSeen<T>,
+    rim: &RimEllipse<T>,
     base_from_camera: &Option<Mat3<T>>,
 ) -> (Vec2<T>, Mat2<T>) {
     let (mut flat, [mut by_u, mut by_v]) =
@@ -204,59 +206,59 @@ pub fn line<T: Lane, const N: usize>(
 }
 
 /// The first rim of which a point has no ray.
-fn refused(camera: &Camera, outer: &RimSeen<f64>) -> &'static str {
+fn first_rejected_rim(camera: &Camera, outer: &RimEllipse<f64>) -> &'static str {
     let outer = camera.rays_near(outer.center, &points(outer, outer.center));
     if outer.is_err() { "outer" } else { "inner" }
 }
 
-impl<T: Lane> Flattened<T> {
+impl<T: Lane> PlaneRims<T> {
     /// In the frame along the outer rim's cone.
     #[inline(always)]
-    pub fn carry(&self, seen: &RingSeen<T>) -> Carried<T> {
+    pub fn project(&self, pair: &RimPair<T>) -> ConeFrameRims<T> {
         let [outer, inner] = &self.flats;
         let local_from_base = frame_along(outer.cone_axis());
-        let (outer, outer_known) = outer.rim(&local_from_base, seen, 0);
-        let (inner, inner_known) = inner.rim(&local_from_base, seen, 1);
+        let (outer, outer_known) = outer.rim(&local_from_base, pair, 0);
+        let (inner, inner_known) = inner.rim(&local_from_base, pair, 1);
         let local_from_camera = match self.base_from_camera {
             Some(base_from_camera) => local_from_base.times(base_from_camera),
             None => local_from_base,
         };
-        let known = self.known & outer_known & inner_known;
-        Carried { local_from_camera, rims: [outer, inner], known }
+        let valid = self.valid & outer_known & inner_known;
+        ConeFrameRims { local_from_camera, rims: [outer, inner], valid }
     }
 }
 
 /// An ellipse in the plane z = 1 of the base frame.
 #[derive(Clone, Copy, Debug)]
-pub struct Flat<T> {
+pub struct PlaneEllipse<T> {
     pub center: Vec2<T>,
     pub semiaxes: Mat2<T>,
     /// As in [`Rim`].
-    pub left_out: T,
+    pub residual_shape: T,
 }
 
-impl<T: Lane> Flat<T> {
+impl<T: Lane> PlaneEllipse<T> {
     /// This rim, the outer (0) or the inner one (1), as it is seen from another frame, with what is known of
     /// its errors; and where it is an ellipse there.
     #[inline(always)]
     fn rim(
         &self,
         local_from_base: &Mat3<T>,
-        seen: &RingSeen<T>,
+        pair: &RimPair<T>,
         number: usize,
     ) -> (Rim<T>, T::Mask) {
-        let (center, shape, semiaxes, is_ellipse) = self.seen_from(local_from_base);
+        let (center, shape, semiaxes, is_ellipse) = self.in_frame(local_from_base);
         let (mut information, is_informed) =
-            Information::of(&seen.rims[number], &seen.noise.rims[number]);
+            Information::of(&pair.rims[number], &pair.noise.rims[number]);
         if number == 1 {
-            information = information.only(&seen.noise.disc);
+            information = information.weighted_by(&pair.noise.disc);
         }
         let (inverse, regular) = semiaxes.inverse();
-        let RimSeen { semi_major_px, semi_minor_px, .. } = seen.rims[number];
+        let RimEllipse { semi_major_px, semi_minor_px, .. } = pair.rims[number];
         let area_px2 = semi_major_px * semi_minor_px;
-        let radius_m = seen.radii_m[number];
-        let left_out = self.left_out;
-        let rim = Rim { radius_m, center, shape, inverse, area_px2, left_out, information };
+        let radius_m = pair.radii_m[number];
+        let residual_shape = self.residual_shape;
+        let rim = Rim { radius_m, center, shape, inverse, area_px2, residual_shape, information };
         (rim, is_ellipse & is_informed & regular)
     }
 
@@ -277,7 +279,7 @@ impl<T: Lane> Flat<T> {
     /// Centre, shape A Aᵀ and, but for perspective's second order, semiaxes in the plane z = 1 of another
     /// frame; and where the ellipse is one there.
     #[inline(always)]
-    fn seen_from(&self, local_from_base: &Mat3<T>) -> (Vec2<T>, Mat2<T>, Mat2<T>, T::Mask) {
+    fn in_frame(&self, local_from_base: &Mat3<T>) -> (Vec2<T>, Mat2<T>, Mat2<T>, T::Mask) {
         // The dual conic is p pᵀ - a aᵀ - b bᵀ.
         let [x, y, z] = local_from_base.transpose().0;
         let [a, b] = self.semiaxes.columns();
@@ -299,13 +301,13 @@ impl<T: Lane> Flat<T> {
     }
 }
 
-impl<T: Lane> Carried<T> {
+impl<T: Lane> ConeFrameRims<T> {
     #[inline(always)]
-    pub fn lane(&self, lane: usize) -> Carried<f64> {
-        Carried {
+    pub fn lane(&self, lane: usize) -> ConeFrameRims<f64> {
+        ConeFrameRims {
             local_from_camera: self.local_from_camera.lane(lane),
             rims: [self.rims[0].lane(lane), self.rims[1].lane(lane)],
-            known: self.known.is_set(lane),
+            valid: self.valid.is_set(lane),
         }
     }
 }
@@ -319,7 +321,7 @@ impl<T: Lane> Rim<T> {
             shape: self.shape.lane(lane),
             inverse: self.inverse.lane(lane),
             area_px2: self.area_px2.lane(lane),
-            left_out: self.left_out.lane(lane),
+            residual_shape: self.residual_shape.lane(lane),
             information: self.information.lane(lane),
         }
     }

@@ -2,7 +2,7 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use super::noise::{Known, RimErrors, RingNoise};
+use super::noise::{DiscWeights, RimErrors, RingNoise};
 use crate::{
     ellipse::Ellipse,
     lanes::{Lane, Vec2},
@@ -11,7 +11,7 @@ use crate::{
 
 /// A rim as imaged, pixels.
 #[derive(Clone, Copy, Debug)]
-pub struct RimSeen<T> {
+pub struct RimEllipse<T> {
     pub center: Vec2<T>,
     pub semi_major_px: T,
     pub semi_minor_px: T,
@@ -22,8 +22,8 @@ pub struct RimSeen<T> {
 
 /// Both rims, outer and inner, and all else that a pose depends on.
 #[derive(Clone, Copy, Debug)]
-pub struct RingSeen<T> {
-    pub rims: [RimSeen<T>; 2],
+pub struct RimPair<T> {
+    pub rims: [RimEllipse<T>; 2],
     /// Of the print.
     pub radii_m: [T; 2],
     pub noise: RingNoise<T>,
@@ -31,33 +31,33 @@ pub struct RingSeen<T> {
 
 /// A ring as found, and all else that its pose depends on.
 #[derive(Clone, Copy, Debug)]
-pub struct RingFound {
+pub struct RingMeasurement {
     outer: Ellipse,
     inner: Ellipse,
     radii_m: [f64; 2],
     noise: RingNoise<f64>,
 }
 
-impl RingFound {
+impl RingMeasurement {
     pub fn new(ring: &Ring, radii_m: [f64; 2], noise: RingNoise<f64>) -> Self {
         Self { outer: ring.outer, inner: ring.inner, radii_m, noise }
     }
 
     /// As seen, alone.
     #[inline(always)]
-    pub fn seen(&self) -> RingSeen<f64> {
-        RingSeen::gather(0.0, &[self])
+    pub fn rim_pair(&self) -> RimPair<f64> {
+        RimPair::gather(0.0, &[self])
     }
 }
 
-impl<T: Lane> RingSeen<T> {
+impl<T: Lane> RimPair<T> {
     /// Rings side by side, as many as `like` has lanes.
     #[inline(always)]
-    pub fn gather(like: T, rings: &[&RingFound]) -> Self {
+    pub fn gather(like: T, rings: &[&RingMeasurement]) -> Self {
         let [outer_m, inner_m, size, shape] = like.each(
             #[inline(always)]
             |lane| {
-                let RingFound { radii_m, noise, .. } = rings[lane];
+                let RingMeasurement { radii_m, noise, .. } = rings[lane];
                 [radii_m[0], radii_m[1], noise.disc.size, noise.disc.shape]
             },
         );
@@ -75,15 +75,15 @@ impl<T: Lane> RingSeen<T> {
                 RimErrors { edge_px, floor_px, uneven_px }
             },
         );
-        let outer = RimSeen::of_numbers(like.each(
+        let outer = RimEllipse::of_numbers(like.each(
             #[inline(always)]
             |lane| numbers(&rings[lane].outer),
         ));
-        let inner = RimSeen::of_numbers(like.each(
+        let inner = RimEllipse::of_numbers(like.each(
             #[inline(always)]
             |lane| numbers(&rings[lane].inner),
         ));
-        let noise = RingNoise { rims: errors, disc: Known { size, shape } };
+        let noise = RingNoise { rims: errors, disc: DiscWeights { size, shape } };
         Self { rims: [outer, inner], radii_m: [outer_m, inner_m], noise }
     }
 }
@@ -101,14 +101,14 @@ fn numbers(ellipse: &Ellipse) -> [f64; 5] {
     [center.u, center.v, semi_major_px, semi_minor_px, angle_rad]
 }
 
-impl RimSeen<f64> {
+impl RimEllipse<f64> {
     #[inline(always)]
     pub fn of(ellipse: &Ellipse) -> Self {
         Self::of_numbers(numbers(ellipse))
     }
 }
 
-impl<T: Lane> RimSeen<T> {
+impl<T: Lane> RimEllipse<T> {
     #[inline(always)]
     fn of_numbers([u, v, semi_major_px, semi_minor_px, angle_rad]: [T; 5]) -> Self {
         let (sin, cos) = angle_rad.sine_and_cosine();

@@ -24,19 +24,19 @@ use crate::{camera::PixelPoint, time::Timestamp};
 /// Deviation of either part of a velocity of which nothing is known, m/s.
 const SPEED_M_S: f64 = 2.0;
 /// The same of an acceleration, m/s².
-const PUSH_M_S2: f64 = 5.0;
+const ACCELERATION_M_S2: f64 = 5.0;
 /// q, m²/s⁵: a push that lasts a tenth of a second.
-const JERK: f64 = 2.0 * PUSH_M_S2 * PUSH_M_S2 / 0.1;
+const JERK: f64 = 2.0 * ACCELERATION_M_S2 * ACCELERATION_M_S2 / 0.1;
 /// A ring not seen for so long begins anew, seconds.
-const LONGEST_S: f64 = 0.5;
+const MAX_GAP_S: f64 = 0.5;
 /// Centres that tell whether they lie where they are expected, of which the last ones weigh more.
-const MEAN_OF: f64 = 4.0;
+const MEAN_COUNT: f64 = 4.0;
 /// Squared distance from there, in variances, from which on a centre is of another course.
-const ELSEWHERE: f64 = 4000.0;
+const RESTART_SQUARED: f64 = 4000.0;
 
 /// A centre seen.
 #[derive(Clone, Copy, Debug)]
-pub struct Sighting {
+pub struct CenterMeasurement {
     /// When its row was exposed.
     pub time: Timestamp,
     pub center: PixelPoint,
@@ -48,55 +48,57 @@ pub struct Sighting {
 
 /// What is known of a ring's motion in the image.
 #[derive(Clone, Copy, Debug)]
-pub struct Course {
+pub struct ImageMotion {
     time: Timestamp,
     /// Place, velocity and acceleration along u and along v, in px and s.
     axes: [Vector3<f64>; 2],
     /// Of either of them.
     covariance: Matrix3<f64>,
     /// Mean square of how far centres lie from where they are expected, in variances.
-    surprise: f64,
+    normalized_innovation: f64,
 }
 
-impl Course {
+impl ImageMotion {
     /// Of a ring seen for the first time.
-    pub fn begin(seen: &Sighting) -> Self {
+    pub fn new(measured: &CenterMeasurement) -> Self {
         let axis = |place: f64| Vector3::new(place, 0.0, 0.0);
-        let variance = |by_metre: f64| (by_metre * seen.px_per_m).powi(2);
-        let known = Vector3::new(seen.variance_px2, variance(SPEED_M_S), variance(PUSH_M_S2));
+        let variance = |by_metre: f64| (by_metre * measured.px_per_m).powi(2);
+        let variances =
+            Vector3::new(measured.variance_px2, variance(SPEED_M_S), variance(ACCELERATION_M_S2));
         Self {
-            time: seen.time,
-            axes: [axis(seen.center.u), axis(seen.center.v)],
-            covariance: Matrix3::from_diagonal(&known),
-            surprise: 1.0,
+            time: measured.time,
+            axes: [axis(measured.center.u), axis(measured.center.v)],
+            covariance: Matrix3::from_diagonal(&variances),
+            normalized_innovation: 1.0,
         }
     }
 
     /// Takes a later sighting in; the same frame once more changes nothing.
-    pub fn follow(&mut self, seen: &Sighting) {
-        let step_s = seen.time.seconds_since(self.time);
+    pub fn update(&mut self, measured: &CenterMeasurement) {
+        let step_s = measured.time.seconds_since(self.time);
         if step_s == 0.0 {
             return;
         }
-        if !(0.0..LONGEST_S).contains(&step_s) {
-            *self = Self::begin(seen);
+        if !(0.0..MAX_GAP_S).contains(&step_s) {
+            *self = Self::new(measured);
             return;
         }
-        self.predict(step_s, seen.px_per_m);
-        self.time = seen.time;
-        let off = [seen.center.u - self.axes[0].x, seen.center.v - self.axes[1].x];
+        self.predict(step_s, measured.px_per_m);
+        self.time = measured.time;
+        let innovation = [measured.center.u - self.axes[0].x, measured.center.v - self.axes[1].x];
         let place = self.covariance.column(0).into_owned();
-        let expected_px2 = place.x + seen.variance_px2;
-        let square = (off[0] * off[0] + off[1] * off[1]) / expected_px2;
-        if square > ELSEWHERE {
-            *self = Self::begin(seen);
+        let expected_px2 = place.x + measured.variance_px2;
+        let square = (innovation[0] * innovation[0] + innovation[1] * innovation[1]) / expected_px2;
+        if square > RESTART_SQUARED {
+            *self = Self::new(measured);
             return;
         }
-        let mean = self.surprise + (0.5 * square - self.surprise) / MEAN_OF;
-        self.surprise = mean.max(0.25 * square);
+        let mean =
+            self.normalized_innovation + (0.5 * square - self.normalized_innovation) / MEAN_COUNT;
+        self.normalized_innovation = mean.max(0.25 * square);
         let gain = place / expected_px2;
-        for (axis, off) in self.axes.iter_mut().zip(off) {
-            *axis += gain * off;
+        for (axis, innovation) in self.axes.iter_mut().zip(innovation) {
+            *axis += gain * innovation;
         }
         self.covariance -= gain * place.transpose();
     }
@@ -107,26 +109,26 @@ impl Course {
             *axis = step * *axis;
         }
         let q = JERK * px_per_m * px_per_m * t;
-        let (place_speed, place_push) = (t.powi(3) / 8.0, t * t / 6.0);
-        let speed_push = 0.5 * t;
-        let grown = Matrix3::new(
+        let (place_speed, place_acceleration) = (t.powi(3) / 8.0, t * t / 6.0);
+        let speed_acceleration = 0.5 * t;
+        let process_noise = Matrix3::new(
             t.powi(4) / 20.0,
             place_speed,
-            place_push,
+            place_acceleration,
             place_speed,
             t * t / 3.0,
-            speed_push,
-            place_push,
-            speed_push,
+            speed_acceleration,
+            place_acceleration,
+            speed_acceleration,
             1.0,
         );
-        self.covariance = step * self.covariance * step.transpose() + grown * q;
+        self.covariance = step * self.covariance * step.transpose() + process_noise * q;
     }
 
     /// Velocity, px/s, and the variance of either part.
     pub fn velocity(&self) -> (Vector2<f64>, f64) {
         let velocity = Vector2::new(self.axes[0].y, self.axes[1].y);
-        (velocity, self.covariance.m22 * self.surprise.max(1.0))
+        (velocity, self.covariance.m22 * self.normalized_innovation.max(1.0))
     }
 }
 
@@ -137,8 +139,8 @@ mod tests {
     const PX_PER_M: f64 = 200.0;
     const RATE_HZ: f64 = 60.0;
 
-    fn sighting(time_s: f64, [u, v]: [f64; 2]) -> Sighting {
-        Sighting {
+    fn sighting(time_s: f64, [u, v]: [f64; 2]) -> CenterMeasurement {
+        CenterMeasurement {
             time: Timestamp::from_ns(1 << 60).plus_seconds(time_s),
             center: PixelPoint { u, v },
             variance_px2: 1e-4,
@@ -147,7 +149,7 @@ mod tests {
     }
 
     /// Something that drives round a circle of 2.5 m at 3 m/s, seen with errors of 0.01 px.
-    fn circling(time_s: f64) -> (Sighting, Vector2<f64>) {
+    fn circling(time_s: f64) -> (CenterMeasurement, Vector2<f64>) {
         let (radius_px, speed_px_s) = (2.5 * PX_PER_M, 3.0 * PX_PER_M);
         let (sin, cos) = (speed_px_s / radius_px * time_s).sin_cos();
         let error = |turn: f64| 0.0141 * (turn * time_s * RATE_HZ).sin();
@@ -157,18 +159,22 @@ mod tests {
 
     #[test]
     fn a_velocity_is_as_exact_as_it_says() {
-        let mut course = Course::begin(&circling(0.0).0);
+        let mut motion = ImageMotion::new(&circling(0.0).0);
         let mut shares = Vec::new();
         for frame in 1..200 {
-            let (seen, truth) = circling(f64::from(frame) / RATE_HZ);
-            course.follow(&seen);
-            let (velocity, variance) = course.velocity();
-            let off = (velocity - truth).norm();
-            assert!(off < 3.5 * (2.0 * variance).sqrt(), "{frame}: {off} of {}", variance.sqrt());
-            let most = if frame == 1 { 15.0 } else { 5.0 };
-            assert!(variance.sqrt() < most, "{frame}: {}", variance.sqrt());
+            let (measured, truth) = circling(f64::from(frame) / RATE_HZ);
+            motion.update(&measured);
+            let (velocity, variance) = motion.velocity();
+            let innovation = (velocity - truth).norm();
+            assert!(
+                innovation < 3.5 * (2.0 * variance).sqrt(),
+                "{frame}: {innovation} of {}",
+                variance.sqrt()
+            );
+            let max = if frame == 1 { 15.0 } else { 5.0 };
+            assert!(variance.sqrt() < max, "{frame}: {}", variance.sqrt());
             if frame > 2 {
-                shares.push(off * off / (2.0 * variance));
+                shares.push(innovation * innovation / (2.0 * variance));
             }
         }
         let mean = shares.iter().sum::<f64>() / shares.len() as f64;
@@ -177,7 +183,7 @@ mod tests {
 
     #[test]
     fn what_is_known_of_nothing_is_how_things_move() {
-        let (velocity, variance) = Course::begin(&circling(0.0).0).velocity();
+        let (velocity, variance) = ImageMotion::new(&circling(0.0).0).velocity();
         assert_eq!(velocity, Vector2::zeros());
         assert_eq!(variance.sqrt(), SPEED_M_S * PX_PER_M);
     }
@@ -185,42 +191,43 @@ mod tests {
     #[test]
     fn a_course_that_breaks_off_begins_anew() {
         let (first, second) = (circling(0.0).0, circling(1.0 / RATE_HZ).0);
-        let mut course = Course::begin(&first);
-        course.follow(&second);
-        let before = course.velocity();
-        course.follow(&second);
-        assert_eq!(course.velocity(), before, "the same frame twice");
-        let anew = |seen: Sighting| {
-            let mut course = course;
-            course.follow(&seen);
-            course.velocity() == Course::begin(&seen).velocity()
+        let mut motion = ImageMotion::new(&first);
+        motion.update(&second);
+        let before = motion.velocity();
+        motion.update(&second);
+        assert_eq!(motion.velocity(), before, "the same frame twice");
+        let restarts = |measured: CenterMeasurement| {
+            let mut motion = motion;
+            motion.update(&measured);
+            motion.velocity() == ImageMotion::new(&measured).velocity()
         };
-        assert!(!anew(circling(2.0 / RATE_HZ).0));
-        assert!(anew(circling(0.9).0), "after a gap");
-        assert!(anew(first), "a clock set back");
-        assert!(anew(sighting(2.0 / RATE_HZ, [0.0, 900.0])), "elsewhere");
+        assert!(!restarts(circling(2.0 / RATE_HZ).0));
+        assert!(restarts(circling(0.9).0), "after a gap");
+        assert!(restarts(first), "a clock set back");
+        assert!(restarts(sighting(2.0 / RATE_HZ, [0.0, 900.0])), "elsewhere");
     }
 
     #[test]
     fn a_jittering_clock_widens_what_is_known() {
-        let mut courses = [0.0, 1e-3].map(|jitter_s| {
-            let mut course = Course::begin(&circling(0.0).0);
+        let mut variances = [0.0, 1e-3].map(|jitter_s| {
+            let mut motion = ImageMotion::new(&circling(0.0).0);
             let mut worst: f64 = 0.0;
             for frame in 1..100 {
                 let time_s = f64::from(frame) / RATE_HZ;
-                let (mut seen, truth) = circling(time_s);
-                seen.time = seen.time.plus_seconds(jitter_s * (2.3 * f64::from(frame)).sin());
-                course.follow(&seen);
-                let (velocity, variance) = course.velocity();
+                let (mut measured, truth) = circling(time_s);
+                measured.time =
+                    measured.time.plus_seconds(jitter_s * (2.3 * f64::from(frame)).sin());
+                motion.update(&measured);
+                let (velocity, variance) = motion.velocity();
                 // It takes some frames to be seen.
                 if frame > 8 {
                     worst = worst.max((velocity - truth).norm() / variance.sqrt());
                 }
             }
             assert!(worst < 5.0, "{jitter_s}: {worst}");
-            course.velocity().1
+            motion.velocity().1
         });
-        courses.sort_by(f64::total_cmp);
-        assert!(courses[1] > 4.0 * courses[0], "{courses:?}");
+        variances.sort_by(f64::total_cmp);
+        assert!(variances[1] > 4.0 * variances[0], "{variances:?}");
     }
 }

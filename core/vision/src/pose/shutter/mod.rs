@@ -34,13 +34,13 @@ use crate::{
     camera::{Camera, PixelPoint},
     ellipse::{Ellipse, Symmetric2},
     marker::{CodeReading, Kind, Pattern, Ring, TrackedRing},
-    pose::{RimNoise, RoundelPose, recent_tracks::Recall},
+    pose::{RimNoise, RoundelPose, recent_tracks::RecentTracks},
     time::{Timestamp, row_time},
 };
-use image_velocity::{Course, Sighting};
+use image_velocity::{CenterMeasurement, ImageMotion};
 
 /// No image moves by more than this share of a row while the next one is exposed.
-const MOST: f64 = 0.2;
+const MAX_PX_PER_ROW: f64 = 0.2;
 
 /// What moves goes round a circle of about this radius, metres.
 const CIRCLE_M: f64 = 3.0;
@@ -67,28 +67,32 @@ impl Skew {
     }
 
     /// Where a point that is seen is when the centre's row is exposed.
-    fn point(&self, seen: PixelPoint) -> PixelPoint {
-        let moved = self.px_per_row * (seen.v - self.row_px);
-        PixelPoint { u: seen.u - moved.x, v: seen.v - moved.y }
+    fn point(&self, observed: PixelPoint) -> PixelPoint {
+        let moved = self.px_per_row * (observed.v - self.row_px);
+        PixelPoint { u: observed.u - moved.x, v: observed.v - moved.y }
     }
 
     /// A ring as it is when its centre's row is exposed.
-    pub fn ring(&self, seen: &Ring) -> Ring {
+    pub fn ring(&self, observed: &Ring) -> Ring {
         Ring {
-            outer: self.ellipse(&seen.outer),
-            inner: self.ellipse(&seen.inner),
-            code: seen.code.map(|code| self.code(&code)),
-            ..*seen
+            outer: self.ellipse(&observed.outer),
+            inner: self.ellipse(&observed.inner),
+            code: observed.code.map(|code| self.code(&code)),
+            ..*observed
         }
     }
 
     /// The same of a code's ends.
-    pub fn code(&self, seen: &CodeReading) -> CodeReading {
-        CodeReading { zero: self.point(seen.zero), opposite: self.point(seen.opposite), ..*seen }
+    pub fn code(&self, observed: &CodeReading) -> CodeReading {
+        CodeReading {
+            zero: self.point(observed.zero),
+            opposite: self.point(observed.opposite),
+            ..*observed
+        }
     }
 
-    fn ellipse(&self, seen: &Ellipse) -> Ellipse {
-        let Symmetric2 { uu, uv, vv } = seen.matrix();
+    fn ellipse(&self, observed: &Ellipse) -> Ellipse {
+        let Symmetric2 { uu, uv, vv } = observed.matrix();
         // M of B A Aᵀ Bᵀ, B = I - s e_vᵀ.
         let (across, down) = (-self.px_per_row.x, 1.0 - self.px_per_row.y);
         let matrix = Symmetric2 {
@@ -98,7 +102,7 @@ impl Skew {
         };
         let (long, short, angle_rad) = matrix.eigen();
         Ellipse {
-            center: self.point(seen.center),
+            center: self.point(observed.center),
             semi_major_px: long.sqrt(),
             // Below the smallest there is, rounding may take it to nothing.
             semi_minor_px: short.max(0.0).sqrt(),
@@ -120,7 +124,7 @@ impl Skew {
 #[derive(Clone, Debug)]
 pub struct Shutter {
     line_time_s: f64,
-    courses: Recall<Course>,
+    motions: RecentTracks<ImageMotion>,
     /// Of the rings of the newest frame, in their order.
     skews: Vec<Skew>,
 }
@@ -128,7 +132,7 @@ pub struct Shutter {
 impl Shutter {
     /// Of rows that follow each other by so much.
     pub fn new(line_time_s: f64) -> Self {
-        Self { line_time_s, courses: Recall::new(), skews: Vec::new() }
+        Self { line_time_s, motions: RecentTracks::new(), skews: Vec::new() }
     }
 
     /// Of the newest frame's rings, in their order.
@@ -138,12 +142,12 @@ impl Shutter {
 
     /// Forgets all courses.
     pub fn reset(&mut self) {
-        self.courses.clear();
+        self.motions.clear();
     }
 
     /// Takes the rings of a frame of so many rows in, whose middle row was exposed at `time`; nothing is known
     /// of their motion if it is not told.
-    pub fn expose(
+    pub fn update(
         &mut self,
         (time, height): (Option<Timestamp>, usize),
         tracked: &[TrackedRing],
@@ -156,35 +160,35 @@ impl Shutter {
             // Without a kind it has no size, and will have no pose.
             let diameter_m = kind.map_or(1.0, |kind| kind.outer_diameter_m);
             let is_coded = kind.is_some_and(|kind| matches!(kind.pattern, Pattern::Coded(_)));
-            let seen = Sighting {
+            let observed = CenterMeasurement {
                 time: row_time(time.unwrap_or_default(), outer.center.v, height, self.line_time_s),
                 center: outer.center,
                 variance_px2: noise.center_variance_px2(ring, is_coded),
                 px_per_m: 2.0 * outer.semi_major_px / diameter_m,
             };
-            let mut course = Course::begin(&seen);
+            let mut motion = ImageMotion::new(&observed);
             if time.is_some() {
-                if let Some(before) = self.courses.of(*track) {
-                    course = *before;
-                    course.follow(&seen);
+                if let Some(before) = self.motions.of(*track) {
+                    motion = *before;
+                    motion.update(&observed);
                 }
-                self.courses.renew(*track, Some(course));
+                self.motions.renew(*track, Some(motion));
             }
             let size = (outer.semi_major_px, 0.5 * diameter_m);
-            self.skews.push(self.skew(&course, outer.center.v, size));
+            self.skews.push(self.skew(&motion, outer.center.v, size));
         }
     }
 
     /// Of a ring of this radius in the image and in metres.
-    fn skew(&self, course: &Course, row_px: f64, (radius_px, radius_m): (f64, f64)) -> Skew {
-        let (velocity_px_s, variance) = course.velocity();
+    fn skew(&self, motion: &ImageMotion, row_px: f64, (radius_px, radius_m): (f64, f64)) -> Skew {
+        let (velocity_px_s, variance) = motion.velocity();
         let speed_m_s =
             (velocity_px_s.norm_squared() + 2.0 * variance).sqrt() * radius_m / radius_px;
         let turn_rad = self.line_time_s.abs() * speed_m_s / CIRCLE_M;
         Skew {
             row_px,
-            px_per_row: (velocity_px_s * self.line_time_s).cap_magnitude(MOST),
-            variance: (self.line_time_s.powi(2) * variance).min(MOST * MOST),
+            px_per_row: (velocity_px_s * self.line_time_s).cap_magnitude(MAX_PX_PER_ROW),
+            variance: (self.line_time_s.powi(2) * variance).min(MAX_PX_PER_ROW * MAX_PX_PER_ROW),
             bend_m: 0.25 * turn_rad * radius_px * radius_m,
         }
     }
@@ -218,25 +222,25 @@ pub(super) mod tests {
                 let (a, b) = (semi_major_px * x, semi_minor_px * y);
                 let at =
                     PixelPoint { u: center.u + cos * a - sin * b, v: center.v + sin * a + cos * b };
-                let seen = skew.image(at);
-                let back = skew.point(seen);
+                let observed = skew.image(at);
+                let back = skew.point(observed);
                 assert!((back.u - at.u).hypot(back.v - at.v) < 1e-9);
-                seen
+                observed
             })
             .collect();
         // The rim through these is the one that is straightened to the old one.
         let long =
             PixelPoint { u: center.u + cos * semi_major_px, v: center.v + sin * semi_major_px };
         let code = CodeReading::certain(Code { bits: 8, number: 1 }, skew.image(long));
-        let image = seen(&skew, &ring.outer);
+        let image = observed(&skew, &ring.outer);
         for point in &points {
             let m = image.matrix();
             let (du, dv) = (point.u - image.center.u, point.v - image.center.v);
             let square = (m.vv * du * du - 2.0 * m.uv * du * dv + m.uu * dv * dv) / m.determinant();
             assert!((square - 1.0).abs() < 1e-9, "{square}");
         }
-        let seen = Ring { outer: image, inner: image, code: Some(code), ..ring };
-        let found = skew.ring(&seen);
+        let observed = Ring { outer: image, inner: image, code: Some(code), ..ring };
+        let found = skew.ring(&observed);
         for found in [found.outer, found.inner] {
             assert!((found.center.u - center.u).hypot(found.center.v - center.v) < 1e-9);
             assert!((found.semi_major_px - semi_major_px).abs() < 1e-9);
@@ -248,7 +252,7 @@ pub(super) mod tests {
     }
 
     /// An ellipse as it is seen: by the skew that takes this one back.
-    pub fn seen(by: &Skew, ellipse: &Ellipse) -> Ellipse {
+    pub fn observed(by: &Skew, ellipse: &Ellipse) -> Ellipse {
         let back = Skew { px_per_row: -by.px_per_row / (1.0 - by.px_per_row.y), ..*by };
         back.ellipse(ellipse)
     }

@@ -27,20 +27,20 @@ use crate::{camera::Camera, marker::Kind, pose::RoundelPose};
 
 /// So much of what a lean does to the centre is not in α: what the rims say of it in one way of fitting is not what
 /// they say in the other.
-const CENTER: f64 = 0.4;
+const CENTER_MISMATCH: f64 = 0.4;
 
 /// Adds to a pose's covariance what this deviation of either part of s comes to.
 pub fn widen(pose: &mut RoundelPose, camera: &Camera, kind: &Kind, deviation: f64) {
-    let leaning = Leaning::new(pose, kind, deviation);
-    let Some(changes) = leaning.changes(camera) else { return };
+    let geometry = TiltGeometry::new(pose, kind, deviation);
+    let Some(changes) = geometry.changes(camera) else { return };
     for change in changes {
         pose.covariance += change * change.transpose() * (deviation * deviation);
     }
-    leaning.add_rest(pose, deviation);
+    geometry.add_second_order(pose, deviation);
 }
 
 /// A pose as it leans.
-struct Leaning {
+struct TiltGeometry {
     /// x, y and z.
     axes: [Vector3<f64>; 3],
     range_m: f64,
@@ -55,7 +55,7 @@ struct Leaning {
     k: f64,
 }
 
-impl Leaning {
+impl TiltGeometry {
     fn new(pose: &RoundelPose, kind: &Kind, deviation: f64) -> Self {
         let range_m = pose.position_m.norm();
         let z = pose.position_m / range_m;
@@ -99,10 +99,11 @@ impl Leaning {
     }
 
     /// What first order misses.
-    fn add_rest(&self, pose: &mut RoundelPose, deviation: f64) {
+    fn add_second_order(&self, pose: &mut RoundelPose, deviation: f64) {
         let share = 0.5 * deviation * self.per_sine * self.per_sine;
         let turn = share * deviation * self.per_sine;
-        let by_turn_m = self.r2 * self.range_m * (share + CENTER) * deviation * self.per_sine;
+        let by_turn_m =
+            self.r2 * self.range_m * (share + CENTER_MISMATCH) * deviation * self.per_sine;
         let (deeper, beside) = (share * deviation * self.range_m, by_turn_m);
         let along = self.axes[2] * self.axes[2].transpose();
         let across = Matrix3::identity() - along;
@@ -126,7 +127,7 @@ mod tests {
         marker::Ring,
         pose::{
             RimNoise, locate,
-            shutter::tests::{seen, skew},
+            shutter::tests::{observed, skew},
             tests::{camera, pose, rim_of},
         },
         rigid::orientation_of_normal,
@@ -155,14 +156,14 @@ mod tests {
             for (tilt_rad, turn_rad) in [(0.5, 0.3), (0.8, -1.2), (1.0, 2.5), (0.6, 1.5)] {
                 let (pose, ring) = drawn(&camera, tilt_rad, turn_rad);
                 let step = 1e-5;
-                let changes = Leaning::new(&pose, &kind, 0.0).changes(&camera).unwrap();
+                let changes = TiltGeometry::new(&pose, &kind, 0.0).changes(&camera).unwrap();
                 for (part, change) in changes.iter().enumerate() {
                     let mut per_row = [0.0; 2];
                     per_row[part] = step;
                     let by = skew(ring.outer.center.v, per_row);
                     let skewed = Ring {
-                        outer: seen(&by, &ring.outer),
-                        inner: seen(&by, &ring.inner),
+                        outer: observed(&by, &ring.outer),
+                        inner: observed(&by, &ring.inner),
                         ..ring
                     };
                     let found = locate(&camera, &kind, &skewed, &RimNoise::default()).unwrap();
@@ -181,8 +182,8 @@ mod tests {
                     let off = moved - by_place;
                     let (deep, beside) = (off.dot(&sight), (off - sight * off.dot(&sight)).norm());
                     assert!(deep.abs() < 0.1 * 3.0, "{part}, {tilt_rad}: {deep}");
-                    let most = (by_place - sight * by_place.dot(&sight)).norm();
-                    assert!(beside < 0.5 * most, "{part}, {tilt_rad}: {beside} {most}");
+                    let max = (by_place - sight * by_place.dot(&sight)).norm();
+                    assert!(beside < 0.5 * max, "{part}, {tilt_rad}: {beside} {max}");
                     let off = (turned - expected).norm();
                     assert!(off < 0.1 * (1.0 + expected.norm()), "{part}, {tilt_rad}: {off}");
                 }

@@ -21,7 +21,7 @@ use nalgebra::Vector3;
 
 use crate::{
     pose::photometry::{
-        FitError, FitScratch, Placed,
+        FitError, FitScratch, PoseEstimate,
         solver::{
             gauss_newton,
             solution::Solution,
@@ -32,19 +32,19 @@ use crate::{
 };
 
 /// The headings compared lie so many of the start's deviations apart …
-const APART: f64 = 2.5;
+const SPACING_SIGMA: f64 = 2.5;
 /// … and no less and no more than this, radians.
 const LIMITS_RAD: (f64, f64) = (2e-3, 0.12);
 /// A heading further from the middle one than this share of their distance is the middle of new ones …
-const BEYOND: f64 = 1.5;
+const MAX_EXTRAPOLATION: f64 = 1.5;
 /// … and no further than this at once.
-const MOST: f64 = 3.0;
+const MAX_STEP: f64 = 3.0;
 /// Such turns at most.
-const TURNS: usize = 4;
+const MAX_ITERATIONS: usize = 4;
 
 /// How exactly a heading is known, and what follows it.
 #[derive(Clone, Copy, Debug)]
-pub struct Heading {
+pub struct YawEstimate {
     variance_rad2: f64,
     /// Changes of the position and of the rotation by the heading, local frame.
     position_m: Vector3<f64>,
@@ -57,77 +57,85 @@ pub fn solve(
     start: State,
     deviation_rad: f64,
     scratch: &mut FitScratch,
-) -> Result<(Solution, Heading), FitError> {
-    let apart_rad = (APART * deviation_rad).clamp(LIMITS_RAD.0, LIMITS_RAD.1);
+) -> Result<(Solution, YawEstimate), FitError> {
+    let spacing_rad = (SPACING_SIGMA * deviation_rad).clamp(LIMITS_RAD.0, LIMITS_RAD.1);
     let mut middle = gauss_newton::solve(problem, start, scratch)?;
-    for _ in 0..TURNS {
+    for _ in 0..MAX_ITERATIONS {
         let mut beside =
-            |by_rad: f64| gauss_newton::solve(problem, middle.state.headed(by_rad), scratch);
-        let (ahead, behind) = (beside(apart_rad)?, beside(-apart_rad)?);
-        let slope = 0.5 * (ahead.misfit - behind.misfit) / apart_rad;
-        let bend = (ahead.misfit + behind.misfit - 2.0 * middle.misfit) / (apart_rad * apart_rad);
-        let falls = slope.abs() / apart_rad;
-        let by_rad =
-            if bend > falls / MOST { -slope / bend } else { -slope.signum() * MOST * apart_rad };
-        let found = gauss_newton::solve(problem, middle.state.headed(by_rad), scratch)?;
-        if by_rad.abs() <= BEYOND * apart_rad {
-            let heading =
-                Heading::between(&ahead.state, &behind.state, apart_rad, 2.0 * found.noise2 / bend);
+            |by_rad: f64| gauss_newton::solve(problem, middle.state.rotated(by_rad), scratch);
+        let (ahead, behind) = (beside(spacing_rad)?, beside(-spacing_rad)?);
+        let slope = 0.5 * (ahead.misfit - behind.misfit) / spacing_rad;
+        let bend =
+            (ahead.misfit + behind.misfit - 2.0 * middle.misfit) / (spacing_rad * spacing_rad);
+        let falls = slope.abs() / spacing_rad;
+        let by_rad = if bend > falls / MAX_STEP {
+            -slope / bend
+        } else {
+            -slope.signum() * MAX_STEP * spacing_rad
+        };
+        let found = gauss_newton::solve(problem, middle.state.rotated(by_rad), scratch)?;
+        if by_rad.abs() <= MAX_EXTRAPOLATION * spacing_rad {
+            let heading = YawEstimate::between(
+                &ahead.state,
+                &behind.state,
+                spacing_rad,
+                2.0 * found.noise2 / bend,
+            );
             return Ok((found, heading));
         }
         middle = found;
     }
-    Err(FitError::Restless)
+    Err(FitError::NotConverged)
 }
 
 impl State {
     /// The same, turned about the normal.
-    pub fn headed(&self, by_rad: f64) -> Self {
+    pub fn rotated(&self, by_rad: f64) -> Self {
         let mut next = self.clone();
-        let axes = &self.place.axes;
+        let axes = &self.pose.axes;
         let (sin, cos) = by_rad.sin_cos();
         let (a, b) = (axes.column(0).into_owned(), axes.column(1).into_owned());
-        next.place.axes.set_column(0, &(a * cos + b * sin));
-        next.place.axes.set_column(1, &(b * cos - a * sin));
+        next.pose.axes.set_column(0, &(a * cos + b * sin));
+        next.pose.axes.set_column(1, &(b * cos - a * sin));
         next
     }
 }
 
-impl Heading {
+impl YawEstimate {
     /// Of a variance, with what follows a change of the heading.
     pub fn new(variance_rad2: f64, position_m: Vector3<f64>, rotation: Vector3<f64>) -> Self {
         Self { variance_rad2, position_m, rotation }
     }
 
-    fn between(ahead: &State, behind: &State, apart_rad: f64, variance_rad2: f64) -> Self {
-        let per = 0.5 / apart_rad;
-        let normal = |state: &State| state.place.axes.column(2).into_owned();
-        let position_m = (ahead.place.position_m - behind.place.position_m) * per;
+    fn between(ahead: &State, behind: &State, spacing_rad: f64, variance_rad2: f64) -> Self {
+        let per = 0.5 / spacing_rad;
+        let normal = |state: &State| state.pose.axes.column(2).into_owned();
+        let position_m = (ahead.pose.position_m - behind.pose.position_m) * per;
         Self::new(variance_rad2, position_m, normal(behind).cross(&normal(ahead)) * per)
     }
 
     /// With the variance that residuals come to which hang together over patches of pixels.
-    pub fn disturbed(self, solution: &Solution) -> Self {
-        let growth = solution.linear.together.max(1.0);
+    pub fn inflated(self, solution: &Solution) -> Self {
+        let growth = solution.equations.patch_ratio.max(1.0);
         Self { variance_rad2: self.variance_rad2 * growth, ..self }
     }
 
     /// With nothing else following the heading: near face-on the tilt's own errors are larger.
-    pub fn alone(self) -> Self {
+    pub fn decorrelated(self) -> Self {
         Self { position_m: Vector3::zeros(), rotation: Vector3::zeros(), ..self }
     }
 
     /// Puts what is known of the heading in place of nothing.
-    pub fn add_to(&self, problem: &Problem, placed: &mut Placed) {
+    pub fn add_to(&self, problem: &Problem, estimate_pose: &mut PoseEstimate) {
         let camera_from_local = problem.lens.local_from_camera.transpose();
-        let normal = placed.state.place.axes.column(2);
+        let normal = estimate_pose.state.pose.axes.column(2);
         let mut by_heading = nalgebra::Vector6::zeros();
-        let (place, turn) = (self.position_m, self.rotation + normal);
-        by_heading.fixed_rows_mut::<3>(0).copy_from(&(camera_from_local * place));
+        let (pose, turn) = (self.position_m, self.rotation + normal);
+        by_heading.fixed_rows_mut::<3>(0).copy_from(&(camera_from_local * pose));
         by_heading.fixed_rows_mut::<3>(3).copy_from(&(camera_from_local * turn));
         let normal = camera_from_local * normal;
-        let mut rotation = placed.covariance.fixed_view_mut::<3, 3>(3, 3);
+        let mut rotation = estimate_pose.covariance.fixed_view_mut::<3, 3>(3, 3);
         rotation -= normal * normal.transpose() * UNKNOWN_ANGLE_VARIANCE_RAD2;
-        placed.covariance += by_heading * by_heading.transpose() * self.variance_rad2;
+        estimate_pose.covariance += by_heading * by_heading.transpose() * self.variance_rad2;
     }
 }

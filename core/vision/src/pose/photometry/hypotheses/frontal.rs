@@ -24,9 +24,9 @@ use crate::pose::{
     frame_along,
     photometry::{
         FitScratch,
-        model::projection::Place,
+        model::projection::PrintPose,
         solver::{
-            cholesky::{Factor, MOST},
+            cholesky::{Cholesky, MAX_UNKNOWNS},
             linearize,
             solution::{Covariance5, Solution},
             state::{BLUR, MOTION, Problem, RANGE, SHIFT, STEP, State, TILT, WHITE},
@@ -36,17 +36,17 @@ use crate::pose::{
 
 /// What a solution near face-on comes to.
 #[expect(clippy::large_enum_variant, reason = "it lives for a call, and a box would be allocated")]
-pub enum Upright {
+pub enum FrontalResult {
     /// It is tilted enough for Gauss and Newton.
     Tilted,
     /// The same, but it has not got there: from here it will.
     Further(State),
     /// The likelier lean, and the other one if there are two, with the likelihood of the first.
-    Facing(Leaning, Option<Leaning>, f64),
+    Facing(FrontalPose, Option<FrontalPose>, f64),
 }
 
 /// A state that faces the camera, and what is known of it.
-pub struct Leaning {
+pub struct FrontalPose {
     pub state: State,
     /// Over the shift, the logarithm of the range and the turns.
     pub covariance: Covariance5,
@@ -60,28 +60,28 @@ const PROBE: f64 = 2.0;
 const RANGE_OVER_SQUARED: f64 = 32.0;
 
 /// The posterior of a solution's lean where it nearly faces the camera.
-pub fn estimate(problem: &Problem, solution: &Solution, scratch: &mut FitScratch) -> Upright {
+pub fn estimate(problem: &Problem, solution: &Solution, scratch: &mut FitScratch) -> FrontalResult {
     let state = &solution.state;
     let noise2 = solution.noise2;
-    let frame = frame_along(&state.place.position_m);
+    let frame = frame_along(&state.pose.position_m);
     let share = linear_over_squared(problem, state);
-    let seen = lean_of(state, &frame);
-    let squared_information = solution.linear.information[RANGE][RANGE] / RANGE_OVER_SQUARED;
+    let lean = lean_of(state, &frame);
+    let squared_information = solution.equations.information[RANGE][RANGE] / RANGE_OVER_SQUARED;
     let linear_information = share * squared_information;
     let sigma = (noise2 / squared_information).sqrt();
-    let is_needed =
-        |squared: f64| tilt_posterior::is_needed(squared, sigma, linear_information / noise2);
-    if !is_needed(seen.norm_squared()) {
-        return Upright::Tilted;
+    let applies =
+        |squared: f64| tilt_posterior::applies(squared, sigma, linear_information / noise2);
+    if !applies(lean.norm_squared()) {
+        return FrontalResult::Tilted;
     }
-    let probe = if seen.norm_squared() < PROBE * sigma {
-        seen.try_normalize(1e-9).unwrap_or(Vector2::x()) * (PROBE * sigma).sqrt()
+    let probe = if lean.norm_squared() < PROBE * sigma {
+        lean.try_normalize(1e-9).unwrap_or(Vector2::x()) * (PROBE * sigma).sqrt()
     } else {
-        seen
+        lean
     };
     let mut at = |lean: Vector2<f64>| Marginal::at(problem, solution, &frame, &lean, scratch);
     let (Some(plus), Some(minus)) = (at(probe), at(-probe)) else {
-        return Upright::Tilted;
+        return FrontalResult::Tilted;
     };
     let half_sum = (plus.gradient + minus.gradient) * 0.5;
     let pull = (plus.gradient - minus.gradient) * 0.5 + probe * linear_information;
@@ -93,25 +93,27 @@ pub fn estimate(problem: &Problem, solution: &Solution, scratch: &mut FitScratch
         linear: half_sum / linear_information,
         linear_information: linear_information / noise2,
     };
-    if !is_needed(evidence.squared.norm()) {
+    if !applies(evidence.squared.norm()) {
         let root = tilt_posterior::half_angle(&evidence.squared, evidence.squared.norm())
             * evidence.squared.norm().sqrt();
         let root = if root.dot(&evidence.linear) < 0.0 { -root } else { root };
         return match leaned(state, &frame, &root) {
-            further if root.norm_squared() > 1.2 * seen.norm_squared() => Upright::Further(further),
-            _ => Upright::Tilted,
+            further if root.norm_squared() > 1.2 * lean.norm_squared() => {
+                FrontalResult::Further(further)
+            }
+            _ => FrontalResult::Tilted,
         };
     }
     let leans = tilt_posterior::leans(&evidence);
     let middle = Middle::of([&plus, &minus], noise2);
-    let make = |lean: &Lean| middle.leaning(solution, &frame, lean);
+    let make = |lean: &Lean| middle.at_lean(solution, &frame, lean);
     let other = leans.other.map(|lean| make(&lean));
-    Upright::Facing(make(&leans.first), other, leans.likelihood)
+    FrontalResult::Facing(make(&leans.first), other, leans.likelihood)
 }
 
 /// What both rims' places in perspective say of w, over what their elongations say of w².
 fn linear_over_squared(problem: &Problem, state: &State) -> f64 {
-    let (q, r) = (problem.kind.mean_ratio(), problem.radius_m / state.place.position_m.norm());
+    let (q, r) = (problem.kind.mean_ratio(), problem.radius_m / state.pose.position_m.norm());
     16.0 * r * r * q * (1.0 - q * q).powi(2) / ((1.0 + q) * (1.0 + q * q * q))
 }
 
@@ -122,7 +124,7 @@ fn times(by: &Vector2<f64>) -> Matrix2<f64> {
 
 /// The normal's part across the line of sight.
 fn lean_of(state: &State, frame: &Matrix3<f64>) -> Vector2<f64> {
-    (frame * state.place.axes.column(2)).xy()
+    (frame * state.pose.axes.column(2)).xy()
 }
 
 /// The unit normal with this lean.
@@ -135,11 +137,11 @@ fn normal_of(lean: &Vector2<f64>, frame: &Matrix3<f64>) -> Vector3<f64> {
 fn leaned(state: &State, frame: &Matrix3<f64>, lean: &Vector2<f64>) -> State {
     let before = lean_of(state, frame).norm_squared();
     let further = 0.25 * (before - lean.norm_squared());
-    let place = Place {
-        position_m: state.place.position_m * further.exp(),
-        axes: state.place.axes_for(&normal_of(lean, frame)),
+    let pose = PrintPose {
+        position_m: state.pose.position_m * further.exp(),
+        axes: state.pose.axes_with_normal(&normal_of(lean, frame)),
     };
-    State { place, ..state.clone() }
+    State { pose, ..state.clone() }
 }
 
 /// Unknowns other than the tilt.
@@ -150,11 +152,11 @@ struct Marginal {
     /// g, over the information of one grey level.
     gradient: Vector2<f64>,
     /// The step of all else with the lean held …
-    step: [f64; MOST],
+    step: [f64; MAX_UNKNOWNS],
     /// … and what follows each component of w.
-    follow: [[f64; MOST]; 2],
+    follow: [[f64; MAX_UNKNOWNS]; 2],
     /// Inverse information about shift and range with the lean held.
-    place: Matrix3<f64>,
+    pose: Matrix3<f64>,
 }
 
 impl Marginal {
@@ -166,29 +168,29 @@ impl Marginal {
         scratch: &mut FitScratch,
     ) -> Option<Self> {
         let state = leaned(&solution.state, frame, lean);
-        let mut linear = linearize::linearize(problem, &state, None, scratch).ok()?;
-        if state.blur_ends(linear.gradient[BLUR]) {
-            linear.hold(BLUR);
+        let mut equations = linearize::linearize(problem, &state, None, scratch).ok()?;
+        if state.blur_at_limit(equations.gradient[BLUR]) {
+            equations.hold(BLUR);
         }
-        let (information, gradient) = linear.with_prior(&state, solution.noise2);
+        let (information, gradient) = equations.with_prior(&state, solution.noise2);
         // A turn τ about the axes a and b moves the lean by M τ.
-        let [a, b] = [0, 1].map(|axis| (frame * state.place.axes.column(axis)).xy());
+        let [a, b] = [0, 1].map(|axis| (frame * state.pose.axes.column(axis)).xy());
         let turns = Matrix2::from_columns(&[-b, a]).try_inverse()?;
-        let by_lean = |row: &[f64; MOST]| {
+        let by_lean = |row: &[f64; MAX_UNKNOWNS]| {
             let t = Vector2::new(row[TILT], row[TILT + 1]);
             turns.transpose() * t - lean * (0.5 * row[RANGE])
         };
         // The information is symmetric: its rows are its columns.
-        let mut tilts = [[0.0; MOST]; 2];
+        let mut tilts = [[0.0; MAX_UNKNOWNS]; 2];
         for (other, row) in information.iter().enumerate().take(OTHERS) {
             let of_tilts = by_lean(row);
             (tilts[0][other], tilts[1][other]) = (of_tilts.x, of_tilts.y);
         }
         let own = by_lean(&gradient);
-        let others = Factor::new(&information, linear.free().start..OTHERS)?;
+        let others = Cholesky::new(&information, equations.free_unknowns().start..OTHERS)?;
         let step = others.solve(&gradient);
         let follow = tilts.map(|tilt| others.solve(&tilt));
-        let dot = |one: &[f64; MOST], other: &[f64; MOST]| -> f64 {
+        let dot = |one: &[f64; MAX_UNKNOWNS], other: &[f64; MAX_UNKNOWNS]| -> f64 {
             one.iter().zip(other).take(OTHERS).map(|(a, b)| a * b).sum()
         };
         Some(Self {
@@ -196,52 +198,52 @@ impl Marginal {
             step,
             follow,
             // Shift and range are the last of the others.
-            place: others.inverse_of_last(),
+            pose: others.inverse_of_last(),
         })
     }
 }
 
 /// Halfway between both probes.
 struct Middle {
-    step: [f64; MOST],
-    follow: [[f64; MOST]; 2],
+    step: [f64; MAX_UNKNOWNS],
+    follow: [[f64; MAX_UNKNOWNS]; 2],
     /// Covariance of shift and range with the lean held.
-    place: Matrix3<f64>,
+    pose: Matrix3<f64>,
 }
 
 impl Middle {
     fn of([plus, minus]: [&Marginal; 2], noise2: f64) -> Self {
-        let mean = |one: &[f64; MOST], other: &[f64; MOST]| {
+        let mean = |one: &[f64; MAX_UNKNOWNS], other: &[f64; MAX_UNKNOWNS]| {
             std::array::from_fn(|i| 0.5 * (one[i] + other[i]))
         };
         Self {
             step: mean(&plus.step, &minus.step),
             follow: [0, 1].map(|k| mean(&plus.follow[k], &minus.follow[k])),
-            place: (plus.place + minus.place) * (0.5 * noise2),
+            pose: (plus.pose + minus.pose) * (0.5 * noise2),
         }
     }
 
     /// The solution moved to one lean of the posterior.
-    fn leaning(&self, solution: &Solution, frame: &Matrix3<f64>, lean: &Lean) -> Leaning {
+    fn at_lean(&self, solution: &Solution, frame: &Matrix3<f64>, lean: &Lean) -> FrontalPose {
         let [by_x, by_y] = &self.follow;
         let change = |i: usize| self.step[i] - by_x[i] * lean.mean.x - by_y[i] * lean.mean.y;
         let mut state = solution.state.clone();
         state.white += change(WHITE);
         state.step += change(STEP);
-        state.widen(change(BLUR), Vector2::new(change(MOTION), change(MOTION + 1)));
+        state.change_blur(change(BLUR), Vector2::new(change(MOTION), change(MOTION + 1)));
         let before = lean_of(&state, frame).norm_squared();
         let normal = normal_of(&lean.mean, frame);
-        let place = &mut state.place;
-        place.position_m *= (change(RANGE) + 0.25 * (before - lean.squared)).exp();
-        place.position_m +=
-            Vector3::new(change(SHIFT), change(SHIFT + 1), 0.0) * solution.linear.unit_m;
-        place.axes = place.axes_for(&normal);
+        let pose = &mut state.pose;
+        pose.position_m *= (change(RANGE) + 0.25 * (before - lean.squared)).exp();
+        pose.position_m +=
+            Vector3::new(change(SHIFT), change(SHIFT + 1), 0.0) * solution.equations.unit_m;
+        pose.axes = pose.axes_with_normal(&normal);
         let facing = (1.0 - lean.mean.norm_squared()).max(0.0).sqrt();
         let turns = [Vector2::x(), Vector2::y()].map(|along| {
             let change = along.push(lean.mean.dot(&along) / facing);
             normal.cross(&(frame.transpose() * change))
         });
-        Leaning { state, covariance: self.covariance(lean), turns }
+        FrontalPose { state, covariance: self.covariance(lean), turns }
     }
 
     /// Over shift, the logarithm of the range, and w: shift and range follow w, the range -¼ |w|² too.
@@ -250,13 +252,13 @@ impl Middle {
         let by_square = Vector3::new(0.0, 0.0, -0.25);
         let with_lean = moved * lean.covariance + by_square * lean.cross.transpose();
         let with_square = moved * lean.cross * by_square.transpose();
-        let place = self.place
+        let pose = self.pose
             + moved * lean.covariance * moved.transpose()
             + with_square
             + with_square.transpose()
             + by_square * by_square.transpose() * lean.squared_variance;
         let mut covariance = Covariance5::zeros();
-        covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&place);
+        covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&pose);
         covariance.fixed_view_mut::<3, 2>(0, 3).copy_from(&with_lean);
         covariance.fixed_view_mut::<2, 3>(3, 0).copy_from(&with_lean.transpose());
         covariance.fixed_view_mut::<2, 2>(3, 3).copy_from(&lean.covariance);

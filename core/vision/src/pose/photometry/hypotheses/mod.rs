@@ -11,23 +11,23 @@ use super::{
     FitError, FitScratch, robust,
     solver::{
         gauss_newton,
-        mirror::{Glance, glance},
-        normal_equation_cache::RecalledProducts,
+        mirror::{MirrorEstimate, evaluate_mirrored},
+        normal_equation_cache::NormalEquationCache,
         solution::Solution,
         state::{Problem, State},
     },
 };
 use crate::{ellipse::Ellipse, marker::Pattern, rigid::Covariance6};
-use disc_heading::Heading;
-use frontal::{Leaning, Upright};
+use disc_heading::YawEstimate;
+use frontal::{FrontalPose, FrontalResult};
 
 /// What a fit comes to, in the local frame but for the covariance, which is the camera's.
-pub struct Placed {
+pub struct PoseEstimate {
     pub state: State,
     pub other_normal: Vector3<f64>,
     pub likelihood: f64,
     /// From this position to that of the other normal.
-    pub apart_m: Vector3<f64>,
+    pub other_offset_m: Vector3<f64>,
     /// With this normal.
     pub covariance: Covariance6,
     pub noise2: f64,
@@ -35,18 +35,18 @@ pub struct Placed {
     pub motion_variance: Option<f64>,
     pub iterations: usize,
     /// For later frames.
-    pub recalled: Option<RecalledProducts>,
+    pub cache: Option<NormalEquationCache>,
 }
 
 /// The place that the pixels within `counted` tell, from a start; of an elliptical disc its heading's
 /// deviation is that of the start.
-pub fn placed(
+pub fn estimate_pose(
     problem: &Problem,
     first: State,
     deviation_rad: Option<f64>,
     counted: &Ellipse,
     scratch: &mut FitScratch,
-) -> Result<Placed, FitError> {
+) -> Result<PoseEstimate, FitError> {
     let mut heading = None;
     let mut solution = match (problem.teeth, deviation_rad) {
         (Some(_), _) => {
@@ -63,80 +63,85 @@ pub fn placed(
     };
     if problem.is_still && !solution.is_plain() {
         let moving = Problem { is_still: false, ..*problem };
-        return placed(&moving, solution.state, deviation_rad, counted, scratch);
+        return estimate_pose(&moving, solution.state, deviation_rad, counted, scratch);
     }
     let mut found = frontal::estimate(problem, &solution, scratch);
-    if let Upright::Further(state) = found {
+    if let FrontalResult::Further(state) = found {
         solution = gauss_newton::solve(problem, state, scratch)?;
         found = frontal::estimate(problem, &solution, scratch);
     }
-    let (mut placed, heading) = match found {
-        Upright::Facing(first, other, likelihood) if solution.is_plain() => {
-            let placed = upright(problem, &solution, (first, other, likelihood));
-            (placed, heading.map(Heading::alone))
+    let (mut estimate_pose, heading) = match found {
+        FrontalResult::Facing(first, other, likelihood) if solution.is_plain() => {
+            let estimate_pose = frontal_pose(problem, &solution, (first, other, likelihood));
+            (estimate_pose, heading.map(YawEstimate::decorrelated))
         }
         _ => {
             let heading = match heading {
-                Some(heading) if !solution.is_plain() => Some(heading.disturbed(&solution)),
+                Some(heading) if !solution.is_plain() => Some(heading.inflated(&solution)),
                 _ => heading,
             };
-            (tilted(problem, &mut solution, counted, scratch)?, heading)
+            (tilted_pose(problem, &mut solution, counted, scratch)?, heading)
         }
     };
     if let Some(heading) = heading {
-        heading.add_to(problem, &mut placed);
+        heading.add_to(problem, &mut estimate_pose);
     }
-    Ok(placed)
+    Ok(estimate_pose)
 }
 
 /// One lean, or two, of a roundel that nearly faces the camera.
-fn upright(
+fn frontal_pose(
     problem: &Problem,
     solution: &Solution,
-    (first, other, likelihood): (Leaning, Option<Leaning>, f64),
-) -> Placed {
-    let Leaning { state, covariance, turns } = first;
-    let covariance = solution.carried(problem, &state, &covariance, &turns);
-    let second = other.map_or(state.place, |other| other.state.place);
-    Placed {
+    (first, other, likelihood): (FrontalPose, Option<FrontalPose>, f64),
+) -> PoseEstimate {
+    let FrontalPose { state, covariance, turns } = first;
+    let covariance = solution.in_camera_frame(problem, &state, &covariance, &turns);
+    let second = other.map_or(state.pose, |other| other.state.pose);
+    PoseEstimate {
         other_normal: second.axes.column(2).into_owned(),
         likelihood,
-        apart_m: second.position_m - state.place.position_m,
+        other_offset_m: second.position_m - state.pose.position_m,
         covariance,
         noise2: solution.noise2,
         motion_variance: solution.motion_variance(),
         iterations: solution.iterations,
-        recalled: None,
+        cache: None,
         state,
     }
 }
 
 /// The solution, or that of the mirrored place if it is nearer to the pixels; the careful one where
 /// noise explains neither.
-fn tilted(
+fn tilted_pose(
     problem: &Problem,
     solution: &mut Solution,
     counted: &Ellipse,
     scratch: &mut FitScratch,
-) -> Result<Placed, FitError> {
+) -> Result<PoseEstimate, FitError> {
     let mut factor = solution.factor();
-    let at = (&solution.linear, solution.noise2, factor.as_ref());
-    let mut other = glance(problem, &solution.state, at, scratch);
+    let at = (&solution.equations, solution.noise2, factor.as_ref());
+    let mut other = evaluate_mirrored(problem, &solution.state, at, scratch);
     if let Some(better) = &other
         && better.misfit < solution.misfit
         && let Ok(found) = gauss_newton::solve(problem, better.state.clone(), scratch)
     {
-        let normal = |solution: &Solution| solution.state.place.axes.column(2).into_owned();
+        let normal = |solution: &Solution| solution.state.pose.axes.column(2).into_owned();
         let back = normal(&found).dot(&normal(solution));
         // Near face-on the mirrored place may have no minimum of its own; then it counts as it is.
-        let own = back < normal(&found).dot(&solution.state.mirrored().place.axes.column(2));
-        let apart_m = found.state.place.position_m - solution.state.place.position_m;
+        let own = back < normal(&found).dot(&solution.state.mirrored().pose.axes.column(2));
+        let other_offset_m = found.state.pose.position_m - solution.state.pose.position_m;
         let misfit = match &other {
-            Some(other) if !own => other.unmoved,
+            Some(other) if !own => other.initial_misfit,
             _ => found.misfit.max(solution.misfit),
         };
         let better = found.misfit < solution.misfit;
-        other = Some(Glance { misfit, unmoved: misfit, apart_m, state: found.state.clone() });
+        other = Some(MirrorEstimate {
+            misfit,
+            initial_misfit: misfit,
+            other_offset_m,
+            state: found.state.clone(),
+        });
         if better {
             *solution = found;
             factor = solution.factor();
@@ -144,35 +149,35 @@ fn tilted(
     }
     if !solution.is_plain() {
         // Other teeth than presumed, or another yaw, would pass for a cover.
-        if problem.is_presumed && solution.linear.is_of_another() {
-            return Err(FitError::Disturbed);
+        if problem.teeth_are_predicted && solution.equations.contradicts_model() {
+            return Err(FitError::Obstructed);
         }
         // What disturbs the ring may have passed for motion, and taken the pose along.
         let still = Problem { is_still: true, ..*problem };
-        let stopped = solution.state.stopped();
-        let start = gauss_newton::solve(&still, stopped.clone(), scratch);
-        let start = start.map_or(stopped, |solution| solution.state);
-        let placed = robust::solve(&still, &start, counted, scratch)?;
+        let without_motion = solution.state.without_motion();
+        let start = gauss_newton::solve(&still, without_motion.clone(), scratch);
+        let start = start.map_or(without_motion, |solution| solution.state);
+        let estimate_pose = robust::solve(&still, &start, counted, scratch)?;
         // With part of it covered, the disc's rim would be turned.
         let is_elliptical = matches!(problem.kind.pattern, Pattern::Elliptical { .. });
-        if is_elliptical && !scratch.careful.keeps_disc() {
-            return Err(FitError::Disturbed);
+        if is_elliptical && !scratch.robust.disc_is_unobstructed() {
+            return Err(FitError::Obstructed);
         }
-        return Ok(placed);
+        return Ok(estimate_pose);
     }
     let likelihood = other.as_ref().map_or(1.0, |other| {
         let worse = (other.misfit - solution.misfit).max(0.0) / solution.noise2;
         1.0 / (1.0 + (-0.5 * worse).exp())
     });
-    Ok(Placed {
-        other_normal: solution.state.mirrored().place.axes.column(2).into_owned(),
+    Ok(PoseEstimate {
+        other_normal: solution.state.mirrored().pose.axes.column(2).into_owned(),
         likelihood,
-        apart_m: other.map_or(Vector3::zeros(), |other| other.apart_m),
-        covariance: solution.covariance(problem, &factor.ok_or(FitError::Flat)?),
+        other_offset_m: other.map_or(Vector3::zeros(), |other| other.other_offset_m),
+        covariance: solution.covariance(problem, &factor.ok_or(FitError::Uninformative)?),
         noise2: solution.noise2,
         motion_variance: solution.motion_variance(),
         iterations: solution.iterations,
-        recalled: solution.recalled(problem),
+        cache: solution.cache(problem),
         state: solution.state.clone(),
     })
 }

@@ -38,7 +38,7 @@ pub struct Kernel {
 }
 
 /// Offsets at which the widest table needs Φ and F.
-const MOST_OFFSETS: usize = (16 + 6) * PHASES + 1;
+const MAX_OFFSETS: usize = (16 + 6) * PHASES + 1;
 
 impl Kernel {
     /// With room for the table.
@@ -47,11 +47,11 @@ impl Kernel {
         Self { blur_px, width, table: Vec::with_capacity(PHASES * FUNCTIONS * 2 * width) }
     }
 
-    fn make(&mut self) {
+    fn fill(&mut self) {
         let Self { blur_px, width, ref mut table } = *self;
         // All offsets are multiples of a phase, so one list holds every Φ and F there is.
         let half = (width as i64 / 2 + 3) * PHASES as i64;
-        let mut list = [[0.0; 2]; MOST_OFFSETS];
+        let mut list = [[0.0; 2]; MAX_OFFSETS];
         for (i, both) in (-half..=half).zip(&mut list) {
             let z = i as f64 / (PHASES as f64 * blur_px);
             let (below, density) = normal_distribution(z);
@@ -93,13 +93,13 @@ impl Default for Kernels {
 
 impl Kernels {
     /// The table nearest to a blur.
-    pub fn near(&mut self, blur_px: f64) -> &Kernel {
+    pub fn nearest(&mut self, blur_px: f64) -> &Kernel {
         let place = ((blur_px - BLUR_LIMITS_PX.0) / STEP_PX).round();
         // A blur that is no number gives the first table.
         let index = (place.max(0.0) as usize).min(TABLES - 1);
         let kernel = &mut self.0[index];
         if kernel.table.is_empty() {
-            kernel.make();
+            kernel.fill();
         }
         kernel
     }
@@ -110,7 +110,7 @@ impl Kernels {
 /// Of a straight edge, whose image has the spectrum S(f) = exp(-2π²σ²f²) sinc(f cos θ) sinc(f sin θ)/f,
 /// they leave the least squared error of the derivative, averaged over directions θ and phases.
 #[derive(Clone, Copy, Debug)]
-pub struct Taps {
+pub struct DifferenceWeights {
     /// ∂d/∂u ≈ Σ gradient[k] (d(u + k) - d(u - k)), alike along v.
     pub gradient: [f32; 2],
     /// ∇²d ≈ Σ curvature[k] (the four pixels k away - 4 d).
@@ -132,7 +132,7 @@ const TAPS: [(f64, [f64; 6]); 8] = [
     (2.2, [0.6838, -0.0920, 1.3720, -0.0933, 0.7077, -0.0527]),
 ];
 
-impl Taps {
+impl DifferenceWeights {
     /// For a blur.
     pub fn of(blur_px: f64) -> Self {
         let above = TAPS.iter().position(|(blur, _)| *blur > blur_px).unwrap_or(TAPS.len() - 1);
@@ -164,7 +164,7 @@ mod tests {
     fn a_kernel_has_weight_one_and_the_variance_of_box_and_blur() {
         let mut kernels = Kernels::default();
         for blur_px in [0.5, 0.7, 1.1, 1.6] {
-            let kernel = kernels.near(blur_px).clone();
+            let kernel = kernels.nearest(blur_px).clone();
             let width = kernel.width;
             for phase in [0, 17, PHASES / 2, PHASES - 1] {
                 let list = |which: usize| {
@@ -188,7 +188,7 @@ mod tests {
     #[test]
     fn differences_are_the_derivatives_of_blurred_edges() {
         for (blur_px, miss) in [(0.5, 0.16), (0.72, 0.07), (0.9, 0.04), (1.4, 0.01)] {
-            let taps = Taps::of(blur_px);
+            let taps = DifferenceWeights::of(blur_px);
             let (mut wrong, mut whole) = ([0.0; 2], [0.0; 2]);
             for i in 0..400 {
                 let (sin, cos) = (f64::from(i) * 0.618).sin_cos();

@@ -20,7 +20,7 @@ const PIXELS: usize = 256;
 /// Lanes of the widest vector.
 const LANES: usize = 16;
 /// Room for a column's pixels, and for what a vector holds beyond the last of them.
-const ROOM: usize = PIXELS + LANES;
+const STRIDE: usize = PIXELS + LANES;
 
 /// Places of the columns; the residual is the first.
 pub mod column {
@@ -49,68 +49,68 @@ pub type Products<const COUNT: usize = COLUMNS> = SMatrix<f64, COUNT, COUNT>;
 
 /// Pixels not yet multiplied, and sums of those that are.
 #[derive(Clone, Debug)]
-pub struct Sums {
-    kept: Vec<f32>,
+pub struct ProductSums {
+    buffer: Vec<f32>,
     count: usize,
     lanes: Vec<[f32; LANES]>,
     /// Whether what is in them is of another look.
-    is_old: bool,
+    is_stale: bool,
     /// After [`Sums::finish`]: Σ over pixels of column times column.
     pub products: Products,
     /// What [`super::patches`] makes of the residuals.
     pub patches: f32,
 }
 
-impl Default for Sums {
+impl Default for ProductSums {
     fn default() -> Self {
         Self {
-            kept: vec![0.0; ROOM * COLUMNS],
+            buffer: vec![0.0; STRIDE * COLUMNS],
             count: 0,
             lanes: vec![[0.0; LANES]; COLUMNS * COLUMNS],
-            is_old: true,
+            is_stale: true,
             products: Products::zeros(),
             patches: 0.0,
         }
     }
 }
 
-impl Sums {
+impl ProductSums {
     /// Back to nothing.
     pub fn clear(&mut self) {
         self.count = 0;
-        self.is_old = true;
+        self.is_stale = true;
     }
 
     /// Keeps the first `count` pixels of a vector, and multiplies once enough are together; of the motion's
     /// columns only where they are free.
     #[inline(always)]
-    pub fn keep<S: Simd, const FREE: bool>(
+    pub fn push<S: Simd, const MOTION: bool>(
         &mut self,
         simd: S,
         columns: &[S::f32s; COLUMNS],
         count: usize,
     ) {
         let lanes = S::f32s::LEN;
-        let kept = &mut self.kept[self.count..self.count + (COLUMNS - 1) * ROOM + LANES];
-        for column in 0..columns_of(FREE) {
-            columns[column].store_slice(&mut kept[column * ROOM..column * ROOM + lanes]);
+        let buffer = &mut self.buffer[self.count..self.count + (COLUMNS - 1) * STRIDE + LANES];
+        for column in 0..column_count(MOTION) {
+            columns[column].store_slice(&mut buffer[column * STRIDE..column * STRIDE + lanes]);
         }
         self.count += count;
         if self.count > PIXELS - lanes {
-            multiply::<S, FREE>(simd, self);
+            multiply::<S, MOTION>(simd, self);
         }
     }
 
     /// Takes sums of the residual's products; all others stay as they were.
-    pub fn take_gradient<S: Simd, const FREE: bool>(&mut self, gradient: &[S::f32s; COLUMNS]) {
-        for (column, lanes) in gradient.iter().enumerate().take(columns_of(FREE)) {
+    pub fn take_gradient<S: Simd, const MOTION: bool>(&mut self, gradient: &[S::f32s; COLUMNS]) {
+        for (column, lanes) in gradient.iter().enumerate().take(column_count(MOTION)) {
             lanes.store_slice(&mut self.lanes[column][..S::f32s::LEN]);
         }
     }
 
     /// Adds up what [`Sums::take_gradient`] was given.
-    pub fn finish_gradient(&mut self, free: bool) {
-        for column in 0..columns_of(free) {
+    pub fn finish_gradient(&mut self, with_motion: bool) {
+        for column in 0..column_count(with_motion) {
             let sum = sum_of(self.lanes[column]);
             self.products[(0, column)] = sum;
             self.products[(column, 0)] = sum;
@@ -118,14 +118,14 @@ impl Sums {
     }
 
     /// Multiplies what is left, and adds up.
-    pub fn finish(&mut self, level: Level, free: bool) {
-        if free {
+    pub fn finish(&mut self, level: Level, with_motion: bool) {
+        if with_motion {
             dispatch!(level, simd => multiply::<_, true>(simd, self));
         } else {
             dispatch!(level, simd => multiply::<_, false>(simd, self));
         }
-        for row in 0..columns_of(free) {
-            for column in row..columns_of(free) {
+        for row in 0..column_count(with_motion) {
+            for column in row..column_count(with_motion) {
                 let sum = sum_of(self.lanes[row * COLUMNS + column]);
                 self.products[(row, column)] = sum;
                 self.products[(column, row)] = sum;
@@ -135,8 +135,8 @@ impl Sums {
 }
 
 /// How many there are, with the motion's or without.
-const fn columns_of(free: bool) -> usize {
-    if free { COLUMNS } else { STILL }
+const fn column_count(with_motion: bool) -> usize {
+    if with_motion { COLUMNS } else { STILL }
 }
 
 /// By halves, which takes a fourth of the steps that one after the other takes.
@@ -151,9 +151,9 @@ fn sum_of(mut lanes: [f32; LANES]) -> f64 {
 }
 
 #[simd]
-fn multiply<S: Simd, const FREE: bool>(simd: S, sums: &mut Sums) {
+fn multiply<S: Simd, const MOTION: bool>(simd: S, sums: &mut ProductSums) {
     let (count, lanes) = (sums.count, S::f32s::LEN);
-    for column in sums.kept.chunks_exact_mut(ROOM).take(columns_of(FREE)) {
+    for column in sums.buffer.chunks_exact_mut(STRIDE).take(column_count(MOTION)) {
         S::f32s::splat(simd, 0.0).store_slice(&mut column[count..count + lanes]);
     }
     sums.count = count.next_multiple_of(lanes);
@@ -165,32 +165,32 @@ fn multiply<S: Simd, const FREE: bool>(simd: S, sums: &mut Sums) {
                 multiply_groups(simd, sums, GROUP * first, GROUP * second);
             }
         }
-        if FREE {
+        if MOTION {
             multiply_motion::<S, 0>(simd, sums, GROUP * first);
         }
     }
-    if FREE {
+    if MOTION {
         multiply_motion::<S, 1>(simd, sums, STILL - 1);
     }
     sums.count = 0;
-    sums.is_old = false;
+    sums.is_stale = false;
 }
 
 /// Adds a block of products to a place, or puts it there if it is the first one.
 #[inline(always)]
-fn put<S: Simd>(simd: S, sums: &mut Sums, place: usize, product: S::f32s) {
+fn accumulate<S: Simd>(simd: S, sums: &mut ProductSums, place: usize, product: S::f32s) {
     let sum = &mut sums.lanes[place][..S::f32s::LEN];
     let before =
-        if sums.is_old { S::f32s::splat(simd, 0.0) } else { S::f32s::from_slice(simd, sum) };
+        if sums.is_stale { S::f32s::splat(simd, 0.0) } else { S::f32s::from_slice(simd, sum) };
     (before + product).store_slice(sum);
 }
 
 /// Products of the three columns from `first` on with each other.
 #[inline(always)]
-fn multiply_group<S: Simd>(simd: S, sums: &mut Sums, first: usize) {
+fn multiply_group<S: Simd>(simd: S, sums: &mut ProductSums, first: usize) {
     let width = S::f32s::LEN;
     let count = sums.count;
-    let column = |index: usize| &sums.kept[index * ROOM..][..count];
+    let column = |index: usize| &sums.buffer[index * STRIDE..][..count];
     let (a0, a1, a2) = (column(first), column(first + 1), column(first + 2));
     let mut block = [S::f32s::splat(simd, 0.0); GROUP * (GROUP + 1) / 2];
     let lists = a0.chunks_exact(width).zip(a1.chunks_exact(width)).zip(a2.chunks_exact(width));
@@ -207,16 +207,16 @@ fn multiply_group<S: Simd>(simd: S, sums: &mut Sums, first: usize) {
     }
     for (product, (i, j)) in block.into_iter().zip([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)])
     {
-        put(simd, sums, (first + i) * COLUMNS + first + j, product);
+        accumulate(simd, sums, (first + i) * COLUMNS + first + j, product);
     }
 }
 
 /// Products of the three columns from `first` on with the three from `second` on.
 #[inline(always)]
-fn multiply_groups<S: Simd>(simd: S, sums: &mut Sums, first: usize, second: usize) {
+fn multiply_groups<S: Simd>(simd: S, sums: &mut ProductSums, first: usize, second: usize) {
     let width = S::f32s::LEN;
     let count = sums.count;
-    let column = |index: usize| &sums.kept[index * ROOM..][..count];
+    let column = |index: usize| &sums.buffer[index * STRIDE..][..count];
     let (a0, a1, a2) = (column(first), column(first + 1), column(first + 2));
     let (b0, b1, b2) = (column(second), column(second + 1), column(second + 2));
     let mut block = [S::f32s::splat(simd, 0.0); GROUP * GROUP];
@@ -241,17 +241,17 @@ fn multiply_groups<S: Simd>(simd: S, sums: &mut Sums, first: usize, second: usiz
     }
     for i in 0..GROUP {
         for j in 0..GROUP {
-            put(simd, sums, (first + i) * COLUMNS + second + j, block[GROUP * i + j]);
+            accumulate(simd, sums, (first + i) * COLUMNS + second + j, block[GROUP * i + j]);
         }
     }
 }
 
 /// Products of three columns, but for the first `SKIP` of those from `first` on, with the motion's two.
 #[inline(always)]
-fn multiply_motion<S: Simd, const SKIP: usize>(simd: S, sums: &mut Sums, first: usize) {
+fn multiply_motion<S: Simd, const SKIP: usize>(simd: S, sums: &mut ProductSums, first: usize) {
     let width = S::f32s::LEN;
     let count = sums.count;
-    let column = |index: usize| &sums.kept[index * ROOM..][..count];
+    let column = |index: usize| &sums.buffer[index * STRIDE..][..count];
     let (a0, a1, a2) = (column(first), column(first + 1), column(first + 2));
     let (b0, b1) = (column(column::MOTION), column(column::MOTION + 1));
     let mut block = [S::f32s::splat(simd, 0.0); 2 * GROUP];
@@ -272,7 +272,7 @@ fn multiply_motion<S: Simd, const SKIP: usize>(simd: S, sums: &mut Sums, first: 
     }
     for i in SKIP..GROUP {
         for j in 0..2 {
-            put(simd, sums, (first + i) * COLUMNS + column::MOTION + j, block[2 * i + j]);
+            accumulate(simd, sums, (first + i) * COLUMNS + column::MOTION + j, block[2 * i + j]);
         }
     }
 }

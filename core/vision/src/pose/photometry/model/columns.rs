@@ -11,21 +11,21 @@ use fearless_simd::{Simd, prelude::*};
 
 use super::{
     column_products::COLUMNS,
-    differences::{Differences, Lines, differences},
-    window::{LANES, Model},
+    differences::{Differences, ImageRows, differences},
+    window::{LANES, PixelModel},
 };
 
 /// The lanes' numbers.
 const COUNT: [f32; LANES] = [0., 1., 2., 3., 4., 5., 6., 7., 8., 9., 10., 11., 12., 13., 14., 15.];
 
 /// One row of the window.
-pub struct Line<'a> {
+pub struct RowSpan<'a> {
     pub row: usize,
     pub span: (usize, usize),
     /// Grey values, then residuals.
     pub grey: &'a mut [f32],
     /// d there and about.
-    pub around: Lines<'a>,
+    pub around: ImageRows<'a>,
 }
 
 /// A function that is linear in t: constant, t₁ and t₂ terms.
@@ -49,10 +49,10 @@ fn moved<S: Simd>(
 /// Takes the columns of the row's pixels, a vector at a time, with the number of its pixels, and leaves the
 /// residuals in place of the grey values.
 #[inline(always)]
-pub fn add_row<S: Simd, const FREE: bool>(
+pub fn add_row<S: Simd, const MOTION: bool>(
     simd: S,
-    line: &mut Line,
-    model: &Model,
+    line: &mut RowSpan,
+    model: &PixelModel,
     mut take: impl FnMut(&[S::f32s; COLUMNS], usize),
 ) {
     let lanes = S::f32s::LEN;
@@ -70,7 +70,7 @@ pub fn add_row<S: Simd, const FREE: bool>(
         let weight = (S::f32s::splat(simd, to) - u).min(one).max(zero);
         let grey = S::f32s::from_slice(simd, &line.grey[start..start + lanes]);
         let Differences { share, slope, curvature, bend } =
-            differences::<S, FREE>(simd, &line.around, start, &model.taps);
+            differences::<S, MOTION>(simd, &line.around, start, &model.taps);
         let ([along_u, along_v], [stretch, skew]) = (slope, bend);
         let (fall_u, fall_v) = (along_u * weight, along_v * weight);
         let g1 = zero - fall_u.mul_add(m11, fall_v * m21);
@@ -78,7 +78,7 @@ pub fn add_row<S: Simd, const FREE: bool>(
         let t1 = u.mul_add(S::f32s::splat(simd, model.t[0][1]), row_t1);
         let t2 = u.mul_add(S::f32s::splat(simd, model.t[1][1]), row_t2);
         let blurred = curvature.mul_add(S::f32s::splat(simd, model.blur), share);
-        let blurred = if FREE {
+        let blurred = if MOTION {
             stretch.mul_add(motion[0], skew.mul_add(motion[1], blurred))
         } else {
             blurred

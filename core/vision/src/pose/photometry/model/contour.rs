@@ -17,11 +17,11 @@ use crate::marker::Kind;
 /// Nodes come in whole packs, so that vectors of any width divide them.
 pub const PACK: usize = 16;
 /// Contours that are kept …
-const MOST_KEPT: usize = 512;
+const MAX_CONTOURS: usize = 512;
 /// … and nodes of a rim; beyond either all contours are made anew.
-const MOST_OF_RIM: usize = 65_536;
+const MAX_RIM_NODES: usize = 65_536;
 /// Nodes of a contour, and of all that are kept.
-pub const MOST_NODES: usize = 2 * MOST_OF_RIM;
+pub const MAX_NODES: usize = 2 * MAX_RIM_NODES;
 
 /// Nodes of both rims of one print.
 #[derive(Clone, Copy, Debug)]
@@ -53,7 +53,7 @@ struct Key {
 #[derive(Clone, Debug)]
 pub struct Contours {
     /// With where the contour's nodes are.
-    known: Vec<(Key, Range<usize>)>,
+    cached: Vec<(Key, Range<usize>)>,
     /// Of all contours, as in [`Contour`].
     x: Vec<f32>,
     y: Vec<f32>,
@@ -63,8 +63,8 @@ pub struct Contours {
 
 impl Default for Contours {
     fn default() -> Self {
-        let [x, y, dx, dy] = [(); 4].map(|()| Vec::with_capacity(MOST_NODES));
-        Self { known: Vec::with_capacity(MOST_KEPT), x, y, dx, dy }
+        let [x, y, dx, dy] = [(); 4].map(|()| Vec::with_capacity(MAX_NODES));
+        Self { cached: Vec::with_capacity(MAX_CONTOURS), x, y, dx, dy }
     }
 }
 
@@ -78,18 +78,18 @@ impl Contours {
         around_px: f64,
         spacing_px: f64,
     ) -> Contour<'_> {
-        let (least, most) = kind.ratios();
-        let most_nodes = if teeth.is_some() { teeth::MOST_OF_OUTER } else { MOST_OF_RIM };
+        let (min_ratio, max_ratio) = kind.ratios();
+        let max_nodes = if teeth.is_some() { teeth::MAX_OUTER_NODES } else { MAX_RIM_NODES };
         let packs = |share: f64| {
-            let nodes = (share * around_px / spacing_px).min(most_nodes as f64);
+            let nodes = (share * around_px / spacing_px).min(max_nodes as f64);
             ((nodes / PACK as f64).ceil() as usize).max(1)
         };
         let outer_packs = packs(1.0);
         // Those of teeth follow from the outer rim's.
-        let inner_packs = if teeth.is_some() { 0 } else { packs(most) };
-        let key = Key { inner: (most, least), teeth, outer_packs, inner_packs };
-        let known = self.known.iter().find(|(known, _)| *known == key);
-        let range = match known {
+        let inner_packs = if teeth.is_some() { 0 } else { packs(max_ratio) };
+        let key = Key { inner: (max_ratio, min_ratio), teeth, outer_packs, inner_packs };
+        let cached = self.cached.iter().find(|(cached, _)| *cached == key);
+        let range = match cached {
             Some((_, range)) => range.clone(),
             None => self.add(key),
         };
@@ -107,27 +107,27 @@ impl Contours {
             teeth.nodes(key.inner.0, spacing(key.outer_packs * PACK)).count().div_ceil(PACK)
         });
         let count = (key.outer_packs + inner_packs) * PACK;
-        if self.known.len() == MOST_KEPT || self.x.len() + count > MOST_NODES {
-            self.known.clear();
+        if self.cached.len() == MAX_CONTOURS || self.x.len() + count > MAX_NODES {
+            self.cached.clear();
             for list in [&mut self.x, &mut self.y, &mut self.dx, &mut self.dy] {
                 list.clear();
             }
         }
         let first = self.x.len();
-        self.ellipse((1.0, 1.0), key.outer_packs * PACK, 1.0);
+        self.push_ellipse((1.0, 1.0), key.outer_packs * PACK, 1.0);
         match key.teeth {
-            None => self.ellipse(key.inner, key.inner_packs * PACK, -1.0),
+            None => self.push_ellipse(key.inner, key.inner_packs * PACK, -1.0),
             Some(teeth) => {
-                self.toothed(teeth, key.inner.0, spacing(key.outer_packs * PACK), first + count)
+                self.push_teeth(teeth, key.inner.0, spacing(key.outer_packs * PACK), first + count)
             }
         }
         let range = first..first + count;
-        self.known.push((key, range.clone()));
+        self.cached.push((key, range.clone()));
         range
     }
 
     /// The white disc's rim with its teeth, filled up with nodes of no share.
-    fn toothed(&mut self, teeth: Teeth, ratio: f64, spacing: f64, end: usize) {
+    fn push_teeth(&mut self, teeth: Teeth, ratio: f64, spacing: f64, end: usize) {
         for [x, y, dx, dy] in teeth.nodes(ratio, spacing) {
             self.x.push(x as f32);
             self.y.push(y as f32);
@@ -139,7 +139,7 @@ impl Contours {
         }
     }
 
-    fn ellipse(&mut self, (a, b): (f64, f64), count: usize, sign: f64) {
+    fn push_ellipse(&mut self, (a, b): (f64, f64), count: usize, sign: f64) {
         let step = std::f64::consts::TAU / count as f64;
         for i in 0..count {
             let (sin, cos) = (step * i as f64).sin_cos();
@@ -191,11 +191,11 @@ mod tests {
         // Two of them have room.
         for around_px in [41_000.0, 40_000.0, 42_000.0] {
             contours.of(&kind, None, around_px, 1.0);
-            assert!(contours.x.len() <= MOST_NODES);
+            assert!(contours.x.len() <= MAX_NODES);
         }
-        assert!(contours.known.len() < 4);
+        assert!(contours.cached.len() < 4);
         assert_eq!(first(&mut contours), before);
-        let of_rim = contours.of(&kind, None, f64::INFINITY, 1.0);
-        assert!(of_rim.outer == MOST_OF_RIM && of_rim.x.len() <= MOST_NODES);
+        let for_rim = contours.of(&kind, None, f64::INFINITY, 1.0);
+        assert!(for_rim.outer == MAX_RIM_NODES && for_rim.x.len() <= MAX_NODES);
     }
 }

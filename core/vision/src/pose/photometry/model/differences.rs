@@ -4,13 +4,13 @@
 
 use fearless_simd::{Simd, prelude::*};
 
-use super::blur_kernel::Taps;
+use super::blur_kernel::DifferenceWeights;
 
 /// Pixels each way that differences take in.
 pub const DIFFERENCE: usize = 2;
 
 /// d of a row and of [`DIFFERENCE`] rows to either side.
-pub struct Lines<'a> {
+pub struct ImageRows<'a> {
     pub image: &'a [f32],
     /// Of a row, in the image.
     pub width: usize,
@@ -30,11 +30,11 @@ pub struct Differences<S: Simd> {
 
 /// d and its differences at the pixels of a vector: h where it is needed.
 #[inline(always)]
-pub fn differences<S: Simd, const FREE: bool>(
+pub fn differences<S: Simd, const MOTION: bool>(
     simd: S,
-    lines: &Lines,
+    lines: &ImageRows,
     start: usize,
-    taps: &Taps,
+    taps: &DifferenceWeights,
 ) -> Differences<S> {
     let lanes = S::f32s::LEN;
     let width = lines.width;
@@ -56,7 +56,7 @@ pub fn differences<S: Simd, const FREE: bool>(
     let rest = share * S::f32s::splat(simd, -4.0 * (taps.curvature[0] + taps.curvature[1]));
     let curvature = near.mul_add(c1, far.mul_add(c2, rest));
     let slope = [along_u, along_v];
-    if !FREE {
+    if !MOTION {
         return Differences { share, slope, curvature, bend: [S::f32s::splat(simd, 0.0); 2] };
     }
     let stretch = (near_u - near_v).mul_add(c1, (far_u - far_v) * c2);
@@ -69,7 +69,7 @@ pub fn differences<S: Simd, const FREE: bool>(
 /// d at the corners so many pixels away along both axes or against both, less the other two; no closures,
 /// which would be calls here.
 #[inline(always)]
-fn corners<S: Simd>(simd: S, lines: &Lines, start: usize, by: usize) -> S::f32s {
+fn corners<S: Simd>(simd: S, lines: &ImageRows, start: usize, by: usize) -> S::f32s {
     let lanes = S::f32s::LEN;
     let reach = lanes + 2 * by;
     let above = &lines.image[(DIFFERENCE - by) * lines.width + start - by..][..reach];

@@ -25,13 +25,13 @@ const CIRCLES: [(usize, f64); 3] = [(12, 1.0), (8, 0.68), (4, 0.3)];
 
 /// What does not depend on the lens: samples and the inverse of their polynomials.
 #[derive(Clone, Debug)]
-pub struct Plan {
+pub struct SamplingPlan {
     places: [[f64; 2]; SAMPLES],
     /// What each sample adds to the terms.
     terms_from_samples: Box<[[f64; TERMS]; SAMPLES]>,
 }
 
-impl Default for Plan {
+impl Default for SamplingPlan {
     fn default() -> Self {
         let mut places = [[0.0; 2]; SAMPLES];
         let mut next = 1;
@@ -61,7 +61,7 @@ fn powers() -> impl Iterator<Item = (i32, i32)> {
     (0..6).flat_map(|i| (0..6 - i).map(move |j| (i, j)))
 }
 
-impl Plan {
+impl SamplingPlan {
     /// The polynomials of both coordinates at the samples.
     #[simd]
     fn terms_of<S: Simd>(&self, simd: S, samples: &[[f64; 2]; SAMPLES]) -> [[f64; TERMS]; 2] {
@@ -87,7 +87,7 @@ fn sample_all<S: Simd>(
     simd: S,
     camera: &Camera,
     (camera_from_local, spread): (&Matrix3<f64>, f64),
-    plan: &Plan,
+    plan: &SamplingPlan,
     samples: &mut [[f64; 2]; SAMPLES],
 ) -> bool {
     let m = camera_from_local;
@@ -102,8 +102,8 @@ fn sample_all<S: Simd>(
             x * m.m21 + y * m.m22 + m.m23,
             x * m.m31 + y * m.m32 + m.m33,
         );
-        let Some((pixel, known)) = camera.project_each(ray) else { return false };
-        if (!known).any() {
+        let Some((pixel, valid)) = camera.project_each(ray) else { return false };
+        if (!valid).any() {
             return false;
         }
         let (mut u, mut v) = ([0.0; ABREAST], [0.0; ABREAST]);
@@ -138,7 +138,7 @@ impl LocalLens {
         local_from_camera: Matrix3<f64>,
         spread: f64,
         skew: Option<&Skew>,
-        (level, plan): (Level, &Plan),
+        (level, plan): (Level, &SamplingPlan),
     ) -> Result<Self, LensError> {
         let camera_from_local = local_from_camera.transpose();
         let image = |ray: &Vector3<f64>| {
@@ -198,7 +198,7 @@ mod tests {
             Lens::Rational([8.1, 5.2, 0.0004, -0.0002, 0.21, 8.4, 8.0, 1.3]),
             Lens::Equidistant([-0.02, 0.011, -0.007, 0.0013]),
         ];
-        let plan = Plan::default();
+        let plan = SamplingPlan::default();
         for lens in lenses {
             let camera = Camera::new(Intrinsics {
                 width: 1400,

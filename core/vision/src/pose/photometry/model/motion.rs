@@ -30,14 +30,14 @@ use nalgebra::Vector2;
 
 /// Motion that is expected, pixels: no less however still a track stands, no more however fast it is, since
 /// nobody knows the exposure.
-const EXPECTED_PX: (f64, f64) = (0.3, 1.4);
+const PRIOR_RANGE_PX: (f64, f64) = (0.3, 1.4);
 /// Up to this |μ| the image is linear in it, px².
 const LINEAR_PX2: f64 = 0.35;
 /// |μ| at most, px².
-const MOST_PX2: f64 = 64.0;
+const MAX_PX2: f64 = 64.0;
 
 /// Gauss and Legendre's places on a length of one, with their weights, for motion up to so many blurs.
-const PLACES: [(f64, &[(f32, f32)]); 4] = [
+const QUADRATURES: [(f64, &[(f32, f32)]); 4] = [
     (1.0, &[(-0.288_675_13, 0.5), (0.288_675_13, 0.5)]),
     (2.2, &[(-0.387_298_33, 0.277_777_8), (0.0, 0.444_444_45), (0.387_298_33, 0.277_777_8)]),
     (
@@ -66,34 +66,34 @@ const PLACES: [(f64, &[(f32, f32)]); 4] = [
 ];
 
 /// What μ adds to the variance of edges in the mean of all directions, px².
-pub fn spread(motion2: &Vector2<f64>) -> f64 {
+pub fn mean_variance(motion2: &Vector2<f64>) -> f64 {
     motion2.norm() / 24.0
 }
 
 /// Variance of μ beforehand, besides its own size, of what moves so far from frame to frame, px⁴.
 pub fn prior(moved_px: f64) -> f64 {
-    moved_px.clamp(EXPECTED_PX.0, EXPECTED_PX.1).powi(4)
+    moved_px.clamp(PRIOR_RANGE_PX.0, PRIOR_RANGE_PX.1).powi(4)
 }
 
 /// No more than what so much variance leaves room for.
-pub fn limited(motion2: &Vector2<f64>, mean_px2: f64) -> Vector2<f64> {
-    motion2.cap_magnitude((24.0 * mean_px2).clamp(0.0, MOST_PX2))
+pub fn clamped(motion2: &Vector2<f64>, mean_px2: f64) -> Vector2<f64> {
+    motion2.cap_magnitude((24.0 * mean_px2).clamp(0.0, MAX_PX2))
 }
 
 /// m for μ, or its opposite.
-pub fn of_square(motion2: &Vector2<f64>) -> Vector2<f64> {
+pub fn from_square(motion2: &Vector2<f64>) -> Vector2<f64> {
     let (length, angle) = (motion2.norm().sqrt(), 0.5 * motion2.y.atan2(motion2.x));
     Vector2::new(angle.cos(), angle.sin()) * length
 }
 
 /// μ for m.
-pub fn squared(motion_px: &Vector2<f64>) -> Vector2<f64> {
+pub fn to_square(motion_px: &Vector2<f64>) -> Vector2<f64> {
     let (x, y) = (motion_px.x, motion_px.y);
     Vector2::new(x * x - y * y, 2.0 * x * y)
 }
 
 /// What of μ the linear terms have to say.
-pub fn missing(motion2: &Vector2<f64>) -> Vector2<f64> {
+pub fn linear_part(motion2: &Vector2<f64>) -> Vector2<f64> {
     if is_linear(motion2) { *motion2 } else { Vector2::zeros() }
 }
 
@@ -103,10 +103,10 @@ pub fn is_linear(motion2: &Vector2<f64>) -> bool {
 }
 
 /// Where along m the contour stands, and for which share of the exposure.
-pub fn places(motion2: &Vector2<f64>, blur_px: f64) -> &'static [(f32, f32)] {
+pub fn quadrature(motion2: &Vector2<f64>, blur_px: f64) -> &'static [(f32, f32)] {
     let blurs = motion2.norm().sqrt() / blur_px;
-    let found = PLACES.iter().find(|(most, _)| blurs <= *most);
-    found.map_or(PLACES[PLACES.len() - 1].1, |(_, places)| places)
+    let found = QUADRATURES.iter().find(|(limit, _)| blurs <= *limit);
+    found.map_or(QUADRATURES[QUADRATURES.len() - 1].1, |(_, quadrature)| quadrature)
 }
 
 #[cfg(test)]
@@ -115,13 +115,13 @@ mod tests {
 
     #[test]
     fn places_have_a_boxs_moments() {
-        for (_, places) in PLACES {
+        for (_, quadrature) in QUADRATURES {
             let moment = |power: i32| -> f64 {
-                places.iter().map(|(s, w)| f64::from(*w) * f64::from(*s).powi(power)).sum()
+                quadrature.iter().map(|(s, w)| f64::from(*w) * f64::from(*s).powi(power)).sum()
             };
             assert!((moment(0) - 1.0).abs() < 1e-6 && moment(1).abs() < 1e-7);
             assert!((moment(2) - 1.0 / 12.0).abs() < 1e-6);
-            assert!(places.len() == 2 || (moment(4) - 1.0 / 80.0).abs() < 1e-6);
+            assert!(quadrature.len() == 2 || (moment(4) - 1.0 / 80.0).abs() < 1e-6);
         }
     }
 
@@ -130,7 +130,7 @@ mod tests {
         for i in 0..24 {
             let (sin, cos) = (f64::from(i) * 0.4).sin_cos();
             let motion_px = Vector2::new(cos, sin) * 1.7;
-            let found = of_square(&squared(&motion_px));
+            let found = from_square(&to_square(&motion_px));
             assert!((found - motion_px).norm().min((found + motion_px).norm()) < 1e-12);
         }
     }

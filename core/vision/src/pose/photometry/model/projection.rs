@@ -10,24 +10,24 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::{
     blur_kernel::PHASES,
-    contour::{Contour, MOST_NODES, PACK},
+    contour::{Contour, MAX_NODES, PACK},
     local_lens::{LocalLens, TERMS},
 };
 use crate::pose::yaw;
 
 /// A roundel's place in the local frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Place {
+pub struct PrintPose {
     /// p, metres.
     pub position_m: Vector3<f64>,
     /// Columns a, b and n: the print's x and y, and its normal.
     pub axes: Matrix3<f64>,
 }
 
-impl Place {
+impl PrintPose {
     /// Axes for another normal: seen along the line of sight, the print's x still points the same way.
-    pub fn axes_for(&self, normal: &Vector3<f64>) -> Matrix3<f64> {
-        yaw::axes_for(&self.axes, &self.position_m, normal)
+    pub fn axes_with_normal(&self, normal: &Vector3<f64>) -> Matrix3<f64> {
+        yaw::axes_with_normal(&self.axes, &self.position_m, normal)
     }
 }
 
@@ -53,8 +53,8 @@ pub struct Nodes {
 impl Default for Nodes {
     /// None, with room for those of any contour.
     fn default() -> Self {
-        let list = || Vec::with_capacity(MOST_NODES);
-        let steps = [(); 2].map(|()| Vec::with_capacity(MOST_NODES));
+        let list = || Vec::with_capacity(MAX_NODES);
+        let steps = [(); 2].map(|()| Vec::with_capacity(MAX_NODES));
         let rest = [(); 2].map(|()| list());
         Self { x: list(), y: list(), dx: list(), dy: list(), steps, rest, outer: 0 }
     }
@@ -65,7 +65,7 @@ impl Nodes {
     pub fn smear(&mut self, level: Level, motion_px: &Vector2<f64>, places: &[(f32, f32)]) {
         let (outer, count) = (self.outer, self.x.len());
         let copies = places.len();
-        if copies * count > MOST_NODES {
+        if copies * count > MAX_NODES {
             return;
         }
         self.resize(copies * count);
@@ -112,13 +112,13 @@ fn smear_all<S: Simd>(simd: S, nodes: &mut Nodes, copy: &Copy, by: [f32; 2]) {
         let of = |list: &[f32]| S::f32s::from_slice(simd, &list[from..from + width]);
         let (u, v) = (of(&nodes.x) + by[0], of(&nodes.y) + by[1]);
         let (du, dv) = (of(&nodes.dx) * copy.share, of(&nodes.dy) * copy.share);
-        put(simd, nodes, to, [u, v, du, dv]);
+        store(simd, nodes, to, [u, v, du, dv]);
     }
 }
 
 /// Stores nodes at a place: column, row and shares of the way.
 #[inline(always)]
-fn put<S: Simd>(simd: S, nodes: &mut Nodes, start: usize, [u, v, du, dv]: [S::f32s; 4]) {
+fn store<S: Simd>(simd: S, nodes: &mut Nodes, start: usize, [u, v, du, dv]: [S::f32s; 4]) {
     let _ = simd;
     let end = start + S::f32s::LEN;
     u.store_slice(&mut nodes.x[start..end]);
@@ -134,7 +134,7 @@ fn put<S: Simd>(simd: S, nodes: &mut Nodes, start: usize, [u, v, du, dv]: [S::f3
 }
 
 /// The projection's numbers, as f32.
-struct View {
+struct ProjectionTerms {
     /// Constant, x and y terms of Q₁ and Q₂, over s p₃.
     above: [[f32; 3]; 2],
     /// x and y terms of Q₃ over p₃, whose constant is 1.
@@ -149,7 +149,7 @@ struct View {
 /// Carries a contour into the window whose top left pixel is `window`.
 pub fn project(
     level: Level,
-    (lens, place, radius_m): (&LocalLens, &Place, f64),
+    (lens, place, radius_m): (&LocalLens, &PrintPose, f64),
     contour: Contour,
     window: (i64, i64),
     nodes: &mut Nodes,
@@ -160,7 +160,7 @@ pub fn project(
         .map(|i| [p[i] * scale, radius_m * axes[(i, 0)] * scale, radius_m * axes[(i, 1)] * scale]);
     let turn = above[0][1] * above[1][2] - above[0][2] * above[1][1];
     let slope = &lens.slope;
-    let view = View {
+    let view = ProjectionTerms {
         above: above.map(|row| row.map(|value| value as f32)),
         below: [0, 1].map(|j| (radius_m * axes[(2, j)] / p.z) as f32),
         terms: lens.terms,
@@ -173,7 +173,7 @@ pub fn project(
 }
 
 #[simd]
-fn project_all<S: Simd>(simd: S, view: &View, contour: Contour, nodes: &mut Nodes) {
+fn project_all<S: Simd>(simd: S, view: &ProjectionTerms, contour: Contour, nodes: &mut Nodes) {
     let width = S::f32s::LEN;
     debug_assert!(PACK.is_multiple_of(width));
     let one = S::f32s::splat(simd, 1.0);
@@ -194,7 +194,7 @@ fn project_all<S: Simd>(simd: S, view: &View, contour: Contour, nodes: &mut Node
         let (v, v1, v2) = polynomial(simd, &view.terms[1], t1, t2);
         let du = (u1 * dt1 + u2 * dt2) * view.sign;
         let dv = (v1 * dt1 + v2 * dt2) * view.sign;
-        put(simd, nodes, start, [u + view.shift[0], v + view.shift[1], du, dv]);
+        store(simd, nodes, start, [u + view.shift[0], v + view.shift[1], du, dv]);
     }
 }
 

@@ -45,7 +45,7 @@ impl Patches {
     }
 
     /// Gets ready for rows of so many columns.
-    pub fn lay(&mut self, width: usize) {
+    pub fn set_width(&mut self, width: usize) {
         for Group { columns, .. } in &mut self.groups {
             columns.resize((width + 2 * LANES).max(columns.len()), 0.0);
         }
@@ -66,7 +66,7 @@ impl Patches {
         }
         group.rows += 1;
         if group.rows == SIDE {
-            self.total += self.groups[1].fold(simd);
+            self.total += self.groups[1].take_sum(simd);
             self.groups.swap(0, 1);
         }
     }
@@ -74,8 +74,8 @@ impl Patches {
     /// Σ (Σ r)² of all rows since the last time.
     #[inline(always)]
     pub fn finish<S: Simd>(&mut self, simd: S) -> f32 {
-        self.total += self.groups[1].fold(simd);
-        self.total += self.groups[0].fold(simd);
+        self.total += self.groups[1].take_sum(simd);
+        self.total += self.groups[0].take_sum(simd);
         std::mem::take(&mut self.total)
     }
 }
@@ -83,7 +83,7 @@ impl Patches {
 impl Group {
     /// Σ (Σ r)² of its rows, of which there are none from then on.
     #[inline(always)]
-    fn fold<S: Simd>(&mut self, simd: S) -> f32 {
+    fn take_sum<S: Simd>(&mut self, simd: S) -> f32 {
         if self.rows == 0 {
             return 0.0;
         }
@@ -110,7 +110,7 @@ impl Group {
 }
 
 /// T of a gather with these sums.
-pub fn share(patches: f64, misfit: f64) -> f64 {
+pub fn correlation_ratio(patches: f64, misfit: f64) -> f64 {
     if misfit > 0.0 { patches / (SIDE as f64 * misfit) } else { 1.0 }
 }
 
@@ -155,7 +155,7 @@ mod tests {
 
     fn fast(rows: &[(usize, Vec<f32>)]) -> f32 {
         let mut patches = Patches::default();
-        patches.lay(64);
+        patches.set_width(64);
         let mut sum = 0.0;
         dispatch!(Level::new(), simd => {
             for (from, residuals) in rows {
@@ -175,8 +175,8 @@ mod tests {
             let (fast, plain) = (fast(&rows), plain(&rows));
             assert!((fast - plain).abs() < 1e-4 * plain, "{fast} {plain}");
             let misfit: f32 = rows.iter().flat_map(|(_, list)| list).map(|r| r * r).sum();
-            let share = share(f64::from(fast), f64::from(misfit));
-            assert!((low..high).contains(&share), "{offset}: {share}");
+            let correlation_ratio = correlation_ratio(f64::from(fast), f64::from(misfit));
+            assert!((low..high).contains(&correlation_ratio), "{offset}: {correlation_ratio}");
         }
     }
 }

@@ -23,7 +23,7 @@ pub fn scatter(level: Level, nodes: &Nodes, kernel: &Kernel, image: &mut [f32], 
 /// One of the table's functions at a phase, `rest` of a step beyond it; `values` are followed by
 /// their rise.
 #[inline(always)]
-fn look<S: Simd>(simd: S, values: &[f32], half: usize, rest: f32) -> f32x8<S> {
+fn interpolate<S: Simd>(simd: S, values: &[f32], half: usize, rest: f32) -> f32x8<S> {
     let reach = values.len() / 2;
     let low = f32x8::from_slice(simd, &values[8 * half..8 * half + 8]);
     let rise = f32x8::from_slice(simd, &values[reach + 8 * half..reach + 8 * half + 8]);
@@ -77,9 +77,9 @@ fn scatter_one<S: Simd, const HALVES: usize>(
     let top = row + 1 - reach / 2 + fall_shift(phase_y);
     for upper in 0..HALVES {
         let mut falls = [0.0; 8];
-        (look(simd, &along_y[2 * reach..], upper, rest_y) * dx).store_slice(&mut falls);
+        (interpolate(simd, &along_y[2 * reach..], upper, rest_y) * dx).store_slice(&mut falls);
         for half in 0..HALVES {
-            let k = look(simd, &along_x[..2 * reach], half, rest_x);
+            let k = interpolate(simd, &along_x[..2 * reach], half, rest_x);
             let left = left + 8 * half;
             for (j, fall) in falls.into_iter().enumerate() {
                 let start = (top + 8 * upper + j) * width + left;

@@ -19,13 +19,13 @@ pub struct Teeth {
 
 /// Nodes of the outer rim at most, so that there is room for those of teeth: arcs and edges are as long as
 /// 1.2 outer rims, with [`DENSER`] nodes on a length and [`MORE`] on each.
-pub const MOST_OF_OUTER: usize = 16_384;
+pub const MAX_OUTER_NODES: usize = 16_384;
 /// Nodes of a panel over those that equal steps round a smooth curve would have …
-const DENSER: f64 = 1.3;
+const DENSITY: f64 = 1.3;
 /// … and on top.
-const MORE: f64 = 0.7;
+const EXTRA_NODES: f64 = 0.7;
 /// Spacings of one panel at most.
-const PANEL: f64 = 8.0;
+const PANEL_SPACINGS: f64 = 8.0;
 
 /// A piece of the contour.
 #[derive(Clone, Copy, Debug)]
@@ -71,8 +71,8 @@ impl Piece {
             Self::Arc(radius, _) => radius * (to - from),
             Self::Edge(..) => (to - from).abs(),
         };
-        let panels = (length / (PANEL * spacing)).ceil().max(1.0);
-        let count = (DENSER * length / (panels * spacing) + MORE).ceil() as usize;
+        let panels = (length / (PANEL_SPACINGS * spacing)).ceil().max(1.0);
+        let count = (DENSITY * length / (panels * spacing) + EXTRA_NODES).ceil() as usize;
         let half = 0.5 * (to - from) / panels;
         (0..panels as usize).flat_map(move |panel| {
             let middle = from + half * (2.0 * panel as f64 + 1.0);

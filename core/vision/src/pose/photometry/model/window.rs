@@ -13,10 +13,10 @@ use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
 use fearless_simd_macros::simd;
 
 use super::{
-    blur_kernel::{Kernel, PHASES, Taps},
-    column_products::{COLUMNS, Sums},
-    columns::{Line, add_row},
-    differences::{DIFFERENCE, Lines},
+    blur_kernel::{DifferenceWeights, Kernel, PHASES},
+    column_products::{COLUMNS, ProductSums},
+    columns::{RowSpan, add_row},
+    differences::{DIFFERENCE, ImageRows},
     projection::Nodes,
     residual_patches::Patches,
     scatter::scatter,
@@ -26,8 +26,8 @@ use crate::{ellipse::Chords, frame::Frame, room::make_room};
 /// Rows are padded to whole vectors of any width.
 pub const LANES: usize = 16;
 /// Rows whose spans are found side by side, and their numbers.
-const ABREAST_ROWS: usize = 8;
-const ROW: [f64; ABREAST_ROWS] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
+const SPAN_ROWS: usize = 8;
+const ROW: [f64; SPAN_ROWS] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
 
 /// Part of a frame round a roundel, with its image.
 #[derive(Clone, Debug, Default)]
@@ -55,7 +55,7 @@ pub struct Window {
 
 /// Numbers of the model that gather needs, as f32.
 #[derive(Clone, Copy, Debug)]
-pub struct Model {
+pub struct PixelModel {
     /// W, grey levels.
     pub white: f32,
     /// C = B - W, grey levels.
@@ -65,7 +65,7 @@ pub struct Model {
     /// What of μ the nodes do not have, over 48, px²; none where the motion is held.
     pub motion: Option<[f32; 2]>,
     /// Weights of the differences.
-    pub taps: Taps,
+    pub taps: DifferenceWeights,
     /// Derivative of (u, v) by t, row by row, pixels.
     pub slope: [f32; 4],
     /// ℓ.
@@ -95,7 +95,7 @@ impl Window {
 
     /// Lays the window over columns and rows of the frame; all are included. Pixels within the chords
     /// count.
-    pub fn lay(
+    pub fn set_region(
         &mut self,
         (columns, rows): ((i64, i64), (i64, i64)),
         (level, frame): (Level, &Frame),
@@ -112,7 +112,7 @@ impl Window {
             self.pixels.resize(needed, 0);
         }
         self.grey.resize((self.width + LANES).max(self.grey.len()), 0.0);
-        self.patches.lay(self.width);
+        self.patches.set_width(self.width);
         let (begin, end) = chords.rows();
         let inner = DIFFERENCE as i64..self.height as i64 - DIFFERENCE as i64 - 1;
         let row_of = |v: f64| (ceil(v) - self.origin.1).clamp(inner.start, inner.end) as usize;
@@ -124,7 +124,7 @@ impl Window {
             let v = self.origin.1 + row as i64;
             if from < to {
                 let first = (self.origin.0 + from as i64) as usize;
-                copy(
+                copy_packed(
                     &frame.row(v as usize)[first..],
                     &mut self.pixels[row * self.width + from..],
                     to - from,
@@ -143,15 +143,15 @@ impl Window {
         let half = (reach / 2) as i32;
         let [(left, right), (top, bottom)] = [0, 1].map(|axis| {
             let steps = &nodes.steps[axis][..];
-            let (least, most) = dispatch!(level, simd => bounds(simd, steps));
+            let (min, max) = dispatch!(level, simd => bounds(simd, steps));
             // What is no number has become a step below the window or above.
-            (least >> PHASES.ilog2(), most >> PHASES.ilog2())
+            (min >> PHASES.ilog2(), max >> PHASES.ilog2())
         });
         let within = left >= half
             && top >= half
             && right < self.width as i32 - half - 1
             && bottom < self.height as i32 - half - 1;
-        let range = |least: i32, most: i32| (least + 1 - half) as usize..(most + half + 2) as usize;
+        let range = |min: i32, max: i32| (min + 1 - half) as usize..(max + half + 2) as usize;
         within.then(|| {
             let columns = range(left, right);
             let packs = columns.start / LANES * LANES..columns.end.next_multiple_of(LANES);
@@ -169,11 +169,17 @@ impl Window {
 
     /// Sums the frame against the model over the pixels that count, and clears the image. All products
     /// of the columns, or only those with the residual.
-    pub fn gather(&mut self, level: Level, model: &Model, sums: &mut Sums, products: bool) {
-        let free = model.motion.is_some();
+    pub fn gather(
+        &mut self,
+        level: Level,
+        model: &PixelModel,
+        sums: &mut ProductSums,
+        products: bool,
+    ) {
+        let with_motion = model.motion.is_some();
         if products {
             sums.clear();
-            match free {
+            match with_motion {
                 true => {
                     dispatch!(level, simd => gather_all::<_, true, true>(simd, self, model, sums))
                 }
@@ -181,9 +187,9 @@ impl Window {
                     dispatch!(level, simd => gather_all::<_, true, false>(simd, self, model, sums))
                 }
             }
-            sums.finish(level, free);
+            sums.finish(level, with_motion);
         } else {
-            match free {
+            match with_motion {
                 true => {
                     dispatch!(level, simd => gather_all::<_, false, true>(simd, self, model, sums))
                 }
@@ -191,7 +197,7 @@ impl Window {
                     dispatch!(level, simd => gather_all::<_, false, false>(simd, self, model, sums))
                 }
             }
-            sums.finish_gradient(free);
+            sums.finish_gradient(with_motion);
         }
     }
 }
@@ -201,19 +207,19 @@ impl Window {
 fn spans<S: Simd>(simd: S, window: &mut Window, last: usize, frame: &Frame, chords: &Chords) {
     let (left, top) = window.origin;
     // The window is wider than what counts by more than the differences need.
-    let least = (-left).max(DIFFERENCE as i64);
-    let most = frame.width() as i64 - left;
-    let most = most.clamp(least, (window.width - DIFFERENCE) as i64);
-    for first in (window.first..=last).step_by(ABREAST_ROWS) {
+    let min = (-left).max(DIFFERENCE as i64);
+    let max = frame.width() as i64 - left;
+    let max = max.clamp(min, (window.width - DIFFERENCE) as i64);
+    for first in (window.first..=last).step_by(SPAN_ROWS) {
         let v = (top + first as i64) as f64;
         let (begin, end) = chords.span_each(f64x8::simd_from(simd, ROW) + v);
-        let (mut begins, mut ends) = ([0.0; ABREAST_ROWS], [0.0; ABREAST_ROWS]);
+        let (mut begins, mut ends) = ([0.0; SPAN_ROWS], [0.0; SPAN_ROWS]);
         begin.ceil().store_slice(&mut begins);
         end.ceil().store_slice(&mut ends);
         for (row, (begin, end)) in (first..=last).zip(begins.into_iter().zip(ends)) {
             let is_inside = (0..frame.height() as i64).contains(&(top + row as i64));
-            let from = (begin as i64 - left).clamp(least, most);
-            let to = (end as i64 - left).clamp(from, most);
+            let from = (begin as i64 - left).clamp(min, max);
+            let to = (end as i64 - left).clamp(from, max);
             window.spans.push(if is_inside { (from as usize, to as usize) } else { (0, 0) });
         }
     }
@@ -223,15 +229,15 @@ fn spans<S: Simd>(simd: S, window: &mut Window, last: usize, frame: &Frame, chor
 #[simd]
 fn bounds<S: Simd>(simd: S, steps: &[i32]) -> (i32, i32) {
     let lanes = S::i32s::LEN;
-    let (mut least, mut most) = (S::i32s::splat(simd, i32::MAX), S::i32s::splat(simd, i32::MIN));
+    let (mut min, mut max) = (S::i32s::splat(simd, i32::MAX), S::i32s::splat(simd, i32::MIN));
     // Nodes come in whole packs.
     for steps in steps.chunks_exact(lanes) {
         let steps = S::i32s::from_slice(simd, steps);
-        (least, most) = (least.min(steps), most.max(steps));
+        (min, max) = (min.min(steps), max.max(steps));
     }
     let (mut low, mut high) = ([i32::MAX; LANES], [i32::MIN; LANES]);
-    least.store_slice(&mut low[..lanes]);
-    most.store_slice(&mut high[..lanes]);
+    min.store_slice(&mut low[..lanes]);
+    max.store_slice(&mut high[..lanes]);
     (low.into_iter().fold(i32::MAX, i32::min), high.into_iter().fold(i32::MIN, i32::max))
 }
 
@@ -244,7 +250,7 @@ fn ceil(value: f64) -> i64 {
 
 /// Copies the first `count` bytes: where there are as many, in whole packs, which takes no call.
 #[inline(always)]
-fn copy(from: &[u8], to: &mut [u8], count: usize) {
+fn copy_packed(from: &[u8], to: &mut [u8], count: usize) {
     let packs = count.next_multiple_of(LANES);
     if from.len() < packs || to.len() < packs {
         to[..count].copy_from_slice(&from[..count]);
@@ -257,11 +263,11 @@ fn copy(from: &[u8], to: &mut [u8], count: usize) {
 }
 
 #[simd]
-fn gather_all<S: Simd, const PRODUCTS: bool, const FREE: bool>(
+fn gather_all<S: Simd, const PRODUCTS: bool, const MOTION: bool>(
     simd: S,
     window: &mut Window,
-    model: &Model,
-    sums: &mut Sums,
+    model: &PixelModel,
+    sums: &mut ProductSums,
 ) {
     let width = window.width;
     let last = window.first + window.spans.len() - 1;
@@ -282,15 +288,15 @@ fn gather_all<S: Simd, const PRODUCTS: bool, const FREE: bool>(
             }
         }
         let around = (row - DIFFERENCE) * width..(row + DIFFERENCE + 1) * width + LANES;
-        let mut line = Line {
+        let mut line = RowSpan {
             row,
             span: (from, to),
             grey: &mut window.grey,
-            around: Lines { image: &window.image[around], width },
+            around: ImageRows { image: &window.image[around], width },
         };
-        add_row::<S, FREE>(simd, &mut line, model, |columns, count| {
+        add_row::<S, MOTION>(simd, &mut line, model, |columns, count| {
             if PRODUCTS {
-                sums.keep::<S, FREE>(simd, columns, count);
+                sums.push::<S, MOTION>(simd, columns, count);
             } else {
                 for (sum, column) in gradient.iter_mut().zip(columns) {
                     *sum = column.mul_add(columns[0], *sum);
@@ -301,7 +307,7 @@ fn gather_all<S: Simd, const PRODUCTS: bool, const FREE: bool>(
         window.patches.add_row(simd, &window.grey[from..from + whole], (from, to));
     }
     if !PRODUCTS {
-        sums.take_gradient::<S, FREE>(&gradient);
+        sums.take_gradient::<S, MOTION>(&gradient);
     }
     let zero = S::f32s::splat(simd, 0.0);
     for row in rows {
@@ -314,23 +320,23 @@ fn gather_all<S: Simd, const PRODUCTS: bool, const FREE: bool>(
 }
 
 /// Vectors of a row summed side by side: each waits for the one above it.
-const ABREAST: usize = 4;
+const COLUMN_VECTORS: usize = 4;
 
 /// Sums rows from the top down, in these columns.
 #[inline(always)]
 fn add_up<S: Simd>(simd: S, image: &mut [f32], width: usize, columns: Range<usize>) {
     let lanes = S::f32s::LEN;
     let mut column = columns.start;
-    while column + ABREAST * lanes <= columns.end {
-        let mut sums = [S::f32s::splat(simd, 0.0); ABREAST];
+    while column + COLUMN_VECTORS * lanes <= columns.end {
+        let mut sums = [S::f32s::splat(simd, 0.0); COLUMN_VECTORS];
         for row in image.chunks_exact_mut(width) {
-            let pixels = &mut row[column..column + ABREAST * lanes];
+            let pixels = &mut row[column..column + COLUMN_VECTORS * lanes];
             for (sum, pixels) in sums.iter_mut().zip(pixels.chunks_exact_mut(lanes)) {
                 *sum += S::f32s::from_slice(simd, pixels);
                 sum.store_slice(pixels);
             }
         }
-        column += ABREAST * lanes;
+        column += COLUMN_VECTORS * lanes;
     }
     for column in (column..columns.end).step_by(lanes) {
         let mut sum = S::f32s::splat(simd, 0.0);

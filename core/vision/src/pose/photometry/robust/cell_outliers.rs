@@ -5,13 +5,13 @@
 //! the medians over all cells are what a sound one has; cells far beyond them are left out, and may come
 //! back. What those that stay still stand apart widens the variance of every pixel.
 
-use super::{Careful, Fitter, cells::Known};
-use crate::pose::photometry::solver::normal_equations::Linear;
+use super::{RobustFit, RobustScratch, cells::Reference};
+use crate::pose::photometry::solver::normal_equations::NormalEquations;
 
 /// δ²/var(δ) that a cell may have, as a multiple of what most have.
-const MOST_SQUARE: f64 = 12.0;
+const MAX_SQUARE: f64 = 12.0;
 /// Deviations by which the variance of a cell's pixels may exceed that of most.
-const MOST_SPREAD: f64 = 5.0;
+const MAX_SPREAD: f64 = 5.0;
 /// Part of the contrast that the model may miss.
 const MODEL_SHARE: f64 = 0.01;
 /// A cell's step over the reference's.
@@ -21,25 +21,25 @@ const MEDIAN_SQUARE: f64 = 0.455;
 /// The pose's degrees of freedom, and blur's.
 const FITTED: f64 = 6.0;
 
-impl Fitter<'_> {
+impl RobustFit<'_> {
     /// Leaves out the cells that do not agree with most; whether any changed.
-    pub(super) fn drop_cells(&mut self) -> bool {
-        let Careful { cells, list, .. } = &mut self.scratch.careful;
-        let mut known = self.known;
+    pub(super) fn reject_outliers(&mut self) -> bool {
+        let RobustScratch { cells, list, .. } = &mut self.scratch.robust;
+        let mut reference = self.reference;
         list.clear();
-        list.extend(cells.iter().filter_map(|cell| Some(cell.witness(&known)?.variance)));
-        known.noise2 = median(list).max(1.0 / 12.0);
+        list.extend(cells.iter().filter_map(|cell| Some(cell.evaluate(&reference)?.variance)));
+        reference.noise2 = median(list).max(1.0 / 12.0);
         list.clear();
-        list.extend(cells.iter().filter_map(|cell| Some(cell.witness(&known)?.square)));
-        let scale = (median(list) / MEDIAN_SQUARE).max(known.noise2);
-        let missed = (MODEL_SHARE * known.levels[1]).powi(2);
+        list.extend(cells.iter().filter_map(|cell| Some(cell.evaluate(&reference)?.square)));
+        let scale = (median(list) / MEDIAN_SQUARE).max(reference.noise2);
+        let missed = (MODEL_SHARE * reference.levels[1]).powi(2);
         let mut changed = false;
         for cell in cells {
-            let kept = cell.witness(&known).is_some_and(|witness| {
-                let spread = 1.0 + MOST_SPREAD * (2.0 / (cell.pixels() - 3.0).max(1.0)).sqrt();
-                witness.square < MOST_SQUARE * scale
-                    && witness.variance < known.noise2 * spread + missed
-                    && (CONTRAST.0..CONTRAST.1).contains(&witness.contrast)
+            let kept = cell.evaluate(&reference).is_some_and(|evaluate| {
+                let spread = 1.0 + MAX_SPREAD * (2.0 / (cell.pixels() - 3.0).max(1.0)).sqrt();
+                evaluate.square < MAX_SQUARE * scale
+                    && evaluate.variance < reference.noise2 * spread + missed
+                    && (CONTRAST.0..CONTRAST.1).contains(&evaluate.contrast)
             });
             changed |= kept != cell.kept;
             cell.kept = kept;
@@ -48,12 +48,12 @@ impl Fitter<'_> {
     }
 
     /// By how much the variance of a pixel must grow for the cells to agree.
-    pub(super) fn growth(&self, linear: &Linear) -> f64 {
-        let known = Known { noise2: linear.noise2(), ..self.known };
-        let kept = self.scratch.careful.cells.iter().filter(|cell| cell.kept);
+    pub(super) fn variance_growth(&self, linear: &NormalEquations) -> f64 {
+        let reference = Reference { noise2: linear.noise2(), ..self.reference };
+        let kept = self.scratch.robust.cells.iter().filter(|cell| cell.kept);
         let (mut sum, mut count) = (0.0, 0.0);
-        for witness in kept.filter_map(|cell| cell.witness(&known)) {
-            sum += witness.square / known.noise2;
+        for evaluate in kept.filter_map(|cell| cell.evaluate(&reference)) {
+            sum += evaluate.square / reference.noise2;
             count += 1.0;
         }
         (sum / (count - FITTED).max(1.0)).max(1.0)
@@ -61,7 +61,7 @@ impl Fitter<'_> {
 
     /// The smaller of the rims' shares of cells that count.
     pub(super) fn share_kept(&self) -> f64 {
-        let cells = &self.scratch.careful.cells;
+        let cells = &self.scratch.robust.cells;
         let share = |rim: usize| {
             let all = cells.iter().filter(|cell| cell.rim == rim).count() as f64;
             cells.iter().filter(|cell| cell.rim == rim && cell.kept).count() as f64 / all

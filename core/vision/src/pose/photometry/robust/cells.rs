@@ -27,7 +27,7 @@ const LENGTH_PX: f64 = 6.0;
 /// … as long as these are not too few or too many.
 const COUNT: (f64, f64) = (6.0, 32.0);
 /// Cells of both rims, at most.
-pub const MOST: usize = 2 * COUNT.1 as usize;
+pub const MAX_CELLS: usize = 2 * COUNT.1 as usize;
 /// A cell of fewer pixels says nothing.
 const MIN_PIXELS: f64 = 8.0;
 /// Deviation of a cell's levels from the reference, grey levels: no more than keeps them finite.
@@ -48,7 +48,7 @@ pub struct Cell {
 
 /// What a cell says for itself.
 #[derive(Clone, Copy, Debug)]
-pub struct Witness {
+pub struct CellFit {
     /// Variance of its pixels once its levels and its rim are free, grey levels².
     pub variance: f64,
     /// (gradient of δ)² over its information: times the noise's variance, δ²/var(δ).
@@ -98,29 +98,33 @@ impl Cell {
     }
 
     /// The inverse of the levels' information, and the prior's pull on them.
-    fn local(&self, products: &Products, known: &Known) -> Option<(Matrix2<f64>, [f64; 2])> {
-        let prior = known.noise2 / (LEVEL_PRIOR * LEVEL_PRIOR);
+    fn level_inverse(
+        &self,
+        products: &Products,
+        reference: &Reference,
+    ) -> Option<(Matrix2<f64>, [f64; 2])> {
+        let prior = reference.noise2 / (LEVEL_PRIOR * LEVEL_PRIOR);
         let mut information: Matrix2<f64> = products.fixed_view::<2, 2>(1, 1).into();
         information += Matrix2::identity() * prior;
-        let pull = [0, 1].map(|k| prior * (known.levels[k] - self.levels[k]));
+        let pull = [0, 1].map(|k| prior * (reference.levels[k] - self.levels[k]));
         Some((information.try_inverse()?, pull))
     }
 
     /// Σ r², with the prior's share.
-    pub fn misfit(&self, known: &Known) -> f64 {
-        let prior = known.noise2 / (LEVEL_PRIOR * LEVEL_PRIOR);
-        let off = |k: usize| (known.levels[k] - self.levels[k]).powi(2);
+    pub fn misfit(&self, reference: &Reference) -> f64 {
+        let prior = reference.noise2 / (LEVEL_PRIOR * LEVEL_PRIOR);
+        let off = |k: usize| (reference.levels[k] - self.levels[k]).powi(2);
         f64::from(self.sums[0][0]) + prior * (off(0) + off(1))
     }
 
     /// Its products with its levels free.
-    pub fn freed(&self, known: &Known) -> Option<Products> {
-        let mut products = self.products(known.levels[1]);
-        let (inverse, pull) = self.local(&products, known)?;
+    pub fn marginalized(&self, reference: &Reference) -> Option<Products> {
+        let mut products = self.products(reference.levels[1]);
+        let (inverse, pull) = self.level_inverse(&products, reference)?;
         let mut rows: SMatrix<f64, 2, STILL> = products.fixed_rows::<2>(1).into();
         rows[(0, 0)] += pull[0];
         rows[(1, 0)] += pull[1];
-        products[(0, 0)] = self.misfit(known);
+        products[(0, 0)] = self.misfit(reference);
         products -= rows.transpose() * inverse * rows;
         for level in [column::WHITE, column::STEP] {
             products.fill_row(level, 0.0);
@@ -131,9 +135,9 @@ impl Cell {
     }
 
     /// Moves its levels to what they are after the shared columns' coefficients.
-    pub fn settle(&mut self, known: &Known, coefficients: &SVector<f64, STILL>) {
-        let products = self.products(known.levels[1]);
-        let Some((inverse, pull)) = self.local(&products, known) else { return };
+    pub fn update_levels(&mut self, reference: &Reference, coefficients: &SVector<f64, STILL>) {
+        let products = self.products(reference.levels[1]);
+        let Some((inverse, pull)) = self.level_inverse(&products, reference) else { return };
         let rows: SMatrix<f64, 2, STILL> = products.fixed_rows::<2>(1).into();
         let mut right = rows * coefficients;
         right[0] += pull[0];
@@ -149,32 +153,33 @@ impl Cell {
     }
 
     /// What it says for itself; `None` where it has too few pixels.
-    pub fn witness(&self, known: &Known) -> Option<Witness> {
+    pub fn evaluate(&self, reference: &Reference) -> Option<CellFit> {
         let pixels = self.pixels();
         if pixels < MIN_PIXELS {
             return None;
         }
         let rim = SPREAD + self.rim;
         let at = |row: usize, column: usize| f64::from(self.sums[row][column]);
-        let products = self.products(known.levels[1]);
-        let (inverse, _) = self.local(&products, known)?;
-        let local = |index: usize| {
+        let products = self.products(reference.levels[1]);
+        let (inverse, _) = self.level_inverse(&products, reference)?;
+        let level_inverse = |index: usize| {
             nalgebra::Vector2::new(at(column::WHITE, index), at(column::STEP, index))
         };
-        let less = |a: usize, b: usize| at(a, b) - local(a).dot(&(inverse * local(b)));
+        let less =
+            |a: usize, b: usize| at(a, b) - level_inverse(a).dot(&(inverse * level_inverse(b)));
         let (information, gradient) = (less(rim, rim), less(rim, 0));
-        let settled = inverse * local(0);
-        let contrast = (self.levels[1] + settled[1]) / known.levels[1];
+        let settled = inverse * level_inverse(0);
+        let contrast = (self.levels[1] + settled[1]) / reference.levels[1];
         let square =
             if information > 1e-3 * at(rim, rim) { gradient * gradient / information } else { 0.0 };
         let variance = (less(0, 0) - square).max(0.0) / (pixels - 3.0);
-        Some(Witness { variance, square, contrast })
+        Some(CellFit { variance, square, contrast })
     }
 }
 
 /// The reference that cells are held against.
 #[derive(Clone, Copy, Debug)]
-pub struct Known {
+pub struct Reference {
     /// W and C, grey levels.
     pub levels: [f64; 2],
     /// Variance of a pixel, grey levels².

@@ -8,7 +8,7 @@ use fearless_simd::{Level, Simd, dispatch};
 use fearless_simd_macros::simd;
 
 use crate::{
-    pose::photometry::model::{contour::MOST_NODES, projection::Nodes},
+    pose::photometry::model::{contour::MAX_NODES, projection::Nodes},
     room::make_room,
 };
 
@@ -25,9 +25,9 @@ const PLACES: usize = 20;
 
 /// The normal distribution and its density.
 #[derive(Clone, Debug)]
-pub struct Normal(Vec<[f32; 2]>);
+pub struct NormalTable(Vec<[f32; 2]>);
 
-impl Default for Normal {
+impl Default for NormalTable {
     fn default() -> Self {
         let count = (2.0 * END * FINE) as usize + 2;
         let mut below = 0.0;
@@ -46,7 +46,7 @@ impl Default for Normal {
     }
 }
 
-impl Normal {
+impl NormalTable {
     /// Φ(z) and φ(z), to 2e-6.
     #[inline(always)]
     pub fn at(&self, z: f64) -> [f64; 2] {
@@ -59,7 +59,7 @@ impl Normal {
 
     /// φ(z)/Φ(-z) and -2 ln Φ(-z), each to 1 %.
     #[inline(always)]
-    pub fn beyond(&self, z: f64) -> (f64, f64) {
+    pub fn tail(&self, z: f64) -> (f64, f64) {
         if z > 3.5 {
             // Laplace's continued fraction.
             let pull = z + 1.0 / (z + 2.0 / (z + 3.0 / (z + 4.0 / z)));
@@ -72,7 +72,7 @@ impl Normal {
 
 /// A window's images.
 #[derive(Clone, Debug, Default)]
-pub struct Images {
+pub struct RimImages {
     /// Column and row of the frame at the top left.
     pub origin: (i64, i64),
     /// Columns.
@@ -93,15 +93,15 @@ struct Axis {
     fall: [f32; PLACES],
 }
 
-impl Images {
+impl RimImages {
     /// Room for windows of so many pixels.
     pub fn make_room(&mut self, pixels: usize) {
         make_room(&mut self.planes, pixels * IMAGES);
-        make_room(&mut self.normals, MOST_NODES);
+        make_room(&mut self.normals, MAX_NODES);
     }
 
     /// Lays the window over columns and rows of the frame; all are included.
-    pub fn lay(&mut self, columns: (i64, i64), rows: (i64, i64)) {
+    pub fn set_region(&mut self, columns: (i64, i64), rows: (i64, i64)) {
         self.origin = (columns.0, rows.0);
         self.width = (columns.1 - columns.0 + 1) as usize;
         self.height = (rows.1 - rows.0 + 1) as usize;
@@ -116,20 +116,20 @@ impl Images {
     }
 
     /// Draws the contour; false if it leaves the window.
-    pub fn draw(&mut self, level: Level, nodes: &Nodes, blur_px: f64, normal: &Normal) -> bool {
-        dispatch!(level, simd => draw(simd, self, (nodes, blur_px), normal))
+    pub fn draw(&mut self, level: Level, nodes: &Nodes, blur_px: f64, table: &NormalTable) -> bool {
+        dispatch!(level, simd => draw(simd, self, (nodes, blur_px), table))
     }
 
     #[inline(always)]
-    fn draw_plain(&mut self, nodes: &Nodes, blur_px: f64, normal: &Normal) -> bool {
+    fn draw_plain(&mut self, nodes: &Nodes, blur_px: f64, table: &NormalTable) -> bool {
         let size = self.width * self.height;
         self.planes[..size * IMAGES].fill(0.0);
         let reach = if blur_px <= NARROW_PX { 8 } else { 16 };
         for index in 0..nodes.x.len() {
             let (x, y) = (f64::from(nodes.x[index]), f64::from(nodes.y[index]));
             let (Some(across), Some(down)) = (
-                Axis::new(x, self.width, reach, blur_px, normal),
-                Axis::new(y, self.height, reach, blur_px, normal),
+                Axis::new(x, self.width, reach, blur_px, table),
+                Axis::new(y, self.height, reach, blur_px, table),
             ) else {
                 return false;
             };
@@ -179,7 +179,7 @@ impl Images {
     }
 
     /// Moves both rims into the black by so many pixels.
-    pub fn spread(&mut self, nodes: &mut Nodes, by_px: f64) {
+    pub fn move_rims(&mut self, nodes: &mut Nodes, by_px: f64) {
         let by_px = by_px as f32;
         let count = nodes.x.len();
         self.normals.clear();
@@ -214,18 +214,24 @@ impl Images {
 #[simd]
 fn draw<S: Simd>(
     simd: S,
-    images: &mut Images,
+    images: &mut RimImages,
     (nodes, blur_px): (&Nodes, f64),
-    normal: &Normal,
+    table: &NormalTable,
 ) -> bool {
     let _ = simd;
-    images.draw_plain(nodes, blur_px, normal)
+    images.draw_plain(nodes, blur_px, table)
 }
 
 impl Axis {
     /// Of a node at a place on an axis of so many pixels; `None` if it reaches beyond them.
     #[inline(always)]
-    fn new(place: f64, pixels: usize, reach: usize, blur_px: f64, normal: &Normal) -> Option<Self> {
+    fn new(
+        place: f64,
+        pixels: usize,
+        reach: usize,
+        blur_px: f64,
+        table: &NormalTable,
+    ) -> Option<Self> {
         let half = reach as f64 / 2.0;
         if !(place > half && place + half + 2.0 < pixels as f64) {
             return None;
@@ -235,7 +241,7 @@ impl Axis {
         let mut sides = [[0.0; 3]; PLACES];
         for (i, side) in sides.iter_mut().enumerate().take(reach + 3) {
             let t = place - first as f64 + 1.5 - i as f64;
-            let [below, density] = normal.at(t / blur_px);
+            let [below, density] = table.at(t / blur_px);
             *side = [below, density / blur_px, t * below + blur_px * density];
         }
         let mut axis =
@@ -273,13 +279,13 @@ mod tests {
 
     #[test]
     fn a_bloom_takes_black_from_both_rims() {
-        let (normal, bloom_px) = (Normal::default(), 0.4);
+        let (table, bloom_px) = (NormalTable::default(), 0.4);
         for turn in [1.0, -1.0] {
-            let mut images = Images::default();
-            images.lay((0, 47), (0, 47));
+            let mut images = RimImages::default();
+            images.set_region((0, 47), (0, 47));
             let mut nodes = ring(turn);
-            images.spread(&mut nodes, bloom_px);
-            assert!(images.draw(Level::new(), &nodes, 0.8, &normal));
+            images.move_rims(&mut nodes, bloom_px);
+            assert!(images.draw(Level::new(), &nodes, 0.8, &table));
             let share = images.plane(0);
             // In the middle of black, of white, and outside.
             for (u, expected) in [(24 + 9, 1.0), (24, 0.0), (2, 0.0)] {
@@ -291,22 +297,25 @@ mod tests {
                 std::f64::consts::PI * ((12.0 - bloom_px).powi(2) - (5.0 + bloom_px).powi(2));
             assert!((f64::from(area) / expected - 1.0).abs() < 2e-3, "{turn}: {area} {expected}");
             // What a further bloom would take is as long as both rims.
-            let spread: f32 = images.plane(4).iter().chain(images.plane(5)).sum();
+            let move_rims: f32 = images.plane(4).iter().chain(images.plane(5)).sum();
             let around = -std::f64::consts::TAU * (12.0 + 5.0);
-            assert!((f64::from(spread) / around - 1.0).abs() < 2e-3, "{turn}: {spread} {around}");
+            assert!(
+                (f64::from(move_rims) / around - 1.0).abs() < 2e-3,
+                "{turn}: {move_rims} {around}"
+            );
         }
     }
 
     #[test]
     fn cut_off_pixels_pull_as_far_as_they_are_off() {
-        let normal = Normal::default();
-        let (far, _) = normal.beyond(8.0);
+        let table = NormalTable::default();
+        let (far, _) = table.tail(8.0);
         assert!((far - 8.12).abs() < 0.02, "{far}");
-        let (above, _) = normal.beyond(3.4999);
-        let (beyond, _) = normal.beyond(3.5001);
-        assert!((above / beyond - 1.0).abs() < 0.01, "{above} {beyond}");
-        let (pull, misfit) = normal.beyond(0.0);
+        let (above, _) = table.tail(3.4999);
+        let (tail, _) = table.tail(3.5001);
+        assert!((above / tail - 1.0).abs() < 0.01, "{above} {tail}");
+        let (pull, misfit) = table.tail(0.0);
         assert!((pull - 0.7979).abs() < 1e-3 && (misfit - 2.0 * 2f64.ln()).abs() < 1e-3);
-        assert!(normal.beyond(-4.0).0 < 1e-3);
+        assert!(table.tail(-4.0).0 < 1e-3);
     }
 }

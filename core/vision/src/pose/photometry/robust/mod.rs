@@ -32,20 +32,20 @@ mod pixels;
 use nalgebra::{SVector, Vector3};
 
 use super::{
-    FitError, FitScratch, Placed,
+    FitError, FitScratch, PoseEstimate,
     model::column_products::{STILL, column},
     solver::{
-        linearize::{self, Parts},
-        mirror::Glance,
-        normal_equations::Linear,
+        linearize::{self, ProjectionScratch},
+        mirror::MirrorEstimate,
+        normal_equations::NormalEquations,
         solution::{Covariance5, Solution},
         state::{BLUR, Problem, State, UNKNOWNS, WHITE},
     },
     window_of,
 };
 use crate::{ellipse::Ellipse, room::make_room};
-use cells::{Cell, Known, Products, SPREAD};
-use image::{Images, Normal};
+use cells::{Cell, Products, Reference, SPREAD};
+use image::{NormalTable, RimImages};
 use pixels::Pixel;
 
 /// Deviation of the bloom where levels are cut off, pixels.
@@ -53,21 +53,21 @@ const BLOOM_PRIOR_PX: f64 = 0.3;
 /// Levels are cut off if more than this share of the pixels stands at an end of the scale.
 const CUT_OFF: f64 = 0.02;
 /// Least share of each rim's cells that must agree.
-const LEAST_KEPT: f64 = 0.4;
+const MIN_KEPT: f64 = 0.4;
 /// Rounds of dropping cells.
 const ROUNDS: usize = 6;
 /// Steps of one round.
 const STEPS: usize = 8;
 /// Looks at the picture, of both normals: twice as many as most rings need.
-const LOOKS: usize = 28;
+const MAX_LINEARIZATIONS: usize = 28;
 /// A step that lowers the misfit by less than this many variances is the last one.
 const LAST_STEP: f64 = 0.3;
 /// A step that promises less than this many variances, and does not keep it, is left out.
 const SETTLED: f64 = 4.0;
 /// Deviation of a pixel, at least.
-const LEAST_NOISE: f64 = 0.5;
+const MIN_NOISE: f64 = 0.5;
 /// The growth up to which one set of levels is enough for the whole ring.
-const EVEN: f64 = 3.0;
+const UNIFORM_GROWTH: f64 = 3.0;
 /// Variance that face-on adds to the tilt, in units of the elongation's deviation …
 const FACE_ON: f64 = 1.5;
 /// … up to an elongation of about so many deviations.
@@ -75,45 +75,45 @@ const FACE_ON_END: f64 = 2.5;
 
 /// Memory of the careful fit.
 #[derive(Clone, Debug, Default)]
-pub struct Careful {
-    normal: Normal,
-    images: Images,
+pub struct RobustScratch {
+    normal: NormalTable,
+    images: RimImages,
     pixels: Vec<Pixel>,
     cells: Vec<Cell>,
     /// The cells before a step that may not hold.
-    before: Vec<Cell>,
+    saved: Vec<Cell>,
     list: Vec<f64>,
 }
 
-impl Careful {
+impl RobustScratch {
     /// Room for windows of so many pixels.
     pub fn make_room(&mut self, pixels: usize) {
         self.images.make_room(pixels);
         make_room(&mut self.pixels, pixels);
-        make_room(&mut self.cells, cells::MOST);
-        make_room(&mut self.before, cells::MOST);
-        make_room(&mut self.list, cells::MOST);
+        make_room(&mut self.cells, cells::MAX_CELLS);
+        make_room(&mut self.saved, cells::MAX_CELLS);
+        make_room(&mut self.list, cells::MAX_CELLS);
     }
 
     /// Whether all of the inner rim's cells agreed in the newest fit.
-    pub fn keeps_disc(&self) -> bool {
+    pub fn disc_is_unobstructed(&self) -> bool {
         self.cells.iter().all(|cell| cell.rim == 0 || cell.kept)
     }
 }
 
 /// Whose levels hold.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Levels {
+enum LevelScope {
     Ring,
     Cells,
 }
 
 /// A fit at work.
-struct Fitter<'a> {
+struct RobustFit<'a> {
     problem: &'a Problem<'a>,
     scratch: &'a mut FitScratch,
-    known: Known,
-    levels: Levels,
+    reference: Reference,
+    levels: LevelScope,
     /// Whether levels are cut off, and the bloom is free.
     cut_off: bool,
     bloom_px: f64,
@@ -130,73 +130,73 @@ pub fn solve(
     start: &State,
     counted: &Ellipse,
     scratch: &mut FitScratch,
-) -> Result<Placed, FitError> {
+) -> Result<PoseEstimate, FitError> {
     let (columns, rows) = window_of(counted);
-    scratch.careful.images.lay(columns, rows);
-    let known = Known { levels: [start.white, start.step], noise2: 4.0 };
-    let mut fitter = Fitter {
+    scratch.robust.images.set_region(columns, rows);
+    let reference = Reference { levels: [start.white, start.step], noise2: 4.0 };
+    let mut fitter = RobustFit {
         problem,
         scratch,
-        known,
-        levels: Levels::Ring,
+        reference,
+        levels: LevelScope::Ring,
         cut_off: false,
         bloom_px: 0.0,
         bloom: SVector::zeros(),
         misfit: 0.0,
         iterations: 0,
     };
-    fitter.lay_cells(start);
+    fitter.assign_cells(start);
     let (solution, second) = fitter.run(start)?;
-    place(problem, solution, second)
+    estimate(problem, solution, second)
 }
 
 /// The solution with its covariance.
-fn place(
+fn estimate(
     problem: &Problem,
     solution: Solution,
-    second: Option<Glance>,
-) -> Result<Placed, FitError> {
-    let Solution { state, noise2, linear, .. } = &solution;
-    let (factor, _) = linear.factor(state, *noise2, 0.0).ok_or(FitError::Flat)?;
+    second: Option<MirrorEstimate>,
+) -> Result<PoseEstimate, FitError> {
+    let Solution { state, noise2, equations, .. } = &solution;
+    let (factor, _) = equations.factor(state, *noise2, 0.0).ok_or(FitError::Uninformative)?;
     let mut own: Covariance5 = factor.inverse_of_last() * *noise2;
-    let unit = (2.0 * noise2 / linear.elongation).sqrt();
-    let seen = linear.tilt_information(state) / noise2 * unit;
-    let face_on = FACE_ON * (-(seen / FACE_ON_END).powi(4)).exp() * unit;
+    let unit = (2.0 * noise2 / equations.elongation).sqrt();
+    let tilt = equations.tilt_information(state) / noise2 * unit;
+    let face_on = FACE_ON * (-(tilt / FACE_ON_END).powi(4)).exp() * unit;
     own[(3, 3)] += face_on;
     own[(4, 4)] += face_on;
-    let turns = [0, 1].map(|axis| state.place.axes.column(axis).into_owned());
+    let turns = [0, 1].map(|axis| state.pose.axes.column(axis).into_owned());
     let worse = second
         .as_ref()
         .map_or(f64::INFINITY, |other| (other.misfit - solution.misfit).max(0.0) / noise2);
-    Ok(Placed {
-        other_normal: state.mirrored().place.axes.column(2).into_owned(),
+    Ok(PoseEstimate {
+        other_normal: state.mirrored().pose.axes.column(2).into_owned(),
         likelihood: 1.0 / (1.0 + (-0.5 * worse).exp()),
-        apart_m: second.map_or(Vector3::zeros(), |other| other.apart_m),
-        covariance: solution.carried(problem, state, &own, &turns),
+        other_offset_m: second.map_or(Vector3::zeros(), |other| other.other_offset_m),
+        covariance: solution.in_camera_frame(problem, state, &own, &turns),
         noise2: *noise2,
         motion_variance: None,
         iterations: solution.iterations,
-        recalled: None,
+        cache: None,
         state: solution.state,
     })
 }
 
-impl Fitter<'_> {
+impl RobustFit<'_> {
     /// Deals the pixels out to cells.
-    fn lay_cells(&mut self, state: &State) {
-        let careful = &mut self.scratch.careful;
+    fn assign_cells(&mut self, state: &State) {
+        let robust = &mut self.scratch.robust;
         let (origin, width, height) =
-            (careful.images.origin, careful.images.width, careful.images.height);
-        let model = linearize::model(self.problem, state, state.blur2.sqrt(), origin);
+            (robust.images.origin, robust.images.width, robust.images.height);
+        let pixel_model = linearize::pixel_model(self.problem, state, state.blur2.sqrt(), origin);
         let ratio = self.problem.kind.mean_ratio();
         let radius_px = linearize::radius_px(self.problem, state);
         let counts =
             [1.0, ratio].map(|share| cells::count(std::f64::consts::TAU * share * radius_px));
-        careful.cells.clear();
+        robust.cells.clear();
         for (rim, &count) in counts.iter().enumerate() {
-            careful.cells.extend((0..count).map(|_| Cell::new(rim, self.known.levels)));
+            robust.cells.extend((0..count).map(|_| Cell::new(rim, self.reference.levels)));
         }
-        careful.pixels.clear();
+        robust.pixels.clear();
         let frame = self.problem.frame;
         let mut ends = 0usize;
         for row in 0..height {
@@ -210,200 +210,210 @@ impl Fitter<'_> {
             for u in from..to {
                 let column = (u - origin.0) as usize;
                 let (p, q) = (column as f32, row as f32);
-                let t = model.t.map(|[c, by_p, by_q]| c + by_p * p + by_q * q);
+                let t = pixel_model.t.map(|[c, by_p, by_q]| c + by_p * p + by_q * q);
                 let of = |terms: &[f32; 3]| terms[0] + terms[1] * t[0] + terms[2] * t[1];
-                let (near, x, y) = (of(&model.nearness), of(&model.plane[0]), of(&model.plane[1]));
+                let (near, x, y) = (
+                    of(&pixel_model.nearness),
+                    of(&pixel_model.plane[0]),
+                    of(&pixel_model.plane[1]),
+                );
                 let rim = usize::from(x.hypot(y) < 0.5 * (1.0 + ratio as f32) * near);
                 let turn = f64::from(y.atan2(x)) / std::f64::consts::TAU + 0.5;
-                let place = ((turn * counts[rim] as f64) as usize).min(counts[rim] - 1);
+                let estimate = ((turn * counts[rim] as f64) as usize).min(counts[rim] - 1);
                 let grey = frame.row(v as usize)[u as usize];
                 ends += usize::from(grey == 0 || grey == 255);
-                careful.pixels.push(Pixel {
+                robust.pixels.push(Pixel {
                     column: column as u16,
                     row: row as u16,
-                    cell: (rim * counts[0] + place) as u16,
+                    cell: (rim * counts[0] + estimate) as u16,
                     grey: f32::from(grey),
                 });
             }
         }
-        self.cut_off = ends as f64 > CUT_OFF * careful.pixels.len() as f64;
+        self.cut_off = ends as f64 > CUT_OFF * robust.pixels.len() as f64;
     }
 
-    fn run(&mut self, start: &State) -> Result<(Solution, Option<Glance>), FitError> {
-        let (mut state, mut linear, mut settled) = self.descend(start.clone())?;
-        let mut changed = self.drop_cells();
-        let mut growth = self.growth(&linear);
-        if changed || growth > EVEN || !settled {
-            self.levels = Levels::Cells;
-            self.known.levels = [state.white, state.step];
-            for cell in &mut self.scratch.careful.cells {
-                cell.levels = self.known.levels;
+    fn run(&mut self, start: &State) -> Result<(Solution, Option<MirrorEstimate>), FitError> {
+        let (mut state, mut equations, mut settled) = self.iterate(start.clone())?;
+        let mut changed = self.reject_outliers();
+        let mut variance_growth = self.variance_growth(&equations);
+        if changed || variance_growth > UNIFORM_GROWTH || !settled {
+            self.levels = LevelScope::Cells;
+            self.reference.levels = [state.white, state.step];
+            for cell in &mut self.scratch.robust.cells {
+                cell.levels = self.reference.levels;
             }
             for _ in 0..ROUNDS {
-                (state, linear, settled) = self.descend(state)?;
-                changed = self.drop_cells();
+                (state, equations, settled) = self.iterate(state)?;
+                changed = self.reject_outliers();
                 if !changed {
                     break;
                 }
             }
-            growth = self.growth(&linear);
+            variance_growth = self.variance_growth(&equations);
         }
         if changed || !settled {
-            return Err(FitError::Restless);
+            return Err(FitError::NotConverged);
         }
         let share = self.share_kept();
-        if share < LEAST_KEPT {
-            return Err(FitError::Disturbed);
+        if share < MIN_KEPT {
+            return Err(FitError::Obstructed);
         }
-        linear.elongation *= share;
-        let noise2 = linear.noise2() * growth;
-        let misfit = linear.misfit;
-        let solution = Solution { state, misfit, noise2, iterations: self.iterations, linear };
+        equations.elongation *= share;
+        let noise2 = equations.noise2() * variance_growth;
+        let misfit = equations.misfit;
+        let solution = Solution { state, misfit, noise2, iterations: self.iterations, equations };
         Ok(self.against_mirrored(solution))
     }
 
     /// The likelier of a solution and the one from its mirrored place, with what the other comes to.
-    fn against_mirrored(&mut self, first: Solution) -> (Solution, Option<Glance>) {
-        let Ok((state, mut linear, _)) = self.descend(first.state.mirrored()) else {
+    fn against_mirrored(&mut self, first: Solution) -> (Solution, Option<MirrorEstimate>) {
+        let Ok((state, mut equations, _)) = self.iterate(first.state.mirrored()) else {
             return (first, None);
         };
-        linear.elongation = first.linear.elongation;
-        let apart_m = state.place.position_m - first.state.place.position_m;
-        let misfit = linear.misfit;
+        equations.elongation = first.equations.elongation;
+        let other_offset_m = state.pose.position_m - first.state.pose.position_m;
+        let misfit = equations.misfit;
         if misfit >= first.misfit {
-            return (first, Some(Glance { misfit, unmoved: misfit, apart_m, state }));
+            return (
+                first,
+                Some(MirrorEstimate { misfit, initial_misfit: misfit, other_offset_m, state }),
+            );
         }
-        let glance = Glance {
+        let evaluate_mirrored = MirrorEstimate {
             misfit: first.misfit,
-            unmoved: first.misfit,
-            apart_m: -apart_m,
+            initial_misfit: first.misfit,
+            other_offset_m: -other_offset_m,
             state: first.state,
         };
         let noise2 = first.noise2;
-        (Solution { state, misfit, noise2, iterations: self.iterations, linear }, Some(glance))
+        (
+            Solution { state, misfit, noise2, iterations: self.iterations, equations },
+            Some(evaluate_mirrored),
+        )
     }
 
     /// Steps down from a state; whether it settled.
-    fn descend(&mut self, start: State) -> Result<(State, Linear, bool), FitError> {
+    fn iterate(&mut self, start: State) -> Result<(State, NormalEquations, bool), FitError> {
         let mut state = start;
-        let mut linear = self.look(&state)?;
+        let mut equations = self.assemble(&state)?;
         let mut misfit = self.misfit;
         let mut damping = 0.0;
         for _ in 0..STEPS {
-            if self.iterations >= LOOKS {
+            if self.iterations >= MAX_LINEARIZATIONS {
                 break;
             }
-            let noise2 = linear.noise2();
-            self.known.noise2 = noise2;
-            let flat = || FitError::Flat;
-            let (factor, right) = linear.factor(&state, noise2, damping).ok_or_else(flat)?;
+            let noise2 = equations.noise2();
+            self.reference.noise2 = noise2;
+            let flat = || FitError::Uninformative;
+            let (factor, right) = equations.factor(&state, noise2, damping).ok_or_else(flat)?;
             let mut change = factor.solve(&right);
-            if state.blur_ends(change[BLUR]) {
-                linear.hold(BLUR);
-                let (factor, right) = linear.factor(&state, noise2, damping).ok_or_else(flat)?;
+            if state.blur_at_limit(change[BLUR]) {
+                equations.hold(BLUR);
+                let (factor, right) = equations.factor(&state, noise2, damping).ok_or_else(flat)?;
                 change = factor.solve(&right);
             }
-            let gain: f64 = change.iter().zip(&linear.gradient).map(|(x, g)| x * g).sum();
-            let gain = gain + misfit - linear.misfit;
+            let gain: f64 = change.iter().zip(&equations.gradient).map(|(x, g)| x * g).sum();
+            let gain = gain + misfit - equations.misfit;
             if damping < 1e-3 && gain < LAST_STEP * noise2 {
-                return Ok((state, linear, true));
+                return Ok((state, equations, true));
             }
-            let next = state.moved(&linear, &change).ok_or(FitError::Away)?;
+            let next = state.moved(&equations, &change).ok_or(FitError::OutOfWindow)?;
             let bloom_px = self.bloom_px;
-            let Careful { cells, before, .. } = &mut self.scratch.careful;
-            before.clone_from(cells);
-            self.settle(&linear, &change);
-            match self.look(&next) {
+            let RobustScratch { cells, saved, .. } = &mut self.scratch.robust;
+            saved.clone_from(cells);
+            self.update_levels(&equations, &change);
+            match self.assemble(&next) {
                 Ok(found) if self.misfit <= misfit + noise2 => {
-                    (state, linear, misfit) = (next, found, self.misfit);
+                    (state, equations, misfit) = (next, found, self.misfit);
                     damping *= 0.1;
                 }
                 found => {
-                    let Careful { cells, before, .. } = &mut self.scratch.careful;
-                    cells.clone_from(before);
+                    let RobustScratch { cells, saved, .. } = &mut self.scratch.robust;
+                    cells.clone_from(saved);
                     self.bloom_px = bloom_px;
                     // The columns, not the model, stand in the way of so little.
                     if found.is_ok() && gain < SETTLED * noise2 {
-                        return Ok((state, linear, true));
+                        return Ok((state, equations, true));
                     }
                     damping = (10.0 * damping).max(0.01);
                 }
             }
         }
-        Ok((state, linear, false))
+        Ok((state, equations, false))
     }
 
     /// Moves bloom and the cells' levels along with the shared unknowns.
-    fn settle(&mut self, linear: &Linear, change: &[f64]) {
+    fn update_levels(&mut self, equations: &NormalEquations, change: &[f64]) {
         let mut coefficients = SVector::<f64, STILL>::zeros();
         coefficients[0] = 1.0;
         for unknown in WHITE..UNKNOWNS {
-            coefficients[unknown + 1 - WHITE] = -change[unknown] * linear.scale[unknown];
+            coefficients[unknown + 1 - WHITE] = -change[unknown] * equations.scale[unknown];
         }
         if self.cut_off {
             let bloom = self.bloom.dot(&coefficients) / self.bloom[SPREAD];
             coefficients[SPREAD] = -bloom;
-            self.bloom_px += bloom / self.known.levels[1];
+            self.bloom_px += bloom / self.reference.levels[1];
         }
-        if self.levels == Levels::Cells {
+        if self.levels == LevelScope::Cells {
             // The levels' own coefficients are what is looked for.
             (coefficients[column::WHITE], coefficients[column::STEP]) = (0.0, 0.0);
-            for cell in &mut self.scratch.careful.cells {
-                cell.settle(&self.known, &coefficients);
+            for cell in &mut self.scratch.robust.cells {
+                cell.update_levels(&self.reference, &coefficients);
             }
         }
     }
 
     /// The linear problem at a state.
-    fn look(&mut self, state: &State) -> Result<Linear, FitError> {
+    fn assemble(&mut self, state: &State) -> Result<NormalEquations, FitError> {
         self.iterations += 1;
         let blur_px = state.blur2.sqrt();
-        let FitScratch { level, contours, nodes, careful, .. } = &mut *self.scratch;
-        let Careful { normal, images, .. } = careful;
-        let mut parts = Parts { level: *level, contours, nodes, window: images.origin };
+        let FitScratch { level, contours, nodes, robust, .. } = &mut *self.scratch;
+        let RobustScratch { normal, images, .. } = robust;
+        let mut parts = ProjectionScratch { level: *level, contours, nodes, window: images.origin };
         let radius_px = linearize::project(self.problem, state, blur_px, &mut parts);
         if self.bloom_px != 0.0 {
-            images.spread(nodes, self.bloom_px);
+            images.move_rims(nodes, self.bloom_px);
         }
         if !images.draw(*level, nodes, blur_px, normal) {
-            return Err(FitError::Away);
+            return Err(FitError::OutOfWindow);
         }
-        if self.levels == Levels::Ring {
-            self.known.levels = [state.white, state.step];
-            for cell in &mut careful.cells {
-                cell.levels = self.known.levels;
+        if self.levels == LevelScope::Ring {
+            self.reference.levels = [state.white, state.step];
+            for cell in &mut robust.cells {
+                cell.levels = self.reference.levels;
             }
         }
-        let FitScratch { level, careful, .. } = &mut *self.scratch;
-        let deviation = self.known.noise2.sqrt().max(LEAST_NOISE);
-        pixels::add_all(*level, (self.problem, state), careful, deviation);
-        let products = self.combined();
-        let origin = self.scratch.careful.images.origin;
-        let model = linearize::model(self.problem, state, blur_px, origin);
-        Ok(Linear::new(self.problem, state, (&products, &model), radius_px))
+        let FitScratch { level, robust, .. } = &mut *self.scratch;
+        let deviation = self.reference.noise2.sqrt().max(MIN_NOISE);
+        pixels::add_all(*level, (self.problem, state), robust, deviation);
+        let products = self.summed_products();
+        let origin = self.scratch.robust.images.origin;
+        let pixel_model = linearize::pixel_model(self.problem, state, blur_px, origin);
+        Ok(NormalEquations::new(self.problem, state, (&products, &pixel_model), radius_px))
     }
 
     /// The products of all cells that count, with bloom free or held.
-    fn combined(&mut self) -> Products {
+    fn summed_products(&mut self) -> Products {
         let mut sum = Products::zeros();
         self.misfit = 0.0;
-        for cell in self.scratch.careful.cells.iter().filter(|cell| cell.kept) {
-            self.misfit += cell.misfit(&self.known);
+        for cell in self.scratch.robust.cells.iter().filter(|cell| cell.kept) {
+            self.misfit += cell.misfit(&self.reference);
             match self.levels {
-                Levels::Ring => sum += cell.products(self.known.levels[1]),
-                Levels::Cells => {
-                    if let Some(products) = cell.freed(&self.known) {
+                LevelScope::Ring => sum += cell.products(self.reference.levels[1]),
+                LevelScope::Cells => {
+                    if let Some(products) = cell.marginalized(&self.reference) {
                         sum += products;
                     }
                 }
             }
         }
-        if self.levels == Levels::Cells {
+        if self.levels == LevelScope::Cells {
             sum[(column::STEP, column::STEP)] = 1.0;
         }
         if self.cut_off {
-            let step = self.known.levels[1];
-            let prior = self.known.noise2 / (BLOOM_PRIOR_PX * step).powi(2);
+            let step = self.reference.levels[1];
+            let prior = self.reference.noise2 / (BLOOM_PRIOR_PX * step).powi(2);
             sum[(SPREAD, SPREAD)] += prior;
             let pull = -prior * self.bloom_px * step;
             sum[(0, SPREAD)] += pull;

@@ -4,8 +4,8 @@ use fearless_simd::{Level, Simd, dispatch};
 use fearless_simd_macros::simd;
 
 use super::{
-    Careful,
-    image::{IMAGES, Normal},
+    RobustScratch,
+    image::{IMAGES, NormalTable},
 };
 use crate::pose::photometry::solver::{
     linearize,
@@ -26,19 +26,19 @@ pub struct Pixel {
 }
 
 /// Sums each cell's pixels against the images that are drawn.
-pub fn add_all(level: Level, at: (&Problem, &State), careful: &mut Careful, deviation: f64) {
-    dispatch!(level, simd => add_each(simd, at, careful, deviation));
+pub fn add_all(level: Level, at: (&Problem, &State), robust: &mut RobustScratch, deviation: f64) {
+    dispatch!(level, simd => add_each(simd, at, robust, deviation));
 }
 
 #[simd]
 fn add_each<S: Simd>(
     simd: S,
     (problem, state): (&Problem, &State),
-    careful: &mut Careful,
+    robust: &mut RobustScratch,
     deviation: f64,
 ) {
-    let Careful { normal, images, pixels, cells, .. } = careful;
-    let model = linearize::model(problem, state, state.blur2.sqrt(), images.origin);
+    let RobustScratch { normal: table, images, pixels, cells, .. } = robust;
+    let pixel_model = linearize::pixel_model(problem, state, state.blur2.sqrt(), images.origin);
     for cell in cells.iter_mut() {
         cell.sums = Default::default();
     }
@@ -48,20 +48,21 @@ fn add_each<S: Simd>(
         let index = usize::from(pixel.row) * images.width + usize::from(pixel.column);
         let [share, right, down, curvature, outer, inner] = planes.map(|plane| plane[index]);
         let (p, q) = (f32::from(pixel.column), f32::from(pixel.row));
-        let [t1, t2] = model.t.map(|[c, by_p, by_q]| c + by_p * p + by_q * q);
+        let [t1, t2] = pixel_model.t.map(|[c, by_p, by_q]| c + by_p * p + by_q * q);
         let slope = &problem.lens.slope;
         let g1 = right * slope.m11 as f32 + down * slope.m21 as f32;
         let g2 = right * slope.m12 as f32 + down * slope.m22 as f32;
-        let light = 1.0 + model.light[0] * t1 + model.light[1] * t2;
+        let light = 1.0 + pixel_model.light[0] * t1 + pixel_model.light[1] * t2;
         let [white, step] = cell.levels.map(|level| level as f32);
         let level = (white + step * share) * light;
-        let word = word(normal, f64::from(pixel.grey), f64::from(level), deviation);
+        let pixel_term = pixel_term(table, f64::from(pixel.grey), f64::from(level), deviation);
         let of = |terms: &[f32; 3]| terms[0] + terms[1] * t1 + terms[2] * t2;
-        let (near, x, y) = (of(&model.nearness), of(&model.plane[0]), of(&model.plane[1]));
+        let (near, x, y) =
+            (of(&pixel_model.nearness), of(&pixel_model.plane[0]), of(&pixel_model.plane[1]));
         let radial = t1 * g1 + t2 * g2;
         let along = |v: &[f32; 3]| v[0] * g1 + v[1] * g2 - v[2] * radial;
-        let lift = along(&model.lift);
-        let to_middle = along(&[model.middle[0], model.middle[1], 1.0]);
+        let lift = along(&pixel_model.lift);
+        let to_middle = along(&[pixel_model.middle[0], pixel_model.middle[1], 1.0]);
         let mut columns = [
             0.0,
             light,
@@ -81,16 +82,16 @@ fn add_each<S: Simd>(
             0.0,
         ];
         for column in &mut columns {
-            *column *= word.root as f32;
+            *column *= pixel_term.root as f32;
         }
-        columns[0] = word.residual as f32;
+        columns[0] = pixel_term.residual as f32;
         cell.add(simd, &columns);
-        cell.sums[0][0] += (word.misfit - word.residual * word.residual) as f32;
+        cell.sums[0][0] += (pixel_term.misfit - pixel_term.residual * pixel_term.residual) as f32;
     }
 }
 
 /// What a pixel says against a level.
-struct Word {
+struct PixelTerm {
     /// Residual, over the root of the weight.
     residual: f64,
     /// Root of the weight of its columns' products.
@@ -101,20 +102,20 @@ struct Word {
 
 /// Of a pixel's grey against a level, with noise of a deviation.
 #[inline]
-fn word(normal: &Normal, grey: f64, level: f64, deviation: f64) -> Word {
+fn pixel_term(table: &NormalTable, grey: f64, level: f64, deviation: f64) -> PixelTerm {
     let (sign, z) = if grey >= 255.0 {
         (1.0, (254.5 - level) / deviation)
     } else if grey <= 0.0 {
         (-1.0, (level - 0.5) / deviation)
     } else {
         let residual = grey - level;
-        return Word { residual, root: 1.0, misfit: residual * residual };
+        return PixelTerm { residual, root: 1.0, misfit: residual * residual };
     };
     if z < -5.0 {
-        return Word { residual: 0.0, root: 0.0, misfit: 0.0 };
+        return PixelTerm { residual: 0.0, root: 0.0, misfit: 0.0 };
     }
-    let (pull, misfit) = normal.beyond(z);
+    let (pull, misfit) = table.tail(z);
     let root = (pull * (pull - z)).max(0.0).sqrt();
     let variance = deviation * deviation;
-    Word { residual: sign * deviation * pull / root, root, misfit: variance * misfit }
+    PixelTerm { residual: sign * deviation * pull / root, root, misfit: variance * misfit }
 }

@@ -7,29 +7,33 @@ use fearless_simd_macros::simd;
 use nalgebra::SMatrix;
 
 /// Unknowns at most.
-pub const MOST: usize = 12;
+pub const MAX_UNKNOWNS: usize = 12;
 
 /// The Cholesky factor of a matrix, scaled to a diagonal of ones first.
 #[derive(Clone, Debug)]
-pub struct Factor {
+pub struct Cholesky {
     /// Rows and columns that it is of.
     range: Range<usize>,
-    scale: [f64; MOST],
+    scale: [f64; MAX_UNKNOWNS],
     /// Upper triangle; on the diagonal its inverse, below it what is left of the elimination.
-    upper: [[f64; MOST]; MOST],
+    upper: [[f64; MAX_UNKNOWNS]; MAX_UNKNOWNS],
 }
 
-impl Factor {
+impl Cholesky {
     /// Of some rows and the same columns; `None` unless they are positive definite.
-    pub fn new(matrix: &[[f64; MOST]; MOST], range: Range<usize>) -> Option<Self> {
-        let mut factor = Self { range, scale: [0.0; MOST], upper: [[0.0; MOST]; MOST] };
+    pub fn new(matrix: &[[f64; MAX_UNKNOWNS]; MAX_UNKNOWNS], range: Range<usize>) -> Option<Self> {
+        let mut factor =
+            Self { range, scale: [0.0; MAX_UNKNOWNS], upper: [[0.0; MAX_UNKNOWNS]; MAX_UNKNOWNS] };
         let is_one = dispatch!(Level::new(), simd => eliminate(simd, matrix, &mut factor));
         is_one.then_some(factor)
     }
 
     /// That of a matrix which differs from this one's in the last `COUNT` rows and columns only; `None`
     /// unless it is positive definite.
-    pub fn with_last<const COUNT: usize>(&self, matrix: &[[f64; MOST]; MOST]) -> Option<Self> {
+    pub fn with_last<const COUNT: usize>(
+        &self,
+        matrix: &[[f64; MAX_UNKNOWNS]; MAX_UNKNOWNS],
+    ) -> Option<Self> {
         let mut next = self.clone();
         let Self { range, scale, upper } = &mut next;
         let (first, end) = (range.end - COUNT, range.end);
@@ -67,8 +71,8 @@ impl Factor {
     }
 
     /// The solution of matrix · x = right; other unknowns stay at none.
-    pub fn solve(&self, right: &[f64; MOST]) -> [f64; MOST] {
-        let mut x: [f64; MOST] = std::array::from_fn(|i| right[i] * self.scale[i]);
+    pub fn solve(&self, right: &[f64; MAX_UNKNOWNS]) -> [f64; MAX_UNKNOWNS] {
+        let mut x: [f64; MAX_UNKNOWNS] = std::array::from_fn(|i| right[i] * self.scale[i]);
         for j in self.range.clone() {
             x[j] *= self.upper[j][j];
             let by = x[j];
@@ -100,10 +104,10 @@ impl Factor {
             inverse[(column, column)] = diagonal;
             for row in column + 1..COUNT {
                 let place = first + row;
-                let known: f64 = (column..row)
+                let solved: f64 = (column..row)
                     .map(|k| self.upper[first + k][place] * inverse[(k, column)])
                     .sum();
-                inverse[(row, column)] = -known * self.upper[place][place];
+                inverse[(row, column)] = -solved * self.upper[place][place];
             }
         }
         let mut product = inverse.transpose() * inverse;
@@ -118,9 +122,13 @@ impl Factor {
 
 /// Divisions and roots take longer than all else: only one division of a row waits for the row before.
 #[simd]
-fn eliminate<S: Simd>(simd: S, matrix: &[[f64; MOST]; MOST], factor: &mut Factor) -> bool {
+fn eliminate<S: Simd>(
+    simd: S,
+    matrix: &[[f64; MAX_UNKNOWNS]; MAX_UNKNOWNS],
+    factor: &mut Cholesky,
+) -> bool {
     let _ = simd;
-    let Factor { range, scale, upper } = factor;
+    let Cholesky { range, scale, upper } = factor;
     for i in range.clone() {
         if !(matrix[i][i] > 0.0 && matrix[i][i].is_finite()) {
             return false;
@@ -128,11 +136,11 @@ fn eliminate<S: Simd>(simd: S, matrix: &[[f64; MOST]; MOST], factor: &mut Factor
         scale[i] = 1.0 / matrix[i][i].sqrt();
     }
     for i in range.clone() {
-        for j in 0..MOST {
+        for j in 0..MAX_UNKNOWNS {
             upper[i][j] = matrix[i][j] * scale[i] * scale[j];
         }
     }
-    let mut inverse = [0.0; MOST];
+    let mut inverse = [0.0; MAX_UNKNOWNS];
     for j in range.clone() {
         let row = upper[j];
         if row[j].is_nan() || row[j] <= 1e-12 {
@@ -142,7 +150,7 @@ fn eliminate<S: Simd>(simd: S, matrix: &[[f64; MOST]; MOST], factor: &mut Factor
         // Whole rows, of one length, go into vectors; what comes below the diagonal is not read.
         for i in j + 1..range.end {
             let by = row[i] * inverse[j];
-            for k in 0..MOST {
+            for k in 0..MAX_UNKNOWNS {
                 upper[i][k] -= by * row[k];
             }
         }
@@ -164,14 +172,14 @@ mod tests {
     #[test]
     fn solutions_solve() {
         let size = 7;
-        let mut matrix = [[0.0; MOST]; MOST];
+        let mut matrix = [[0.0; MAX_UNKNOWNS]; MAX_UNKNOWNS];
         for (i, row) in matrix.iter_mut().enumerate().take(size) {
             for (j, value) in row.iter_mut().enumerate().take(size) {
                 let near = 1.0 / (1.0 + (i as f64 - j as f64).abs());
                 *value = near * 10f64.powi(i as i32 + j as i32);
             }
         }
-        let factor = Factor::new(&matrix, 0..size).unwrap();
+        let factor = Cholesky::new(&matrix, 0..size).unwrap();
         let right = std::array::from_fn(|i| if i < size { (i as f64).cos() } else { 0.0 });
         let x = factor.solve(&right);
         for (row, right) in matrix.iter().zip(right).take(size) {
@@ -188,7 +196,7 @@ mod tests {
             }
         }
         // Of a part, as if there were no more.
-        let part = Factor::new(&matrix, 2..5).unwrap().solve(&right);
+        let part = Cholesky::new(&matrix, 2..5).unwrap().solve(&right);
         for (row, (values, right)) in matrix.iter().zip(right).enumerate() {
             let left: f64 = values.iter().zip(part).map(|(a, b)| a * b).sum();
             let off = if (2..5).contains(&row) { left - right } else { part[row] };
@@ -203,11 +211,11 @@ mod tests {
             }
         }
         let beside = factor.with_last::<2>(&other).unwrap().solve(&right);
-        let own = Factor::new(&other, 0..size).unwrap().solve(&right);
+        let own = Cholesky::new(&other, 0..size).unwrap().solve(&right);
         for (beside, own) in beside.iter().zip(own) {
             assert!((beside - own).abs() < 1e-9 * (1.0 + own.abs()));
         }
         matrix[3][3] = -1.0;
-        assert!(Factor::new(&matrix, 0..size).is_none());
+        assert!(Cholesky::new(&matrix, 0..size).is_none());
     }
 }

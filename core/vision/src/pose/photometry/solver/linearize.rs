@@ -3,18 +3,18 @@
 use nalgebra::{Vector2, Vector3};
 
 use super::{
-    normal_equation_cache::RecalledProducts,
-    normal_equations::Linear,
+    normal_equation_cache::NormalEquationCache,
+    normal_equations::NormalEquations,
     state::{Problem, State},
 };
 use crate::pose::photometry::{
     FitError, FitScratch, SPACING,
     model::{
-        blur_kernel::Taps,
+        blur_kernel::DifferenceWeights,
         motion,
-        projection::{self, Nodes, Place},
+        projection::{self, Nodes, PrintPose},
         residual_patches,
-        window::Model,
+        window::PixelModel,
     },
 };
 
@@ -23,46 +23,46 @@ const MIN_PIXELS: f64 = 30.0;
 
 /// What is known of a linear problem beforehand: with it the pixels are asked for the rest only.
 #[derive(Clone, Copy)]
-enum Known<'a> {
+enum Reuse<'a> {
     /// The one at a state near by.
-    Near(&'a Linear),
+    Near(&'a NormalEquations),
     /// Products of columns, from a frame before.
-    Recalled(&'a RecalledProducts),
+    Recalled(&'a NormalEquationCache),
 }
 
 /// The linear problem at a state where a fit begins: with what is recalled, if that serves there.
-pub fn begin(
+pub fn linearize_start(
     problem: &Problem,
     state: &State,
     scratch: &mut FitScratch,
-) -> Result<Linear, FitError> {
+) -> Result<NormalEquations, FitError> {
     let pixels = scratch.window.pixels();
-    let recalled = problem.recalled.filter(|recalled| recalled.serve(problem, state, pixels));
-    look(problem, state, recalled.map(Known::Recalled), scratch)
+    let cache = problem.cache.filter(|cache| cache.is_valid_for(problem, state, pixels));
+    assemble(problem, state, cache.map(Reuse::Recalled), scratch)
 }
 
 /// The linear problem at a state; with the information that is known from near by, if there is one.
 pub fn linearize(
     problem: &Problem,
     state: &State,
-    known: Option<&Linear>,
+    reuse: Option<&NormalEquations>,
     scratch: &mut FitScratch,
-) -> Result<Linear, FitError> {
-    look(problem, state, known.map(Known::Near), scratch)
+) -> Result<NormalEquations, FitError> {
+    assemble(problem, state, reuse.map(Reuse::Near), scratch)
 }
 
-fn look(
+fn assemble(
     problem: &Problem,
     state: &State,
-    known: Option<Known>,
+    reuse: Option<Reuse>,
     scratch: &mut FitScratch,
-) -> Result<Linear, FitError> {
-    let kernel = scratch.kernels.near(state.blur2.sqrt());
+) -> Result<NormalEquations, FitError> {
+    let kernel = scratch.kernels.nearest(state.blur2.sqrt());
     let radius_px = project(
         problem,
         state,
         kernel.blur_px,
-        &mut Parts {
+        &mut ProjectionScratch {
             level: scratch.level,
             contours: &mut scratch.contours,
             nodes: &mut scratch.nodes,
@@ -70,33 +70,35 @@ fn look(
         },
     );
     if !motion::is_linear(&state.motion2) {
-        let motion_px = motion::of_square(&state.motion2);
-        let places = motion::places(&state.motion2, kernel.blur_px);
-        scratch.nodes.smear(scratch.level, &motion_px, places);
+        let motion_px = motion::from_square(&state.motion2);
+        let quadrature = motion::quadrature(&state.motion2, kernel.blur_px);
+        scratch.nodes.smear(scratch.level, &motion_px, quadrature);
     }
     if !scratch.window.scatter(scratch.level, &scratch.nodes, kernel) {
-        return Err(FitError::Away);
+        return Err(FitError::OutOfWindow);
     }
-    let model = model(problem, state, kernel.blur_px, scratch.window.origin);
+    let pixel_model = pixel_model(problem, state, kernel.blur_px, scratch.window.origin);
     let sums = &mut scratch.sums;
-    scratch.window.gather(scratch.level, &model, sums, known.is_none());
-    let mut linear = match known {
-        None => Linear::new(problem, state, (&sums.products, &model), radius_px),
-        Some(Known::Near(known)) => known.updated(&sums.products),
-        Some(Known::Recalled(recalled)) => {
-            recalled.put(&mut sums.products);
-            let mut linear = Linear::new(problem, state, (&sums.products, &model), radius_px);
-            linear.pixels = scratch.window.pixels() as f64;
-            (linear.reused, linear.recalled) = (true, true);
-            linear
+    scratch.window.gather(scratch.level, &pixel_model, sums, reuse.is_none());
+    let mut equations = match reuse {
+        None => NormalEquations::new(problem, state, (&sums.products, &pixel_model), radius_px),
+        Some(Reuse::Near(reuse)) => reuse.updated(&sums.products),
+        Some(Reuse::Recalled(cache)) => {
+            cache.write_to(&mut sums.products);
+            let mut equations =
+                NormalEquations::new(problem, state, (&sums.products, &pixel_model), radius_px);
+            equations.pixels = scratch.window.pixels() as f64;
+            (equations.reused, equations.cache) = (true, true);
+            equations
         }
     };
-    linear.together = residual_patches::share(f64::from(sums.patches), linear.misfit);
-    if linear.pixels < MIN_PIXELS { Err(FitError::Flat) } else { Ok(linear) }
+    equations.patch_ratio =
+        residual_patches::correlation_ratio(f64::from(sums.patches), equations.misfit);
+    if equations.pixels < MIN_PIXELS { Err(FitError::Uninformative) } else { Ok(equations) }
 }
 
 /// What carrying the contour into the window needs of the scratch.
-pub struct Parts<'a> {
+pub struct ProjectionScratch<'a> {
     pub level: fearless_simd::Level,
     pub contours: &'a mut crate::pose::photometry::model::contour::Contours,
     pub nodes: &'a mut Nodes,
@@ -107,21 +109,31 @@ pub struct Parts<'a> {
 pub fn radius_px(problem: &Problem, state: &State) -> f64 {
     // The largest stretch of the lens is at most the slope's norm.
     let scale_px = problem.lens.slope.norm() * std::f64::consts::FRAC_1_SQRT_2;
-    scale_px * problem.radius_m / (state.place.position_m.z * problem.lens.spread)
+    scale_px * problem.radius_m / (state.pose.position_m.z * problem.lens.spread)
 }
 
 /// Carries the contour into the window; returns the outer rim's radius, pixels.
-pub fn project(problem: &Problem, state: &State, blur_px: f64, parts: &mut Parts) -> f64 {
+pub fn project(
+    problem: &Problem,
+    state: &State,
+    blur_px: f64,
+    parts: &mut ProjectionScratch,
+) -> f64 {
     let radius_px = radius_px(problem, state);
     let around_px = std::f64::consts::TAU * radius_px * 1.1;
     let contour = parts.contours.of(problem.kind, problem.teeth, around_px, SPACING * blur_px);
-    let at = (problem.lens, &state.place, problem.radius_m);
+    let at = (problem.lens, &state.pose, problem.radius_m);
     projection::project(parts.level, at, contour, parts.window, parts.nodes);
     radius_px
 }
 
-pub fn model(problem: &Problem, state: &State, table_px: f64, window: (i64, i64)) -> Model {
-    let (lens, Place { position_m: p, axes }) = (problem.lens, &state.place);
+pub fn pixel_model(
+    problem: &Problem,
+    state: &State,
+    table_px: f64,
+    window: (i64, i64),
+) -> PixelModel {
+    let (lens, PrintPose { position_m: p, axes }) = (problem.lens, &state.pose);
     let s = lens.spread;
     let [a, b, n] = [0, 1, 2].map(|i| axes.column(i).into_owned());
     let nearness = Vector3::new(n.x * s, n.y * s, n.z) * (p.z / n.dot(p));
@@ -136,16 +148,16 @@ pub fn model(problem: &Problem, state: &State, table_px: f64, window: (i64, i64)
         window.1 as f64 - lens.origin.v - f64::from(lens.terms[1][0]),
     );
     let constant = inverse * from;
-    let missing = motion::missing(&state.motion2);
+    let linear_part = motion::linear_part(&state.motion2);
     let plane = |v: Vector3<f64>| [v.z as f32, v.x as f32, v.y as f32];
     let lift = Vector3::new(n.x / s, n.y / s, n.z) * (problem.radius_m / p.z);
-    Model {
+    PixelModel {
         white: state.white as f32,
         step: state.step as f32,
-        blur: (0.5 * (state.blur2 - table_px * table_px + missing.norm() / 24.0)) as f32,
+        blur: (0.5 * (state.blur2 - table_px * table_px + linear_part.norm() / 24.0)) as f32,
         motion: (!problem.is_still)
-            .then(|| [missing.x, missing.y].map(|part| (part / 48.0) as f32)),
-        taps: Taps::of(table_px),
+            .then(|| [linear_part.x, linear_part.y].map(|part| (part / 48.0) as f32)),
+        taps: DifferenceWeights::of(table_px),
         slope: [lens.slope.m11, lens.slope.m12, lens.slope.m21, lens.slope.m22].map(|m| m as f32),
         light: [state.light.x as f32, state.light.y as f32],
         t: [0, 1].map(|i| [constant[i] as f32, inverse[(i, 0)] as f32, inverse[(i, 1)] as f32]),

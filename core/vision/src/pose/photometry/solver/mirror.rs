@@ -12,12 +12,12 @@
 use nalgebra::Vector3;
 
 use super::{
-    cholesky::{Factor, MOST},
+    cholesky::{Cholesky, MAX_UNKNOWNS},
     linearize::linearize,
-    normal_equations::Linear,
+    normal_equations::NormalEquations,
     state::{Problem, RANGE, SHIFT, State, TILT},
 };
-use crate::pose::photometry::{FitScratch, model::projection::Place};
+use crate::pose::photometry::{FitScratch, model::projection::PrintPose};
 
 /// Displacement of the outer rim up to which the image follows it linearly, in deviations of its edges.
 const LINEAR_BLURS: f64 = 0.6;
@@ -25,13 +25,13 @@ const LINEAR_BLURS: f64 = 0.6;
 const EXCLUDED: f64 = 200.0;
 
 /// What the mirrored place of a solution comes to.
-pub struct Glance {
+pub struct MirrorEstimate {
     /// Sum of squared residuals after one step, grey levels².
     pub misfit: f64,
     /// The same without the step.
-    pub unmoved: f64,
+    pub initial_misfit: f64,
     /// How far from the solution's that step's position is, local frame, metres.
-    pub apart_m: Vector3<f64>,
+    pub other_offset_m: Vector3<f64>,
     /// Where to go on from: where the step leads, if it can be relied on.
     pub state: State,
 }
@@ -39,46 +39,56 @@ pub struct Glance {
 /// The mirrored place after one step; `None` where it has none. `known` is the linear problem at the
 /// state, of which a pixel's variance is `noise2`, and `factor` that of its information with what is known
 /// beforehand, where there is one.
-pub fn glance(
+pub fn evaluate_mirrored(
     problem: &Problem,
     state: &State,
-    (known, noise2, factor): (&Linear, f64, Option<&Factor>),
+    (equations, noise2, factor): (&NormalEquations, f64, Option<&Cholesky>),
     scratch: &mut FitScratch,
-) -> Option<Glance> {
+) -> Option<MirrorEstimate> {
     let mirrored = state.mirrored();
-    let linear = known.mirrored(state);
-    let found = step(&mirrored, &linear, noise2, factor)?;
-    if is_linear(state, known) || found.misfit > known.misfit + EXCLUDED * noise2 {
+    let own = equations.mirrored(state);
+    let found = step(&mirrored, &own, noise2, factor)?;
+    if is_linear(state, equations) || found.misfit > equations.misfit + EXCLUDED * noise2 {
         return Some(found);
     }
-    let mut linear = linearize(problem, &mirrored, Some(&linear), scratch).ok()?;
-    turn_round(&mut linear.gradient);
+    let mut own = linearize(problem, &mirrored, Some(&own), scratch).ok()?;
+    negate_turns(&mut own.gradient);
     // A step so far from where the information holds says which place is nearer, and no more.
-    let found = step(&mirrored, &linear, noise2, factor)?;
-    Some(Glance { state: mirrored, ..found })
+    let found = step(&mirrored, &own, noise2, factor)?;
+    Some(MirrorEstimate { state: mirrored, ..found })
 }
 
 /// Whether the mirrored place moves the rims by so little that the image follows it linearly.
-pub fn is_linear(state: &State, known: &Linear) -> bool {
-    known.apart_px < LINEAR_BLURS * state.edge_px()
+pub fn is_linear(state: &State, equations: &NormalEquations) -> bool {
+    equations.apart_px < LINEAR_BLURS * state.edge_px()
 }
 
 /// One step from the mirrored place, with the information of the other, whose turns the gradient's are.
-fn step(mirrored: &State, linear: &Linear, noise2: f64, factor: Option<&Factor>) -> Option<Glance> {
+fn step(
+    mirrored: &State,
+    equations: &NormalEquations,
+    noise2: f64,
+    factor: Option<&Cholesky>,
+) -> Option<MirrorEstimate> {
     // Of the information only the tilts' is another.
     let mut change = match factor {
-        Some(factor) => linear.step_beside(mirrored, noise2, factor)?,
-        None => linear.step(mirrored, noise2, 0.0)?,
+        Some(factor) => equations.step_beside(mirrored, noise2, factor)?,
+        None => equations.step(mirrored, noise2, 0.0)?,
     };
-    let gain: f64 = change.iter().zip(&linear.gradient).map(|(x, g)| x * g).sum();
-    turn_round(&mut change);
-    let apart_m = Vector3::new(change[SHIFT], change[SHIFT + 1], 0.0) * linear.unit_m
-        + mirrored.place.position_m * change[RANGE];
-    let state = mirrored.moved(linear, &change)?;
-    Some(Glance { misfit: linear.misfit - gain, unmoved: linear.misfit, apart_m, state })
+    let gain: f64 = change.iter().zip(&equations.gradient).map(|(x, g)| x * g).sum();
+    negate_turns(&mut change);
+    let other_offset_m = Vector3::new(change[SHIFT], change[SHIFT + 1], 0.0) * equations.unit_m
+        + mirrored.pose.position_m * change[RANGE];
+    let state = mirrored.moved(equations, &change)?;
+    Some(MirrorEstimate {
+        misfit: equations.misfit - gain,
+        initial_misfit: equations.misfit,
+        other_offset_m,
+        state,
+    })
 }
 
-impl Linear {
+impl NormalEquations {
     /// That of the mirrored place, in this one's turns.
     fn mirrored(&self, state: &State) -> Self {
         let mut other = self.clone();
@@ -101,11 +111,11 @@ impl Linear {
 
 impl State {
     /// κ: by which share each unknown makes m grow.
-    fn mirror_growth(&self) -> [f64; MOST] {
-        let Place { position_m, axes } = &self.place;
+    fn mirror_growth(&self) -> [f64; MAX_UNKNOWNS] {
+        let PrintPose { position_m, axes } = &self.pose;
         let along = axes.transpose() * position_m.normalize();
         let across2 = along.x * along.x + along.y * along.y;
-        let mut growth = [0.0; MOST];
+        let mut growth = [0.0; MAX_UNKNOWNS];
         if across2 > 0.0 {
             growth[TILT] = along.y / (along.z * across2);
             growth[TILT + 1] = -along.x / (along.z * across2);
@@ -115,7 +125,7 @@ impl State {
 }
 
 /// From one place's turns to the other's.
-fn turn_round(unknowns: &mut [f64; MOST]) {
+fn negate_turns(unknowns: &mut [f64; MAX_UNKNOWNS]) {
     unknowns[TILT] *= -1.0;
     unknowns[TILT + 1] *= -1.0;
 }

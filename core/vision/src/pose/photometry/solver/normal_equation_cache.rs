@@ -11,14 +11,14 @@
 use nalgebra::Matrix2;
 
 use super::{
-    normal_equations::Linear,
+    normal_equations::NormalEquations,
     state::{BLUR, Problem, SHIFT, State, unknown_of},
 };
 use crate::{
     marker::Pattern,
     pose::photometry::model::{
         column_products::{Products, STILL, column},
-        projection::Place,
+        projection::PrintPose,
     },
 };
 
@@ -27,20 +27,20 @@ const COLUMNS: usize = STILL - 1;
 const COUNT: usize = COLUMNS * (COLUMNS + 1) / 2;
 
 /// By no more than this share may range, lens and number of pixels be others …
-const SAME: f64 = 0.02;
+const MAX_CHANGE: f64 = 0.02;
 /// … the levels by this share of the step, with which only the light's columns go, …
-const SAME_LEVEL: f64 = 0.05;
+const MAX_LEVEL_CHANGE: f64 = 0.05;
 /// … and σ², with whose fourth root the information goes.
-const SAME_BLUR2: f64 = 0.06;
+const MAX_BLUR2_CHANGE: f64 = 0.06;
 /// Turned by no more than this share of the sine of the tilt, with whose square the tilts' information goes.
-const SAME_TILT: f64 = 0.05;
+const MAX_TILT_CHANGE: f64 = 0.05;
 
 /// Products of columns of a frame before, and of what they depend on.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RecalledProducts {
+pub struct NormalEquationCache {
     /// Upper triangle, row by row.
     products: [f32; COUNT],
-    place: Place,
+    pose: PrintPose,
     /// Of the lens.
     slope: Matrix2<f64>,
     blur2: f64,
@@ -49,48 +49,49 @@ pub struct RecalledProducts {
     pixels: f64,
 }
 
-impl RecalledProducts {
+impl NormalEquationCache {
     /// Of a fit that took them anew; `None` if its motion was free, the blur was held, or the print is not
     /// a plain one, whose columns hang on more than is compared.
-    pub fn of(problem: &Problem, state: &State, linear: &Linear) -> Option<Self> {
+    pub fn of(problem: &Problem, state: &State, equations: &NormalEquations) -> Option<Self> {
         let is_plain = matches!(problem.kind.pattern, Pattern::Plain);
-        if !(problem.is_still && is_plain) || linear.holds(BLUR) {
+        if !(problem.is_still && is_plain) || equations.is_held(BLUR) {
             return None;
         }
         let mut products = [0.0; COUNT];
         let mut at = 0;
         for one in column::WHITE..STILL {
             for other in one..STILL {
-                products[at] = linear.product(one, other) as f32;
+                products[at] = equations.product(one, other) as f32;
                 at += 1;
             }
         }
-        let State { place, blur2, white, step, .. } = *state;
-        let (slope, pixels) = (problem.lens.slope, linear.pixels);
-        Some(Self { products, place, slope, blur2, white, step, pixels })
+        let State { pose, blur2, white, step, .. } = *state;
+        let (slope, pixels) = (problem.lens.slope, equations.pixels);
+        Some(Self { products, pose, slope, blur2, white, step, pixels })
     }
 
     /// Whether they are as good as those of a state, of which so many pixels count.
-    pub fn serve(&self, problem: &Problem, state: &State, pixels: usize) -> bool {
-        let near = |one: f64, other: f64| (one - other).abs() < SAME * other.abs();
-        let is_lit = |one: f64, other: f64| (one - other).abs() < SAME_LEVEL * self.step.abs();
-        let place = &state.place;
-        let cosine = place.axes.column(2).dot(&place.position_m.normalize());
+    pub fn is_valid_for(&self, problem: &Problem, state: &State, pixels: usize) -> bool {
+        let is_near = |one: f64, other: f64| (one - other).abs() < MAX_CHANGE * other.abs();
+        let is_lit =
+            |one: f64, other: f64| (one - other).abs() < MAX_LEVEL_CHANGE * self.step.abs();
+        let pose = &state.pose;
+        let cosine = pose.axes.column(2).dot(&pose.position_m.normalize());
         // Of a turn by a small angle the matrix's difference has the norm √2 times the angle.
-        let turn2 = 0.5 * (place.axes - self.place.axes).norm_squared();
+        let turn2 = 0.5 * (pose.axes - self.pose.axes).norm_squared();
         problem.is_still
             && matches!(problem.kind.pattern, Pattern::Plain)
-            && turn2 < SAME_TILT * SAME_TILT * (1.0 - cosine * cosine)
-            && near(place.position_m.z, self.place.position_m.z)
-            && (state.blur2 - self.blur2).abs() < SAME_BLUR2 * state.blur2
+            && turn2 < MAX_TILT_CHANGE * MAX_TILT_CHANGE * (1.0 - cosine * cosine)
+            && is_near(pose.position_m.z, self.pose.position_m.z)
+            && (state.blur2 - self.blur2).abs() < MAX_BLUR2_CHANGE * state.blur2
             && is_lit(state.white, self.white)
             && is_lit(state.step, self.step)
-            && near(pixels as f64, self.pixels)
-            && (problem.lens.slope - self.slope).norm() < SAME * self.slope.norm()
+            && is_near(pixels as f64, self.pixels)
+            && (problem.lens.slope - self.slope).norm() < MAX_CHANGE * self.slope.norm()
     }
 
     /// Puts them in place.
-    pub fn put(&self, products: &mut Products) {
+    pub fn write_to(&self, products: &mut Products) {
         let mut at = 0;
         for one in column::WHITE..STILL {
             for other in one..STILL {
@@ -103,7 +104,7 @@ impl RecalledProducts {
     }
 }
 
-impl Linear {
+impl NormalEquations {
     /// Of two columns, none of which is the residual's or the motion's.
     fn product(&self, one: usize, other: usize) -> f64 {
         let (with_unknowns, _, own) = &self.mirror;

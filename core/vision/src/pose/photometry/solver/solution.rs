@@ -3,10 +3,10 @@
 use nalgebra::{SMatrix, Vector3};
 
 use super::{
-    cholesky::{Factor, MOST},
-    linearize::{Parts, project},
-    normal_equation_cache::RecalledProducts,
-    normal_equations::Linear,
+    cholesky::{Cholesky, MAX_UNKNOWNS},
+    linearize::{ProjectionScratch, project},
+    normal_equation_cache::NormalEquationCache,
+    normal_equations::NormalEquations,
     state::{MOTION, Problem, State},
 };
 use crate::{
@@ -24,7 +24,7 @@ pub struct Solution {
     /// Variance of a pixel, grey levels².
     pub noise2: f64,
     pub iterations: usize,
-    pub linear: Linear,
+    pub equations: NormalEquations,
 }
 
 /// Over shift, shift, logarithm of the range and two turns.
@@ -36,43 +36,43 @@ const ENDS_NOISE: f64 = 3.0;
 impl Solution {
     /// Whether noise explains the residual, and the scale of grey levels holds white and black.
     pub fn is_plain(&self) -> bool {
-        let (state, linear) = (&self.state, &self.linear);
+        let (state, equations) = (&self.state, &self.equations);
         let slack = ENDS_NOISE * self.noise2.sqrt();
         let levels = [state.white, state.white + state.step];
         let (low, high) = (levels[0].min(levels[1]), levels[0].max(levels[1]));
-        linear.is_even() && low > slack && high < 255.0 - slack
+        equations.is_noise_only() && low > slack && high < 255.0 - slack
     }
 
     /// The factor of the information, with what is known beforehand.
-    pub fn factor(&self) -> Option<Factor> {
-        let (information, _) = self.linear.with_prior(&self.state, self.noise2);
-        Factor::new(&information, self.linear.free())
+    pub fn factor(&self) -> Option<Cholesky> {
+        let (information, _) = self.equations.with_prior(&self.state, self.noise2);
+        Cholesky::new(&information, self.equations.free_unknowns())
     }
 
     /// Of (position, rotation) in the camera's frame, by [`Self::factor`].
-    pub fn covariance(&self, problem: &Problem, factor: &Factor) -> Covariance6 {
+    pub fn covariance(&self, problem: &Problem, factor: &Cholesky) -> Covariance6 {
         let own: Covariance5 = factor.inverse_of_last() * self.noise2;
-        let axes = &self.state.place.axes;
+        let axes = &self.state.pose.axes;
         let turns = [0, 1].map(|axis| axes.column(axis).into_owned());
-        self.carried(problem, &self.state, &own, &turns)
+        self.in_camera_frame(problem, &self.state, &own, &turns)
     }
 
     /// What later frames may recall: what this one recalled itself, or what it has taken anew.
-    pub fn recalled(&self, problem: &Problem) -> Option<RecalledProducts> {
-        if self.linear.recalled {
-            problem.recalled.copied()
+    pub fn cache(&self, problem: &Problem) -> Option<NormalEquationCache> {
+        if self.equations.cache {
+            problem.cache.copied()
         } else {
-            RecalledProducts::of(problem, &self.state, &self.linear)
+            NormalEquationCache::of(problem, &self.state, &self.equations)
         }
     }
 
     /// Variance of either part of the motion's square by noise alone, px⁴, as far as the prior lets it;
     /// none where it was held.
     pub fn motion_variance(&self) -> Option<f64> {
-        let prior = self.linear.motion_prior?;
+        let prior = self.equations.motion_prior?;
         let factor = self.factor()?;
         let variance = |unknown: usize| {
-            let mut unit = [0.0; MOST];
+            let mut unit = [0.0; MAX_UNKNOWNS];
             unit[unknown] = self.noise2;
             factor.solve(&unit)[unknown]
         };
@@ -83,7 +83,7 @@ impl Solution {
 
     /// A covariance over shift, range and turns about these axes as one of (position, rotation) in the
     /// camera's frame, with nothing about the normal, for a state near the solution's.
-    pub fn carried(
+    pub fn in_camera_frame(
         &self,
         problem: &Problem,
         state: &State,
@@ -91,9 +91,9 @@ impl Solution {
         turns: &[Vector3<f64>; 2],
     ) -> Covariance6 {
         let camera_from_local = problem.lens.local_from_camera.transpose();
-        let (unit_m, place) = (self.linear.unit_m, &state.place);
+        let (unit_m, pose) = (self.equations.unit_m, &state.pose);
         let mut map = SMatrix::<f64, 6, 5>::zeros();
-        let along = [Vector3::x() * unit_m, Vector3::y() * unit_m, place.position_m];
+        let along = [Vector3::x() * unit_m, Vector3::y() * unit_m, pose.position_m];
         for (column, along) in along.into_iter().enumerate() {
             map.fixed_view_mut::<3, 1>(0, column).copy_from(&(camera_from_local * along));
         }
@@ -101,7 +101,7 @@ impl Solution {
             map.fixed_view_mut::<3, 1>(3, 3 + axis).copy_from(&(camera_from_local * turn));
         }
         let mut covariance = map * (0.5 * (own + own.transpose())) * map.transpose();
-        let normal = camera_from_local * place.axes.column(2);
+        let normal = camera_from_local * pose.axes.column(2);
         let mut rotation = covariance.fixed_view_mut::<3, 3>(3, 3);
         rotation += normal * normal.transpose() * UNKNOWN_ANGLE_VARIANCE_RAD2;
         covariance
@@ -117,7 +117,7 @@ pub fn rims(
     state: &State,
     scratch: &mut FitScratch,
 ) -> Option<(Ellipse, Ellipse)> {
-    let mut parts = Parts {
+    let mut parts = ProjectionScratch {
         level: scratch.level,
         contours: &mut scratch.contours,
         nodes: &mut scratch.nodes,
