@@ -1,41 +1,39 @@
-//! What is kept of tracks, without being told of their end.
+//! Bounded per-track state that needs no notice when a track ends.
 //!
-//! A ring that was none of the last [`REMEMBERED`] to be looked up is forgotten.
+//! A track that was not among the last [`CAPACITY`] updates is discarded.
 
 use crate::id::TrackNumber;
 
-/// So many rings, at least, are remembered; twice as many at most.
+/// Minimum number of tracks that are kept; at most twice as many.
 const CAPACITY: usize = 1024;
 
-/// One thing of each track.
 #[derive(Clone, Debug)]
 pub struct RecentTracks<T> {
-    /// By the tracks' numbers.
+    /// Sorted by track.
     entries: Vec<Entry<T>>,
-    /// Rings looked up so far.
+    /// Number of updates.
     calls: u64,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Entry<T> {
     track: TrackNumber,
-    /// The call that kept it last.
+    /// Number of its last update.
     call: u64,
     value: T,
 }
 
 impl<T> RecentTracks<T> {
-    /// With room for all that it may come to keep.
+    /// Reserves all its memory.
     pub fn new() -> Self {
         Self { entries: Vec::with_capacity(2 * CAPACITY), calls: 0 }
     }
 
-    /// What is kept of a track.
     pub fn of(&self, track: TrackNumber) -> Option<&T> {
         self.position(track).ok().map(|index| &self.entries[index].value)
     }
 
-    /// What is kept of a track becomes this, if it is something.
+    /// Replaces the value of a track; `None` keeps it.
     pub fn renew(&mut self, track: TrackNumber, next: Option<T>) {
         self.calls += 1;
         let Some(value) = next else { return };
@@ -50,13 +48,12 @@ impl<T> RecentTracks<T> {
         self.entries.binary_search_by_key(&track, |entries| entries.track)
     }
 
-    /// Forgets all of them.
     pub fn clear(&mut self) {
         self.entries.clear();
     }
 
-    /// Keeps a new track, at its place in the order of numbers, and never more than there is room for:
-    /// each call keeps one, so that the last [`REMEMBERED`] calls' are no more than that.
+    /// Inserts a new track in order, and discards the oldest ones when the memory is full. Each
+    /// update keeps one track, so the last [`CAPACITY`] updates are at most as many tracks.
     fn insert(&mut self, index: usize, entries: Entry<T>) {
         self.entries.insert(index, entries);
         if self.entries.len() >= 2 * CAPACITY {
@@ -79,7 +76,7 @@ mod tests {
                 let before = (track == 0 && number > 1).then(|| number - 1);
                 assert_eq!(recall.of(TrackNumber(track)), before.as_ref(), "{track}");
                 recall.renew(TrackNumber(track), Some(number));
-                // Nothing new does not make it forgotten.
+                // `None` does not discard it.
                 recall.renew(TrackNumber(track), None);
                 assert_eq!(recall.of(TrackNumber(track)), Some(&number));
             }

@@ -1,14 +1,14 @@
-//! The turn of a coded roundel about its normal.
+//! Rotation of a coded roundel about its normal.
 //!
-//! The rays through the code's zero and its opposite meet the roundel's plane at
-//! X = m (n·p)/(n·m), and from one to the other runs the print's x axis. An error of the centre alone
-//! moves both alike and turns nothing; an error δn of the normal moves X by -X (δn·(X - p))/(n·p), along
-//! its ray, which for a tilted roundel turns the axis as well: with the tilt's error δθ, δn = δθ × n, the
-//! turn about the normal is
+//! The rays through the code's zero and its opposite meet the roundel's plane at X = m (n·p)/(n·m);
+//! the print's x axis runs from one to the other. An error of the centre moves both equally and
+//! rotates nothing. An error δn of the normal moves X along its ray by -X (δn·(X - p))/(n·p), which
+//! rotates the axis of a tilted roundel: with the tilt's error δθ, δn = δθ × n, the rotation about
+//! the normal is
 //!
 //! φ = g·δθ + ε      g = -Σ± ± (n·(x̂ × X)) n × (X - p) / (|X₊ - X₋| n·p)
 //!
-//! so that the covariance of the whole rotation is T Σ Tᵀ + σ² n nᵀ, T = I + n gᵀ, with σ the
+//! so the covariance of the whole rotation is T Σ Tᵀ + σ² n nᵀ, T = I + n gᵀ, with σ the standard
 //! deviation that the reading states.
 
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -22,11 +22,11 @@ use crate::{
     rigid::{Covariance6, UNKNOWN_ANGLE_VARIANCE_RAD2, orientation_of_normal},
 };
 
-/// Least deviation of a yaw, radians: what a print's own errors make, and no reading is without any.
+/// Lower limit of the standard deviation of a yaw, by errors of the print itself.
 pub const MIN_DEVIATION_RAD: f64 = 1e-3;
 
-/// Adds to a pose without yaw what the teeth say of it; without rays to the code's zero, or in a plane
-/// seen from its edge, the pose stays as it is.
+/// Adds the yaw of a reading to a pose without yaw. The pose is unchanged without a ray to the
+/// code's zero, or if its plane is seen edge-on.
 pub fn add(pose: &mut RoundelPose, camera: &Camera, reading: &CodeReading) {
     let (p, n) = (pose.position_m, pose.normal);
     let height = n.dot(&p);
@@ -71,7 +71,7 @@ pub fn from_axes_rad(axes: &Matrix3<f64>) -> f64 {
     x.y.atan2(x.x)
 }
 
-/// The yaw of these axes where the opposite x looks the same, in (-π/2, π/2].
+/// The yaw of these axes modulo π, in (-π/2, π/2].
 pub fn heading_rad(axes: &Matrix3<f64>) -> f64 {
     let yaw_rad = from_axes_rad(axes);
     if yaw_rad > FRAC_PI_2 {
@@ -83,7 +83,7 @@ pub fn heading_rad(axes: &Matrix3<f64>) -> f64 {
     }
 }
 
-/// Axes for another normal: seen along the line of sight to a position, x still points the same way.
+/// Axes for another normal: along the line of sight to a position, x still points the same way.
 pub fn axes_with_normal(
     axes: &Matrix3<f64>,
     position_m: &Vector3<f64>,
@@ -93,7 +93,7 @@ pub fn axes_with_normal(
     Matrix3::from_columns(&[a, normal.cross(&a), *normal])
 }
 
-/// The x axis of these.
+/// The x axis of [`axes_with_normal`].
 pub fn x_with_normal(
     x: &Vector3<f64>,
     position_m: &Vector3<f64>,
@@ -104,21 +104,20 @@ pub fn x_with_normal(
     (across - sight * (across.dot(normal) / sight.dot(normal))).normalize()
 }
 
-/// The yaw about another normal with which the print's x still points the same way, as seen along the
-/// line of sight to its position.
+/// The yaw about another normal for which the print's x points the same way in the image.
 pub fn transferred_rad(pose: &RoundelPose, yaw_rad: f64, normal: &Vector3<f64>) -> f64 {
     let axes = axes_with_normal(&axes(&pose.normal, yaw_rad), &pose.position_m, normal);
     let x = orientation_of_normal(normal).inverse() * axes.column(0).into_owned();
     x.y.atan2(x.x)
 }
 
-/// Deviation of the yaw.
+/// Standard deviation of the yaw.
 pub fn deviation_rad(pose: &RoundelPose) -> f64 {
     let rotation = pose.covariance.fixed_view::<3, 3>(3, 3);
     pose.normal.dot(&(rotation * pose.normal)).max(0.0).sqrt()
 }
 
-/// A covariance without knowledge about the normal, with what φ = s·δp + g·δθ + ε makes of it.
+/// A covariance without information about the yaw, with φ = s·δp + g·δθ + ε.
 pub fn with_yaw(
     covariance: &Covariance6,
     normal: &Vector3<f64>,
@@ -204,7 +203,7 @@ mod tests {
                 assert!(found.covariance.cholesky().is_some());
                 let rotation = found.covariance.fixed_view::<3, 3>(3, 3);
                 let about = normal.dot(&(rotation * normal));
-                // Without the opposite, the centre's millimetre over 30 is most of it.
+                // Without the opposite, the millimetre of the centre over 30 mm dominates.
                 let max = if opposite == drawn.zero { 2e-3 } else { 2e-4 };
                 assert!(about > 1e-4 && about < max, "{about}");
             }
@@ -231,7 +230,7 @@ mod tests {
             let mut wrong = plain(truth.position_m, turn * normal);
             add(&mut wrong, &camera, &drawn);
             let error = (orientation(&wrong) * orientation(&exact).inverse()).scaled_axis();
-            // Of a tilt known to be 1 and nothing else, the covariance is that of (δθ, n φ).
+            // For a tilt with variance 1 and nothing else, the covariance is that of (δθ, n φ).
             let mut only = Covariance6::zeros();
             let mut rotation = only.fixed_view_mut::<3, 3>(3, 3);
             rotation += tilt * tilt.transpose();

@@ -1,14 +1,16 @@
-//! The pose in closed form: of one ring, or of several side by side.
+//! The pose in closed form, for one ring or for several in the lanes of a vector.
 //!
-//! What [`super`] describes is one chain of some twenty divisions and roots, each of which waits for the one
-//! before, with little in it that one ring could do at a time. Rings of one camera take the same chain,
-//! each in its lane ([`crate::lanes`]): [`locate_each`]. Where a ring needs what is rare, it leaves the others
-//! for it: before the fit if the lens bends it too much for the closed form (`rim`), after that if it nearly
-//! faces the camera (`upright`), if a second step is needed or if one circle is none (`refine`). Its result is
-//! that of [`locate`] to the last bit (`locator::tests::rings_side_by_side_are_each_as_alone`).
+//! The steps of [`super::super`] form one chain of about twenty divisions and square roots, each of
+//! which waits for the one before. A single ring leaves the processor idle, so [`locate_each`] runs
+//! up to [`LANES`] rings of one camera side by side ([`crate::lanes`]). A ring that needs a rare
+//! step leaves the vector and is finished alone: when the lens distorts it too much for the series
+//! ([`rim::lens_series`](super::super::rim)), when it nearly faces the camera ([`super::frontal`]),
+//! when one Gauss-Newton step is not enough, or when one of the two circles is invalid
+//! ([`super::refine`]). Its result equals that of [`locate`] to the last bit
+//! (`locator::tests::rings_side_by_side_are_each_as_alone`).
 //!
-//! PERF: `--bench pose`, 30 px, `plumb_bob`: 0.70 µs alone; one of 64 0.18 µs with AVX-512 and 0.26 µs with AVX2
-//! (by fours 0.23 µs there, and more with AVX-512).
+//! PERF: `--bench pose`, 30 px, `plumb_bob`: 0.70 µs alone; one of 64 0.18 µs with AVX-512 and 0.26
+//! µs with AVX2 (0.23 µs there in lanes of four, which are slower with AVX-512).
 
 use fearless_simd::{Level, Simd, SimdFrom, dispatch, f64x8};
 use fearless_simd_macros::simd;
@@ -32,15 +34,15 @@ use crate::{
     rigid::{Covariance6, UNKNOWN_ANGLE_VARIANCE_RAD2},
 };
 
-/// What two rims' ten numbers say beyond the five of a pose.
+/// Ten numbers of two rims less the five of a pose.
 const FREEDOMS: f64 = 5.0;
-/// Squared misfit that their errors explain in 95 of 100 rings (χ² of that many degrees of freedom).
+/// 95 % quantile of χ² with [`FREEDOMS`] degrees of freedom.
 const EXPLAINED_MISFIT: f64 = 11.07;
 
-/// Rings side by side. Eight are one vector of AVX-512, two of AVX2, four of NEON.
+/// Eight lanes are one vector of AVX-512, two of AVX2, four of NEON.
 pub const LANES: usize = 8;
 
-/// The numbers of a pose.
+/// A pose in each lane; the upper triangle of the covariance.
 #[derive(Clone, Copy)]
 pub struct PoseLanes<T> {
     position_m: Vec3<T>,
@@ -50,7 +52,6 @@ pub struct PoseLanes<T> {
     covariance: [[T; 6]; 6],
 }
 
-/// Of one ring.
 pub fn locate(camera: &Camera, found: &RingMeasurement) -> Result<RoundelPose, PoseError> {
     dispatch!(Level::new(), simd => locate_with(simd, camera, found))
 }
@@ -65,7 +66,7 @@ fn locate_with<S: Simd>(
     fit(&projection::project(camera, &found.rim_pair())?)
 }
 
-/// Of each ring there is, as [`locate`] gives it; other places keep what they have.
+/// As [`locate`] for each ring that is present; the other entries of `poses` keep their values.
 pub fn locate_each(
     camera: &Camera,
     found: &[Option<RingMeasurement>; LANES],
@@ -75,7 +76,7 @@ pub fn locate_each(
         found.iter().enumerate().filter_map(|(place, one)| Some((place, one.as_ref()?)));
     match (rings.next(), rings.next()) {
         (None, _) => {}
-        // Eight take longer than one, and not as long as two.
+        // Eight lanes take longer than one ring, and less than two.
         (Some((place, one)), None) => poses[place] = locate(camera, one),
         (Some((_, one)), Some(_)) => {
             let all = found.each_ref().map(|ring| ring.as_ref().unwrap_or(one));
@@ -123,7 +124,8 @@ fn fit_with<S: Simd>(simd: S, projected: &ConeFrameRims<f64>) -> Result<RoundelP
     fit(projected)
 }
 
-/// From where the likelier normal puts the centre to where the other one does, camera frame, metres.
+/// Vector from the position with the more likely normal to that with the other one, camera frame,
+/// metres.
 pub fn other_offset_m(camera: &Camera, found: &RingMeasurement) -> Result<Vector3<f64>, PoseError> {
     let projected = projection::project(camera, &found.rim_pair())?;
     let Estimates { first, other, .. } = estimate(&projected.rims)?;
@@ -131,13 +133,12 @@ pub fn other_offset_m(camera: &Camera, found: &RingMeasurement) -> Result<Vector
     Ok((projected.local_from_camera.transpose() * apart).into())
 }
 
-/// From rims carried through the lens.
 #[inline(always)]
 fn fit(projected: &ConeFrameRims<f64>) -> Result<RoundelPose, PoseError> {
     Ok(finish(&projected.local_from_camera, &estimate(&projected.rims)?).pose(0))
 }
 
-/// Both circles, the likelier one first.
+/// Both circles, the more likely one first.
 #[inline(always)]
 pub fn estimate(rims: &[Rim<f64>; 2]) -> Result<Estimates<f64>, PoseError> {
     let (circles, true) = Circle::both(&rims[0]) else { return Err(PoseError::NoCircle) };
@@ -147,14 +148,15 @@ pub fn estimate(rims: &[Rim<f64>; 2]) -> Result<Estimates<f64>, PoseError> {
     refine::refine(&circles, rims).ok_or(PoseError::NoCircle)
 }
 
-/// How much wider than stated errors must be, as a factor of the variance, for rims of this squared
-/// misfit: 1 for what is explained, then steadily up to the misfit over its degrees of freedom.
+/// Factor by which the variances grow when the rims fit worse than their errors explain: 1 up to
+/// [`EXPLAINED_MISFIT`], then linear up to the misfit over its degrees of freedom.
 #[inline(always)]
 fn growth<T: Lane>(misfit: T) -> T {
     (misfit - EXPLAINED_MISFIT).larger(misfit.splat(0.0)) * (1.0 / FREEDOMS) + 1.0
 }
 
-/// The first estimate in the camera frame, with what the other leaves in doubt.
+/// The more likely estimate in the camera frame; its covariance includes the ambiguity of the
+/// normal.
 #[inline(always)]
 pub fn finish<T: Lane>(local_from_camera: &Mat3<T>, estimates: &Estimates<T>) -> PoseLanes<T> {
     let Estimates { first, other, likelihood } = estimates;
@@ -162,7 +164,7 @@ pub fn finish<T: Lane>(local_from_camera: &Mat3<T>, estimates: &Estimates<T>) ->
     let normal = camera_from_local * first.circle.normal();
     let other_normal = camera_from_local * other.circle.normal();
     let position_m = first.circle.position_m();
-    // The two normals put the centre at slightly different places, and which is right is not known.
+    // The two normals give slightly different positions, and which one is right is uncertain.
     let apart = camera_from_local * (other.circle.position_m() - position_m);
     let mut covariance = covariance(first, &camera_from_local);
     let doubt = -*likelihood + 1.0;
@@ -184,7 +186,8 @@ pub fn finish<T: Lane>(local_from_camera: &Mat3<T>, estimates: &Estimates<T>) ->
     }
 }
 
-/// An estimate's covariance in the camera frame, with nothing about the normal; the upper triangle.
+/// Covariance of (position, rotation) in the camera frame without rotation about the normal; upper
+/// triangle.
 #[inline(always)]
 fn covariance<T: Lane>(estimate: &Estimate<T>, camera_from_local: &Mat3<T>) -> [[T; 6]; 6] {
     let (place, turns) = estimate.changes();
@@ -195,7 +198,7 @@ fn covariance<T: Lane>(estimate: &Estimate<T>, camera_from_local: &Mat3<T>) -> [
     }
     let growth = growth(estimate.misfit);
     let c = &estimate.covariance;
-    // Rows of the five numbers' covariance, each carried to six.
+    // Rows of the covariance of the five parameters, expanded to six columns.
     let mut projected = [[growth; 6]; 5];
     for (number, row) in projected.iter_mut().enumerate() {
         let c = c[number];
@@ -220,7 +223,6 @@ fn covariance<T: Lane>(estimate: &Estimate<T>, camera_from_local: &Mat3<T>) -> [
 }
 
 impl<T: Lane> PoseLanes<T> {
-    /// In one lane.
     #[inline(always)]
     pub fn pose(&self, lane: usize) -> RoundelPose {
         let mut covariance: Covariance6 = Matrix6::zeros();
@@ -252,7 +254,7 @@ mod tests {
         pose::{self, RimNoise, tests::camera},
     };
 
-    /// Of a size and a flatness each; round ones need the way of upright circles.
+    /// Different sizes and flattenings; the round ones take the path of `frontal`.
     fn rings() -> [Ring; LANES] {
         std::array::from_fn(|k| {
             let share = [1.0, 0.95, 0.85, 0.7, 0.5, 0.35, 0.999, 0.2][k];
@@ -271,7 +273,7 @@ mod tests {
         let (kind, noise) = (Kind::plain("robot", 0.16, 0.064), RimNoise::default());
         for lens in [
             Lens::PlumbBob([-0.08, 0.02, 0.0003, -0.0004, 0.0]),
-            // It bends the larger ones by more than the closed form holds for.
+            // Distorts the larger rings by more than the series allows.
             Lens::PlumbBob([-0.28, 0.09, 0.0012, -0.0008, -0.012]),
             Lens::Equidistant([-0.02, 0.011, -0.007, 0.0013]),
         ] {

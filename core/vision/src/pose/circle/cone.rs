@@ -1,51 +1,51 @@
-//! A circle and its image: the closed way there, and the closed way back.
+//! A circle and its image, in closed form in both directions.
 //!
-//! A plane through the camera's centre with normal l touches the circle of radius R about p with the
+//! A plane through the camera's centre with normal l touches the circle of radius R about p with
 //! unit normal n where (l·p)² = R² (|l|² - (l·n)²). The circle's image therefore has the dual conic
 //!
 //! D ∝ p pᵀ - R² (I - n nᵀ)
 //!
-//! In a frame whose z is near p, with p = d (α, 1), r = R/d, n = (w, -√(1 - |w|²)) and
-//! κ = 1 - r² |w|², that is an ellipse with centre and shape A Aᵀ
+//! In a frame whose z is near p, with p = d (α, 1), r = R/d, n = (w, -√(1 - |w|²)) and κ = 1 - r²
+//! |w|², this is an ellipse with centre and shape A Aᵀ
 //!
 //! c = (α + r² w n_z)/κ      M = c cᵀ - (α αᵀ - r² (I - w wᵀ))/κ
 //!
-//! The *lean* w says how the circle is tilted: |w| is the sine. M has it squared, so that w and -w look
-//! nearly alike, and face-on nothing is left to the first order; c has it linearly, but times r².
+//! The *lean* w is the normal's component across the line of sight; |w| is the sine of the tilt. M
+//! depends on its square, so w and -w look nearly the same, and face-on the first-order term
+//! vanishes. c depends on w linearly, but with the factor r².
 //!
-//! Back: in the frame along the axis of the cone, D ∝ diag(-a², -b², 1) in the semiaxes' directions, and
-//! since D + R² I/k has rank 2 for the right scale k, the smallest eigenvalue -a² is -R²/k, and
+//! Inverse: in the frame along the cone's axis, D ∝ diag(-a², -b², 1) in the directions of the semiaxes. D + R² I/k has
+//! rank 2 for the right scale k, so the smallest eigenvalue -a² equals -R²/k, and
 //!
 //! d = R/a √((1 + a²)/(1 + b²))      |w|² = (a² - b²)/(a² (1 + b²)), w along the minor axis, ±
 //! α = b √(a² - b²)/√(1 + a²), along w
 //!
-//! (paper, eqs. 9 and 10 and section 4.3 as corrected in [`crate::errata`], which have the same conic by
-//! its points where this has it by its tangents.)
+//! (paper, eqs. 9 and 10 and section 4.3 as corrected in [`crate::errata`]; they describe the conic
+//! by its points, this module by its tangents.)
 
 use crate::{
     lanes::{Lane, Vec2, Vec3},
     pose::rim::{information::Harmonics, projection::Rim},
 };
 
-/// A circle's place in a local frame, by the numbers that its image depends on.
+/// A circle in a local frame, by the parameters that its image depends on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Circle<T> {
-    /// α: where the centre is in the plane z = 1.
+    /// α: the centre in the plane z = 1.
     pub aside: Vec2<T>,
-    /// d: the centre's z, metres.
+    /// d: z of the centre, metres.
     pub depth_m: T,
-    /// w: the unit normal's x and y; its z is negative.
+    /// w: x and y of the unit normal, whose z is negative.
     pub lean: Vec2<T>,
 }
 
-/// 1/√2.
 pub const PER_ROOT: f64 = std::f64::consts::FRAC_1_SQRT_2;
-/// The largest sine of the tilt: 89°, where a ring is hardly a line.
+/// Squared sine of 89°, beyond which a ring is hardly more than a line.
 const MAX_LEAN_SQUARED: f64 = 0.9997;
 
 impl<T: Lane> Circle<T> {
-    /// The two circles of which this rim, near the frame's axis, is the image, and where it is the image of a
-    /// circle in front of the camera.
+    /// The two circles whose image this rim, near the frame's axis, can be; and where they lie in
+    /// front of the camera.
     #[inline(always)]
     pub fn both(rim: &Rim<T>) -> ([Self; 2], T::Mask) {
         let m = rim.shape;
@@ -59,7 +59,7 @@ impl<T: Lane> Circle<T> {
         let lean = Self::clamped(minor_direction(x, y, spread) * lean_squared.root());
         let r2 = (rim.radius_m / depth_m).squared();
         let square = lean.square();
-        // What puts the image's centre where it is: the axis may be off by rounding and less.
+        // Compensates a frame whose axis is off by rounding.
         let middle = rim.center * (-(r2 * square) + 1.0);
         let aside = lean * (r2 * (-square + 1.0).root());
         let first = Self { aside: middle + aside, depth_m, lean };
@@ -67,33 +67,31 @@ impl<T: Lane> Circle<T> {
         ([first, second], b2.is_positive())
     }
 
-    /// A lean, held at what a circle can have.
+    /// The lean, shortened to at most 89°.
     #[inline(always)]
     pub fn clamped(lean: Vec2<T>) -> Vec2<T> {
         let limit = lean.x.splat(MAX_LEAN_SQUARED);
         lean * (limit / lean.square().larger(limit)).root()
     }
 
-    /// Centre, metres.
     #[inline(always)]
     pub fn position_m(&self) -> Vec3<T> {
         let aside = self.aside * self.depth_m;
         aside.push(self.depth_m)
     }
 
-    /// z of the normal.
     #[inline(always)]
     pub fn normal_z(&self) -> T {
         -(-self.lean.square() + 1.0).root()
     }
 
-    /// Unit normal facing the camera.
     #[inline(always)]
     pub fn normal(&self) -> Vec3<T> {
         self.lean.push(self.normal_z())
     }
 
-    /// The circle moved by (α, ln d, w), and where it is then one in front of the camera.
+    /// The circle after a change of (α, ln d, w), and where the result is a circle in front of the
+    /// camera.
     #[inline(always)]
     pub fn moved(&self, by: &[T; 5]) -> (Self, T::Mask) {
         let moved = Self {
@@ -106,7 +104,7 @@ impl<T: Lane> Circle<T> {
         (moved, upright & away.below(by[0].splat(0.0)))
     }
 
-    /// A rim's five numbers as seen less those that this circle would give it.
+    /// The rim's five harmonics, measured less predicted by this circle.
     #[inline(always)]
     pub fn residuals(&self, rim: &Rim<T>) -> Harmonics<T> {
         let Self { aside, depth_m, lean } = *self;
@@ -131,13 +129,13 @@ impl<T: Lane> Circle<T> {
     }
 }
 
-/// The unit vector along the minor axis of the shape with half the difference `x` of its diagonal, `y`
-/// off it, and `spread` their root of squares.
+/// The unit vector along the minor axis of a shape with half the difference `x` of its diagonal,
+/// off-diagonal `y` and `spread` = √(x² + y²).
 #[inline(always)]
 fn minor_direction<T: Lane>(x: T, y: T, spread: T) -> Vec2<T> {
     let (zero, one) = (x.splat(0.0), x.splat(1.0));
-    // The major axis has twice its angle along (x, y); of the two halves of its cosine the larger one
-    // keeps its digits.
+    // The major axis has half the angle of (x, y). The larger of cosine and sine keeps its digits;
+    // the other one follows from it.
     let larger = ((x.size() / spread + 1.0) * 0.5).root();
     let smaller = y * 0.5 / (spread * larger);
     let along =
@@ -145,8 +143,8 @@ fn minor_direction<T: Lane>(x: T, y: T, spread: T) -> Vec2<T> {
     Vec2::choose(spread.is_positive(), along, Vec2::new(one, zero))
 }
 
-/// The five numbers of a small change of a rim's centre and shape (its 11, 12 and 22): with y = A⁻¹ δc
-/// and N = A⁻¹ δM A⁻ᵀ, q = u·y + ½ uᵀ N u over the unit vectors u.
+/// Harmonics of a small change of a rim's centre and shape (11, 12, 22): with y = A⁻¹ δc and N =
+/// A⁻¹ δM A⁻ᵀ, q = u·y + ½ uᵀ N u over the unit vectors u.
 #[inline(always)]
 fn harmonics<T: Lane>(rim: &Rim<T>, center: Vec2<T>, [m11, m12, m22]: [T; 3]) -> Harmonics<T> {
     let i = &rim.inverse;

@@ -1,25 +1,27 @@
-//! A roundel with an elliptical disc: its pose from both rims, and its heading.
+//! A roundel with an elliptical disc: pose from both rims, and heading.
 //!
-//! **Pose.** The outer rim is a circle's. Of the disc's rim only size and centre count, as those of the
-//! circle of the same area: with the rims' matrices **O** and **I** (`marker::elliptical`), p and q the
-//! disc's semiaxes over the outer radius, that circle's image has the matrix √(det **I**/det **O**) **O**.
-//! Perspective moves the image of a conic of the plane by its matrix times a vector k of the tilt, so
-//! that the centres of the rims lie (1 - **S**) k apart, with **S** = diag(p², q²) turned by the heading,
-//! and those of outer rim and circle (1 - p q) k. In the image 1 - **S** is 1 - **I** **O**⁻¹: the
-//! circle's centre follows whichever of two normals is right. The disc's elongation is left to the
-//! heading, so that its errors are not those of the tilt.
+//! **Pose.** The outer rim is the image of a circle. The disc's rim contributes its size and its
+//! centre, as the circle of the same area: with the matrices **O** and **I** of the rims
+//! (`marker::elliptical`) and the disc's semiaxes p and q over the outer radius, the image of that
+//! circle has the matrix √(det **I**/det **O**) **O**. Perspective shifts the image of a conic in
+//! the plane by its matrix times a vector k that depends on the tilt, so the centres of the rims
+//! lie (1 - **S**) k apart, with **S** = diag(p², q²) rotated by the heading, and those of outer
+//! rim and circle (1 - p q) k. In the image 1 - **S** becomes 1 - **I** **O**⁻¹, which gives the
+//! circle's centre for either normal. The disc's elongation is used for the heading only, so its
+//! errors do not enter the tilt.
 //!
-//! **Heading.** Rays through points of the disc's rim at t, evenly spaced, meet the roundel's plane at X(t),
-//! whose first harmonics A = (a b) are the rim's semiaxes there: the longer axis is the first eigenvector
-//! of A Aᵀ. An opposite heading looks the same, so it is told modulo π, in (-π/2, π/2].
+//! **Heading.** Rays through evenly spaced points t of the disc's rim meet the roundel's plane at
+//! X(t). Their first harmonics A = (a b) are the semiaxes there, and the longer axis is the first
+//! eigenvector of A Aᵀ. The opposite heading looks the same, so the heading is known modulo π, in
+//! (-π/2, π/2].
 //!
-//! **Covariance.** The rim's elongation and turn (`information`), their phase moved by that of A, turn the axes by
-//! 2pq/(p² - q²) times a rotation's share; to that comes what an error of the normal turns them by, g of
-//! [`super::yaw`], here by central differences.
+//! **Covariance.** Errors of the rim's elongation and turn (`rim::information`), with the phase of
+//! A, rotate the axes by 2pq/(p² - q²) times their size. An error of the normal adds g·δθ, with g
+//! of [`crate::pose::yaw`], here by central differences.
 //!
-//! Perspective moves the heading by the square of the disc's size as an angle: 10⁻³ where the roundel is
-//! 60 px wide at a focal length of 1,100 px and tilted by 60°. Judged by `tests/elliptical.rs` of the
-//! tests crate, in both modes.
+//! **Limits.** Perspective biases the heading by the square of the disc's angular size: 10⁻³ for a
+//! roundel 60 px wide at a focal length of 1,100 px and a tilt of 60°. Accuracy:
+//! `tests/elliptical.rs` of the tests crate, in both modes.
 
 use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
 
@@ -40,12 +42,11 @@ use crate::{
     rigid::orientation_of_normal,
 };
 
-/// Points on the disc's rim.
 const POINTS: usize = 8;
-/// Turn of the normal over which the heading's derivative is taken, radians.
+/// Rotation of the normal for the numerical derivative of the heading, radians.
 const STEP_RAD: f64 = 1e-4;
 
-/// [`super::locate`] for an elliptical disc.
+/// As [`crate::pose::locate`], for an elliptical disc.
 pub fn locate(
     camera: &Camera,
     kind: &Kind,
@@ -56,9 +57,8 @@ pub fn locate(
     let outer_m = 0.5 * kind.outer_diameter_m;
     let radii_m = [outer_m, outer_m * kind.mean_ratio()];
     let (min_ratio, max_ratio) = kind.ratios();
-    // The ends of the longer axis are washed out sooner than a circle's rim is.
+    // The ends of the longer axis wash out sooner than a circle's rim.
     let disc_px = ring.inner.semi_minor_px * (min_ratio / max_ratio).sqrt();
-    // There the black is narrowest, too.
     let black_px = ring.outer.semi_minor_px * (1.0 - max_ratio);
     let noise =
         RingNoise { disc: DiscWeights::without_shape(), ..noise.for_ring(ring, disc_px, black_px) };
@@ -78,7 +78,7 @@ pub fn locate(
     Ok(pose)
 }
 
-/// The ring with the round disc of the same area; `None` if its rims are no ellipses.
+/// The ring with a circular disc of the same area; `None` unless its rims are ellipses.
 fn with_round_disc(kind: &Kind, ring: &Ring) -> Option<Ring> {
     let (outer, inner) = (&ring.outer, &ring.inner);
     let full = |m: Symmetric2| Matrix2::new(m.uu, m.uv, m.uv, m.vv);
@@ -96,21 +96,20 @@ fn with_round_disc(kind: &Kind, ring: &Ring) -> Option<Ring> {
     round.is_valid().then_some(Ring { inner: round, ..*ring })
 }
 
-/// Rays through points of the disc's rim, evenly spaced in t.
+/// Rays through evenly spaced points of the disc's rim.
 pub struct DiscRays([Vector3<f64>; POINTS]);
 
-/// Where the disc's longer axis points.
+/// Direction of the disc's longer axis.
 pub struct DiscHeading {
     /// About the normal, in (-π/2, π/2].
     pub yaw_rad: f64,
-    /// Unit, in the camera's frame.
+    /// Unit vector, camera frame.
     pub axis: Vector3<f64>,
-    /// The t of the longer axis.
+    /// t of the longer axis.
     phase_rad: f64,
 }
 
 impl DiscRays {
-    /// The rays; an error where the lens has none.
     pub fn new(camera: &Camera, inner: &Ellipse) -> Result<Self, crate::camera::LensError> {
         let (sin, cos) = inner.angle_rad.sin_cos();
         let mut rays = [Vector3::zeros(); POINTS];
@@ -124,7 +123,7 @@ impl DiscRays {
         Ok(Self(rays))
     }
 
-    /// The heading on a roundel of this pose; `None` if its plane is seen from the edge.
+    /// `None` if the roundel's plane is seen edge-on.
     pub fn heading(&self, pose: &RoundelPose) -> Option<DiscHeading> {
         self.heading_on(&pose.position_m, &pose.normal)
     }
@@ -154,7 +153,8 @@ impl DiscRays {
         Some(DiscHeading { yaw_rad, axis, phase_rad })
     }
 
-    /// g: how far an error of the normal turns the heading about it, beyond what it turns with it.
+    /// g: rotation of the heading about the normal by an error of the normal, beyond the rotation
+    /// they share.
     fn by_tilt(&self, pose: &RoundelPose, heading: &DiscHeading) -> Vector3<f64> {
         let normal = &pose.normal;
         let with_yaw = |about: &Vector3<f64>| {
@@ -188,12 +188,12 @@ impl DiscHeading {
         let (sin, cos) = (2.0 * self.phase_rad).sin_cos();
         let (min_ratio, max_ratio) = kind.ratios();
         let lever = 2.0 * min_ratio * max_ratio / (max_ratio * max_ratio - min_ratio * min_ratio);
-        // A harmonic's rms is its size over √2.
+        // The amplitude of a harmonic is √2 times its rms.
         Some(2.0 * lever * lever * (sin * sin * elongation + cos * cos * turn))
     }
 }
 
-/// cos t and sin t of the points.
+/// (cos t, sin t) of the points.
 fn phases() -> impl Iterator<Item = (f64, f64)> {
     (0..POINTS).map(|point| {
         let (sin, cos) = (std::f64::consts::TAU * point as f64 / POINTS as f64).sin_cos();
@@ -240,7 +240,7 @@ mod tests {
             let off = (found.yaw_rad.unwrap() - yaw_rad).sin().abs();
             prop_assert!(off < 3e-3, "{off}");
             prop_assert!(found.covariance.cholesky().is_some());
-            // Not that of an unknown angle, however small the disc is.
+            // Smaller than the variance of an unknown angle, however small the disc.
             prop_assert!(yaw::deviation_rad(&found) < 0.4, "{}", yaw::deviation_rad(&found));
         }
     }

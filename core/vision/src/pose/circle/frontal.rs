@@ -1,9 +1,9 @@
-//! A circle that nearly faces the camera, from both rims.
+//! The circle of two rims that nearly faces the camera.
 //!
-//! Up to the second order of the lean w and of the circle's size as an angle, r = R/d, a rim is the
-//! circle of radius r (1 - ¼ |w|²) with the elongation -½ w² and the centre α - r² w: so the rims' sizes
-//! give the depth once |w|² is known, their elongations w², and the distance of their centres w. Each is
-//! a weighted mean, and what is left of all, the tilt, is [`super::facing`]'s.
+//! To second order in the lean w and in the angular radius r = R/d, a rim is the circle of radius r
+//! (1 - ¼ |w|²) with elongation -½ w² and centre α - r² w. The sizes of the rims therefore give the
+//! depth once |w|² is known, their elongations give w², and the distance of their centres gives w.
+//! Each is a weighted mean, and the tilt follows from the posterior of [`super::tilt_posterior`].
 
 use nalgebra::{Matrix2, Vector2};
 
@@ -18,15 +18,15 @@ use crate::{
     pose::rim::projection::Rim,
 };
 
-/// What both rims say of the tilt, and how much that weighs.
+/// Information of both rims about the tilt.
 #[derive(Clone, Copy)]
 struct Weights<T> {
-    /// Squares of the radii as angles.
+    /// Squared angular radii.
     r2: [T; 2],
-    /// Of the elongations, and what the mean strays by.
+    /// Information of each elongation about w², and the standard deviation of their weighted mean.
     squared: [T; 2],
     squared_sigma: T,
-    /// Of the centres, and of their distance.
+    /// Information of each centre, and that of their distance about w.
     center: [T; 2],
     linear: T,
 }
@@ -38,7 +38,7 @@ impl<T: Lane> Weights<T> {
         let per_depth = about.depth_m.under(1.0);
         let r2 = [(outer.radius_m * per_depth).squared(), (inner.radius_m * per_depth).squared()];
         let (one, other) = (&outer.information, &inner.information);
-        // Of an elongation h (rms over the rim) w² is -4√2 h.
+        // An elongation h (rms over the rim) is -w²/(4√2).
         let squared = [
             (one.elongation + one.turn) * (1.0 / 64.0),
             (other.elongation + other.turn) * (1.0 / 64.0),
@@ -53,15 +53,15 @@ impl<T: Lane> Weights<T> {
     }
 }
 
-/// Where the circle is tilted too little, and seen from too far, for Gauss and Newton. `about` is the outer
-/// rim's own circle.
+/// Where the tilt and the angular size are too small for a Gauss-Newton step. `about` is the circle
+/// of the outer rim alone.
 #[inline(always)]
 pub fn applies<T: Lane>(about: &Circle<T>, rims: &[Rim<T>; 2]) -> T::Mask {
     let weights = Weights::of(about, rims);
     tilt_posterior::applies(about.lean.square(), weights.squared_sigma, weights.linear)
 }
 
-/// The one or two circles where that is so.
+/// One or two circles, where [`applies`].
 pub fn estimate(about: &Circle<f64>, rims: &[Rim<f64>; 2]) -> Estimates<f64> {
     let weights = Weights::of(about, rims);
     let Weights { r2, linear: linear_information, .. } = weights;
@@ -97,8 +97,8 @@ pub fn estimate(about: &Circle<f64>, rims: &[Rim<f64>; 2]) -> Estimates<f64> {
             lean: Circle::clamped(Vec2::new(lean.mean.x, lean.mean.y)),
         };
         let covariance = covariance(lean, per_center, 1.0 / size_information, follow);
-        // Five numbers are fitted, and the other five are left: the rims' differences of size and
-        // elongation, and what the centres' distance says against this lean.
+        // Five of ten numbers are fitted. The misfit comes from the other five: differences of size
+        // and elongation, and the distance of the centres against this lean.
         let between = |weights: &[f64; 2]| weights[0] * weights[1] / (weights[0] + weights[1]);
         let misfit = between(&size_weight) * (sizes[0] - sizes[1]).powi(2)
             + (squares[0] - squares[1]).norm_squared() / elongation.apart
@@ -112,21 +112,21 @@ pub fn estimate(about: &Circle<f64>, rims: &[Rim<f64>; 2]) -> Estimates<f64> {
     }
 }
 
-/// The elongations' weights with what motion within the exposure adds to both (`super::smear`): to w² of
-/// either rim ν over the square of its radius.
+/// Weights of the elongations with motion within the exposure ([`super::motion_blur`]), which adds
+/// ν over the squared radius to w² of either rim.
 struct ElongationWeights {
-    /// They add up to 1; one may be negative.
+    /// Sum 1; one of them may be negative.
     weights: [f64; 2],
-    /// What the mean strays by, and the variance of the difference, in either component.
+    /// Standard deviation of the mean, and variance of the difference, of either component.
     sigma: f64,
     apart: f64,
 }
 
 impl ElongationWeights {
-    /// `bent`: of |ν̂|², what the lens explains.
+    /// `lens_part` is the share of |ν̂|² that lens distortion explains.
     fn of(squares: &[Vector2<f64>; 2], weights: &Weights<f64>, lens_part: f64) -> Self {
         let sigma = weights.squared_sigma;
-        // An elliptical disc's rim has no say.
+        // The rim of an elliptical disc has no information.
         if weights.squared[1] <= 0.0 {
             return Self { weights: [1.0, 0.0], sigma, apart: f64::INFINITY };
         }
@@ -147,7 +147,7 @@ impl ElongationWeights {
     }
 }
 
-/// Over (α, ln d, w): α is the centre plus `follow` w, ln d the size and -¼ |w|².
+/// Over (α, ln d, w), with α = centre + `follow` w and ln d = size - ¼ |w|².
 fn covariance(lean: &Lean, center: f64, size: f64, follow: f64) -> Covariance5<f64> {
     let mut all = [[0.0; 5]; 5];
     for row in 0..2 {

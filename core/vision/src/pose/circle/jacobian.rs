@@ -1,7 +1,7 @@
-//! How both rims' numbers follow a circle, and the normal matrix of that.
+//! Jacobian of both rims' harmonics by the circle, and the normal matrix.
 //!
-//! Of the derivatives J of the rims' five numbers h(x) by x = (α, ln d, w) the leading terms are taken, those left
-//! out being smaller by r, the circle's size as an angle:
+//! Leading terms of the derivatives J of the five harmonics h(x) by x = (α, ln d, w); the omitted
+//! terms are smaller by the angular radius r:
 //!
 //! | | centre c | size h₀ | elongation h₃, turn h₄ |
 //! | --- | --- | --- | --- |
@@ -9,7 +9,8 @@
 //! | ln d | -2 r² n_z w | -1 | – |
 //! | w | r² (n_z I - w wᵀ/n_z) | of N = -r² A⁻¹ (e wᵀ + w eᵀ) A⁻ᵀ | likewise |
 //!
-//! With the rims' information W, Σ Jᵀ W J comes in blocks of place (α, ln d) and lean, and so does its inverse.
+//! With the rims' information W, Σ Jᵀ W J and its inverse consist of blocks for the place (α, ln d)
+//! and the lean.
 
 use super::{
     cone::{Circle, PER_ROOT},
@@ -20,33 +21,31 @@ use crate::{
     pose::rim::projection::Rim,
 };
 
-/// The normal matrix at a circle, in blocks of place (α, ln d) and lean, and what it is made of.
+/// Normal matrix at a circle, with the Jacobians that it is made of.
 pub struct Linearization<T: Lane> {
     pub rims: [RimJacobian<T>; 2],
     normal: NormalMatrix<T>,
     pub blur: MotionBlur<T>,
 }
 
-/// A normal matrix.
+/// Blocks of Σ Jᵀ W J.
 #[derive(Clone, Copy)]
 struct NormalMatrix<T> {
-    /// Its 11, 12, 13, 22, 23 and 33.
+    /// 11, 12, 13, 22, 23 and 33.
     place: [T; 6],
     between: [[T; 2]; 3],
-    /// Its 11, 12 and 22.
+    /// 11, 12 and 22.
     lean: [T; 3],
 }
 
-/// Derivatives of one rim's numbers.
 #[derive(Clone, Copy)]
 pub struct RimJacobian<T: Lane> {
     /// Of the centre by ln d.
     by_depth: Vec2<T>,
     /// Of the centre by w.
     by_lean: Mat2<T>,
-    /// Of size, elongation and turn by either component of w.
+    /// Of (size, elongation, turn) by either component of w.
     shape_by_lean: [Vec3<T>; 2],
-    /// What it says of motion within the exposure.
     blur: (MotionBlur<T>, motion_blur::Weighted<T>),
 }
 
@@ -59,7 +58,7 @@ impl<T: Lane> Linearization<T> {
         Self { rims: linear, normal, blur }
     }
 
-    /// The inverse, by the complement of the place, and where the matrix is positive definite.
+    /// Inverse by the Schur complement of the place, and where the matrix is positive definite.
     #[inline(always)]
     pub fn covariance(&self) -> (Covariance5<T>, T::Mask) {
         let NormalMatrix { place, between: b, lean } = &self.normal;
@@ -177,7 +176,7 @@ impl<T: Lane> RimJacobian<T> {
         }
     }
 
-    /// This rim's part of Σ Jᵀ W h, of Σ sᵀ W h and of Σ hᵀ W h.
+    /// This rim's parts of Σ Jᵀ W h, Σ sᵀ W h and Σ hᵀ W h.
     #[inline(always)]
     pub fn gradient(&self, circle: &Circle<T>, rim: &Rim<T>, sign: f64) -> ([T; 5], [T; 2], T) {
         let left = circle.residuals(rim);
@@ -187,7 +186,7 @@ impl<T: Lane> RimJacobian<T> {
             + left[2] * weighted[2]
             + left[3] * weighted[3]
             + left[4] * weighted[4];
-        // The centre's part, in the plane, and the shape's.
+        // Contributions of the centre, in the plane, and of the shape.
         let i = &rim.inverse;
         let gradient = Vec2::new(
             (i.m11 * weighted[1] + i.m21 * weighted[2]) * PER_ROOT,
@@ -208,8 +207,8 @@ impl<T: Lane> RimJacobian<T> {
     }
 }
 
-/// The inverse of a symmetric positive definite matrix given by its upper triangle, by cofactors, and
-/// where it is one.
+/// Inverse of a symmetric 3 × 3 matrix, given by its upper triangle, and where it is positive
+/// definite.
 #[inline(always)]
 fn inverse3<T: Lane>([m11, m12, m13, m22, m23, m33]: &[T; 6]) -> ([[T; 3]; 3], T::Mask) {
     let (m11, m12, m13, m22, m23, m33) = (*m11, *m12, *m13, *m22, *m23, *m33);

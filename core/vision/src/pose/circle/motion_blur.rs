@@ -1,31 +1,33 @@
-//! Motion within the exposure, which both rims have alike, in the closed form.
+//! Motion within the exposure, which both rims share, in the closed form.
 //!
-//! What moves evenly by m while the shutter is open has the second moments of its area grown along m: to
-//! either rim's A Aᵀ comes m mᵀ/3, of whatever size the rim is, where a tilt adds in proportion to it. Its
-//! part without trace, N = ν₁ diag(1, -1) + ν₂ offdiag(1, 1), looks like a tilt of the smaller rim more than
-//! of the larger one, and by this the rims tell it: ν are two unknowns that both rims share, in the plane
-//! z = 1 of the local frame.
+//! Even motion by m while the shutter is open extends the second moments of an area along m: m mᵀ/3
+//! adds to A Aᵀ of either rim, whatever its size, whereas a tilt adds in proportion to the size.
+//! Its traceless part N = ν₁ diag(1, -1) + ν₂ offdiag(1, 1) looks like a tilt, a larger one for the
+//! smaller rim, which makes ν observable: two unknowns that both rims share, in the plane z = 1 of
+//! the local frame.
 //!
-//! With s the rims' numbers by ν, the other symbols those of [`super::refine`], and C = (Σ Jᵀ W J)⁻¹, the step
-//! without ν is put right afterwards:
+//! With s the derivatives of the harmonics by ν, the other symbols of [`super::refine`], and C = (Σ
+//! Jᵀ W J)⁻¹, the step without ν is corrected afterwards:
 //!
 //! u = Σ Jᵀ W s    G = Σ sᵀ W s - uᵀ C u    g = Σ sᵀ W h - uᵀ δx    ν̂ = G⁻¹ g    K = (G + 1/V)⁻¹
 //!
 //! δx → δx - C u K g    C → C + C u K uᵀ C    misfit → misfit - gᵀ K g
 //!
-//! **How much of it.** Nobody knows the exposure, so that ν is expected about none within its own size, V = ½|ν̂|²:
-//! still roundels lose a twentieth of their depth's precision, and those of which the rims contradict each other as
-//! motion has them do are freed of it. Rims that a lens bends contradict each other without motion, too: what their
-//! ellipses leave out (`Rim::left_out`) is taken off |ν̂|². What the moments miss of rims that are found by their edges
-//! grows with ν: the covariance by 1 + ½ m V tr G, m = [`MISSED`].
+//! **Prior.** The exposure time is unknown, so ν has a zero-mean prior with the variance of its own
+//! estimate, V = ½|ν̂|². Still roundels lose a twentieth of their depth precision; rims that
+//! contradict each other as motion makes them do are corrected. Lens distortion makes rims
+//! contradict each other without motion: the residual of their ellipses (`Rim::residual_shape`) is
+//! subtracted from |ν̂|². The error of the moments of rims found by their edges grows with ν: the
+//! covariance is multiplied by 1 + ½ m V tr G, m = [`MODEL_ERROR`].
 //!
-//! **Accuracy** (`roundel-tests`, `tests/robustness.rs`: 20 to 60 px, motion up to 3 px): 91 to 98 % of positions and
-//! poses inside their 95 %, where without ν it was 67 to 93 % of the poses; depths at 2 to 3 px of motion are off by
-//! half as much.
+//! **Accuracy** (`roundel-tests`, `tests/robustness.rs`: 20 to 60 px, motion up to 3 px): 91 to 98
+//! % of positions and poses inside their 95 % region; without ν it is 67 to 93 % of the poses.
+//! Depth errors at 2 to 3 px of motion halve.
 //!
 //! PERF: `--bench pose`, 30 px, `plumb_bob`: alone 0.59 → 0.70 µs, one of 64 0.16 → 0.18 µs.
 //!
-//! **Limits.** Turns within the exposure are not modelled; those of coded and elliptical discs neither.
+//! **Limits.** Rotation within the exposure is not modelled, nor is motion of coded and elliptical
+//! discs.
 
 use super::cone::PER_ROOT;
 use crate::{
@@ -33,31 +35,32 @@ use crate::{
     pose::rim::projection::Rim,
 };
 
-/// What is missed of ν, squared and as a share, in variances.
+/// Squared relative error of the moments, per variance of ν.
 pub const MODEL_ERROR: f64 = 0.05;
-/// ν is free where its information's determinant is more than this share of what it would be with the pose known.
+/// ν is observable where the determinant of its information exceeds this share of that with the
+/// pose known.
 const MIN_DETERMINANT_SHARE: f64 = 1e-5;
-/// What is more than a motion of so many pixels, of whose square |ν| is a sixth, is none.
+/// Longer motion is not treated as motion. |ν| is a sixth of its square.
 const MAX_MOTION_PX: f64 = 8.0;
 
-/// Over the pose's (α, ln d, w).
+/// Over (α, ln d, w).
 pub type Covariance5<T> = [[T; 5]; 5];
 
-/// What one rim says of ν: W s, of size, elongation and turn.
+/// W s of one rim: size, elongation and turn for either component of ν.
 pub type Weighted<T> = [Vec3<T>; 2];
 
-/// What both rims say of ν together.
+/// Information of both rims about ν.
 #[derive(Clone, Copy)]
 pub struct MotionBlur<T: Lane> {
-    /// Σ sᵀ W s: its 11, 12 and 22.
+    /// Σ sᵀ W s: 11, 12 and 22.
     own: [T; 3],
-    /// u, of ln d and w.
+    /// u, by ln d and w.
     with: [[T; 3]; 2],
-    /// Pixels² in the unit of ν, of the outer rim.
+    /// Converts ν to pixels² at the outer rim.
     scale_px2: T,
-    /// |ν̂|² that its bending by the lens explains.
+    /// Part of |ν̂|² that lens distortion explains.
     lens_part: T,
-    /// Where a rim has a shape of its own: that of an elliptical disc says nothing.
+    /// False for the rim of an elliptical disc.
     has_shape: T::Mask,
 }
 
@@ -78,7 +81,8 @@ fn shape<T: Lane>(i: &Mat2<T>) -> [Vec3<T>; 2] {
 }
 
 impl<T: Lane> MotionBlur<T> {
-    /// Of one rim, the outer one first, whose size, elongation and turn follow the lean so.
+    /// `by_lean` are the derivatives of size, elongation and turn by the lean. The outer rim comes
+    /// first in sums.
     #[inline(always)]
     pub fn of(rim: &Rim<T>, by_lean: &[Vec3<T>; 2]) -> (Self, Weighted<T>) {
         let w = &rim.information;
@@ -116,8 +120,8 @@ impl<T: Lane> MotionBlur<T> {
         self
     }
 
-    /// Puts a step right, at a circle (`sign` 1) or at its mirror image (-1); `pull` is Σ sᵀ W h. The misfit's
-    /// fall.
+    /// Corrects a step at a circle (`sign` 1) or at its mirror image (-1); `gradient` is Σ sᵀ W h.
+    /// Returns the decrease of the misfit.
     #[inline(always)]
     pub fn marginalize(
         &self,
@@ -147,7 +151,7 @@ impl<T: Lane> MotionBlur<T> {
             & (self.own[0] * self.own[2] * MIN_DETERMINANT_SHARE).below(determinant);
         let zero = square.splat(0.0);
         let prior = T::choose(observable, (square - self.lens_part).larger(zero) * 0.5, zero);
-        // K = V (V G + 1)⁻¹, which is none where V is.
+        // K = V (V G + 1)⁻¹, zero where V is.
         let (a11, a12, a22) = (prior * g11 + 1.0, prior * g12, prior * g22 + 1.0);
         let by = prior * (a11 * a22 - a12 * a12).under(1.0);
         let (k11, k12, k22) = (a22 * by, -(a12 * by), a11 * by);
@@ -214,7 +218,7 @@ mod tests {
         for i in 0..12 {
             let (sin, cos) = (f64::from(i) * 0.55).sin_cos();
             let at = PixelPoint { u: 900.0 + 30.0 * f64::from(i), v: 500.0 };
-            // 15 px of semiaxis; from leaning a little to leaning much.
+            // 15 px of semiaxis, from slight to strong tilt.
             let tilt_rad = 0.05 + 0.07 * f64::from(i);
             let (position_m, normal) = pose(&camera, at, 6.0, tilt_rad, 1.0);
             let turn = orientation_of_normal(&normal);
@@ -227,7 +231,7 @@ mod tests {
             assert!(off[0].min(off[1]) < 0.06, "{i}: {off:?}");
             let lean = |n: &nalgebra::Vector3<f64>| n.dot(&position_m.normalize()).powi(2);
             let off = lean(&estimate.normal) - lean(&normal);
-            // The outer rim alone would say a hundredth of a square more or less.
+            // The outer rim alone would be off by 0.01.
             assert!(off.abs() < 3e-3, "{i}: {off}");
         }
     }

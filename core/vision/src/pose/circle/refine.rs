@@ -1,20 +1,18 @@
-//! A circle fitted to both rims, with covariance and misfit.
+//! A circle fitted to both rims by Gauss-Newton, with covariance and misfit.
 //!
-//! The unknowns are x = (α, ln d, w) of [`Circle`]; the residuals are both rims' five numbers, seen less
-//! predicted, h(x), with the derivatives J and the rims' information W:
+//! The unknowns are x = (α, ln d, w) of [`Circle`]. The residuals h(x) are the five harmonics of
+//! both rims, measured less predicted. With their derivatives J ([`super::jacobian`]) and the rims'
+//! information W:
 //!
 //! (Σ Jᵀ W J) δx = Σ Jᵀ W h      misfit = Σ hᵀ W h - δxᵀ Σ Jᵀ W h
 //!
-//! (`derivative`).
+//! The start is the circle of the outer rim alone, which the inner rim changes little. One step is
+//! enough unless it changes the lean by more than a share of itself, over which the derivative 2w
+//! of the elongation changes. Motion within the exposure is corrected after the step
+//! ([`super::motion_blur`]).
 //!
-//! The start is the outer rim's own circle, and what the inner rim changes is little: one step of Gauss
-//! and Newton is the solution, unless it moves the lean by more than a share of itself, over which the
-//! elongation's derivative (2w) is another.
-//!
-//! What motion within the exposure adds to both rims alike is put right after the step (`smear`).
-//!
-//! With the other lean, -w, only the terms of ln d with α and w change their sign: one normal matrix,
-//! and one inverse, serve both.
+//! With the mirrored lean -w only the terms of ln d with α and w change sign, so one normal matrix
+//! and one inverse serve both circles.
 
 use super::{cone::Circle, jacobian::Linearization, motion_blur::Covariance5, tilt_posterior};
 use crate::{
@@ -22,17 +20,16 @@ use crate::{
     pose::rim::projection::Rim,
 };
 
-/// A circle, and what is known of it.
 #[derive(Clone, Copy, Debug)]
 pub struct Estimate<T> {
     pub circle: Circle<T>,
     pub covariance: Covariance5<T>,
-    /// Squared Mahalanobis length of what the circle leaves unexplained of both rims.
+    /// Squared Mahalanobis length of the residuals of both rims.
     pub misfit: T,
 }
 
-/// The likelier circle with the other one, and the likelihood of the first against it; where there is one
-/// alone, it is its own other one, with the likelihood 1.
+/// The more likely circle, the other one, and the likelihood of the first. Where there is only one,
+/// `other` equals `first` and the likelihood is 1.
 #[derive(Clone, Copy, Debug)]
 pub struct Estimates<T> {
     pub first: Estimate<T>,
@@ -40,25 +37,25 @@ pub struct Estimates<T> {
     pub likelihood: T,
 }
 
-/// Steps at most; one is the rule.
+/// Usually one is enough.
 const MAX_STEPS: usize = 10;
-/// A step whose square is this share of the lean's square, or less, is the last one.
+/// A step whose square is at most this share of the squared lean is the last one.
 const LAST_STEP: f64 = 0.02;
 
-/// Fits both circles to both rims; `None` if both leave the space of circles in front of the camera. The
-/// second one's lean is about the first one's reversed.
+/// Fits both circles to both rims; `None` if both leave the space of circles in front of the
+/// camera. The lean of the second start is about that of the first one reversed.
 #[inline(always)]
 pub fn refine(starts: &[Circle<f64>; 2], rims: &[Rim<f64>; 2]) -> Option<Estimates<f64>> {
     let [first, second] = GaussNewtonStep::both(starts, rims);
     match [first.finish(rims), second.finish(rims)] {
         [Some(a), Some(b)] => Some(Estimates::of(&a, &b)),
-        // One of the two has left the space of circles in front of the camera: it is no candidate.
+        // The other one has left the space of circles in front of the camera.
         [Some(only), None] | [None, Some(only)] => Some(Estimates::alone(only)),
         [None, None] => None,
     }
 }
 
-/// As [`refine`], and where a single step of both circles does it.
+/// As [`refine`] with a single step; the mask is set where that step is enough for both circles.
 #[inline(always)]
 pub fn refine_once<T: Lane>(
     starts: &[Circle<T>; 2],
@@ -75,7 +72,7 @@ impl<T: Lane> Estimates<T> {
         Self { first: only, other: only, likelihood: only.misfit.splat(1.0) }
     }
 
-    /// Of two, which may be one.
+    /// The two may coincide.
     #[inline(always)]
     fn of(a: &Estimate<T>, b: &Estimate<T>) -> Self {
         let swapped = b.misfit.below(a.misfit);
@@ -83,7 +80,8 @@ impl<T: Lane> Estimates<T> {
         let other = Estimate::choose(swapped, a, b);
         let odds = ((first.misfit - other.misfit) * 0.5).exponential();
         let likelihood = (odds + 1.0).under(1.0);
-        // Seen from near, perspective alone tells the tilt, and both starts end in one place.
+        // At close range perspective alone determines the tilt, and both starts converge to one
+        // circle.
         let are_two = tilt_posterior::are_distinct(&first.lean(), &other.lean());
         Self {
             first,
@@ -93,13 +91,12 @@ impl<T: Lane> Estimates<T> {
     }
 }
 
-/// What a step of Gauss and Newton makes of a circle.
+/// Result of one Gauss-Newton step.
 #[derive(Clone, Copy)]
 struct GaussNewtonStep<T: Lane> {
     estimate: Estimate<T>,
-    /// Where that is a circle in front of the camera.
+    /// Where the result is a circle in front of the camera.
     valid: T::Mask,
-    /// Where no further step is needed.
     is_last: T::Mask,
 }
 
@@ -122,7 +119,6 @@ impl GaussNewtonStep<f64> {
 }
 
 impl<T: Lane> GaussNewtonStep<T> {
-    /// From either circle.
     #[inline(always)]
     fn both(starts: &[Circle<T>; 2], rims: &[Rim<T>; 2]) -> [Self; 2] {
         let linear = Linearization::of(&starts[0], rims);
@@ -174,13 +170,13 @@ impl<T: Lane> GaussNewtonStep<T> {
         let (circle, valid) = circle.moved(&change);
         let turned = change[3] * change[3] + change[4] * change[4];
         let misfit = (square - explained - fall).larger(square.splat(0.0));
-        // A millionth of a radian is nothing, however upright the circle is.
+        // The constant, a microradian squared, ends the iteration for upright circles.
         let is_last = turned.at_most(tilted * LAST_STEP + 1e-12);
         Self { estimate: Estimate { circle, covariance, misfit }, valid, is_last }
     }
 }
 
-/// The covariance of the circle with the other lean.
+/// The covariance of the circle with the mirrored lean.
 #[inline(always)]
 fn mirrored<T: Lane>(covariance: &Covariance5<T>) -> Covariance5<T> {
     let mut mirrored = *covariance;
@@ -192,17 +188,17 @@ fn mirrored<T: Lane>(covariance: &Covariance5<T>) -> Covariance5<T> {
 }
 
 impl<T: Lane> Estimate<T> {
-    /// The lean with its covariance's 11, 12 and 22.
+    /// Mean of the lean, and 11, 12 and 22 of its covariance.
     #[inline(always)]
     fn lean(&self) -> (Vec2<T>, [T; 3]) {
         let c = &self.covariance;
         (self.circle.lean, [c[3][3], c[3][4], c[4][4]])
     }
 
-    /// The changes of the position by (α, ln d), and of the rotation by w, in the local frame.
+    /// Derivatives of the position by (α, ln d), and of the rotation by w, in the local frame.
     ///
-    /// p = d (α, 1); the normal moves by δn = (δw, -(w·δw)/n_z), and the left rotation that does it,
-    /// with nothing about the normal, is n × δn.
+    /// p = d (α, 1); the normal changes by δn = (δw, -(w·δw)/n_z), and the left rotation that
+    /// achieves it, without rotation about the normal, is n × δn.
     #[inline(always)]
     pub fn changes(&self) -> ([Vec3<T>; 3], [Vec3<T>; 2]) {
         let depth_m = self.circle.depth_m;

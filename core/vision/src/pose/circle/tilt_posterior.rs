@@ -1,90 +1,89 @@
-//! The tilt of a roundel that nearly faces the camera, honestly.
+//! Posterior of the tilt of a roundel that nearly faces the camera.
 //!
-//! The image of a circle has the lean w (the normal's part across the line of sight, here a complex
-//! number) squared in its elongation, and linearly only in the distance between its rims' centres, by
-//! perspective, times the square of the roundel's size as an angle. So the rims measure
+//! The image of a circle contains the lean w (the normal's component across the line of sight, here
+//! a complex number) squared in its elongation, and linearly only in the distance between the
+//! centres of its rims, by perspective, with the square of the roundel's angular size as a factor.
+//! The rims measure
 //!
 //! ê = w² + N(0, σ²) in either component      ŵ = w + N(0, 1/Λ) in either component
 //!
-//! Face-on the derivative of w² vanishes, with it the information in ê, and what is most likely is
-//! wrong: |ê| is never zero, on average √(π/2) σ where nothing is tilted (Rayleigh), so that a circle
-//! always looks tilted, and its size, which the tilt has made smaller, is taken for larger: too near.
+//! Face-on the derivative of w² vanishes, and with it the information of ê, and the maximum of the
+//! likelihood is biased: |ê| is never zero, on average √(π/2) σ at zero tilt (Rayleigh). A circle
+//! would always look tilted, its size would be taken for foreshortened, and its distance would come
+//! out too small.
 //!
-//! Normals are as frequent in one direction as in another, so that the density of w beforehand is even
-//! (that of ê is then 1/|ê|). With w = √σ e^{iφ/2} z, φ the angle of ê, s = |ê|/σ and λ = Λσ, the
-//! posterior is
+//! Normals are uniform over the sphere, so the prior density of w is uniform (that of ê is then
+//! 1/|ê|). With w = √σ e^{iφ/2} z, φ the angle of ê, s = |ê|/σ and λ = Λσ, the posterior is
 //!
 //! p(z) ∝ exp(-½ |z² - s|² - ½ λ |z - ẑ|²)
 //!
-//! Where s or λ is large it is one or two Gaussians, which Gauss and Newton's step finds
-//! ([`is_needed`]). Else its moments are sums over a grid, exact to 1e-3. Its two halves are two
-//! hypotheses where they stand apart, and one broad normal where they do not.
+//! For large s or λ it is one Gaussian or two, which a Gauss-Newton step finds ([`applies`] is
+//! false). Otherwise its moments are sums over a grid, accurate to 1e-3. Its two halves are two
+//! hypotheses where they are separate, and one broad normal where they are not.
 //!
-//! The mean of |w|², which the size and with it the depth need, is not that of the posterior: averaged
-//! over many pictures of one face-on roundel that would still be 1.2 σ where the truth is zero. Instead
-//! it is the function of the data whose mean over pictures is nearest to |w|² at every tilt, which
-//! nothing keeps from being negative: the posterior's mean less a share that dies out with s
-//! ([`UNBIASED`]). The depth's bias is then within a third of its rms everywhere
-//! (`tests::covariance_is_that_of_the_errors`); the variance stated is about that value.
+//! The size, and with it the depth, needs a mean of |w|². That of the posterior is biased: over
+//! many images of one face-on roundel it averages 1.2 σ instead of zero. Used instead is the
+//! function of the data whose mean over images is closest to |w|² at every tilt; it may be
+//! negative: the posterior mean less a share that decays with s ([`BIAS_CORRECTION`]). The depth's
+//! bias is then within a third of its rms everywhere (`tests::covariance_is_that_of_the_errors`),
+//! and the stated variance is about that value.
 
 use nalgebra::{Matrix2, Vector2};
 
 use crate::lanes::{Lane, Vec2};
 
-/// What an image says of a lean; complex numbers as vectors.
+/// Measurements of a lean; complex numbers as vectors.
 #[derive(Clone, Copy, Debug)]
 pub struct Evidence {
     /// ê, of w².
     pub squared: Vector2<f64>,
-    /// σ of each of its components.
+    /// σ of each component.
     pub squared_sigma: f64,
     /// ŵ, by perspective.
     pub linear: Vector2<f64>,
-    /// Λ of each of its components.
+    /// Λ of each component.
     pub linear_information: f64,
 }
 
-/// A lean with its errors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lean {
-    /// Mean of w.
     pub mean: Vector2<f64>,
-    /// Covariance of w.
     pub covariance: Matrix2<f64>,
-    /// |w|², of which the mean over pictures is right.
+    /// |w|², unbiased over images.
     pub squared: f64,
-    /// Its variance.
+    /// Variance of `squared`.
     pub squared_variance: f64,
-    /// Its covariance with w.
+    /// Covariance of `squared` with w.
     pub cross: Vector2<f64>,
 }
 
-/// One lean, or two that the image does not tell apart by more than their likelihood.
+/// One lean, or two hypotheses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Leans {
-    /// The likelier one.
+    /// The more likely one.
     pub first: Lean,
-    /// The other one; `None` where both are one broad normal.
+    /// `None` where both form one broad normal.
     pub other: Option<Lean>,
-    /// Of the first, 0.5 to 1; 1 if there is no other.
+    /// Likelihood of `first`, 0.5 to 1; 1 without another one.
     pub likelihood: f64,
 }
 
-/// The posterior's curvature, 4 s + λ, from which on it is Gaussian.
+/// Curvature 4 s + λ from which the posterior is Gaussian.
 const GAUSSIAN_CURVATURE: f64 = 18.0;
-/// The share taken from the mean of |z|² at s = λ = 0, the s over which it dies out squared, and how λ
-/// lessens the one and widens the other.
+/// Share subtracted from the mean of |z|² at s = λ = 0, squared decay length in s, and how λ
+/// reduces the former and extends the latter.
 const BIAS_CORRECTION: (f64, f64, f64) = (1.8, 2.2, 0.45);
-/// Squared distance of two leans, in their common deviations, from which on they are two hypotheses.
+/// Squared distance of two leans, in their joint standard deviations, from which they are separate
+/// hypotheses.
 const SEPARATION: f64 = 16.0;
-/// A half with less of the weight than this share is no hypothesis.
+/// A half with a smaller share of the weight is no hypothesis.
 const NEGLIGIBLE: f64 = 1e-4;
-/// The grid of z: columns, rows and their distance.
+/// Grid of z: columns, rows and their distance.
 const COLUMNS: usize = 16;
 const ROWS: usize = 12;
 const STEP: f64 = 0.4;
 
-/// Where the posterior is no Gaussian: `squared` is |ê|.
+/// Where the posterior is not Gaussian; `squared` is |ê|.
 #[inline(always)]
 pub fn applies<T: Lane>(squared: T, squared_sigma: T, linear_information: T) -> T::Mask {
     let curvature = squared * 4.0 + linear_information * squared_sigma * squared_sigma;
@@ -105,7 +104,7 @@ struct Half {
     quartic: f64,
 }
 
-/// The lean, or leans, that are left by the evidence.
+/// Moments of the posterior.
 #[inline(always)]
 pub fn leans(evidence: &Evidence) -> Leans {
     let Evidence { squared, squared_sigma, linear, linear_information } = *evidence;
@@ -114,7 +113,7 @@ pub fn leans(evidence: &Evidence) -> Leans {
     let s = length / squared_sigma;
     let lambda = linear_information * squared_sigma;
     let along = half_angle(&squared, length);
-    // Multiplication by e^{-iφ/2}, and back.
+    // Multiplication by e^{-iφ/2}.
     let turned =
         Vector2::new(along.dot(&linear), along.x * linear.y - along.y * linear.x) * (1.0 / root);
     let [left, right] = integrate(s, lambda, &turned);
@@ -138,7 +137,8 @@ pub fn leans(evidence: &Evidence) -> Leans {
     Leans { first: lean(&first), other: Some(lean(&other)), likelihood }
 }
 
-/// Where two leans, mean and covariance (its 11, 12 and 22) each, are two hypotheses rather than one broad one.
+/// Where two leans, mean and covariance (11, 12 and 22) each, are two hypotheses and not a broad
+/// one.
 #[inline(always)]
 pub fn are_distinct<T: Lane>(one: &(Vec2<T>, [T; 3]), other: &(Vec2<T>, [T; 3])) -> T::Mask {
     let apart = one.0 - other.0;
@@ -187,8 +187,8 @@ fn integrate(s: f64, lambda: f64, at: &Vector2<f64>) -> [Half; 2] {
     halves
 }
 
-/// eˣ for x ≤ 0 as (1 + x/2¹⁰)^(2¹⁰): multiplications alone, so that a row is a few vector
-/// instructions; off by x²/2¹¹ of itself.
+/// eˣ for x ≤ 0 as (1 + x/2¹⁰)^(2¹⁰), which compiles to vector multiplications; relative error
+/// x²/2¹¹.
 #[inline(always)]
 fn fast_exp(x: f64) -> f64 {
     let mut value = (1.0 + x * (1.0 / 1024.0)).max(0.0);
@@ -198,7 +198,7 @@ fn fast_exp(x: f64) -> f64 {
     value
 }
 
-/// e^{iφ/2} of a complex number with the angle φ; 1 for zero.
+/// e^{iφ/2} of a complex number with angle φ; 1 for zero.
 #[inline(always)]
 pub fn half_angle(of: &Vector2<f64>, length: f64) -> Vector2<f64> {
     if length <= 0.0 {
@@ -236,7 +236,6 @@ impl Half {
         (mean, square - mean * mean.transpose())
     }
 
-    /// These moments as a lean.
     fn lean(&self, bias: f64, root: f64, along: &Vector2<f64>) -> Lean {
         let (mean, covariance) = self.moments();
         let per_weight = 1.0 / self.weight.max(f64::MIN_POSITIVE);

@@ -1,23 +1,23 @@
-//! What is kept of a followed ring from frame to frame, and where its next fit starts.
+//! State of the photometric fit of a tracked ring, from frame to frame, and the start of its next
+//! fit.
 //!
-//! In: a fit, and what was kept before. Out: the start of the fit in the next frame: its blur and motion, of
-//! the two normals that which was right before, and whether motion within the exposure is looked for at all.
+//! In: a fit, and the state before it. Out: the start of the fit in the next frame: blur, motion,
+//! the normal that was right before, and whether motion within the exposure is fitted at all.
 //!
-//! **Motion.** Nobody knows the exposure, so that how far a ring moves from frame to frame says how much it
-//! moves within one at most. A fit with the motion free says with its square μ and the variance v of either
-//! part whether there is some: |μ|²/2v is 1 in the mean where there is none. Where its mean over the last
-//! such fits is below [`NOTHING`], and the ring moves hardly faster than it did in them, the next
-//! [`EVERY`] fits hold the motion at none: what could have been missed is about one deviation of μ. Motion
-//! that comes without the ring moving further from frame to frame (the camera's vibration) is seen in the
-//! frame that looks for it, at the latest, or sooner by the residual (`photometry`), and from then on it
-//! stays free as long as it is there.
+//! **Motion.** The exposure time is unknown, so the displacement from frame to frame is only an
+//! upper bound of the motion within one. A fit with free motion gives its square μ and the variance
+//! v of either component: |μ|²/2v is 1 on average without motion. Where its mean over recent fits
+//! is below [`STILL_RATIO`], and the ring moves hardly faster than in them, the next
+//! [`MAX_HELD_FITS`] fits hold the motion at zero; what they can miss is about one standard
+//! deviation of μ. Motion that appears without a larger displacement (camera vibration) is found by
+//! the next fit with free motion, or earlier by the residual, and stays free while it lasts.
 //!
-//! **Teeth.** A coded ring that is not read in a frame has the teeth that it had in the frame before, where its
-//! track's vote is certain, and goes on turning as it did. The fit refuses them where the pixels contradict
-//! them, or do not tell how they are turned.
+//! **Teeth.** A coded ring that is not read in a frame keeps the teeth of the frame before, where
+//! the track's code is certain, and continues its rotation. The fit rejects them where the pixels
+//! contradict them or do not determine the yaw.
 //!
-//! PERF: 30 px followed, 11.8 µs instead of 14.4 µs with the motion free in all frames
-//! (`cargo bench -p roundel-tests --bench time`).
+//! PERF: 30 px tracked, 11.8 µs instead of 14.4 µs with free motion in all frames (`cargo bench -p
+//! roundel-tests --bench time`).
 
 use std::f64::consts::{PI, TAU};
 
@@ -29,7 +29,7 @@ use crate::{
     pose::{RoundelPose, yaw},
 };
 
-/// What is kept of a ring.
+/// Opaque to callers.
 #[derive(Clone, Copy, Debug)]
 pub struct FitHistory {
     normal: Vector3<f64>,
@@ -41,7 +41,7 @@ pub struct FitHistory {
     cache: Option<NormalEquationCache>,
 }
 
-/// How a coded ring is turned.
+/// Rotation of a coded ring.
 #[derive(Clone, Copy, Debug)]
 struct TeethMotion {
     teeth: Teeth,
@@ -51,7 +51,6 @@ struct TeethMotion {
 }
 
 impl FitHistory {
-    /// Of a fit from a start.
     pub fn of(fit: &Fit, start: &Start, before: Option<&Self>) -> Self {
         let mut motion_test = before.map_or(MotionTest::default(), |before| before.motion_test);
         let motion_px2 = fit.motion_px.norm_squared();
@@ -69,17 +68,16 @@ impl FitHistory {
             center: fit.ring.outer.center,
             motion_test,
             code,
-            // A fit that looked for motion gives none.
+            // A fit with free motion fills no cache.
             cache: fit.cache.or(start.cache),
         }
     }
 
-    /// The same without its teeth.
     pub fn without_teeth(self) -> Self {
         Self { code: None, ..self }
     }
 
-    /// What it has of a code, with the yaw that a ring of this pose has if it has not turned.
+    /// The teeth, and the yaw of a ring of this pose that has not rotated.
     fn predicted_yaw(&self, pose: &RoundelPose) -> Option<(TeethMotion, f64)> {
         let code = self.code?;
         let before = yaw::axes(&self.normal, code.yaw_rad);
@@ -93,7 +91,7 @@ fn wrap_angle(angle_rad: f64) -> f64 {
     (angle_rad + PI).rem_euclid(TAU) - PI
 }
 
-/// Where a fit starts: of the rims' normals, from the one that the frame before says.
+/// Start of a fit; of the two normals, the one nearer to that of the frame before.
 pub fn start(pose: &RoundelPose, center: &PixelPoint, before: Option<&FitHistory>) -> Start {
     let mut pose = pose.clone();
     let Some(before) = before else {
@@ -129,32 +127,32 @@ pub fn start(pose: &RoundelPose, center: &PixelPoint, before: Option<&FitHistory
     }
 }
 
-/// The mean of |μ|²/2v below which there is no motion.
+/// Mean of |μ|²/2v below which there is no motion.
 const STILL_RATIO: f64 = 1.6;
-/// Of so many fits, of which the last ones weigh more.
+/// Effective number of fits in that mean.
 const MEAN_COUNT: u8 = 4;
-/// After so many fits that held the motion the next one does not.
+/// Number of consecutive fits that may hold the motion.
 const MAX_HELD_FITS: u8 = 8;
-/// Motion that no fit would show, pixels: still of as much more, and …
+/// Motion that no fit would detect, pixels.
 const INVISIBLE_PX: f64 = 0.3;
-/// … by this share faster than it was, a ring counts as moving no faster.
+/// A ring counts as no faster than before up to this factor and [`INVISIBLE_PX`].
 const SPEED_MARGIN: f64 = 1.25;
 
-/// What the fits of a ring have said of motion within the exposure.
+/// Evidence of motion within the exposure.
 #[derive(Clone, Copy, Debug, Default)]
 struct MotionTest {
-    /// Mean of |μ|²/2v over fits with the motion free …
+    /// Mean of |μ|²/2v over fits with free motion.
     ratio: f64,
-    /// … and of how many, up to [`MEAN_OF`].
+    /// Number of these fits, up to [`MEAN_COUNT`].
     fits: u8,
-    /// How far the ring had moved from frame to frame in the last of them, pixels.
+    /// Displacement from frame to frame in the last of them, pixels.
     moved_px: f64,
     /// Fits since then.
     held_fits: u8,
 }
 
 impl MotionTest {
-    /// Whether a fit may hold the motion of a ring that has moved so far.
+    /// Whether a fit may hold the motion of a ring with this displacement.
     fn may_hold_still(&self, moved_px: f64) -> bool {
         self.fits > 0
             && self.ratio < STILL_RATIO
@@ -162,7 +160,7 @@ impl MotionTest {
             && moved_px < SPEED_MARGIN * self.moved_px + INVISIBLE_PX
     }
 
-    /// Takes a fit in: |μ| and v, if the motion was free.
+    /// `variance_px4` is `None` where the motion was held.
     fn update(&mut self, motion_px2: f64, variance_px4: Option<f64>, moved_px: f64) {
         let Some(variance_px4) = variance_px4 else {
             self.held_fits = self.held_fits.saturating_add(1);
@@ -181,7 +179,8 @@ impl MotionTest {
 mod tests {
     use super::*;
 
-    /// A ring that moves by 2 px from frame to frame, whose exposure begins to show motion in some frame.
+    /// A ring that moves by 2 px from frame to frame, with motion within the exposure from some
+    /// frame on.
     #[test]
     fn motion_is_looked_for_seldom_where_there_is_none_and_always_where_there_is() {
         let (mut motion_test, variance_px4) = (MotionTest::default(), 0.04);

@@ -1,55 +1,57 @@
-//! A roundel's pose from the grey levels of its pixels: the precise mode.
+//! Pose of a roundel from the grey levels of its pixels: the precise mode.
 //!
-//! In: a frame, a ring found in it and a pose from its rims. Out: the pose whose image, through the
-//! lens, is nearest to the pixels in the sense of least squares, which for even Gaussian noise is the
-//! maximum of the likelihood, with the covariance of its errors.
+//! In: a frame, a ring found in it, and a pose from its rims. Out: the pose whose image, through
+//! the lens, is closest to the pixels in the least-squares sense, which is the maximum of the
+//! likelihood for uniform Gaussian noise, with covariance.
 //!
-//! **Image.** A pixel at (p, q) sees the print through K = k(x - p) k(y - q), the pixel's box blurred
-//! by a Gaussian of deviation σ (`blur`). With the black area Ω as imaged, whose contour runs so that
-//! black is positive, its black share is by Green's theorem
+//! **Image** (`model`). A pixel at (p, q) sees the print through K = k(x - p) k(y - q), the pixel's
+//! box blurred by a Gaussian of standard deviation σ. With the imaged black area Ω, whose contour
+//! is oriented so that black is positive, its black share follows by Green's theorem:
 //!
 //!   d(p, q) = ∬_Ω K = -∮ A(y - q) k(x - p) dx,   A' = k,
 //!
-//! and its grey level W + C d: exact for any size and tilt, where a local edge fails for a disc as
-//! small as the blur. Nodes at 1.3 σ along the contour are enough (`contour`, `view`, `scatter`).
+//! and its grey level is W + C d. This is exact for any size and tilt, where a local edge model
+//! fails for a disc as small as the blur. Nodes 1.3 σ apart along the contour are enough.
 //!
-//! **Motion.** If a parameter moves the contour by v, d changes by -v·∇d where v varies slowly, which it
-//! does over the width of a rim. So ∇d and ∇²d = 2 ∂d/∂σ², differences of the image itself (`columns`), give
-//! all columns. Only these are approximate, and they cost precision only in second order, since the
-//! residual, which is exact, averages to nothing at the truth.
+//! **Derivatives.** A parameter that moves the contour by v changes d by -v·∇d where v varies
+//! slowly, as it does over the width of a rim. ∇d and ∇²d = 2 ∂d/∂σ², differences of the image
+//! itself, therefore give all columns. Only the columns are approximate, which costs precision to
+//! second order, since the exact residual averages to zero at the truth.
 //!
-//! **Unknowns.** Shift across the line of sight, logarithm of the range, two tilts; white level, step
-//! to black, σ², the motion within the exposure (`motion`), and the light's gradient over the ring (expected
-//! within a tenth), which otherwise would pass for tilt. Gauss and Newton's steps, damped where they fail (`descend`).
+//! **Unknowns** (`solver`). Shift across the line of sight, logarithm of the range, two tilts;
+//! white level, step to black, σ², motion within the exposure, and the gradient of the light over
+//! the ring (prior of a tenth), which would otherwise pass for tilt. Gauss-Newton steps, damped
+//! where they fail.
 //!
-//! **Frames.** Of a followed ring that hardly changes the columns' products are those of a frame before
-//! (`recalled`), and only their products with the residual are summed.
+//! **Frames.** For a tracked ring that hardly changes, the products of the columns are those of an
+//! earlier frame (`solver::normal_equation_cache`), and only their products with the residual are
+//! summed.
 //!
-//! **Two normals.** Mirrored along the line of sight, the roundel looks nearly the same. The mirrored
-//! place's residual is projected with the information of the first; if it promises a smaller misfit, it
-//! is fitted too. The likelihoods of the two follow from the difference of their misfits over the noise.
-//! Face-on the image depends on the tilt's square only; a curvature of the elongation's information
-//! keeps steps finite there, and the pose is the posterior's mean (`upright`), as in [`super::locate`].
+//! **Two normals** (`hypotheses`). Mirrored along the line of sight, a roundel looks nearly the
+//! same. The residual of the mirrored pose is projected with the information of the first; if it
+//! promises a smaller misfit, it is fitted as well. The likelihoods of the two follow from the
+//! difference of their misfits over the noise. Face-on the image depends only on the square of the
+//! tilt; the curvature of the elongation's information keeps steps finite there, and the pose is
+//! the mean of the posterior, as in [`super::locate`].
 //!
-//! **Noise.** A pixel's variance is that of the residuals. Where these hang together over patches of
-//! pixels (`patches`), or white or black come near an end of the scale, the ring is fitted again with
-//! cut off levels, bloom, and levels of each stretch of the rims (`careful`), or refused.
+//! **Noise.** The variance of a pixel is that of the residuals. Where these are correlated over
+//! patches of pixels, or white or black is near an end of the scale, the ring is fitted again with
+//! clipped levels, bloom, and levels of each stretch of the rims (`robust`), or rejected.
 //!
-//! **Accuracy** (`roundel-tests`, `tests/photometry.rs`: tilt 15° to 60°, blur 0.5 to 1.1 px and noise 1
-//! to 4 unknown, contrast 160): rms of the depth over the Cramér-Rao bound 1.23 at 12 to 20 px, 1.13 at
-//! 20 to 30, 0.94 at 30 to 60, 0.83 at 60 to 110 (80 roundels each, so to 8 %); no bias; normals alike;
-//! 96 to 98 % of the positions inside the stated 95 % ellipsoid. Time: `benches/fit.rs`.
+//! **Heading, teeth.** The contour of an elliptical disc rotates with the print; its heading is
+//! found by the profile of the misfit. Where a coded print has been read, its contour is known
+//! completely, arcs and radial edges, from the yaw of the reading, which is fitted along. A frame
+//! without a reading uses the teeth of earlier frames (`history`).
 //!
-//! **Heading.** An elliptical disc's contour turns with the print; its heading is found by the profile of
-//! the misfit (`heading`).
+//! **Accuracy** (`roundel-tests`, `tests/photometry.rs`: tilt 15° to 60°, unknown blur of 0.5 to
+//! 1.1 px and noise of 1 to 4, contrast 160): rms of the depth over the Cramér-Rao bound 1.23 at 12
+//! to 20 px, 1.13 at 20 to 30, 0.94 at 30 to 60, 0.83 at 60 to 110 (80 roundels each, so to 8 %);
+//! no bias; the same for normals; 96 to 98 % of the positions inside the stated 95 % ellipsoid.
+//! Coded (`tests/coded.rs`): depth 1.0 to 1.1 times the bound from 36 to 110 px, yaw 1.0 times.
+//! Time: `benches/fit.rs`.
 //!
-//! **Teeth.** Where a coded print has been read, its contour is known whole: arcs and radial edges (`teeth`),
-//! from the reading's yaw, which is fitted along (`turn`): depth 1.0 to 1.1 times the bound from 36 to 110 px and
-//! the yaw 1.0 times (`tests/coded.rs`). A frame that does not read it has the teeth of those before (`memory`), and
-//! is as exact.
-//!
-//! **Limits.** Refused are coded prints whose teeth no frame has read, and elliptical discs of whose rim a part is
-//! covered. Paper is expected to go on for 3 px, or 3.5 blurs, round the outer rim.
+//! **Limits.** Rejected are coded prints whose teeth no frame has read, and elliptical discs whose
+//! rim is partly occluded. The paper must extend 3 px, or 3.5 blurs, beyond the outer rim.
 
 pub(super) mod history;
 mod hypotheses;
@@ -80,31 +82,32 @@ use solver::{
     state::{Problem, State},
 };
 
-/// Where a fit starts.
+/// Start of a fit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Start {
-    /// From [`super::locate`], or predicted; right to a third of a pixel and some degrees.
+    /// From [`super::locate`] or predicted; accurate to a third of a pixel and some degrees.
     pub pose: RoundelPose,
-    /// Deviation of the blur, pixels: the track's last one, or [`DEFAULT_BLUR_PX`].
+    /// Standard deviation of the blur, pixels: that of the track's last fit, or
+    /// [`DEFAULT_BLUR_PX`].
     pub blur_px: f64,
-    /// Motion within the exposure, pixels: the track's last one, or none.
+    /// Motion within the exposure, pixels: that of the track's last fit, or zero.
     pub motion_px: Vector2<f64>,
-    /// How far the ring has moved since the frame before, pixels, which it hardly exceeds within an
-    /// exposure; infinite where it is not known.
+    /// Displacement of the ring since the frame before, pixels, an upper bound of the motion within
+    /// an exposure; infinite if unknown.
     pub moved_px: f64,
-    /// Whether the motion is held at none, which takes less time; where noise does not explain what is left
-    /// then, it is free all the same.
+    /// Holds the motion at zero, which is faster. It is free nevertheless where noise does not
+    /// explain the residual.
     pub is_still: bool,
-    /// What a rolling shutter does to it.
+    /// Effect of a rolling shutter.
     pub skew: Option<Skew>,
-    /// The teeth that a coded print had in earlier frames, for one that is not read in this one; with them the
-    /// pose has a yaw, right to a part of a slot.
+    /// Teeth of a coded print from earlier frames, for a frame without a reading. The pose then has
+    /// a yaw, accurate to a fraction of a slot.
     pub teeth: Option<Teeth>,
-    /// What a fit of the same ring in an earlier frame gave to be recalled, which takes less time.
+    /// Normal equations of the same ring in an earlier frame, which save time.
     pub cache: Option<NormalEquationCache>,
 }
 
-/// The blur to start from where nothing is known, pixels.
+/// Blur of a start about which nothing is known, pixels.
 pub const DEFAULT_BLUR_PX: f64 = 0.7;
 
 /// A pose fitted to grey levels.
@@ -112,20 +115,21 @@ pub const DEFAULT_BLUR_PX: f64 = 0.7;
 pub struct Fit {
     /// The pose.
     pub pose: RoundelPose,
-    /// Rims as this pose images them; black and white as fitted.
+    /// Rims that this pose implies; black and white as fitted.
     pub ring: Ring,
-    /// Deviation of the blur, pixels.
+    /// Standard deviation of the blur, pixels.
     pub blur_px: f64,
-    /// Motion within the exposure, pixels, or its opposite, which looks the same. The pose is that of the
-    /// exposure's middle.
+    /// Motion within the exposure, pixels, or its opposite, which looks the same. The pose is that
+    /// at the middle of the exposure.
     pub motion_px: Vector2<f64>,
-    /// Variance that noise gives either part of the motion's square, px⁴; none where the motion was held.
+    /// Variance by noise of either component of the motion's square, px⁴; `None` where the motion
+    /// was held.
     pub motion_variance_px4: Option<f64>,
-    /// Deviation of what the model leaves, grey levels: the image's noise, if the model is right.
+    /// Standard deviation of the residual, grey levels: the noise of the image, if the model holds.
     pub noise: f64,
-    /// Of a coded print.
+    /// Teeth of a coded print.
     pub teeth: Option<Teeth>,
-    /// Iterations that were needed.
+    /// Number of iterations.
     pub iterations: usize,
     /// For fits in later frames.
     pub cache: Option<NormalEquationCache>,
@@ -134,46 +138,46 @@ pub struct Fit {
 /// Why a ring has no fitted pose.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum FitError {
-    /// The start is no pose in front of the camera.
+    /// The start is behind the camera or faces away from it.
     #[error("expected a start in front of the camera and facing it, found another")]
     Start,
-    /// What is printed is not known.
+    /// The printed pattern is unknown.
     #[error(
         "expected a coded ring whose teeth are known, and the start of an elliptical one with a yaw"
     )]
     Pattern,
-    /// The lens gives no pixels there.
+    /// The lens model gives no pixels there.
     #[error("round the start: {0}")]
     Lens(#[from] LensError),
-    /// The rims reach outside of what is looked at.
+    /// The rims left the window.
     #[error("expected rims near those that were found, the fit went elsewhere")]
     OutOfWindow,
-    /// No minimum was found in the steps there are.
+    /// The steps did not converge.
     #[error("expected a start from which the fit settles, found one from which it does not")]
     NotConverged,
-    /// The pixels do not tell the pose.
+    /// The pixels do not determine the pose.
     #[error("expected pixels that tell a pose, found too few or too flat ones")]
     Uninformative,
-    /// Too much of the rims is covered or otherwise not as printed.
+    /// Too much of the rims is occluded or otherwise not as printed.
     #[error("expected rims that agree with each other, found too many stretches that do not")]
     Obstructed,
 }
 
-/// How far outside the outer rim pixels count: pixels, and in blurs.
+/// Reach of the counted pixels beyond the outer rim: pixels, and in blurs.
 const REACH: (f64, f64) = (3.0, 3.5);
-/// Besides half of the motion, of which this is the most, pixels.
+/// Half of the motion adds to the reach, up to this.
 const MAX_MOTION_PX: f64 = 8.0;
-/// They end before the white margin does, which may be as narrow as this share of the outer semiaxis,
-/// less so many pixels for the blur of its own edge: what lies beyond is not in the model …
+/// Limit of the reach by the white margin, which may be as narrow as this share of the outer
+/// semiaxis, less so many pixels for the blur of its own edge. The model ends there …
 const MARGIN: (f64, f64) = (0.3, 0.8);
-/// … but never nearer than this.
+/// … but never closer than this.
 const MIN_REACH_PX: f64 = 0.6;
-/// Nodes stand this many blurs apart.
+/// Distance of the nodes, in blurs.
 const SPACING: f64 = 1.45;
-/// The window is so much wider than the pixels that count, so that contours may move.
+/// Margin of the window around the counted pixels, into which contours may move.
 const SLACK_PX: f64 = 9.0;
 
-/// Fits the pose of a roundel of a known kind, from a start, to the frame's pixels.
+/// Fits the pose of a roundel of a known kind to the frame's pixels.
 pub fn fit(
     frame: &Frame,
     camera: &Camera,
@@ -244,19 +248,18 @@ pub fn fit(
     }
 }
 
-/// Teeth that are not read are seen where the yaw's deviation is no more than this share of a slot: else the
-/// fit may as well have settled at other ones.
+/// Predicted teeth are confirmed where the standard deviation of the yaw is at most this share of a
+/// slot; otherwise the fit may have converged to other ones.
 const MAX_YAW_SHARE: f64 = 1.0 / 6.0;
 
 impl Fit {
-    /// Whether the pixels tell how these teeth are turned.
     fn resolves(&self, teeth: Teeth) -> bool {
         let slot_rad = std::f64::consts::PI / f64::from(teeth.bits);
         yaw::deviation_rad(&self.pose) < MAX_YAW_SHARE * slot_rad
     }
 }
 
-/// The yaw and the teeth that a reading gives a start.
+/// Yaw and teeth of the ring's reading.
 fn read_code(start: &Start, camera: &Camera, ring: &Ring) -> Option<(f64, Teeth)> {
     let observed = ring.code?;
     let reading = start.skew.map_or(observed, |skew| skew.code(&observed));
@@ -265,7 +268,7 @@ fn read_code(start: &Start, camera: &Camera, ring: &Ring) -> Option<(f64, Teeth)
     Some((turned.yaw_rad?, Teeth { bits: reading.code.bits, word: reading.word? }))
 }
 
-/// Columns and rows of the window round the pixels that count.
+/// Columns and rows of the window around the counted pixels.
 fn window_of(counted: &Ellipse) -> ((i64, i64), (i64, i64)) {
     let (half_u, half_v) = counted.half_box_px();
     let range = |center: f64, half: f64| {
@@ -274,14 +277,14 @@ fn window_of(counted: &Ellipse) -> ((i64, i64), (i64, i64)) {
     (range(counted.center.u, half_u), range(counted.center.v, half_v))
 }
 
-/// Columns a, b, n for a normal; a is arbitrary.
+/// Columns a, b, n for a normal; the direction of a is arbitrary.
 fn axes_of(normal: &Vector3<f64>) -> Matrix3<f64> {
     let helper = if normal.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
     let b = normal.cross(&helper).normalize();
     Matrix3::from_columns(&[b.cross(normal), b, *normal])
 }
 
-/// A fit in the camera's frame.
+/// The fit in the camera frame.
 fn finish(
     problem: &Problem,
     ring: &Ring,
@@ -291,7 +294,7 @@ fn finish(
     let state = &estimate_pose.state;
     let camera_from_local = problem.lens.local_from_camera.transpose();
     let mut covariance = estimate_pose.covariance;
-    // The two normals put the centre at slightly different places, and which is right is not known.
+    // The two normals give slightly different positions, and which one is right is uncertain.
     let apart = camera_from_local * estimate_pose.other_offset_m;
     let mut position = covariance.fixed_view_mut::<3, 3>(0, 0);
     position += apart * apart.transpose() * (1.0 - estimate_pose.likelihood);

@@ -1,4 +1,4 @@
-//! Memory of the fit.
+//! Working memory of the fit.
 
 use fearless_simd::Level;
 
@@ -11,12 +11,12 @@ use super::{
 };
 use crate::frame::Frame;
 
-/// Memory of the fit, to be used again and again: from the first fit on there is room for rings as large as
-/// the frame, so that none is taken later (`tests/allocation.rs`).
+/// Working memory of fits, reused from fit to fit. The first fit reserves memory for rings as large
+/// as the frame, so that later ones allocate nothing (`tests/allocation.rs`).
 #[derive(Clone, Debug)]
 pub struct FitScratch {
     pub(super) level: Level,
-    /// Of the frames that there is room for.
+    /// Frame size that memory is reserved for.
     pub(super) size: (usize, usize),
     pub(super) plan: SamplingPlan,
     pub(super) kernels: Kernels,
@@ -43,11 +43,11 @@ impl Default for FitScratch {
     }
 }
 
-/// By so many pixels the window of a ring as large as the frame may be wider than the frame.
+/// Margin of the window around a ring as large as the frame.
 const MARGIN_PX: usize = 64;
 
 impl FitScratch {
-    /// Room for what a frame can show. Memory that no ring comes to use is asked for, but not touched.
+    /// Reserves memory for any ring in the frame; pages that no ring uses are not touched.
     pub(super) fn make_room(&mut self, frame: &Frame) {
         let size = (frame.width(), frame.height());
         if self.size == size {

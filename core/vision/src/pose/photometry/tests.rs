@@ -29,8 +29,8 @@ fn camera_of(focal_px: f64) -> Camera {
     .unwrap()
 }
 
-/// Both rims of the pose, and a picture of it by 12 × 12 samples over two pixels
-/// a side, cast into the print's plane.
+/// An image of the pose by 12 × 12 samples over two pixels a side, projected into the print's
+/// plane.
 fn picture(
     camera: &Camera,
     kind: &Kind,
@@ -41,7 +41,7 @@ fn picture(
     picture_of(camera, position_m, normal, |at| !(inner..outer).contains(&at.norm()))
 }
 
-/// The same of whatever is white in the plane, by the place from the middle.
+/// The same for any pattern, given the position in the plane relative to the middle.
 fn picture_of(
     camera: &Camera,
     position_m: &Vector3<f64>,
@@ -89,7 +89,7 @@ fn ring_of(semi_minor_px: f64) -> Ring {
     Ring { black: 45.0, white: 195.0, ..Ring::of_rims(rim(1.0), rim(0.4)) }
 }
 
-/// The picture's blur is a box and not Gaussian: the fit is off by what that costs, and no more.
+/// The image has a box blur, not a Gaussian one, which limits the accuracy.
 #[test]
 fn the_fit_finds_the_pose_from_a_rough_start_at_every_simd_level() {
     let (camera, kind, ring) = (camera(), Kind::plain("", 0.16, 0.064), ring());
@@ -113,7 +113,7 @@ fn the_fit_finds_the_pose_from_a_rough_start_at_every_simd_level() {
     assert!((poses[0].normal - poses[1].normal).norm() < 1e-4);
 }
 
-/// A picture is the mean of those that the exposure passes through.
+/// The image is the mean of those during the exposure.
 #[test]
 fn the_fit_finds_the_motion_and_the_pose_of_the_exposures_middle() {
     let (camera, kind, ring) = (camera(), Kind::plain("", 0.16, 0.064), ring());
@@ -162,10 +162,10 @@ fn what_is_no_roundel_is_an_error() {
     assert_eq!(turned, Err(FitError::Start));
 }
 
-/// What a fit at the mirrored place comes to, told from the products of the first one.
+/// Prediction of a fit at the mirrored pose from the products of the first one.
 #[test]
 fn the_mirrored_place_is_as_bad_as_it_promises() {
-    // A wide lens, for which the places' columns differ.
+    // A wide lens, for which the columns of the two poses differ.
     let (camera, kind, ring) = (camera_of(200.0), Kind::plain("", 0.16, 0.064), ring_of(14.7));
     let start = start(&camera, &kind, &ring);
     let pixels = picture(&camera, &kind, &start.pose.position_m, &start.pose.normal);
@@ -212,7 +212,7 @@ fn the_mirrored_place_is_as_bad_as_it_promises() {
     assert!((promised_m - found_m).norm() < 0.2 * other_offset_m.norm(), "{promised_m} {found_m}");
 }
 
-/// Teeth, yaw and all, from a reading that is off by a third of a pixel.
+/// Teeth and yaw, from a reading that is off by a third of a pixel.
 #[test]
 fn a_coded_roundel_is_fitted_with_its_yaw() {
     const YAW_RAD: f64 = 1.9;
@@ -251,7 +251,7 @@ fn a_coded_roundel_is_fitted_with_its_yaw() {
     }
 }
 
-/// Where a ring hardly changes, with what was recalled as without; where it does, without.
+/// The cache changes nothing where a ring hardly changes, and is not used where it does.
 #[test]
 fn products_are_recalled_where_they_serve() {
     let (camera, kind) = (camera(), Kind::plain("", 0.16, 0.064));
@@ -262,12 +262,12 @@ fn products_are_recalled_where_they_serve() {
     let mut fit_at = |position_m: &Vector3<f64>, turn_rad: f64, blur_px, cache| {
         let normal = nalgebra::Rotation3::new(Vector3::x() * turn_rad) * normal;
         let mut pixels = picture(&camera, &kind, position_m, &normal);
-        // Mean 5 and deviation 3: without noise every step is far more than it.
+        // Mean 5 and standard deviation 3: without noise every step would be significant.
         for (at, pixel) in pixels.iter_mut().enumerate() {
             *pixel += (at as u32).wrapping_mul(2_654_435_761).rotate_left(8) as u8 % 11;
         }
         let frame = Frame::new(&pixels, SIDE, SIDE, SIDE).unwrap();
-        // Right to a hundredth of a pixel, as rims are.
+        // Accurate to a hundredth of a pixel, as rims are.
         let position_m = position_m * 1.0001;
         let pose = RoundelPose { position_m, normal, ..start.pose.clone() };
         let start = Start { pose, blur_px, cache, ..start.clone() };

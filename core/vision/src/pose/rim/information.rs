@@ -1,10 +1,10 @@
-//! What is known of a rim's errors.
+//! Information about a rim, from the errors of its samples.
 //!
-//! A rim is five numbers h, the harmonics ψ of how far it lies from another (`rim`). Its samples stray by
-//! n(s) across it, independently from one pixel of arc s to the next, so that q = g n / (ab) with
-//! g = ds/dt = √(a² sin² t + b² cos² t) and cov h = σ²/(2π a²b²) mean(g ψψᵀ); to that come the floor and,
-//! alike in all five, the unevenness. By symmetry only size and elongation are coupled. The means of g,
-//! g cos 2t and g cos 4t are those over the eight points.
+//! A rim is described by five harmonics h, with the basis ψ ([`super::projection`]). Its samples
+//! are displaced across it by n(s), independently from one pixel of arc s to the next, so q = g n /
+//! (ab) with g = ds/dt = √(a² sin² t + b² cos² t) and cov h = σ²/(2π a²b²) mean(g ψψᵀ). The floor
+//! and, equally for all five, the unevenness add to it. By symmetry only size and elongation are
+//! correlated. The means of g, g cos 2t and g cos 4t are those over eight points.
 
 use super::{
     noise::{DiscWeights, RimErrors},
@@ -12,13 +12,14 @@ use super::{
 };
 use crate::lanes::Lane;
 
-/// Five numbers of a rim.
+/// Size, shift along either axis, elongation and turn.
 pub type Harmonics<T> = [T; 5];
 
-/// The floor's share of centre, elongation and turn: blur and bloom are nearly even around a rim.
+/// Share of the floor that centre, elongation and turn have: blur and bloom are nearly uniform
+/// around a rim.
 const REST_OF_FLOOR: f64 = 0.25;
 
-/// Inverse covariance of a rim's five numbers; what is not here is zero.
+/// Inverse covariance of the harmonics; entries that are not here are zero.
 #[derive(Clone, Copy, Debug)]
 pub struct Information<T> {
     pub size: T,
@@ -30,7 +31,7 @@ pub struct Information<T> {
 }
 
 impl<T: Lane> Information<T> {
-    /// Of a rim, and where there is one.
+    /// Also returns where the rim is valid.
     #[inline(always)]
     pub fn of(rim: &RimEllipse<T>, noise: &RimErrors<T>) -> (Self, T::Mask) {
         let (a, b) = (rim.semi_major_px, rim.semi_minor_px);
@@ -39,7 +40,8 @@ impl<T: Lane> Information<T> {
             ((a + b + between * 2.0) * 0.25, (b - a) * 0.25, (a + b - between * 2.0) * 0.25);
         let per_area = (a * b).under(1.0);
         let edge = (noise.edge_px * per_area).squared() * (1.0 / std::f64::consts::TAU);
-        // A shift η of the whole rim across itself: q = g η/(ab), whose numbers are size and elongation.
+        // A shift η of the whole rim across itself: q = g η/(ab), with harmonics size and
+        // elongation.
         let per_shift = noise.floor_px * per_area;
         let (shift_size, shift_elongation) =
             (g0 * per_shift, g2 * per_shift * std::f64::consts::SQRT_2);
@@ -71,8 +73,8 @@ impl<T: Lane> Information<T> {
         (information, valid)
     }
 
-    /// What of it is left where not all numbers say something. Elongation and turn that say nothing take with
-    /// them what they say of the size.
+    /// Removes the numbers that carry no information about the pose. Unused elongation and turn are
+    /// marginalized, which reduces the information about the size.
     #[inline(always)]
     pub fn weighted_by(&self, valid: &DiscWeights<T>) -> Self {
         let DiscWeights { size: by_size, shape: by_shape } = *valid;
@@ -86,7 +88,6 @@ impl<T: Lane> Information<T> {
         }
     }
 
-    /// These five numbers weighted.
     #[inline(always)]
     pub fn times(&self, h: &Harmonics<T>) -> Harmonics<T> {
         [

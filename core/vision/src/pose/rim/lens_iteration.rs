@@ -1,13 +1,14 @@
-//! The ellipse of a rim that a lens bends, by turns.
+//! The ellipse of a rim that the lens distorts strongly, by iteration.
 //!
-//! Eight points of a rim go through the lens ([`crate::camera::Camera::rays_near`]). Of their images y, the zeroth and first
-//! harmonics over t are the affine part of the lens there, averaged over the rim; in its coordinates y
-//! is nearly u = (cos t, sin t). The lens takes the line s u from the rim's centre to
-//! y(s) = y₀ + s P₁ + s² P₂ + s³ P₃, of which the middle's ray gives y₀ and P₁, and y at t and t + π the
-//! even and the odd part: so dy/ds at the rim is known too, and with it where the line crosses another
-//! ellipse, q = (1 - |y|)/(y/|y| · dy/ds) before the unit circle. The ellipse that is sought is the
-//! unit circle changed so that mean(ψ q) = 0, found by a few turns. Where the lens adds nothing, q is zero
-//! and the ellipse exact. What is left out is of the third order of P₂, by [`LEFT_OUT`].
+//! Eight points of a rim pass through the lens ([`crate::camera::Camera::rays_near`]). The zeroth
+//! and first harmonics over t of their images y are the affine part of the lens, averaged over the
+//! rim; in its coordinates y is nearly u = (cos t, sin t). The lens maps the line s u from the
+//! rim's centre to y(s) = y₀ + s P₁ + s² P₂ + s³ P₃. The ray of the middle gives y₀ and P₁, and y
+//! at t and t + π give the even and the odd part. So dy/ds at the rim is known, and with it the
+//! crossing of the line with another ellipse, q = (1 - |y|)/(y/|y| · dy/ds) before the unit circle.
+//! The ellipse is the unit circle changed so that mean(ψ q) = 0, found by a few iterations. Without
+//! distortion q is zero and the ellipse exact. The remaining error is of third order in P₂, by
+//! [`RESIDUAL_FACTOR`].
 
 use super::{
     projection::{COS, POINTS, PlaneEllipse, SIN, linearized_lens, plane_points},
@@ -18,17 +19,16 @@ use crate::{
     lanes::{Mat2, Mat3, Vec2},
 };
 
-/// Turns, at most, in which the ellipse through the points is found …
 const MAX_ITERATIONS: usize = 8;
-/// … and what a turn that moves it by no more than this leaves is nothing: it gains two digits.
+/// Change of the ellipse in the last iteration; each one gains two digits.
 const SETTLED: f64 = 1e-6;
-/// What the turns leave out of a rim's shape, in cubes of |P₂|: as much as rims under the strongest lenses have shown
-/// (`tests/golden.rs`), exact ones 1.3, those fitted to points 5.
+/// Remaining error of a rim's shape, in cubes of |P₂|: the maximum over rims under the strongest
+/// lenses (`tests/golden.rs`), 1.3 for exact ones and 5 for those fitted to points.
 const RESIDUAL_FACTOR: f64 = 5.0;
 
 impl PlaneEllipse<f64> {
-    /// The ellipse through the images of a rim's points, the outer (0) or the inner one (1); `None` if
-    /// one lies 90° or more from the frame's axis.
+    /// The ellipse through the images of the points of the outer (0) or the inner rim (1); `None`
+    /// if one lies 90° or more from the frame's axis.
     #[inline(always)]
     pub fn fitted_through(
         near: &NearRays<f64, { 2 * POINTS }>,
@@ -69,7 +69,7 @@ impl PlaneEllipse<f64> {
             along_y[i] = 3.0 * odd - 2.0 * first + 2.0 * (even - middle.y);
             bending += (even - middle.y).powi(2);
         }
-        // The unit circle's own ellipse: moved by `shift`, its points longer by the factor `grown`.
+        // The ellipse as the unit circle, moved by `shift` and scaled by `growth`.
         let mut shift = Vec2::new(0.0, 0.0);
         let mut growth = Mat2::new(1.0, 0.0, 0.0, 1.0);
         for _ in 0..MAX_ITERATIONS {
@@ -80,7 +80,7 @@ impl PlaneEllipse<f64> {
                 let (dx, dy) = (back.m11 * dx + back.m12 * dy, back.m12 * dx + back.m22 * dy);
                 let (ex, ey) = (along_x[i], along_y[i]);
                 let (ex, ey) = (back.m11 * ex + back.m12 * ey, back.m12 * ex + back.m22 * ey);
-                // |y| - 1 is half of |y|² - 1 less its square's eighth.
+                // |y| - 1 is half of |y|² - 1 less an eighth of its square.
                 let excess = dx * dx + dy * dy - 1.0;
                 let beyond = excess * (0.5 - 0.125 * excess);
                 q[i] = beyond * (1.0 + beyond) / (dx * ex + dy * ey);

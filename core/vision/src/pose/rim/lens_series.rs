@@ -1,23 +1,22 @@
-//! What a lens makes of rims so small that it hardly bends them, in closed form.
+//! The ellipse of a rim that the lens hardly distorts, as a power series in closed form.
 //!
-//! With the outer rim as the unit circle z = e^{it} of the picture, and its plane behind the lens scaled
-//! alike, complex numbers for points, the lens near the rim's centre is
+//! With the outer rim as the unit circle z = e^{it} of the image, and its plane behind the lens
+//! scaled accordingly, complex numbers for points, the lens near the rim's centre is
 //!
 //! Z(z) = z + a z² + b z z̄ + c z̄² + d z³ + e z² z̄ + f z z̄² + g z̄³
 //!
-//! whose coefficients are the harmonics of Z over t: those of eight points are exact up to the fourth
-//! order. The ellipse Z = m + (1 + h₀) z + h z̄ that is sought crosses the images of the lines from the
-//! rim's centre at 1 + q(t) times the rim's distance, with mean(ψ q) = 0 as in [`super::rim`]. To the
-//! second order of a, b and c and the first of the others,
+//! whose coefficients are the harmonics of Z over t; those of eight points are exact up to fourth
+//! order. The ellipse Z = m + (1 + h₀) z + h z̄ crosses the images of the lines from the rim's
+//! centre at 1 + q(t) times the rim's distance, with mean(ψ q) = 0 as in [`super::projection`]. To
+//! second order in a, b and c and first order in the others,
 //!
 //! m = ā + b      h₀ = Re e + |a|² - ¾ |c|²      h = d̄ + f - ā² - b̄ c - 2 a c
 //!
-//! (a slides points along the rim, which is why it moves the ellipse like b). The inner rim,
-//! z = z₀ + α w + β w̄ with w on the unit circle, has the same Z, and by this substitution coefficients of
-//! its own.
+//! (a moves points along the rim, which shifts the ellipse as b does). The inner rim, z = z₀ + α w
+//! + β w̄ with w on the unit circle, has the same Z, and by substitution coefficients of its own.
 //!
-//! What is left out is the third order, as little as [`MAX_BEND`] and [`MAX_CUBIC`] allow: less than ten
-//! millionths of the rim (`tests::bends_are_those_of_the_turns`, against the turns of [`super::rim`]).
+//! The omitted third order is limited by [`MAX_BEND`] and [`MAX_CUBIC`]: less than 1e-5 of the rim
+//! (`tests::bends_are_those_of_the_turns`, against [`super::lens_iteration`]).
 
 use std::ops::{Add, Mul, Sub};
 
@@ -27,15 +26,14 @@ use super::{
 };
 use crate::lanes::{Lane, Mat2, Vec2};
 
-/// |a| + |b| + |c| at most …
+/// Limits of |a| + |b| + |c| …
 const MAX_BEND: f64 = 6e-3;
-/// … and |d| + |e| + |f|.
+/// … and of |d| + |e| + |f|.
 const MAX_CUBIC: f64 = 4e-4;
 
 /// cos 45°.
 const H: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
-/// A complex number.
 #[derive(Clone, Copy, Debug)]
 struct Complex<T> {
     re: T,
@@ -54,7 +52,7 @@ struct Terms<T> {
     g: Complex<T>,
 }
 
-/// A lens near a rim.
+/// The lens near a rim.
 #[derive(Clone, Copy, Debug)]
 pub struct LensSeries<T> {
     terms: Terms<T>,
@@ -141,8 +139,8 @@ impl<T: Lane> Mul for Complex<T> {
 }
 
 impl<T: Lane> LensSeries<T> {
-    /// From the images of the rim's eight points, of its centre and of its semiaxes by the derivative
-    /// there, and where the lens bends it so little that the closed form holds.
+    /// From the images of the rim's eight points, of its centre, and of its semiaxes by the
+    /// derivative there; and where the distortion is small enough for the series.
     #[inline(always)]
     pub fn of(points: &[[T; POINTS]; 2], middle: Vec2<T>, semiaxes: Mat2<T>) -> (Self, T::Mask) {
         let (inverse, regular) = semiaxes.inverse();
@@ -158,7 +156,6 @@ impl<T: Lane> LensSeries<T> {
         (Self { terms, middle, semiaxes }, regular & little)
     }
 
-    /// The outer rim's ellipse.
     #[inline(always)]
     pub fn outer(&self) -> PlaneEllipse<T> {
         let Terms { a, b, .. } = self.terms;
@@ -167,8 +164,6 @@ impl<T: Lane> LensSeries<T> {
         self.flat(&HarmonicEllipse { m: a.conj() + b, p: Complex::new(h0 + 1.0, zero), r: h })
     }
 
-    /// The ellipse of the inner rim, whose centre is so far from the outer one's, in units of the outer
-    /// one's semiaxes and in their directions.
     #[inline(always)]
     pub fn inner(&self, outer: &RimEllipse<T>, inner: &RimEllipse<T>) -> PlaneEllipse<T> {
         self.flat(&self.terms.image_of(&place(outer, inner)))
@@ -198,7 +193,7 @@ fn place<T: Lane>(outer: &RimEllipse<T>, inner: &RimEllipse<T>) -> HarmonicEllip
     HarmonicEllipse { m, p: (major - turned).times(0.5), r: (major + turned).times(0.5) }
 }
 
-/// Means of the odd orders: with cos kt and sin kt, k = 1 (`sign` 1) or 3 (-1).
+/// Means with cos kt and sin kt of the odd orders k = 1 (`sign` 1) or 3 (-1).
 #[inline(always)]
 fn odd<T: Lane>(v: &[T; 4], sign: f64) -> (T, T) {
     let (cos, sin) = ((v[1] - v[3]) * H, (v[1] + v[3]) * H);
@@ -207,7 +202,7 @@ fn odd<T: Lane>(v: &[T; 4], sign: f64) -> (T, T) {
 }
 
 impl<T: Lane> Terms<T> {
-    /// Harmonics of eight points: of even order from the sums of opposite ones, of odd order from their
+    /// Harmonics of eight points: even orders from the sums of opposite ones, odd orders from their
     /// differences.
     #[inline(always)]
     fn of(x: &[T; POINTS], y: &[T; POINTS]) -> Self {
@@ -249,12 +244,12 @@ impl<T: Lane> Terms<T> {
         let Self { a, b, c, d, e, f, g } = *self;
         let HarmonicEllipse { m: z, p: alpha, r: beta } = *of;
         let m = z + a * z * z + b.scaled(z.norm_sqr()) + c * (z * z).conj();
-        // The derivative there, of z and of z̄, but for z² times the cubic terms, and below the image of
-        // w and of w̄ by it.
+        // Derivatives by z and by z̄, without z² times the cubic terms; below, the images of w and
+        // w̄ by them.
         let mut straight = (a * z).times(2.0) + b * z.conj();
         straight.re = straight.re + 1.0;
         let mirror = b * z + (c * z.conj()).times(2.0);
-        // About z, the cubic terms are quadratic ones too.
+        // About z, the cubic terms contribute quadratic ones.
         let a = a + (d * z).times(3.0) + e * z.conj();
         let b = b + (e * z + f * z.conj()).times(2.0);
         let c = c + f * z + (g * z.conj()).times(3.0);
@@ -303,7 +298,7 @@ mod tests {
         },
     };
 
-    /// The most that two ellipses differ by, as a share of the size.
+    /// Largest difference of two ellipses, relative to their size.
     fn off(one: &PlaneEllipse<f64>, other: &PlaneEllipse<f64>) -> f64 {
         let semiaxes = |flat: &PlaneEllipse<f64>| Matrix2::from(flat.semiaxes);
         let size = semiaxes(one).norm();

@@ -1,19 +1,19 @@
-//! Rims carried through the lens.
+//! Rims taken through the lens.
 //!
-//! A rim is taken at points c + a cos t + b sin t, t evenly spaced, with the semiaxes a and b as
-//! vectors. Another, slightly different ellipse crosses the line from the centre through such a point
-//! at 1 + q(t) times its distance, and to first order q = ψ·h with only five harmonics,
-//! ψ = (1, √2 cos t, √2 sin t, √2 cos 2t, √2 sin 2t): size, shift along either axis, elongation and
-//! turn. Five numbers h therefore say all there is to say of a rim, and h = mean(ψ q), the mean over
-//! evenly spaced t, is just what the moments of a rim's area measure. (An area's change is ½∮q r×dr =
-//! ½ab∮q dt, and its first and second moments' are the other harmonics.) Affine maps keep t and h.
+//! A rim is sampled at points c + a cos t + b sin t, t evenly spaced, with the semiaxes a and b as
+//! vectors. A slightly different ellipse crosses the line from the centre through such a point at 1
+//! + q(t) times its distance. To first order q = ψ·h with five harmonics, ψ = (1, √2 cos t, √2 sin
+//! t, √2 cos 2t, √2 sin 2t): size, shift along either axis, elongation and turn. The five numbers h
+//! therefore describe a rim completely, and h = mean(ψ q), the mean over evenly spaced t, is what
+//! the moments of a rim's area measure. (The change of an area is ½∮q r×dr = ½ab∮q dt, and those of
+//! its first and second moments are the other harmonics.) Affine maps preserve t and h.
 //!
-//! Where the lens bends a rim little, the ellipse follows in closed form ([`super::bend`]); else by turns
-//! ([`super::turns`]).
+//! Where the lens distorts a rim little, the ellipse follows in closed form
+//! ([`super::lens_series`]), else by iteration ([`super::lens_iteration`]).
 //!
-//! The ellipse with centre c and semiaxes A = (a b), in homogeneous coordinates, is the *dual conic*
-//! D = (c cᵀ - A Aᵀ, c; cᵀ, 1), the set of its tangents l, lᵀ D l = 0. It turns with the frame:
-//! D → R D Rᵀ.
+//! The ellipse with centre c and semiaxes A = (a b), in homogeneous coordinates, is the *dual
+//! conic* D = (c cᵀ - A Aᵀ, c; cᵀ, 1), the set of its tangents l, lᵀ D l = 0. It rotates with the
+//! frame: D → R D Rᵀ.
 
 use super::{
     information::Information,
@@ -26,51 +26,49 @@ use crate::{
     pose::PoseError,
 };
 
-/// Points on a rim. Five harmonics need at least five; eight keep those that a lens adds, up to the
-/// fifth, from being mistaken for them.
+/// Points on a rim. Five harmonics need at least five; eight prevent aliasing of those that a lens
+/// adds, up to the fifth.
 pub const POINTS: usize = 8;
 /// A rim in the plane z = 1 of a local frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Rim<T> {
-    /// The circle's radius, metres.
+    /// Radius of the circle.
     pub radius_m: T,
     /// Centre of the ellipse.
     pub center: Vec2<T>,
     /// A Aᵀ.
     pub shape: Mat2<T>,
-    /// A⁻¹, but for perspective's second order.
+    /// A⁻¹, without second-order perspective.
     pub inverse: Mat2<T>,
-    /// Product of its semiaxes as seen, pixels².
+    /// Product of the semiaxes in the image.
     pub area_px2: T,
-    /// Squared share of that by which its shape may be another, since a lens bends it.
+    /// Squared relative error of the shape by lens distortion.
     pub residual_shape: T,
-    /// Of its five numbers.
+    /// Of the five harmonics.
     pub information: Information<T>,
 }
 
-/// Both rims in a frame whose z is the axis of the outer rim's cone, so that a circle of which the rim is an
-/// image lies on it up to its tilt.
+/// Both rims in a frame whose z is the axis of the outer rim's cone, near which the circle lies.
 #[derive(Clone, Copy, Debug)]
 pub struct ConeFrameRims<T: Lane> {
     pub local_from_camera: Mat3<T>,
     /// Outer and inner.
     pub rims: [Rim<T>; 2],
-    /// Where they are ellipses there.
+    /// Where the rims are ellipses there.
     pub valid: T::Mask,
 }
 
 /// Both rims in the plane z = 1 of a base frame.
 #[derive(Clone, Copy, Debug)]
 pub struct PlaneRims<T: Lane> {
-    /// The base frame; `None` for the camera's own.
+    /// `None` for the camera frame.
     pub base_from_camera: Option<Mat3<T>>,
     /// Outer and inner.
     pub flats: [PlaneEllipse<T>; 2],
-    /// Where that holds.
     pub valid: T::Mask,
 }
 
-/// The rims through any lens.
+/// Through any lens.
 #[inline(always)]
 pub fn project(camera: &Camera, pair: &RimPair<f64>) -> Result<ConeFrameRims<f64>, PoseError> {
     let mut flattened = flatten_by_series(camera, &pair.rims);
@@ -81,7 +79,7 @@ pub fn project(camera: &Camera, pair: &RimPair<f64>) -> Result<ConeFrameRims<f64
     if carried.valid { Ok(carried) } else { Err(PoseError::NoCircle) }
 }
 
-/// The rims in closed form, where the lens bends them little.
+/// In closed form, where the lens distorts the rims little.
 #[inline(always)]
 pub fn flatten_by_series<T: Lane>(camera: &Camera, rims: &[RimEllipse<T>; 2]) -> PlaneRims<T> {
     let [outer, inner] = rims;
@@ -97,7 +95,7 @@ pub fn flatten_by_series<T: Lane>(camera: &Camera, rims: &[RimEllipse<T>; 2]) ->
     PlaneRims { base_from_camera, flats: [bend.outer(), bend.inner(outer, inner)], valid }
 }
 
-/// The same for any lens.
+/// For any lens.
 #[inline(always)]
 pub fn flatten_by_iteration(
     camera: &Camera,
@@ -135,7 +133,7 @@ pub fn frame_along<T: Lane>(axis: Vec3<T>) -> Mat3<T> {
     Mat3([x, z.cross(x), z])
 }
 
-/// A rim's points from a pixel.
+/// Points of a rim relative to a pixel.
 #[inline(always)]
 fn points<T: Lane>(rim: &RimEllipse<T>, from: Vec2<T>) -> [[T; POINTS]; 2] {
     let [major, minor] = rim.semiaxes();
@@ -148,7 +146,7 @@ fn points<T: Lane>(rim: &RimEllipse<T>, from: Vec2<T>) -> [[T; POINTS]; 2] {
     points
 }
 
-/// The rims' points from the outer rim's centre, pixels: the outer rim's, then the inner one's.
+/// Points of the outer rim, then of the inner one, relative to the outer rim's centre, pixels.
 #[inline(always)]
 fn offsets(rims: &[RimEllipse<f64>; 2]) -> [[f64; 2 * POINTS]; 2] {
     let mut offsets = [[0.0; 2 * POINTS]; 2];
@@ -161,7 +159,8 @@ fn offsets(rims: &[RimEllipse<f64>; 2]) -> [[f64; 2 * POINTS]; 2] {
     offsets
 }
 
-/// Where rays cross the plane z = 1 of the base frame, and where none lies 90° or more from its axis.
+/// Intersections of rays with the plane z = 1 of the base frame, and where all rays lie less than
+/// 90° from its axis.
 #[inline(always)]
 pub fn plane_points<T: Lane>(
     rays: &[[T; POINTS]; 3],
@@ -181,7 +180,7 @@ pub fn plane_points<T: Lane>(
     (points, ahead)
 }
 
-/// Image of the rim's own centre, and of its semiaxes by the derivative there.
+/// Image of the rim's centre, and of its semiaxes by the derivative there.
 #[inline(always)]
 pub fn linearized_lens<T: Lane, const N: usize>(
     near: &NearRays<T, N>,
@@ -205,14 +204,14 @@ pub fn linearized_lens<T: Lane, const N: usize>(
     (flat + slope * (rim.center - middle_px), semiaxes)
 }
 
-/// The first rim of which a point has no ray.
+/// The first rim with a point that has no ray.
 fn first_rejected_rim(camera: &Camera, outer: &RimEllipse<f64>) -> &'static str {
     let outer = camera.rays_near(outer.center, &points(outer, outer.center));
     if outer.is_err() { "outer" } else { "inner" }
 }
 
 impl<T: Lane> PlaneRims<T> {
-    /// In the frame along the outer rim's cone.
+    /// Rotates the rims into the frame of the outer rim's cone.
     #[inline(always)]
     pub fn project(&self, pair: &RimPair<T>) -> ConeFrameRims<T> {
         let [outer, inner] = &self.flats;
@@ -238,8 +237,8 @@ pub struct PlaneEllipse<T> {
 }
 
 impl<T: Lane> PlaneEllipse<T> {
-    /// This rim, the outer (0) or the inner one (1), as it is seen from another frame, with what is known of
-    /// its errors; and where it is an ellipse there.
+    /// The outer (0) or inner rim (1) in another frame, with information; and where it is an
+    /// ellipse there.
     #[inline(always)]
     fn rim(
         &self,
@@ -262,9 +261,9 @@ impl<T: Lane> PlaneEllipse<T> {
         (rim, is_ellipse & is_informed & regular)
     }
 
-    /// The axis of the cone through the ellipse, that eigenvector of its dual conic which lies inside:
-    /// its other eigenvalues are smaller by the square of the ellipse's size, so that two turns of the
-    /// power method from the centre find it.
+    /// Axis of the cone through the ellipse: the eigenvector of its dual conic that lies inside.
+    /// The other eigenvalues are smaller by the square of the ellipse's size, so two iterations of
+    /// the power method from the centre find it.
     #[inline(always)]
     fn cone_axis(&self) -> Vec3<T> {
         let shape = self.semiaxes.square();
@@ -276,8 +275,8 @@ impl<T: Lane> PlaneEllipse<T> {
         axis.push(axis.x.splat(1.0))
     }
 
-    /// Centre, shape A Aᵀ and, but for perspective's second order, semiaxes in the plane z = 1 of another
-    /// frame; and where the ellipse is one there.
+    /// Centre, shape A Aᵀ, and semiaxes without second-order perspective in the plane z = 1 of
+    /// another frame; and where it is an ellipse there.
     #[inline(always)]
     fn in_frame(&self, local_from_base: &Mat3<T>) -> (Vec2<T>, Mat2<T>, Mat2<T>, T::Mask) {
         // The dual conic is p pᵀ - a aᵀ - b bᵀ.

@@ -1,4 +1,4 @@
-//! Rings as the closed form sees them: numbers of one, or of several side by side.
+//! Input of the closed form: one ring, or several in the lanes of a vector.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -9,18 +9,18 @@ use crate::{
     marker::Ring,
 };
 
-/// A rim as imaged, pixels.
+/// A rim in the image.
 #[derive(Clone, Copy, Debug)]
 pub struct RimEllipse<T> {
     pub center: Vec2<T>,
     pub semi_major_px: T,
     pub semi_minor_px: T,
-    /// Of the major axis' angle.
+    /// Of the angle of the major axis.
     pub cos: T,
     pub sin: T,
 }
 
-/// Both rims, outer and inner, and all else that a pose depends on.
+/// Both rims, outer and inner, with all else that a pose depends on.
 #[derive(Clone, Copy, Debug)]
 pub struct RimPair<T> {
     pub rims: [RimEllipse<T>; 2],
@@ -29,7 +29,7 @@ pub struct RimPair<T> {
     pub noise: RingNoise<T>,
 }
 
-/// A ring as found, and all else that its pose depends on.
+/// A detected ring, with all else that its pose depends on.
 #[derive(Clone, Copy, Debug)]
 pub struct RingMeasurement {
     outer: Ellipse,
@@ -43,7 +43,6 @@ impl RingMeasurement {
         Self { outer: ring.outer, inner: ring.inner, radii_m, noise }
     }
 
-    /// As seen, alone.
     #[inline(always)]
     pub fn rim_pair(&self) -> RimPair<f64> {
         RimPair::gather(0.0, &[self])
@@ -51,7 +50,7 @@ impl RingMeasurement {
 }
 
 impl<T: Lane> RimPair<T> {
-    /// Rings side by side, as many as `like` has lanes.
+    /// One ring per lane of `like`.
     #[inline(always)]
     pub fn gather(like: T, rings: &[&RingMeasurement]) -> Self {
         let [outer_m, inner_m, size, shape] = like.each(
@@ -92,7 +91,7 @@ impl<T: Lane> RimPair<T> {
 #[inline(always)]
 fn numbers(ellipse: &Ellipse) -> [f64; 5] {
     let Ellipse { center, semi_major_px, semi_minor_px, angle_rad } = *ellipse;
-    // A turn by π leaves an ellipse as it is.
+    // An ellipse is invariant under rotation by π.
     let angle_rad = if angle_rad.abs() > FRAC_PI_2 {
         angle_rad - PI * (angle_rad / PI).round()
     } else {

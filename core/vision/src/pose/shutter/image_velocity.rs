@@ -1,40 +1,39 @@
-//! How fast a followed ring moves in the image.
+//! Image velocity of a tracked ring.
 //!
-//! In: where its centre was seen, each time with the instant of its own row. Out: its image velocity at the newest
-//! of them, with the variance of either part.
+//! In: positions of its centre, each with the time of its own row. Out: its velocity at the newest
+//! of them, with the variance of either component.
 //!
-//! Along either axis a Kalman filter of place, velocity and acceleration, whose jerk is white noise of density q:
-//! over a step t the three grow by
+//! Along either axis a Kalman filter of position, velocity and acceleration, whose jerk is white
+//! noise of density q. Over a step t their covariance grows by
 //!
 //! q t⁵/20, q t⁴/8, q t³/6;  q t³/3, q t²/2;  q t
 //!
-//! Both axes are seen equally well, so that they share one covariance. Nothing is known of a velocity that was
-//! not seen, but that things move by metres a second: that is the start, by [`SPEED_M_S`] and the ring's size in
-//! the image. Where centres lie farther off than the filter expects (clocks that jitter, blows), by their squares'
-//! mean over the last [`MEAN_OF`] or by half of the last one's alone, the variance is so much larger; where one
-//! lies somewhere else altogether, the course begins anew.
+//! Both axes are measured with the same accuracy and share one covariance. The initial velocity is
+//! unknown, with a standard deviation of [`SPEED_M_S`] scaled by the ring's size in the image.
+//! Where innovations exceed their expected variance (jittering clocks, impacts), by the mean of
+//! their squares over the last [`MEAN_COUNT`] or by half of the last one alone, the variance grows
+//! by that factor. A position far off restarts the filter.
 //!
-//! **Accuracy.** At 60 Hz, and centres seen to 0.01 px, a velocity of 600 px/s is known to 3 px/s from the third
-//! frame on, to 10 px/s in the second one.
+//! **Accuracy.** At 60 Hz, with centres accurate to 0.01 px, a velocity of 600 px/s is known to 10
+//! px/s in the second frame and to 3 px/s from the third one on.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use crate::{camera::PixelPoint, time::Timestamp};
 
-/// Deviation of either part of a velocity of which nothing is known, m/s.
+/// Standard deviation of either component of an unknown velocity …
 const SPEED_M_S: f64 = 2.0;
-/// The same of an acceleration, m/s².
+/// … and of an unknown acceleration.
 const ACCELERATION_M_S2: f64 = 5.0;
-/// q, m²/s⁵: a push that lasts a tenth of a second.
+/// q, m²/s⁵: an acceleration that lasts a tenth of a second.
 const JERK: f64 = 2.0 * ACCELERATION_M_S2 * ACCELERATION_M_S2 / 0.1;
-/// A ring not seen for so long begins anew, seconds.
+/// A longer gap restarts the filter.
 const MAX_GAP_S: f64 = 0.5;
-/// Centres that tell whether they lie where they are expected, of which the last ones weigh more.
+/// Effective number of innovations in the mean.
 const MEAN_COUNT: f64 = 4.0;
-/// Squared distance from there, in variances, from which on a centre is of another course.
+/// Squared normalized innovation that restarts the filter.
 const RESTART_SQUARED: f64 = 4000.0;
 
-/// A centre seen.
 #[derive(Clone, Copy, Debug)]
 pub struct CenterMeasurement {
     /// When its row was exposed.
@@ -42,24 +41,22 @@ pub struct CenterMeasurement {
     pub center: PixelPoint,
     /// Of either coordinate.
     pub variance_px2: f64,
-    /// How large a metre is there in the image.
     pub px_per_m: f64,
 }
 
-/// What is known of a ring's motion in the image.
 #[derive(Clone, Copy, Debug)]
 pub struct ImageMotion {
     time: Timestamp,
-    /// Place, velocity and acceleration along u and along v, in px and s.
+    /// Position, velocity and acceleration along u and along v, in px and s.
     axes: [Vector3<f64>; 2],
-    /// Of either of them.
+    /// Of either axis.
     covariance: Matrix3<f64>,
-    /// Mean square of how far centres lie from where they are expected, in variances.
+    /// Mean square of the innovations over their expected variance.
     normalized_innovation: f64,
 }
 
 impl ImageMotion {
-    /// Of a ring seen for the first time.
+    /// Of a ring detected for the first time.
     pub fn new(measured: &CenterMeasurement) -> Self {
         let axis = |place: f64| Vector3::new(place, 0.0, 0.0);
         let variance = |by_metre: f64| (by_metre * measured.px_per_m).powi(2);
@@ -73,7 +70,7 @@ impl ImageMotion {
         }
     }
 
-    /// Takes a later sighting in; the same frame once more changes nothing.
+    /// The same frame a second time changes nothing.
     pub fn update(&mut self, measured: &CenterMeasurement) {
         let step_s = measured.time.seconds_since(self.time);
         if step_s == 0.0 {
@@ -125,7 +122,7 @@ impl ImageMotion {
         self.covariance = step * self.covariance * step.transpose() + process_noise * q;
     }
 
-    /// Velocity, px/s, and the variance of either part.
+    /// Velocity, px/s, and the variance of either component.
     pub fn velocity(&self) -> (Vector2<f64>, f64) {
         let velocity = Vector2::new(self.axes[0].y, self.axes[1].y);
         (velocity, self.covariance.m22 * self.normalized_innovation.max(1.0))
@@ -148,7 +145,7 @@ mod tests {
         }
     }
 
-    /// Something that drives round a circle of 2.5 m at 3 m/s, seen with errors of 0.01 px.
+    /// An object on a circle of 2.5 m at 3 m/s, with errors of 0.01 px.
     fn circling(time_s: f64) -> (CenterMeasurement, Vector2<f64>) {
         let (radius_px, speed_px_s) = (2.5 * PX_PER_M, 3.0 * PX_PER_M);
         let (sin, cos) = (speed_px_s / radius_px * time_s).sin_cos();
@@ -219,7 +216,7 @@ mod tests {
                     measured.time.plus_seconds(jitter_s * (2.3 * f64::from(frame)).sin());
                 motion.update(&measured);
                 let (velocity, variance) = motion.velocity();
-                // It takes some frames to be seen.
+                // The filter needs some frames to notice.
                 if frame > 8 {
                     worst = worst.max((velocity - truth).norm() / variance.sqrt());
                 }

@@ -1,29 +1,33 @@
-//! A moving ring under a rolling shutter, whose rows are exposed one after another.
+//! Rolling shutter: the rows of a moving ring are exposed one after another.
 //!
-//! The pose of a ring is that at the instant t₀ of one row, v₀, that of its centre. What lies in another row v
-//! has moved on until then: with V the image velocity and L the time from row to row, s = L V pixels a row,
+//! The pose of a ring is that at the instant t₀ of one row v₀, that of its centre. A point in
+//! another row v has moved since then. With the image velocity V and the time L from row to row, s
+//! = L V pixels per row,
 //!
 //! p_obs = p + s (v_obs - v₀)      p = (I - s e_vᵀ) (p_obs - c) + c      A = I + s e_vᵀ/(1 - s_v)
 //!
-//! for any c in row v₀, exactly so where all of the ring moves alike. The first way brings the rims as seen, and
-//! the ends of a code, to where they were at t₀ ([`Skew::seen`]), for the closed form; the other way belongs to
-//! the lens, so that a fit of grey levels needs nothing else (`photometry::lens`). V is that of the ring's
-//! `course` from frame to frame.
+//! for any c in row v₀, exactly if the whole ring moves with V. The inverse maps observed rims, and
+//! the ends of a code, to t₀ for the closed form ([`Skew::ring`]); the forward map is part of the
+//! lens in photometric fits. V is estimated from the ring's centres ([`image_velocity`]).
 //!
-//! What is not known of V widens the covariance (`stretch`). A ring that is seen for the first time may move by
-//! metres a second, and its pose says so; from the second frame on little is left.
+//! The uncertainty of V widens the covariance ([`skew_covariance`]). A ring detected for the first
+//! time may move by metres per second, and its covariance contains that; from the second frame on
+//! little remains.
 //!
-//! **Accuracy** (`roundel-tests`, `tests/shutter.rs`: 30 to 60 px, 3 m/s, 12 µs a row, accelerations to 3 m/s² and
-//! turns to 1 rad/s, 60 Hz; plain, coded and elliptical, both modes): from the third frame on, depths within 4 % of
-//! those under a global shutter, and 94 to 98 % of the positions inside their 95 %; in the first frame, 0.5 % of
-//! depth, said so by 95 to 100 % of the positions. Without it two thirds of a percent would be left for good.
+//! **Accuracy** (`roundel-tests`, `tests/shutter.rs`: 30 to 60 px, 3 m/s, 12 µs per row,
+//! accelerations to 3 m/s² and rotation to 1 rad/s, 60 Hz; plain, coded and elliptical, both
+//! modes): from the third frame on, depth errors within 4 % of those under a global shutter, and 94
+//! to 98 % of the positions inside their 95 % region. In the first frame depth is off by 0.5 %,
+//! with 95 to 100 % of the positions inside. Without the correction 0.7 % would remain in all
+//! frames.
 //!
-//! **Bends.** What turns by ω, and whose far side moves less in the image than its near one, is bent by terms of
-//! second order in its size: x and y move by ω L y (−y, x). That shifts the centre by ω L r²/4, r the radius in
-//! pixels, 0.003 px at 60 px and 1 rad/s. It is not modelled; what moves is thought to go round a circle of
-//! [`CIRCLE_M`] metres, so that ω follows from V, and the covariance is widened by that much.
+//! **Bending.** Rotation by ω, which moves the far side less in the image than the near one, adds
+//! terms of second order in the size: x and y move by ω L y (−y, x). That shifts the centre by ω L
+//! r²/4, r the radius in pixels: 0.003 px at 60 px and 1 rad/s. It is not modelled; the covariance
+//! is widened for motion on a circle of [`CIRCLE_M`] metres, for which ω follows from V.
 //!
-//! **Limits.** Frames' times that jitter make the velocity so much less certain, once it has been seen.
+//! **Limits.** Jitter of the frames' times makes the velocity less certain, after it has been
+//! observed.
 
 mod image_velocity;
 mod skew_covariance;
@@ -39,40 +43,40 @@ use crate::{
 };
 use image_velocity::{CenterMeasurement, ImageMotion};
 
-/// No image moves by more than this share of a row while the next one is exposed.
+/// Limit of the image motion from one row to the next, rows.
 const MAX_PX_PER_ROW: f64 = 0.2;
 
-/// What moves goes round a circle of about this radius, metres.
+/// Assumed radius of motion.
 const CIRCLE_M: f64 = 3.0;
 
-/// How a ring's motion skews its image.
+/// Skew of a ring's image by its motion under a rolling shutter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Skew {
     /// v₀.
     pub(super) row_px: f64,
     /// s.
     pub(super) px_per_row: Vector2<f64>,
-    /// Of either part of s.
+    /// Variance of either component of s.
     pub(super) variance: f64,
-    /// How far what does not move alike shifts the centre, either way, metres.
+    /// Standard deviation of the centre by bending, metres.
     pub(super) bend_m: f64,
 }
 
 impl Skew {
-    /// Where a point is seen that is at `pixel` when the centre's row is exposed.
+    /// Where a point is observed that is at `pixel` at the time of the centre's row.
     pub fn image(&self, pixel: PixelPoint) -> PixelPoint {
         let rows = (pixel.v - self.row_px) / (1.0 - self.px_per_row.y);
         let moved = self.px_per_row * rows;
         PixelPoint { u: pixel.u + moved.x, v: pixel.v + moved.y }
     }
 
-    /// Where a point that is seen is when the centre's row is exposed.
+    /// Inverse of [`Self::image`].
     fn point(&self, observed: PixelPoint) -> PixelPoint {
         let moved = self.px_per_row * (observed.v - self.row_px);
         PixelPoint { u: observed.u - moved.x, v: observed.v - moved.y }
     }
 
-    /// A ring as it is when its centre's row is exposed.
+    /// A ring as it is at the time of its centre's row.
     pub fn ring(&self, observed: &Ring) -> Ring {
         Ring {
             outer: self.ellipse(&observed.outer),
@@ -82,7 +86,7 @@ impl Skew {
         }
     }
 
-    /// The same of a code's ends.
+    /// The ends of a code at the time of the centre's row.
     pub fn code(&self, observed: &CodeReading) -> CodeReading {
         CodeReading {
             zero: self.point(observed.zero),
@@ -104,13 +108,13 @@ impl Skew {
         Ellipse {
             center: self.point(observed.center),
             semi_major_px: long.sqrt(),
-            // Below the smallest there is, rounding may take it to nothing.
+            // Rounding may make it negative for the smallest ellipses.
             semi_minor_px: short.max(0.0).sqrt(),
             angle_rad,
         }
     }
 
-    /// Adds to a pose's covariance what is not known of the motion.
+    /// Adds the uncertainty of the motion to a pose's covariance.
     pub fn widen(&self, pose: &mut RoundelPose, camera: &Camera, kind: &Kind) {
         skew_covariance::widen(pose, camera, kind, self.variance.sqrt());
         let sight = pose.position_m.normalize();
@@ -120,33 +124,31 @@ impl Skew {
     }
 }
 
-/// A camera's rolling shutter, and the courses of what it sees.
+/// Rolling shutter of a camera, with the motion of the rings that it sees.
 #[derive(Clone, Debug)]
 pub struct Shutter {
     line_time_s: f64,
     motions: RecentTracks<ImageMotion>,
-    /// Of the rings of the newest frame, in their order.
+    /// Of the rings of the current frame, in their order.
     skews: Vec<Skew>,
 }
 
 impl Shutter {
-    /// Of rows that follow each other by so much.
     pub fn new(line_time_s: f64) -> Self {
         Self { line_time_s, motions: RecentTracks::new(), skews: Vec::new() }
     }
 
-    /// Of the newest frame's rings, in their order.
     pub fn skews(&self) -> &[Skew] {
         &self.skews
     }
 
-    /// Forgets all courses.
+    /// Discards all motion.
     pub fn reset(&mut self) {
         self.motions.clear();
     }
 
-    /// Takes the rings of a frame of so many rows in, whose middle row was exposed at `time`; nothing is known
-    /// of their motion if it is not told.
+    /// Updates the motion of the rings in a frame whose middle row was exposed at `time`; `None`
+    /// leaves the motion unknown.
     pub fn update(
         &mut self,
         (time, height): (Option<Timestamp>, usize),
@@ -157,7 +159,7 @@ impl Shutter {
         for TrackedRing { track, ring, .. } in tracked {
             let kind = ring.kind.and_then(|id| kinds.get(usize::from(id.0)));
             let outer = &ring.outer;
-            // Without a kind it has no size, and will have no pose.
+            // Without a kind it has no size and gets no pose.
             let diameter_m = kind.map_or(1.0, |kind| kind.outer_diameter_m);
             let is_coded = kind.is_some_and(|kind| matches!(kind.pattern, Pattern::Coded(_)));
             let observed = CenterMeasurement {
@@ -179,7 +181,6 @@ impl Shutter {
         }
     }
 
-    /// Of a ring of this radius in the image and in metres.
     fn skew(&self, motion: &ImageMotion, row_px: f64, (radius_px, radius_m): (f64, f64)) -> Skew {
         let (velocity_px_s, variance) = motion.velocity();
         let speed_m_s =
@@ -228,7 +229,7 @@ pub(super) mod tests {
                 observed
             })
             .collect();
-        // The rim through these is the one that is straightened to the old one.
+        // The rim through these points is mapped back to the original one.
         let long =
             PixelPoint { u: center.u + cos * semi_major_px, v: center.v + sin * semi_major_px };
         let code = CodeReading::certain(Code { bits: 8, number: 1 }, skew.image(long));
@@ -251,7 +252,7 @@ pub(super) mod tests {
         assert!((zero.u - long.u).hypot(zero.v - long.v) < 1e-9);
     }
 
-    /// An ellipse as it is seen: by the skew that takes this one back.
+    /// An ellipse as observed: the inverse of the skew's correction.
     pub fn observed(by: &Skew, ellipse: &Ellipse) -> Ellipse {
         let back = Skew { px_per_row: -by.px_per_row / (1.0 - by.px_per_row.y), ..*by };
         back.ellipse(ellipse)

@@ -1,35 +1,38 @@
-//! What a stretch of the image does to a pose.
+//! Covariance of a pose by the uncertainty of a rolling shutter's skew.
 //!
-//! In: a pose, and how far either part of s is unknown in p → p + s (v - v₀), the image of what moves under a
-//! rolling shutter (`shutter`). Out: the pose with a covariance that has this too.
+//! In: a pose, and the standard deviation of either component of s in p → p + s (v - v₀), the image
+//! of motion under a rolling shutter ([`super`]). Out: the pose with this uncertainty in its
+//! covariance.
 //!
-//! **To first order.** An error δs stretches the image by E = δs e_vᵀ, in the plane across the line of sight
-//! E' = G⁻¹ E G with the lens' derivative G. Of a small roundel the image is linear, d⁻¹ times the print's axes
-//! less their depths, and any E' passes for a pose. With z the line of sight, x along the lean w and c its
-//! cosine,
+//! **First order.** An error δs stretches the image by E = δs e_vᵀ, in the plane across the line of
+//! sight E' = G⁻¹ E G with the derivative G of the lens. The image of a small roundel is linear,
+//! d⁻¹ times the print's axes less their depths, and any E' passes for a pose. With z the line of
+//! sight, x along the lean w, and c its cosine,
 //!
 //! δ ln d = -E_yy   θ_x = -c (E_xy + E_yx)/|w|   θ_y = c (E_xx - E_yy)/|w|   θ_z = -E_xy
 //!
-//! The roundel's centre lies beside that of a rim by r² f, f = w c, r the rim's radius over the distance. Both rims
-//! say so, each as loudly as it is long: with q the ratio of their radii and k = q (1 - q), r the outer one's,
+//! The roundel's centre is offset from that of a rim by r² f, f = w c, r the rim's radius over the
+//! distance. Both rims show this, weighted by their lengths: with q the ratio of their radii and k
+//! = q (1 - q), r the outer one's,
 //!
 //! δα = r² ((1 - k) (δf - 2 f δ ln d) + k E' f)
 //!
-//! Each part of s adds its outer product to the covariance.
+//! Each component of s adds its outer product to the covariance.
 //!
-//! **Near face-on**, where |w| ends, a stretch of deviation ε passes for a lean of √2ε: 1/√(|w|² + ε/2) stands for
-//! 1/|w|. What first order misses of such a lean is ε/|w|² of it, half of which is added in all directions. Only
-//! what is seen for the first time has an ε that shows so.
+//! **Near face-on**, where |w| vanishes, a stretch of standard deviation ε passes for a lean of
+//! √2ε, so 1/√(|w|² + ε/2) replaces 1/|w|. First order misses ε/|w|² of such a lean, half of which
+//! is added in all directions. Only rings detected for the first time have an ε large enough to
+//! matter.
 
 use nalgebra::{Matrix2, Matrix3, Vector3, Vector6};
 
 use crate::{camera::Camera, marker::Kind, pose::RoundelPose};
 
-/// So much of what a lean does to the centre is not in α: what the rims say of it in one way of fitting is not what
-/// they say in the other.
+/// Share of the lean's effect on the centre that α does not contain, since different fits weight
+/// the rims differently.
 const CENTER_MISMATCH: f64 = 0.4;
 
-/// Adds to a pose's covariance what this deviation of either part of s comes to.
+/// `deviation` is that of either component of s.
 pub fn widen(pose: &mut RoundelPose, camera: &Camera, kind: &Kind, deviation: f64) {
     let geometry = TiltGeometry::new(pose, kind, deviation);
     let Some(changes) = geometry.changes(camera) else { return };
@@ -39,15 +42,14 @@ pub fn widen(pose: &mut RoundelPose, camera: &Camera, kind: &Kind, deviation: f6
     geometry.add_second_order(pose, deviation);
 }
 
-/// A pose as it leans.
 struct TiltGeometry {
-    /// x, y and z.
+    /// x, y and z of the module page.
     axes: [Vector3<f64>; 3],
     range_m: f64,
     /// |w| and c.
     sine: f64,
     cosine: f64,
-    /// 1/|w|, but for a roundel that is seen face-on.
+    /// 1/|w|, limited near face-on.
     per_sine: f64,
     /// r².
     r2: f64,
@@ -75,7 +77,7 @@ impl TiltGeometry {
         }
     }
 
-    /// Of position and rotation by either part of s.
+    /// Derivatives of (position, rotation) by either component of s.
     fn changes(&self, camera: &Camera) -> Option<[Vector6<f64>; 2]> {
         let Self { axes: [x, y, z], sine, cosine, per_sine, r2, k, .. } = *self;
         let (_, by_point) = camera.project_with_jacobian(&z).ok()?;
@@ -87,7 +89,7 @@ impl TiltGeometry {
             let deeper = -e.m22;
             let turn_x = -cosine * (e.m12 + e.m21) * per_sine;
             let turn_y = cosine * (e.m11 - e.m22) * per_sine;
-            // δw, and δf by it.
+            // δw, and δf from it.
             let (along, aside) = (-cosine * turn_y, cosine * turn_x - sine * e.m12);
             let along_f = (cosine - sine * sine / cosine) * along - 2.0 * f * deeper;
             let beside = x * ((1.0 - k) * along_f + k * f * e.m11)
@@ -98,7 +100,7 @@ impl TiltGeometry {
         }))
     }
 
-    /// What first order misses.
+    /// Terms that first order misses.
     fn add_second_order(&self, pose: &mut RoundelPose, deviation: f64) {
         let share = 0.5 * deviation * self.per_sine * self.per_sine;
         let turn = share * deviation * self.per_sine;
@@ -133,7 +135,7 @@ mod tests {
         rigid::orientation_of_normal,
     };
 
-    /// Rims of a roundel that leans by `tilt_rad`, as they are without motion.
+    /// Pose and rims of a tilted roundel without motion.
     fn drawn(camera: &Camera, tilt_rad: f64, turn_rad: f64) -> (RoundelPose, Ring) {
         let at = PixelPoint { u: 1200.0, v: 300.0 };
         let (position_m, normal) = pose(camera, at, 3.0, tilt_rad, turn_rad);
@@ -176,8 +178,8 @@ mod tests {
                     let (by_place, by_turn) =
                         (change.fixed_rows::<3>(0), change.fixed_rows::<3>(3));
                     let expected = by_turn.into_owned().cross(&pose.normal);
-                    // What is left out is smaller by the roundel's size as an angle, but for the centre's
-                    // few thousandths, on which the rims do not agree.
+                    // Omitted terms are smaller by the roundel's angular size, except for a few
+                    // thousandths of the centre, on which the rims disagree.
                     let sight = pose.position_m.normalize();
                     let off = moved - by_place;
                     let (deep, beside) = (off.dot(&sight), (off - sight * off.dot(&sight)).norm());

@@ -1,21 +1,20 @@
-//! The heading of an elliptical disc from grey levels, by the profile of the misfit.
+//! Heading of an elliptical disc from grey levels, by the profile of the misfit.
 //!
-//! The contour is the very print's, an ellipse within a circle, and turns with the print. With the heading
-//! ψ held, the fit of all else leaves the misfit S(ψ), which near the truth is
+//! The contour is an ellipse within a circle that rotates with the print. With the heading ψ held,
+//! the fit of all else leaves the misfit S(ψ), which near the truth is
 //!
 //!   S(ψ) = S₀ + σ² (ψ - ψ₀)²/σ_ψ²
 //!
-//! with σ² the variance of a pixel and σ_ψ² that of the heading with all else unknown. So three fits, at
-//! ψ and some deviations to either side, give the heading and its variance; and by how much position and
-//! normal differ between them, how they follow it. The last fit is the one at ψ₀. A fit of six unknowns at
-//! once would need one column more in the loops that all roundels go through.
+//! with σ² the variance of a pixel and σ_ψ² that of the heading with all else unknown. Three fits,
+//! at ψ and some standard deviations to either side, give the heading and its variance, and the
+//! differences of their positions and normals show how these depend on it. The last fit is that at
+//! ψ₀. A column for the heading would slow down the loops of all roundels.
 //!
-//! Where residuals hang together, the careful fit keeps this heading, whose variance then grows by as much
-//! as that of a patch of pixels does; with part of the disc's rim covered there is none.
+//! Where residuals are correlated, the robust fit keeps this heading, with a variance that grows
+//! with the correlation. With part of the disc's rim occluded there is no heading.
 //!
-//! Three fits more than a plain roundel's, each from next to its end: three times its time (`benches/fit.rs`:
-//! 37 µs where that is 12, at 30 px). Judged against the
-//! Cramér-Rao bound by `tests/elliptical.rs` of the tests crate.
+//! Time: three times that of a plain roundel (`benches/fit.rs`: 37 µs instead of 12 µs, at 30 px).
+//! Accuracy against the Cramér-Rao bound: `tests/elliptical.rs` of the tests crate.
 
 use nalgebra::Vector3;
 
@@ -31,27 +30,28 @@ use crate::{
     rigid::UNKNOWN_ANGLE_VARIANCE_RAD2,
 };
 
-/// The headings compared lie so many of the start's deviations apart …
+/// Distance of the compared headings, in standard deviations of the start …
 const SPACING_SIGMA: f64 = 2.5;
-/// … and no less and no more than this, radians.
+/// … and its limits, radians.
 const LIMITS_RAD: (f64, f64) = (2e-3, 0.12);
-/// A heading further from the middle one than this share of their distance is the middle of new ones …
+/// A heading farther from the middle one than this, in units of the distance, becomes the new
+/// middle …
 const MAX_EXTRAPOLATION: f64 = 1.5;
-/// … and no further than this at once.
+/// … and no farther than this.
 const MAX_STEP: f64 = 3.0;
-/// Such turns at most.
 const MAX_ITERATIONS: usize = 4;
 
-/// How exactly a heading is known, and what follows it.
+/// Error of the yaw, and how position and rotation depend on it.
 #[derive(Clone, Copy, Debug)]
 pub struct YawEstimate {
     variance_rad2: f64,
-    /// Changes of the position and of the rotation by the heading, local frame.
+    /// Derivatives of position and rotation by the yaw, local frame.
     position_m: Vector3<f64>,
     rotation: Vector3<f64>,
 }
 
-/// Finds all unknowns and the heading, from a start whose heading has this deviation.
+/// Finds all unknowns and the heading. `deviation_rad` is the standard deviation of the start's
+/// heading.
 pub fn solve(
     problem: &Problem,
     start: State,
@@ -89,7 +89,7 @@ pub fn solve(
 }
 
 impl State {
-    /// The same, turned about the normal.
+    /// Rotated about the normal.
     pub fn rotated(&self, by_rad: f64) -> Self {
         let mut next = self.clone();
         let axes = &self.pose.axes;
@@ -102,7 +102,6 @@ impl State {
 }
 
 impl YawEstimate {
-    /// Of a variance, with what follows a change of the heading.
     pub fn new(variance_rad2: f64, position_m: Vector3<f64>, rotation: Vector3<f64>) -> Self {
         Self { variance_rad2, position_m, rotation }
     }
@@ -114,18 +113,18 @@ impl YawEstimate {
         Self::new(variance_rad2, position_m, normal(behind).cross(&normal(ahead)) * per)
     }
 
-    /// With the variance that residuals come to which hang together over patches of pixels.
+    /// With the variance of residuals that are correlated over patches of pixels.
     pub fn inflated(self, solution: &Solution) -> Self {
         let growth = solution.equations.patch_ratio.max(1.0);
         Self { variance_rad2: self.variance_rad2 * growth, ..self }
     }
 
-    /// With nothing else following the heading: near face-on the tilt's own errors are larger.
+    /// Without dependence of the pose: near face-on the errors of the tilt dominate.
     pub fn decorrelated(self) -> Self {
         Self { position_m: Vector3::zeros(), rotation: Vector3::zeros(), ..self }
     }
 
-    /// Puts what is known of the heading in place of nothing.
+    /// Replaces the variance of an unknown yaw by this one.
     pub fn add_to(&self, problem: &Problem, estimate_pose: &mut PoseEstimate) {
         let camera_from_local = problem.lens.local_from_camera.transpose();
         let normal = estimate_pose.state.pose.axes.column(2);

@@ -1,21 +1,23 @@
-//! A roundel that nearly faces the camera, from its grey levels: [`crate::pose::facing`]'s posterior on
-//! the photometric information.
+//! A roundel that nearly faces the camera, from grey levels: the posterior of
+//! [`tilt_posterior`](crate::pose::circle) on photometric information.
 //!
-//! With the lean w (the normal's part across the line of sight, a complex number) and ρ = ln d + ¼ |w|²,
-//! which the rims' sizes give, the image depends on w by the elongation, squared, and by perspective,
-//! linearly: its derivative by w at constant ρ is 2 w Jₑ + Jₗ. The residual is projected at two leans, w₀
-//! and -w₀, of which the first is the solution's, or a deviation from upright where that is less. With
-//! all other unknowns taken out (θ, by Schur's complement) their gradients are
+//! With the lean w (the normal's component across the line of sight, a complex number) and ρ = ln d
+//! + ¼ |w|², which the sizes of the rims give, the image depends on w through the elongation,
+//! squared, and through perspective, linearly: its derivative by w at constant ρ is 2 w Jₑ + Jₗ.
+//! The residual is projected at two leans, w₀ and -w₀; w₀ is that of the solution, or one standard
+//! deviation from upright if that is larger. With all other unknowns θ eliminated (Schur's
+//! complement) their gradients are
 //!
 //! g± = ±2 w̄₀ Iₑ (ê - w₀²) + Λ (ŵ ∓ w₀),
 //!
-//! so half their sum gives ŵ and half their difference ê. Both rims tell their shift across themselves
-//! alike well: of the information about ln d, which moves a rim by 1 where w² moves it by ¼ cos 2t, Iₑ is
-//! a 32nd part, and with the rims' ratio q and r = R/d
+//! so half their sum gives ŵ and half their difference ê. Both rims have the same information about
+//! a shift across themselves: since ln d moves a rim by 1 where w² moves it by ¼ cos 2t, Iₑ is 1/32
+//! of the information about ln d, and with the rims' ratio q and r = R/d
 //!
 //! Λ/Iₑ = 16 r² q (1 - q²)²/((1 + q)(1 + q³)).
 //!
-//! Of θ, of which the range is one, the step halfway between both is the solution, less what follows w.
+//! The solution for θ, which includes the range, is the step halfway between both, less its
+//! dependence on w.
 
 use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3};
 
@@ -34,32 +36,31 @@ use crate::pose::{
     },
 };
 
-/// What a solution near face-on comes to.
 #[expect(clippy::large_enum_variant, reason = "it lives for a call, and a box would be allocated")]
 pub enum FrontalResult {
-    /// It is tilted enough for Gauss and Newton.
+    /// Tilted enough for Gauss-Newton.
     Tilted,
-    /// The same, but it has not got there: from here it will.
+    /// The same, but the solution has not converged; it will from this state.
     Further(State),
-    /// The likelier lean, and the other one if there are two, with the likelihood of the first.
+    /// The more likely lean, the other one if there are two, and the likelihood of the first.
     Facing(FrontalPose, Option<FrontalPose>, f64),
 }
 
-/// A state that faces the camera, and what is known of it.
+/// A state that faces the camera, with covariance.
 pub struct FrontalPose {
     pub state: State,
-    /// Over the shift, the logarithm of the range and the turns.
+    /// Over shift, logarithm of the range, and rotations.
     pub covariance: Covariance5,
-    /// Axes of the turns.
+    /// Axes of the rotations.
     pub turns: [Vector3<f64>; 2],
 }
 
-/// |w₀|² at least, in deviations of the squared lean.
+/// Minimum of |w₀|², in standard deviations of the squared lean.
 const PROBE: f64 = 2.0;
-/// Information about the logarithm of the range, by itself, over that about w².
+/// Information about the logarithm of the range over that about w².
 const RANGE_OVER_SQUARED: f64 = 32.0;
 
-/// The posterior of a solution's lean where it nearly faces the camera.
+/// Posterior of the lean where the solution nearly faces the camera.
 pub fn estimate(problem: &Problem, solution: &Solution, scratch: &mut FitScratch) -> FrontalResult {
     let state = &solution.state;
     let noise2 = solution.noise2;
@@ -111,29 +112,27 @@ pub fn estimate(problem: &Problem, solution: &Solution, scratch: &mut FitScratch
     FrontalResult::Facing(make(&leans.first), other, leans.likelihood)
 }
 
-/// What both rims' places in perspective say of w, over what their elongations say of w².
+/// Λ/Iₑ of the module page.
 fn linear_over_squared(problem: &Problem, state: &State) -> f64 {
     let (q, r) = (problem.kind.mean_ratio(), problem.radius_m / state.pose.position_m.norm());
     16.0 * r * r * q * (1.0 - q * q).powi(2) / ((1.0 + q) * (1.0 + q * q * q))
 }
 
-/// As a matrix: multiplication by a complex number.
+/// Multiplication by a complex number, as a matrix.
 fn times(by: &Vector2<f64>) -> Matrix2<f64> {
     Matrix2::new(by.x, -by.y, by.y, by.x)
 }
 
-/// The normal's part across the line of sight.
 fn lean_of(state: &State, frame: &Matrix3<f64>) -> Vector2<f64> {
     (frame * state.pose.axes.column(2)).xy()
 }
 
-/// The unit normal with this lean.
 fn normal_of(lean: &Vector2<f64>, frame: &Matrix3<f64>) -> Vector3<f64> {
     let facing = (1.0 - lean.norm_squared()).max(0.0).sqrt();
     frame.transpose() * lean.push(-facing)
 }
 
-/// The state with another lean, and the range that its size then has.
+/// The state with another lean, and with the range that keeps its size.
 fn leaned(state: &State, frame: &Matrix3<f64>, lean: &Vector2<f64>) -> State {
     let before = lean_of(state, frame).norm_squared();
     let further = 0.25 * (before - lean.norm_squared());
@@ -144,16 +143,15 @@ fn leaned(state: &State, frame: &Matrix3<f64>, lean: &Vector2<f64>) -> State {
     State { pose, ..state.clone() }
 }
 
-/// Unknowns other than the tilt.
 const OTHERS: usize = TILT;
 
-/// The linear problem at one lean with all else taken out.
+/// The linear problem at one lean with all other unknowns eliminated.
 struct Marginal {
     /// g, over the information of one grey level.
     gradient: Vector2<f64>,
-    /// The step of all else with the lean held …
+    /// Step of the other unknowns with the lean held …
     step: [f64; MAX_UNKNOWNS],
-    /// … and what follows each component of w.
+    /// … and their derivatives by the components of w.
     follow: [[f64; MAX_UNKNOWNS]; 2],
     /// Inverse information about shift and range with the lean held.
     pose: Matrix3<f64>,
@@ -173,14 +171,13 @@ impl Marginal {
             equations.hold(BLUR);
         }
         let (information, gradient) = equations.with_prior(&state, solution.noise2);
-        // A turn τ about the axes a and b moves the lean by M τ.
+        // A rotation τ about the axes a and b changes the lean by M τ.
         let [a, b] = [0, 1].map(|axis| (frame * state.pose.axes.column(axis)).xy());
         let turns = Matrix2::from_columns(&[-b, a]).try_inverse()?;
         let by_lean = |row: &[f64; MAX_UNKNOWNS]| {
             let t = Vector2::new(row[TILT], row[TILT + 1]);
             turns.transpose() * t - lean * (0.5 * row[RANGE])
         };
-        // The information is symmetric: its rows are its columns.
         let mut tilts = [[0.0; MAX_UNKNOWNS]; 2];
         for (other, row) in information.iter().enumerate().take(OTHERS) {
             let of_tilts = by_lean(row);
@@ -203,7 +200,7 @@ impl Marginal {
     }
 }
 
-/// Halfway between both probes.
+/// Mean of both probes.
 struct Middle {
     step: [f64; MAX_UNKNOWNS],
     follow: [[f64; MAX_UNKNOWNS]; 2],
@@ -246,7 +243,8 @@ impl Middle {
         FrontalPose { state, covariance: self.covariance(lean), turns }
     }
 
-    /// Over shift, the logarithm of the range, and w: shift and range follow w, the range -¼ |w|² too.
+    /// Over shift, logarithm of the range, and w. Shift and range depend on w, the range also on -¼
+    /// |w|².
     fn covariance(&self, lean: &Lean) -> Covariance5 {
         let moved = SMatrix::<f64, 3, 2>::from_fn(|i, k| -self.follow[k][SHIFT + i]);
         let by_square = Vector3::new(0.0, 0.0, -0.25);

@@ -1,5 +1,5 @@
-//! Where the pixels put the roundel: descent from the start, then whichever of both normals, face-on poses and
-//! disturbed rings they speak for.
+//! Choice among the poses that fit the pixels: Gauss-Newton from the start, then the mirrored
+//! normal, face-on poses, and the robust fit of disturbed rings.
 
 mod disc_heading;
 mod frontal;
@@ -21,25 +21,25 @@ use crate::{ellipse::Ellipse, marker::Pattern, rigid::Covariance6};
 use disc_heading::YawEstimate;
 use frontal::{FrontalPose, FrontalResult};
 
-/// What a fit comes to, in the local frame but for the covariance, which is the camera's.
+/// Result of a fit, local frame; the covariance is in the camera frame.
 pub struct PoseEstimate {
     pub state: State,
     pub other_normal: Vector3<f64>,
     pub likelihood: f64,
-    /// From this position to that of the other normal.
+    /// From this position to that with the other normal.
     pub other_offset_m: Vector3<f64>,
-    /// With this normal.
+    /// Given this normal.
     pub covariance: Covariance6,
     pub noise2: f64,
-    /// Of either part of the motion's square by noise, px⁴.
+    /// Variance of either component of the motion's square by noise, px⁴.
     pub motion_variance: Option<f64>,
     pub iterations: usize,
     /// For later frames.
     pub cache: Option<NormalEquationCache>,
 }
 
-/// The place that the pixels within `counted` tell, from a start; of an elliptical disc its heading's
-/// deviation is that of the start.
+/// Fits the pixels within `counted`. `deviation_rad` is the standard deviation of an elliptical
+/// disc's heading at the start.
 pub fn estimate_pose(
     problem: &Problem,
     first: State,
@@ -89,7 +89,7 @@ pub fn estimate_pose(
     Ok(estimate_pose)
 }
 
-/// One lean, or two, of a roundel that nearly faces the camera.
+/// One or two leans of a roundel that nearly faces the camera.
 fn frontal_pose(
     problem: &Problem,
     solution: &Solution,
@@ -111,8 +111,8 @@ fn frontal_pose(
     }
 }
 
-/// The solution, or that of the mirrored place if it is nearer to the pixels; the careful one where
-/// noise explains neither.
+/// The solution or the mirrored one, whichever has the smaller misfit; the robust fit where noise
+/// explains neither.
 fn tilted_pose(
     problem: &Problem,
     solution: &mut Solution,
@@ -128,7 +128,8 @@ fn tilted_pose(
     {
         let normal = |solution: &Solution| solution.state.pose.axes.column(2).into_owned();
         let back = normal(&found).dot(&normal(solution));
-        // Near face-on the mirrored place may have no minimum of its own; then it counts as it is.
+        // Near face-on the mirrored pose may have no minimum of its own; then its initial misfit
+        // counts.
         let own = back < normal(&found).dot(&solution.state.mirrored().pose.axes.column(2));
         let other_offset_m = found.state.pose.position_m - solution.state.pose.position_m;
         let misfit = match &other {
@@ -148,17 +149,17 @@ fn tilted_pose(
         }
     }
     if !solution.is_plain() {
-        // Other teeth than presumed, or another yaw, would pass for a cover.
+        // Wrong teeth or a wrong yaw would pass for an occlusion.
         if problem.teeth_are_predicted && solution.equations.contradicts_model() {
             return Err(FitError::Obstructed);
         }
-        // What disturbs the ring may have passed for motion, and taken the pose along.
+        // A disturbance may have passed for motion and shifted the pose.
         let still = Problem { is_still: true, ..*problem };
         let without_motion = solution.state.without_motion();
         let start = gauss_newton::solve(&still, without_motion.clone(), scratch);
         let start = start.map_or(without_motion, |solution| solution.state);
         let estimate_pose = robust::solve(&still, &start, counted, scratch)?;
-        // With part of it covered, the disc's rim would be turned.
+        // A partly occluded rim of the disc would give a wrong heading.
         let is_elliptical = matches!(problem.kind.pattern, Pattern::Elliptical { .. });
         if is_elliptical && !scratch.robust.disc_is_unobstructed() {
             return Err(FitError::Obstructed);

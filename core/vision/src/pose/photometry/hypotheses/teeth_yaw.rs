@@ -1,18 +1,19 @@
-//! The turn about the normal of a print with teeth, fitted along with all else.
+//! Rotation about the normal of a print with teeth, fitted with all other unknowns.
 //!
-//! With the pose fitted at a yaw ψ₀, two further looks, at ψ₀ ± δ, see the residual r - and not only its
-//! columns J - change: r∓ - r± = 2 δ m′, with m′ how the image turns. So without a column of its own in
-//! the loops that all roundels go through,
+//! With the pose fitted at a yaw ψ₀, two further linearizations at ψ₀ ± δ show how the residual r
+//! changes: r∓ - r± = 2 δ m′, with m′ the derivative of the image by the yaw. Without a column of
+//! its own, which would slow down the loops of all roundels,
 //!
 //!   Jᵀm′ = (Jᵀr₋ - Jᵀr₊)/(2δ)    m′·r = (|r₋|² - |r₊|²)/(4δ)    |m′|² = (|r₊|² + |r₋|² - 2 |r|²)/(2δ²)
 //!
-//! which is what Gauss and Newton's step over all unknowns needs, yaw included, and its covariance:
-//! that of the yaw is Schur's complement, and position and normal follow it by -(JᵀJ)⁻¹ Jᵀm′.
+//! This is what a Gauss-Newton step over all unknowns needs, yaw included, and its covariance: that
+//! of the yaw by Schur's complement, with position and normal depending on it by -(JᵀJ)⁻¹ Jᵀm′.
 //!
-//! A yaw that is not read in this frame but carried on from the one before is off by much more. From there the
-//! yaw is turned alone first, by m′·r/|m′|².
+//! A yaw that is predicted from the frame before may be off by much more; it is first corrected
+//! alone, by m′·r/|m′|².
 //!
-//! Time: 23 µs for 8 bits at 36 px, 38 µs at 60 (`benches/fit.rs`). Accuracy: `tests/coded.rs` of the tests crate.
+//! Time: 23 µs for 8 bits at 36 px, 38 µs at 60 px (`benches/fit.rs`). Accuracy: `tests/coded.rs`
+//! of the tests crate.
 
 use nalgebra::Vector3;
 
@@ -28,19 +29,17 @@ use crate::pose::photometry::{
     },
 };
 
-/// How far the looks to either side turn the white disc's rim, pixels: far beyond the noise, and far
-/// within the blur.
+/// δ as a displacement of the white disc's rim, pixels: far above the noise, and well within the
+/// blur.
 const OFFSET_PX: f64 = 0.1;
-/// A step that turns by no more of these is the last one.
+/// A step of at most this many δ is the last one.
 const LAST_STEP: f64 = 1.5;
-/// Such steps at most.
 const MAX_STEPS: usize = 4;
-/// Steps of the yaw alone are no longer than so many of these, …
+/// Longest step of the yaw alone, in δ.
 const MAX_STEP: f64 = 5.0;
-/// … and at most so many.
 const MAX_YAW_STEPS: usize = 4;
 
-/// Finds all unknowns and the yaw, from a start that has about the right one.
+/// Finds all unknowns and the yaw, from a start with about the right yaw.
 pub fn solve(
     problem: &Problem,
     start: State,
@@ -55,7 +54,7 @@ pub fn solve(
         let turn = YawStep::of(problem, &solution, offset_rad, scratch)?;
         if turn.by_rad.abs() <= LAST_STEP * offset_rad {
             let (mut solution, heading) = turn.applied(solution).ok_or(FitError::OutOfWindow)?;
-            // What a wrong yaw leaves hangs together as well.
+            // A wrong yaw leaves correlated residuals, too.
             if !solution.equations.is_noise_only() {
                 solution = relinearized(problem, solution, scratch)?;
             }
@@ -66,10 +65,10 @@ pub fn solve(
     Err(FitError::NotConverged)
 }
 
-/// The start with the yaw that fits best there.
+/// Corrects the yaw of the start alone.
 ///
-/// Steps over all unknowns from a yaw that is off by far more than its deviation put up with a lean, near face-on, that
-/// makes the best of it, and stay there.
+/// Steps over all unknowns from a yaw that is off by far more than its standard deviation can
+/// converge, near face-on, to a lean that compensates for it.
 fn align_yaw(
     problem: &Problem,
     mut start: State,
@@ -98,7 +97,7 @@ fn align_yaw(
     Ok(start)
 }
 
-/// The solution with the residual that it really leaves.
+/// The solution with its actual residual.
 fn relinearized(
     problem: &Problem,
     solution: Solution,
@@ -110,19 +109,17 @@ fn relinearized(
     Ok(Solution { misfit, noise2, equations, ..solution })
 }
 
-/// The step from a solution.
 struct YawStep {
-    /// Of the yaw …
     by_rad: f64,
-    /// … and its variance over a pixel's, 1/grey levels².
+    /// Variance of the yaw over that of a pixel, 1/grey levels².
     variance: f64,
-    /// Of all else.
+    /// Of all other unknowns.
     change: [f64; MAX_UNKNOWNS],
-    /// How all else follows the yaw.
+    /// Derivatives of all other unknowns by the yaw.
     follow: [f64; MAX_UNKNOWNS],
-    /// By how much the misfit falls.
+    /// Decrease of the misfit.
     gain: f64,
-    /// The mirrored place's product with the residual that is left.
+    /// Product of the mirrored pose's column with the remaining residual.
     mirror: f64,
 }
 
@@ -174,7 +171,6 @@ impl YawStep {
         })
     }
 
-    /// The solution after the step.
     fn applied(&self, solution: Solution) -> Option<(Solution, YawEstimate)> {
         let Solution { state, equations, .. } = &solution;
         let mut next = state.rotated(self.by_rad).moved(equations, &self.change)?;

@@ -6,34 +6,34 @@
 //! | --- | --- | --- |
 //! | k(t) | Φ((t + ½)/σ) - Φ((t - ½)/σ) | weight of a point t pixels from a pixel's centre |
 //! | A(t) | F(t + ½) - F(t - ½) | integral of k |
-//! | e(t) | A(t + 1) - A(t) | what a step of one row adds to A |
+//! | e(t) | A(t + 1) - A(t) | increase of A from one row to the next |
 //!
-//! A node at x touches `width` pixels, from ⌊x⌋ - width/2 + 1 on; only the phase x - ⌊x⌋ matters, so a
-//! table has [`PHASES`] rows of values and of their rise to the next phase (error below 5e-5 from a
-//! blur of 0.5 px). Beyond the width k is cut off: at most 7e-4 of its peak. e reaches from -1 on, half
-//! a pixel further down; from the middle phase on its rows are taken one further to stay as central.
+//! A node at x touches `width` pixels, from ⌊x⌋ - width/2 + 1 on. Only the phase x - ⌊x⌋ matters,
+//! so a table has [`PHASES`] rows of values and of their increase to the next phase (error below
+//! 5e-5 from a blur of 0.5 px). k is cut off beyond the width, at no more than 7e-4 of its peak. e
+//! starts at -1, half a pixel lower; from the middle phase on its rows shift by one to stay
+//! central.
 
-/// Steps of the phase in a table.
+/// Phases of a table.
 pub const PHASES: usize = 64;
 /// k and e.
 pub const FUNCTIONS: usize = 2;
-/// Blurs that are told apart, pixels.
+/// Range of the blur, pixels.
 pub const BLUR_LIMITS_PX: (f64, f64) = (0.35, 2.2);
 /// Above this blur a node touches 16 pixels a side instead of 8.
 const NARROW_PX: f64 = 1.12;
-/// Tables stand this far apart; between them the model is linear in σ².
+/// Distance of the tables; between them the model is linear in σ².
 const STEP_PX: f64 = 0.03;
-/// Number of tables.
 const TABLES: usize = 63;
 
-/// One blur's table: for each phase `width` values of k and as many of e.
+/// Table of one blur: for each phase `width` values of k and as many of e.
 #[derive(Clone, Debug)]
 pub struct Kernel {
-    /// σ, pixels.
+    /// σ.
     pub blur_px: f64,
     /// Pixels a side that a node touches, 8 or 16.
     pub width: usize,
-    /// Phase by phase, and each of the two followed by its rise; empty until it is first needed.
+    /// By phase; each function's values, then their increases. Empty until first used.
     pub table: Vec<f32>,
 }
 
@@ -41,7 +41,6 @@ pub struct Kernel {
 const MAX_OFFSETS: usize = (16 + 6) * PHASES + 1;
 
 impl Kernel {
-    /// With room for the table.
     fn new(blur_px: f64) -> Self {
         let width = if blur_px <= NARROW_PX { 8 } else { 16 };
         Self { blur_px, width, table: Vec::with_capacity(PHASES * FUNCTIONS * 2 * width) }
@@ -49,7 +48,7 @@ impl Kernel {
 
     fn fill(&mut self) {
         let Self { blur_px, width, ref mut table } = *self;
-        // All offsets are multiples of a phase, so one list holds every Φ and F there is.
+        // All offsets are multiples of a phase, so one list holds every Φ and F.
         let half = (width as i64 / 2 + 3) * PHASES as i64;
         let mut list = [[0.0; 2]; MAX_OFFSETS];
         for (i, both) in (-half..=half).zip(&mut list) {
@@ -75,12 +74,12 @@ impl Kernel {
     }
 }
 
-/// How many rows further down the values of e begin.
+/// Rows by which the values of e start lower.
 pub fn fall_shift(phase: usize) -> usize {
     usize::from(phase >= PHASES / 2)
 }
 
-/// Tables by blur, each made when it is first needed, in memory that it has from the beginning.
+/// Tables by blur, filled on first use in memory that is reserved from the start.
 #[derive(Clone, Debug)]
 pub struct Kernels(Vec<Kernel>);
 
@@ -92,10 +91,9 @@ impl Default for Kernels {
 }
 
 impl Kernels {
-    /// The table nearest to a blur.
     pub fn nearest(&mut self, blur_px: f64) -> &Kernel {
         let place = ((blur_px - BLUR_LIMITS_PX.0) / STEP_PX).round();
-        // A blur that is no number gives the first table.
+        // NaN gives the first table.
         let index = (place.max(0.0) as usize).min(TABLES - 1);
         let kernel = &mut self.0[index];
         if kernel.table.is_empty() {
@@ -105,22 +103,23 @@ impl Kernels {
     }
 }
 
-/// Weights of central differences over one pixel and two, for a picture of this blur.
+/// Weights of central differences over one and two pixels, for an image of this blur.
 ///
-/// Of a straight edge, whose image has the spectrum S(f) = exp(-2π²σ²f²) sinc(f cos θ) sinc(f sin θ)/f,
-/// they leave the least squared error of the derivative, averaged over directions θ and phases.
+/// They minimize the squared error of the derivative of a straight edge, whose image has the
+/// spectrum S(f) = exp(-2π²σ²f²) sinc(f cos θ) sinc(f sin θ)/f, averaged over directions θ and
+/// phases.
 #[derive(Clone, Copy, Debug)]
 pub struct DifferenceWeights {
-    /// ∂d/∂u ≈ Σ gradient[k] (d(u + k) - d(u - k)), alike along v.
+    /// ∂d/∂u ≈ Σ gradient[k] (d(u + k) - d(u - k)), and the same along v.
     pub gradient: [f32; 2],
     /// ∇²d ≈ Σ curvature[k] (the four pixels k away - 4 d).
     pub curvature: [f32; 2],
-    /// 2 ∂²d/∂u∂v ≈ Σ skew[k] (the two pixels k away along both or against both - the other two
-    /// corners); at a blur of 0.65 px this misses a fourth, since corners are further away.
+    /// 2 ∂²d/∂u∂v ≈ Σ skew[k] (the two pixels k away along both axes or against both - the other
+    /// two corners). At a blur of 0.65 px this misses a fourth, since corners are farther away.
     pub skew: [f32; 2],
 }
 
-/// Blur, and the weights for it; between them in proportion.
+/// Blur and its weights; linear in between.
 const TAPS: [(f64, [f64; 6]); 8] = [
     (0.35, [0.8362, -0.1830, 1.9307, -0.2855, 1.0569, -0.1896]),
     (0.5, [0.8174, -0.1700, 1.7743, -0.2255, 1.0089, -0.1708]),
@@ -133,7 +132,6 @@ const TAPS: [(f64, [f64; 6]); 8] = [
 ];
 
 impl DifferenceWeights {
-    /// For a blur.
     pub fn of(blur_px: f64) -> Self {
         let above = TAPS.iter().position(|(blur, _)| *blur > blur_px).unwrap_or(TAPS.len() - 1);
         let ((b0, low), (b1, high)) = (TAPS[above.max(1) - 1], TAPS[above.max(1)]);
@@ -184,7 +182,7 @@ mod tests {
         }
     }
 
-    /// Edges at all angles and phases against the derivatives of the same edges.
+    /// Edges at all angles and phases against their exact derivatives.
     #[test]
     fn differences_are_the_derivatives_of_blurred_edges() {
         for (blur_px, miss) in [(0.5, 0.16), (0.72, 0.07), (0.9, 0.04), (1.4, 0.01)] {
@@ -193,7 +191,8 @@ mod tests {
             for i in 0..400 {
                 let (sin, cos) = (f64::from(i) * 0.618).sin_cos();
                 let s = f64::from(i) / 400.0 * 6.0 - 3.0;
-                // The box as 16 × 16 points; d, its slope and its bend along the edge's normal.
+                // The pixel's box as 16 × 16 points; d and its first two derivatives along the
+                // edge's normal.
                 let at = |u: f64, v: f64| {
                     let mut sums = [0.0; 3];
                     for k in 0..256 {

@@ -1,63 +1,61 @@
-//! Sums of products of the linear problem's columns.
+//! Sums of products of the linear problem's columns: JᵀJ and Jᵀr.
 //!
-//! Pixels come in vectors, are kept until [`PIXELS`] are together, and then multiplied three columns
-//! by three, which keeps sums and factors in registers.
+//! Pixels arrive in vectors and are buffered. Every [`PIXELS`] of them are multiplied, three
+//! columns by three, which keeps sums and factors in registers.
 
 use fearless_simd::{Level, dispatch, prelude::*};
 use fearless_simd_macros::simd;
 use nalgebra::SMatrix;
 
-/// Columns: the residual, what the parameters move, what the mirrored place does, and the motion's.
+/// Columns: residual, parameters, mirrored pose, motion.
 pub const COLUMNS: usize = 14;
-/// Those without the motion's: the first ones.
+/// Columns without those of the motion, which are the last.
 pub const STILL: usize = 12;
-/// Columns multiplied at once …
+/// Columns multiplied at once.
 const GROUP: usize = 3;
-/// … and how often that is done, but for the motion's.
 const GROUPS: usize = STILL / GROUP;
-/// Pixels kept at most.
+/// Capacity of the buffer.
 const PIXELS: usize = 256;
 /// Lanes of the widest vector.
 const LANES: usize = 16;
-/// Room for a column's pixels, and for what a vector holds beyond the last of them.
+/// Length of a column in the buffer, with the rest of its last vector.
 const STRIDE: usize = PIXELS + LANES;
 
-/// Places of the columns; the residual is the first.
+/// Indices of the columns; that of the residual is 0.
 pub mod column {
-    /// Of the white level.
+    /// White level.
     pub const WHITE: usize = 1;
-    /// Of the step from white to black.
+    /// Step from white to black.
     pub const STEP: usize = 2;
-    /// Of σ², over half the step.
+    /// σ², over half the step.
     pub const BLUR: usize = 3;
-    /// Of the light's gradient, two.
+    /// Gradient of the light, two columns.
     pub const LIGHT: usize = 4;
-    /// Of a shift across the line of sight, two; from here on over the step.
+    /// Shift across the line of sight, two columns; from here on over the step.
     pub const SHIFT: usize = 6;
-    /// Of the logarithm of the range.
+    /// Logarithm of the range.
     pub const RANGE: usize = 8;
-    /// Of turns about the print's x and y.
+    /// Rotations about the print's x and y, two columns.
     pub const TILT: usize = 9;
-    /// What the mirrored place moves.
+    /// Displacement to the mirrored pose.
     pub const MIRROR: usize = 11;
-    /// Of the motion's square, two, over a 48th of the step; where it is held they are left out.
+    /// Square of the motion, two columns, over 1/48 of the step; left out where the motion is held.
     pub const MOTION: usize = 12;
 }
 
-/// All products' sums.
 pub type Products<const COUNT: usize = COLUMNS> = SMatrix<f64, COUNT, COUNT>;
 
-/// Pixels not yet multiplied, and sums of those that are.
+/// Buffered pixels, and sums over those multiplied.
 #[derive(Clone, Debug)]
 pub struct ProductSums {
     buffer: Vec<f32>,
     count: usize,
     lanes: Vec<[f32; LANES]>,
-    /// Whether what is in them is of another look.
+    /// Whether the sums are those of an earlier linearization.
     is_stale: bool,
-    /// After [`Sums::finish`]: Σ over pixels of column times column.
+    /// After [`ProductSums::finish`]: Σ over pixels of column times column.
     pub products: Products,
-    /// What [`super::patches`] makes of the residuals.
+    /// Sum of [`super::residual_patches`].
     pub patches: f32,
 }
 
@@ -75,14 +73,12 @@ impl Default for ProductSums {
 }
 
 impl ProductSums {
-    /// Back to nothing.
     pub fn clear(&mut self) {
         self.count = 0;
         self.is_stale = true;
     }
 
-    /// Keeps the first `count` pixels of a vector, and multiplies once enough are together; of the motion's
-    /// columns only where they are free.
+    /// Buffers the first `count` pixels of a vector, and multiplies when the buffer is full.
     #[inline(always)]
     pub fn push<S: Simd, const MOTION: bool>(
         &mut self,
@@ -101,14 +97,14 @@ impl ProductSums {
         }
     }
 
-    /// Takes sums of the residual's products; all others stay as they were.
+    /// Stores sums of the products with the residual; all others keep their values.
     pub fn take_gradient<S: Simd, const MOTION: bool>(&mut self, gradient: &[S::f32s; COLUMNS]) {
         for (column, lanes) in gradient.iter().enumerate().take(column_count(MOTION)) {
             lanes.store_slice(&mut self.lanes[column][..S::f32s::LEN]);
         }
     }
 
-    /// Adds up what [`Sums::take_gradient`] was given.
+    /// Adds up the lanes that [`ProductSums::take_gradient`] stored.
     pub fn finish_gradient(&mut self, with_motion: bool) {
         for column in 0..column_count(with_motion) {
             let sum = sum_of(self.lanes[column]);
@@ -117,7 +113,7 @@ impl ProductSums {
         }
     }
 
-    /// Multiplies what is left, and adds up.
+    /// Multiplies the rest of the buffer, and adds up the lanes.
     pub fn finish(&mut self, level: Level, with_motion: bool) {
         if with_motion {
             dispatch!(level, simd => multiply::<_, true>(simd, self));
@@ -134,12 +130,11 @@ impl ProductSums {
     }
 }
 
-/// How many there are, with the motion's or without.
 const fn column_count(with_motion: bool) -> usize {
     if with_motion { COLUMNS } else { STILL }
 }
 
-/// By halves, which takes a fourth of the steps that one after the other takes.
+/// Pairwise, which shortens the chain of dependent additions.
 #[inline(always)]
 fn sum_of(mut lanes: [f32; LANES]) -> f64 {
     for half in [8, 4, 2] {
@@ -176,7 +171,7 @@ fn multiply<S: Simd, const MOTION: bool>(simd: S, sums: &mut ProductSums) {
     sums.is_stale = false;
 }
 
-/// Adds a block of products to a place, or puts it there if it is the first one.
+/// Adds a block of products, or overwrites a stale sum.
 #[inline(always)]
 fn accumulate<S: Simd>(simd: S, sums: &mut ProductSums, place: usize, product: S::f32s) {
     let sum = &mut sums.lanes[place][..S::f32s::LEN];
@@ -246,7 +241,7 @@ fn multiply_groups<S: Simd>(simd: S, sums: &mut ProductSums, first: usize, secon
     }
 }
 
-/// Products of three columns, but for the first `SKIP` of those from `first` on, with the motion's two.
+/// Products of three columns, without the first `SKIP`, with the two of the motion.
 #[inline(always)]
 fn multiply_motion<S: Simd, const SKIP: usize>(simd: S, sums: &mut ProductSums, first: usize) {
     let width = S::f32s::LEN;

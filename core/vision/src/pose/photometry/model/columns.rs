@@ -1,11 +1,11 @@
-//! The columns of the linear problem at the pixels of a row.
+//! Columns of the linear problem at the pixels of a row.
 //!
-//! The model is (W + C (d + ½ Δσ² ∇²d + Δμ·h/48)) (1 + ℓ·t). h = (∂²d/∂u² - ∂²d/∂v², 2 ∂²d/∂u∂v) is how d
-//! follows the motion's square μ (`super::motion`), of which the nodes have all, or nothing. How d follows the
-//! contour's motion is -∇d, carried over to t. ∇d and ∇²d are central differences of d over two pixels each
-//! way, weighted by `super::blur` for what the blur leaves of fine detail: they miss 6 % of a column (root mean
-//! square) at a blur of 0.7 px, 14 % at 0.5 px, and what they miss is orthogonal to what they give, so that the
-//! estimate's variance grows by the square of that.
+//! The model is (W + C (d + ½ Δσ² ∇²d + Δμ·h/48)) (1 + ℓ·t). h = (∂²d/∂u² - ∂²d/∂v², 2 ∂²d/∂u∂v) is
+//! the derivative of d by the motion's square μ ([`super::motion`]), which the nodes contain
+//! completely or not at all. The derivative of d by a motion of the contour is -∇d, converted to t.
+//! ∇d and ∇²d are central differences of d ([`super::differences`]): they miss 6 % of a column
+//! (root mean square) at a blur of 0.7 px and 14 % at 0.5 px. What they miss is orthogonal to what
+//! they give, so the variance of the estimate grows by its square.
 
 use fearless_simd::{Simd, prelude::*};
 
@@ -15,27 +15,25 @@ use super::{
     window::{LANES, PixelModel},
 };
 
-/// The lanes' numbers.
+/// Indices of the lanes.
 const COUNT: [f32; LANES] = [0., 1., 2., 3., 4., 5., 6., 7., 8., 9., 10., 11., 12., 13., 14., 15.];
 
-/// One row of the window.
 pub struct RowSpan<'a> {
     pub row: usize,
     pub span: (usize, usize),
-    /// Grey values, then residuals.
+    /// Grey values, replaced by residuals.
     pub grey: &'a mut [f32],
-    /// d there and about.
     pub around: ImageRows<'a>,
 }
 
-/// A function that is linear in t: constant, t₁ and t₂ terms.
+/// A function linear in t: constant, t₁ and t₂ terms.
 #[inline(always)]
 fn linear<S: Simd>(simd: S, terms: &[f32; 3], t1: S::f32s, t2: S::f32s) -> S::f32s {
     let inner = t2.mul_add(S::f32s::splat(simd, terms[2]), S::f32s::splat(simd, terms[0]));
     t1.mul_add(S::f32s::splat(simd, terms[1]), inner)
 }
 
-/// How d changes where the plane's points move along a vector: `radial` is g·t.
+/// Change of d as the plane's points move along a vector; `radial` is g·t.
 #[inline(always)]
 fn moved<S: Simd>(
     simd: S,
@@ -46,8 +44,8 @@ fn moved<S: Simd>(
     g1.mul_add(S::f32s::splat(simd, along[0]), across)
 }
 
-/// Takes the columns of the row's pixels, a vector at a time, with the number of its pixels, and leaves the
-/// residuals in place of the grey values.
+/// Passes the columns of the row's pixels to `take`, a vector at a time with its number of pixels,
+/// and replaces the grey values by residuals.
 #[inline(always)]
 pub fn add_row<S: Simd, const MOTION: bool>(
     simd: S,
@@ -66,7 +64,7 @@ pub fn add_row<S: Simd, const MOTION: bool>(
     let row_t2 = S::f32s::splat(simd, model.t[1][0] + v * model.t[1][2]);
     for start in (line.span.0..line.span.1).step_by(lanes) {
         let u = counted + start as f32;
-        // What lies beyond the span is finite, and weighs nothing.
+        // Values beyond the span are finite and get weight zero.
         let weight = (S::f32s::splat(simd, to) - u).min(one).max(zero);
         let grey = S::f32s::from_slice(simd, &line.grey[start..start + lanes]);
         let Differences { share, slope, curvature, bend } =
@@ -95,11 +93,12 @@ pub fn add_row<S: Simd, const MOTION: bool>(
         let [middle_1, middle_2] = model.middle;
         let to_middle = moved(simd, &[middle_1, middle_2, 1.0], (g1, g2, radial));
         let lit = level * weight;
-        // Mirrored, a point's ray t grows by 1/(2 nearness - 1), from the middle. With x = 2 nearness - 2
-        // this moves it by x/(1 + x); the series serves as well, since x is a tenth or less.
+        // In the mirrored pose a point's ray t grows by 1/(2 nearness - 1), from the middle. With x
+        // = 2 nearness - 2 this moves it by x/(1 + x); x is a tenth or less, so the series is
+        // enough.
         let x2 = near + near - two;
         let mirror = to_middle * x2 * (x2.mul_add(x2, one) - x2);
-        // In the order of `normal::column`.
+        // In the order of `column_products::column`.
         let columns = [
             (grey - level) * weight,
             weight,

@@ -1,60 +1,54 @@
 //! Contours of the print in its own plane, as quadrature nodes.
 //!
-//! Lengths are in outer radii, x along the print's right and y up. A node is a place (x, y) and its
-//! share (dx, dy) of the way round; ∮ f dx is then the sum of f(x, y) dx. The black area is positive:
-//! the outer rim runs counter-clockwise, what is white in it clockwise.
+//! Lengths are in outer radii, x along the print's right and y up. A node is a point (x, y) with
+//! its share (dx, dy) of the contour, so ∮ f dx is the sum of f(x, y) dx. The black area is
+//! positive: the outer rim runs counter-clockwise, the rim of the white disc clockwise.
 //!
-//! Teeth make the white disc's rim one of arcs and radial edges (`teeth`).
+//! Teeth make the white disc's rim one of arcs and radial edges ([`super::teeth`]).
 //!
-//! Round a smooth closed curve equal steps of the angle converge exponentially (a spacing of h against
-//! a blur of σ errs by about 2 exp(-2π²σ²/h²)).
+//! On a smooth closed curve equal steps of the angle converge exponentially: a spacing of h at a
+//! blur of σ has an error of about 2 exp(-2π²σ²/h²).
 
 use std::ops::Range;
 
 use super::teeth::{self, Teeth};
 use crate::marker::Kind;
 
-/// Nodes come in whole packs, so that vectors of any width divide them.
+/// Nodes are padded to multiples of this, which vectors of any width divide.
 pub const PACK: usize = 16;
-/// Contours that are kept …
+/// Limits of the cache: contours …
 const MAX_CONTOURS: usize = 512;
-/// … and nodes of a rim; beyond either all contours are made anew.
+/// … and nodes of a rim. Beyond either the cache is emptied.
 const MAX_RIM_NODES: usize = 65_536;
-/// Nodes of a contour, and of all that are kept.
+/// Nodes of a contour, and of the whole cache.
 pub const MAX_NODES: usize = 2 * MAX_RIM_NODES;
 
-/// Nodes of both rims of one print.
+/// Nodes of both rims of a print.
 #[derive(Clone, Copy, Debug)]
 pub struct Contour<'a> {
-    /// Places.
     pub x: &'a [f32],
-    /// Places.
     pub y: &'a [f32],
-    /// Shares of the way.
     pub dx: &'a [f32],
-    /// Shares of the way.
     pub dy: &'a [f32],
-    /// How many nodes are the outer rim's: the first ones.
+    /// Number of nodes of the outer rim, which come first.
     pub outer: usize,
 }
 
-/// What a contour was made for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Key {
-    /// The disc's semiaxes.
+    /// Semiaxes of the disc.
     inner: (f64, f64),
     teeth: Option<Teeth>,
     outer_packs: usize,
     inner_packs: usize,
 }
 
-/// Contours by print and number of nodes, each made when it is first needed, in memory that is there from
-/// the beginning.
+/// Cache of contours by print and number of nodes, in memory that is reserved from the start.
 #[derive(Clone, Debug)]
 pub struct Contours {
-    /// With where the contour's nodes are.
+    /// Ranges of the nodes.
     cached: Vec<(Key, Range<usize>)>,
-    /// Of all contours, as in [`Contour`].
+    /// Nodes of all contours, as in [`Contour`].
     x: Vec<f32>,
     y: Vec<f32>,
     dx: Vec<f32>,
@@ -69,8 +63,8 @@ impl Default for Contours {
 }
 
 impl Contours {
-    /// Contours of a print, with the teeth that it has, whose outer rim is at most `around_px` long, with
-    /// nodes at most `spacing_px` apart.
+    /// Contour of a print whose outer rim is at most `around_px` long, with nodes at most
+    /// `spacing_px` apart.
     pub fn of(
         &mut self,
         kind: &Kind,
@@ -85,7 +79,7 @@ impl Contours {
             ((nodes / PACK as f64).ceil() as usize).max(1)
         };
         let outer_packs = packs(1.0);
-        // Those of teeth follow from the outer rim's.
+        // The number of nodes on teeth follows from that of the outer rim.
         let inner_packs = if teeth.is_some() { 0 } else { packs(max_ratio) };
         let key = Key { inner: (max_ratio, min_ratio), teeth, outer_packs, inner_packs };
         let cached = self.cached.iter().find(|(cached, _)| *cached == key);
@@ -126,7 +120,7 @@ impl Contours {
         range
     }
 
-    /// The white disc's rim with its teeth, filled up with nodes of no share.
+    /// The white disc's rim with its teeth, padded with nodes of zero length.
     fn push_teeth(&mut self, teeth: Teeth, ratio: f64, spacing: f64, end: usize) {
         for [x, y, dx, dy] in teeth.nodes(ratio, spacing) {
             self.x.push(x as f32);
@@ -151,7 +145,7 @@ impl Contours {
     }
 }
 
-/// How far so many nodes of the outer rim are apart.
+/// Distance of the nodes of the outer rim.
 fn spacing(outer: usize) -> f64 {
     std::f64::consts::TAU / outer as f64
 }
@@ -174,7 +168,7 @@ mod tests {
         let moment = |x: &[f32], dy: &[f32]| -> f64 {
             x.iter().zip(dy).map(|(x, dy)| f64::from(x * x * x * dy)).sum::<f64>() / 3.0
         };
-        // Of an ellipse ∬ x² is π a³ b/4; its longer axis lies along x.
+        // ∬ x² of an ellipse is π a³ b/4; its longer axis lies along x.
         let expected = std::f64::consts::FRAC_PI_4 * (1.0 - 0.4f64.powi(3) * 0.3);
         assert!((moment(contour.x, contour.dy) - expected).abs() < 1e-5);
     }
@@ -188,7 +182,7 @@ mod tests {
             ([x, y, dx, dy].map(<[f32]>::to_vec), outer)
         };
         let before = first(&mut contours);
-        // Two of them have room.
+        // The cache holds two of them.
         for around_px in [41_000.0, 40_000.0, 42_000.0] {
             contours.of(&kind, None, around_px, 1.0);
             assert!(contours.x.len() <= MAX_NODES);

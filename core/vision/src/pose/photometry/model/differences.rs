@@ -1,18 +1,17 @@
-//! The image's differences from pixel to pixel, which stand for its derivatives.
-//!
-//! Central ones over one pixel and two each way, weighted by `super::blur` for what the blur leaves of fine detail.
+//! Central differences of the image, as its derivatives, over one and two pixels each way with the
+//! weights of [`super::blur_kernel`] for the blur.
 
 use fearless_simd::{Simd, prelude::*};
 
 use super::blur_kernel::DifferenceWeights;
 
-/// Pixels each way that differences take in.
+/// Pixels each way that a difference spans.
 pub const DIFFERENCE: usize = 2;
 
 /// d of a row and of [`DIFFERENCE`] rows to either side.
 pub struct ImageRows<'a> {
     pub image: &'a [f32],
-    /// Of a row, in the image.
+    /// Length of a row.
     pub width: usize,
 }
 
@@ -28,7 +27,7 @@ pub struct Differences<S: Simd> {
     pub bend: [S::f32s; 2],
 }
 
-/// d and its differences at the pixels of a vector: h where it is needed.
+/// h is computed for `MOTION` only.
 #[inline(always)]
 pub fn differences<S: Simd, const MOTION: bool>(
     simd: S,
@@ -38,7 +37,7 @@ pub fn differences<S: Simd, const MOTION: bool>(
 ) -> Differences<S> {
     let lanes = S::f32s::LEN;
     let width = lines.width;
-    // One look at the bounds for all that is read of a row.
+    // One bounds check for all reads of the row.
     let reach = lanes + 2 * DIFFERENCE;
     let beside = &lines.image[DIFFERENCE * width + start - DIFFERENCE..][..reach];
     let at = |place: usize| S::f32s::from_slice(simd, &beside[place..place + lanes]);
@@ -60,14 +59,14 @@ pub fn differences<S: Simd, const MOTION: bool>(
         return Differences { share, slope, curvature, bend: [S::f32s::splat(simd, 0.0); 2] };
     }
     let stretch = (near_u - near_v).mul_add(c1, (far_u - far_v) * c2);
-    // Twice ∂²d/∂u∂v, by the squares with corners one pixel and two pixels away.
+    // 2 ∂²d/∂u∂v by the squares with corners one and two pixels away.
     let [s1, s2] = taps.skew.map(|tap| S::f32s::splat(simd, tap));
     let skew = corners(simd, lines, start, 1).mul_add(s1, corners(simd, lines, start, 2) * s2);
     Differences { share, slope, curvature, bend: [stretch, skew] }
 }
 
-/// d at the corners so many pixels away along both axes or against both, less the other two; no closures,
-/// which would be calls here.
+/// d at the two corners along both axes or against both, less that at the other two. No closures,
+/// which would not be inlined here.
 #[inline(always)]
 fn corners<S: Simd>(simd: S, lines: &ImageRows, start: usize, by: usize) -> S::f32s {
     let lanes = S::f32s::LEN;

@@ -1,10 +1,10 @@
-//! The lens round one roundel: a polynomial from its rays to pixels.
+//! The lens around one roundel: a polynomial from its rays to pixels.
 //!
-//! In a frame whose z goes through the roundel's middle, a ray is (s t₁, s t₂, 1), |t| ≤ 1 within the
-//! roundel, and its pixel is a polynomial of fifth order in t, fitted to [`SAMPLES`] exact
-//! projections. The residual falls with the sixth power of the roundel's size in the image: below
-//! 1e-4 px up to 110 px at 45° off the axis (test `the_polynomial_is_the_lens`). What a rolling shutter does to a
-//! ring that moves, as linear in the image as can be, is part of it.
+//! In a frame whose z passes through the roundel's middle, a ray is (s t₁, s t₂, 1), |t| ≤ 1 within
+//! the roundel. Its pixel is a polynomial of fifth order in t, fitted to [`SAMPLES`] exact
+//! projections. The error falls with the sixth power of the roundel's size in the image: below 1e-4
+//! px up to 110 px at 45° off the axis (test `the_polynomial_is_the_lens`). The effect of a rolling
+//! shutter on a moving ring, linear in the image, is included.
 
 use fearless_simd::{Level, Simd, SimdBase, SimdFrom, dispatch, f64x8};
 use fearless_simd_macros::simd;
@@ -16,18 +16,18 @@ use crate::{
     pose::Skew,
 };
 
-/// Coefficients of a polynomial of fifth order in two variables: of t₁ⁱ t₂ʲ, i rising last.
+/// Coefficients of a polynomial of fifth order in two variables, of t₁ⁱ t₂ʲ by rising i, then j.
 pub const TERMS: usize = 21;
-/// Where the lens is asked: the middle, and three circles.
+/// The middle and three circles.
 pub const SAMPLES: usize = 25;
-/// Samples on each circle and its radius.
+/// Samples on each circle, and its radius.
 const CIRCLES: [(usize, f64); 3] = [(12, 1.0), (8, 0.68), (4, 0.3)];
 
-/// What does not depend on the lens: samples and the inverse of their polynomials.
+/// Sample points and the inverse of their design matrix, independent of the lens.
 #[derive(Clone, Debug)]
 pub struct SamplingPlan {
     places: [[f64; 2]; SAMPLES],
-    /// What each sample adds to the terms.
+    /// Contribution of each sample to the terms.
     terms_from_samples: Box<[[f64; TERMS]; SAMPLES]>,
 }
 
@@ -62,7 +62,7 @@ fn powers() -> impl Iterator<Item = (i32, i32)> {
 }
 
 impl SamplingPlan {
-    /// The polynomials of both coordinates at the samples.
+    /// Polynomials of both coordinates.
     #[simd]
     fn terms_of<S: Simd>(&self, simd: S, samples: &[[f64; 2]; SAMPLES]) -> [[f64; TERMS]; 2] {
         let _ = simd;
@@ -78,10 +78,10 @@ impl SamplingPlan {
     }
 }
 
-/// Rays side by side.
 const ABREAST: usize = 8;
 
-/// Pixels of all samples; false where the lens does not give them so, or not all of them.
+/// Pixels of all samples; false where the lens has no vectorized projection, or none for some
+/// sample.
 #[simd]
 fn sample_all<S: Simd>(
     simd: S,
@@ -116,14 +116,14 @@ fn sample_all<S: Simd>(
     true
 }
 
-/// The lens round one ray.
+/// The lens around one ray.
 #[derive(Clone, Debug)]
 pub struct LocalLens {
     /// Rows of the local frame.
     pub local_from_camera: Matrix3<f64>,
     /// s: tangent of the angle at which |t| = 1.
     pub spread: f64,
-    /// Pixel of t = 0, to a whole pixel: coordinates count from here.
+    /// Pixel of t = 0, rounded; origin of the polynomial's coordinates.
     pub origin: PixelPoint,
     /// Coefficients of u and of v.
     pub terms: [[f32; TERMS]; 2],
@@ -132,7 +132,7 @@ pub struct LocalLens {
 }
 
 impl LocalLens {
-    /// Asks the lens, and what the shutter does of a moving ring, round the z axis of a frame.
+    /// Fits the polynomial around the z axis of a frame, with the skew of a rolling shutter.
     pub fn new(
         camera: &Camera,
         local_from_camera: Matrix3<f64>,
@@ -173,7 +173,7 @@ impl LocalLens {
         Ok(Self { local_from_camera, spread, origin, terms, slope })
     }
 
-    /// Pixel of t, from the origin.
+    /// Pixel of t, relative to the origin.
     #[cfg(test)]
     fn at(&self, x: f64, y: f64) -> [f64; 2] {
         self.terms.map(|terms| {
@@ -210,7 +210,7 @@ mod tests {
                 lens,
             })
             .unwrap();
-            // 45° off the axis and 110 px wide; up to 30° twice as wide.
+            // 110 px wide at 45° off the axis, and twice as wide up to 30°.
             for (axis, spread) in [
                 (Vector3::new(0.6, 0.0, 1.0), 0.08),
                 (Vector3::new(0.7, 0.6, 1.0), 0.055),

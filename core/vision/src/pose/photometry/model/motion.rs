@@ -1,42 +1,45 @@
 //! Motion within the exposure.
 //!
-//! What moves evenly by m pixels while the shutter is open is blurred by a box along m besides the lens'
-//! Gaussian: all of its image stands at the middle of the exposure, which the pose is stated for. Along a
-//! rim's normal n the variance of an edge is σ² + (m·n)²/12, and the image does not tell m from -m. Both
-//! are said by the square μ = m² (m a complex number), which, other than m, the image follows linearly
-//! where there is no motion: with h = (∂²/∂u² - ∂²/∂v², 2 ∂²/∂u∂v) d,
+//! Even motion by m pixels while the shutter is open adds a box blur along m to the lens' Gaussian.
+//! The pose is that at the middle of the exposure. Along a rim's normal n the variance of an edge
+//! is σ² + (m·n)²/12, and m cannot be distinguished from -m. The square μ = m² (m a complex number)
+//! expresses both. Unlike m, it enters the image linearly at zero motion: with h = (∂²/∂u² -
+//! ∂²/∂v², 2 ∂²/∂u∂v) d,
 //!
 //!   σ² + m mᵀ/12 = (σ² + |μ|/24) I + [[μ₁, μ₂], [μ₂, -μ₁]]/24,   ∂d/∂μ = h/48.
 //!
-//! The fit's unknowns are therefore the mean σ² + |μ|/24, as without motion, and μ, expected about none
-//! within its own size and what is known of the motion ([`prior`]): a track that hardly moves from frame to
-//! frame does not move within one either. Up to [`LINEAR_PX2`] the image is that without motion and the
-//! linear terms; beyond, each contour node stands at several places along m, Gauss and Legendre's
-//! ([`places`]), and only the derivatives are those of the second moments.
+//! The unknowns of the fit are therefore the mean σ² + |μ|/24, as without motion, and μ. The prior
+//! of μ has zero mean, and as variance its own size plus that of the track's displacement
+//! ([`prior`]): a track that hardly moves from frame to frame does not move within one either. Up
+//! to [`LINEAR_PX2`] the image is that without motion plus the linear terms. Beyond, each contour
+//! node is repeated along m at the points of Gauss-Legendre quadrature ([`quadrature`]), and only
+//! the derivatives are those of the second moments.
 //!
-//! **Accuracy** (`roundel-tests`, `tests/robustness.rs`: 20 to 60 px, motion of 0.5 to 3 px, tilt to 50°, blur
-//! and noise unknown): rms of the depth 0.84 to 1.11 of the bound with the motion unknown, bias below a tenth of
-//! it, 95 % of the positions inside the stated 95 % ellipsoid. What the mixed derivative misses (`super::blur`)
-//! costs that: the residual is exact beyond [`LINEAR_PX2`].
+//! **Accuracy** (`roundel-tests`, `tests/robustness.rs`: 20 to 60 px, motion of 0.5 to 3 px, tilt
+//! to 50°, unknown blur and noise): rms of the depth 0.84 to 1.11 of the bound with unknown motion,
+//! bias below a tenth of it, 95 % of the positions inside the stated 95 % ellipsoid. The error of
+//! the mixed derivative ([`super::blur_kernel`]) contributes to that; the residual is exact beyond
+//! [`LINEAR_PX2`].
 //!
-//! **None.** Where a track shows no motion (`crate::pose::memory`) μ is held at none and its columns are left out,
-//! which saves a sixth of a look's time.
+//! **Held motion.** Where a track shows no motion (`photometry::history`) μ is held at zero and its
+//! columns are left out, which saves a sixth of the time of a linearization.
 //!
-//! **Limits.** Where neither noise nor motion explains the residual, the careful fit has none. Motion is taken for
-//! even and across the line of sight; turns and changes of the distance within the exposure, and acceleration, are
-//! not modelled.
+//! **Limits.** The robust fit, for residuals that neither noise nor motion explains, has no motion.
+//! Motion is assumed even and across the line of sight; rotation, change of distance and
+//! acceleration within the exposure are not modelled.
 
 use nalgebra::Vector2;
 
-/// Motion that is expected, pixels: no less however still a track stands, no more however fast it is, since
-/// nobody knows the exposure.
+/// Range of the expected motion, pixels, however still or fast a track is, since the exposure time
+/// is unknown.
 const PRIOR_RANGE_PX: (f64, f64) = (0.3, 1.4);
-/// Up to this |μ| the image is linear in it, px².
+/// |μ| up to which the image is linear in it, px².
 const LINEAR_PX2: f64 = 0.35;
-/// |μ| at most, px².
+/// Limit of |μ|, px².
 const MAX_PX2: f64 = 64.0;
 
-/// Gauss and Legendre's places on a length of one, with their weights, for motion up to so many blurs.
+/// Points and weights of Gauss-Legendre quadrature over a unit length, for motion up to so many
+/// blurs.
 const QUADRATURES: [(f64, &[(f32, f32)]); 4] = [
     (1.0, &[(-0.288_675_13, 0.5), (0.288_675_13, 0.5)]),
     (2.2, &[(-0.387_298_33, 0.277_777_8), (0.0, 0.444_444_45), (0.387_298_33, 0.277_777_8)]),
@@ -65,17 +68,17 @@ const QUADRATURES: [(f64, &[(f32, f32)]); 4] = [
     ),
 ];
 
-/// What μ adds to the variance of edges in the mean of all directions, px².
+/// Contribution of μ to the variance of edges, averaged over directions, px².
 pub fn mean_variance(motion2: &Vector2<f64>) -> f64 {
     motion2.norm() / 24.0
 }
 
-/// Variance of μ beforehand, besides its own size, of what moves so far from frame to frame, px⁴.
+/// Variance of μ, besides its own size, for this displacement from frame to frame, px⁴.
 pub fn prior(moved_px: f64) -> f64 {
     moved_px.clamp(PRIOR_RANGE_PX.0, PRIOR_RANGE_PX.1).powi(4)
 }
 
-/// No more than what so much variance leaves room for.
+/// Limited so that it explains no more than this variance of edges.
 pub fn clamped(motion2: &Vector2<f64>, mean_px2: f64) -> Vector2<f64> {
     motion2.cap_magnitude((24.0 * mean_px2).clamp(0.0, MAX_PX2))
 }
@@ -92,17 +95,16 @@ pub fn to_square(motion_px: &Vector2<f64>) -> Vector2<f64> {
     Vector2::new(x * x - y * y, 2.0 * x * y)
 }
 
-/// What of μ the linear terms have to say.
+/// The part of μ that the linear terms represent: all of it, or nothing.
 pub fn linear_part(motion2: &Vector2<f64>) -> Vector2<f64> {
     if is_linear(motion2) { *motion2 } else { Vector2::zeros() }
 }
 
-/// Whether the linear terms say it all.
 pub fn is_linear(motion2: &Vector2<f64>) -> bool {
     motion2.norm() <= LINEAR_PX2
 }
 
-/// Where along m the contour stands, and for which share of the exposure.
+/// Positions along m, with their shares of the exposure.
 pub fn quadrature(motion2: &Vector2<f64>, blur_px: f64) -> &'static [(f32, f32)] {
     let blurs = motion2.norm().sqrt() / blur_px;
     let found = QUADRATURES.iter().find(|(limit, _)| blurs <= *limit);

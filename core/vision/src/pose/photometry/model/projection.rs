@@ -1,8 +1,8 @@
-//! A roundel's contour carried into the window: plane → local rays → pixels.
+//! Projection of a roundel's contour into the window: plane → local rays → pixels.
 //!
-//! A point (x, y) of the plane, in outer radii R, lies at Q = p + R (x a + y b) in the local frame;
-//! its ray is t = (Q₁, Q₂)/(s Q₃), its pixel the polynomial of [`LocalLens`]. All sums start from the
-//! middle of the roundel, so that f32 keeps coordinates to 1e-5 px.
+//! A point (x, y) of the plane, in outer radii R, lies at Q = p + R (x a + y b) in the local frame.
+//! Its ray is t = (Q₁, Q₂)/(s Q₃), its pixel the polynomial of [`LocalLens`]. All sums start from
+//! the middle of the roundel, so f32 keeps coordinates to 1e-5 px.
 
 use fearless_simd::{Level, dispatch, prelude::*};
 use fearless_simd_macros::simd;
@@ -15,43 +15,43 @@ use super::{
 };
 use crate::pose::yaw;
 
-/// A roundel's place in the local frame.
+/// Pose of a roundel in the local frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PrintPose {
-    /// p, metres.
+    /// p.
     pub position_m: Vector3<f64>,
     /// Columns a, b and n: the print's x and y, and its normal.
     pub axes: Matrix3<f64>,
 }
 
 impl PrintPose {
-    /// Axes for another normal: seen along the line of sight, the print's x still points the same way.
+    /// Axes for another normal; along the line of sight, the print's x still points the same way.
     pub fn axes_with_normal(&self, normal: &Vector3<f64>) -> Matrix3<f64> {
         yaw::axes_with_normal(&self.axes, &self.position_m, normal)
     }
 }
 
-/// Contour nodes in the window, with their shares of the way in pixels.
+/// Contour nodes in the window.
 #[derive(Clone, Debug)]
 pub struct Nodes {
     /// Column, from the window's left.
     pub x: Vec<f32>,
     /// Row, from the window's top.
     pub y: Vec<f32>,
-    /// Share of the way.
+    /// Share of the contour, pixels.
     pub dx: Vec<f32>,
-    /// Share of the way.
+    /// Share of the contour, pixels.
     pub dy: Vec<f32>,
-    /// Column and row in whole steps of the kernel's phase …
+    /// Column and row in whole phases of the kernel …
     pub steps: [Vec<i32>; 2],
-    /// … and what is left of a step.
+    /// … and the rest, in phases.
     pub rest: [Vec<f32>; 2],
-    /// How many are the outer rim's: the first ones.
+    /// Number of nodes of the outer rim, which come first.
     pub outer: usize,
 }
 
 impl Default for Nodes {
-    /// None, with room for those of any contour.
+    /// Empty, with capacity for any contour.
     fn default() -> Self {
         let list = || Vec::with_capacity(MAX_NODES);
         let steps = [(); 2].map(|()| Vec::with_capacity(MAX_NODES));
@@ -61,7 +61,8 @@ impl Default for Nodes {
 }
 
 impl Nodes {
-    /// Has each node stand at several places along a motion, for its share of the exposure.
+    /// Repeats each node at several positions along a motion, weighted by its share of the
+    /// exposure.
     pub fn smear(&mut self, level: Level, motion_px: &Vector2<f64>, places: &[(f32, f32)]) {
         let (outer, count) = (self.outer, self.x.len());
         let copies = places.len();
@@ -71,7 +72,7 @@ impl Nodes {
         self.resize(copies * count);
         self.outer = copies * outer;
         let motion = [motion_px.x as f32, motion_px.y as f32];
-        // From the last one on, so that none is overwritten before it has been read.
+        // Backwards, so that no node is overwritten before it is read.
         for (from, to, length) in [(outer, copies * outer, count - outer), (0, 0, outer)] {
             for (k, &(along, share)) in places.iter().enumerate().rev() {
                 let copy = Copy { from, to: to + k * length, length, share };
@@ -81,7 +82,6 @@ impl Nodes {
         }
     }
 
-    /// To as many nodes.
     fn resize(&mut self, count: usize) {
         for list in [&mut self.x, &mut self.y, &mut self.dx, &mut self.dy] {
             list.resize(count, 0.0);
@@ -95,12 +95,12 @@ impl Nodes {
     }
 }
 
-/// Nodes that go elsewhere.
+/// Range of nodes to copy.
 struct Copy {
     from: usize,
     to: usize,
     length: usize,
-    /// Of the exposure.
+    /// Share of the exposure.
     share: f32,
 }
 
@@ -116,7 +116,7 @@ fn smear_all<S: Simd>(simd: S, nodes: &mut Nodes, copy: &Copy, by: [f32; 2]) {
     }
 }
 
-/// Stores nodes at a place: column, row and shares of the way.
+/// Stores column, row and shares of the contour at `start`.
 #[inline(always)]
 fn store<S: Simd>(simd: S, nodes: &mut Nodes, start: usize, [u, v, du, dv]: [S::f32s; 4]) {
     let _ = simd;
@@ -133,20 +133,20 @@ fn store<S: Simd>(simd: S, nodes: &mut Nodes, start: usize, [u, v, du, dv]: [S::
     dv.store_slice(&mut nodes.dy[start..end]);
 }
 
-/// The projection's numbers, as f32.
+/// Coefficients of the projection, as f32.
 struct ProjectionTerms {
     /// Constant, x and y terms of Q₁ and Q₂, over s p₃.
     above: [[f32; 3]; 2],
-    /// x and y terms of Q₃ over p₃, whose constant is 1.
+    /// x and y terms of Q₃ over p₃; the constant is 1.
     below: [f32; 2],
     terms: [[f32; TERMS]; 2],
     /// From the lens' origin to the window's.
     shift: [f32; 2],
-    /// -1 where the projection turns counter-clockwise into clockwise.
+    /// -1 where the projection reverses the orientation.
     sign: f32,
 }
 
-/// Carries a contour into the window whose top left pixel is `window`.
+/// Projects a contour into the window whose top left pixel is `window`.
 pub fn project(
     level: Level,
     (lens, place, radius_m): (&LocalLens, &PrintPose, f64),
@@ -198,7 +198,7 @@ fn project_all<S: Simd>(simd: S, view: &ProjectionTerms, contour: Contour, nodes
     }
 }
 
-/// A polynomial's value and its derivatives by both variables.
+/// Value of a polynomial and its derivatives by both variables.
 #[inline(always)]
 fn polynomial<S: Simd>(
     simd: S,
@@ -209,7 +209,7 @@ fn polynomial<S: Simd>(
     let zero = S::f32s::splat(simd, 0.0);
     let (mut value, mut by_t1, mut by_t2) = (zero, zero, zero);
     let mut end = TERMS;
-    // From the highest power of t₁, whose only factor is a constant, down.
+    // Horner's scheme, from the highest power of t₁, whose factor is a constant, down.
     for count in 1..=6 {
         let (mut inner, mut slope) = (zero, zero);
         for place in (end - count..end).rev() {

@@ -1,12 +1,12 @@
-//! Whether a residual is noise, or hangs together.
+//! Test whether residuals are noise or are correlated.
 //!
-//! Over all patches of 4 × 4 pixels, four rows from four and any column,
+//! Over all patches of 4 × 4 pixels, in groups of four rows at any column,
 //!
 //!   T = Σ (Σ r)² / (4 Σ r²)
 //!
-//! is 1 in the mean where the residual r of each pixel is its own, and up to 16 where neighbours agree:
-//! at a cover, a shadow, a bloom, levels cut off. With n pixels its deviation is about 5 / √n. Test
-//! `noise_is_even_and_a_cover_is_not`.
+//! is 1 on average where the residuals r of pixels are independent, and up to 16 where neighbours
+//! agree, as at an occlusion, a shadow, bloom or clipped levels. With n pixels its standard
+//! deviation is about 5 / √n. Test `noise_is_even_and_a_cover_is_not`.
 
 use fearless_simd::prelude::*;
 
@@ -17,10 +17,10 @@ const SIDE: usize = 4;
 /// Lanes of the widest vector.
 const LANES: usize = 16;
 
-/// Sums of one gather.
 #[derive(Clone, Debug, Default)]
 pub struct Patches {
-    /// The group of rows at hand, and the one before: its sums are read when they have long been written.
+    /// The current group of rows and the one before, whose sums are read after they have left the
+    /// store buffer.
     groups: [Group; 2],
     total: f32,
 }
@@ -28,30 +28,29 @@ pub struct Patches {
 /// Sums of up to four rows.
 #[derive(Clone, Debug, Default)]
 struct Group {
-    /// Residuals by column; zero as long as there are no rows.
+    /// Residuals by column; zero while there are no rows.
     columns: Vec<f32>,
-    /// Columns in which there is something.
+    /// Range of the columns in use.
     from: usize,
     to: usize,
     rows: usize,
 }
 
 impl Patches {
-    /// Room for rows of so many columns.
+    /// Reserves memory for rows of this width.
     pub fn make_room(&mut self, width: usize) {
         for group in &mut self.groups {
             make_room(&mut group.columns, width + 2 * LANES);
         }
     }
 
-    /// Gets ready for rows of so many columns.
     pub fn set_width(&mut self, width: usize) {
         for Group { columns, .. } in &mut self.groups {
             columns.resize((width + 2 * LANES).max(columns.len()), 0.0);
         }
     }
 
-    /// Adds a row's residuals from column `from` up to `to`, filled up with zeros to whole vectors.
+    /// Adds a row's residuals, columns `from` to `to`, padded with zeros to whole vectors.
     #[inline(always)]
     pub fn add_row<S: Simd>(&mut self, simd: S, residuals: &[f32], (from, to): (usize, usize)) {
         let lanes = S::f32s::LEN;
@@ -71,7 +70,7 @@ impl Patches {
         }
     }
 
-    /// Σ (Σ r)² of all rows since the last time.
+    /// Σ (Σ r)² of all rows since the last call.
     #[inline(always)]
     pub fn finish<S: Simd>(&mut self, simd: S) -> f32 {
         self.total += self.groups[1].take_sum(simd);
@@ -81,7 +80,7 @@ impl Patches {
 }
 
 impl Group {
-    /// Σ (Σ r)² of its rows, of which there are none from then on.
+    /// Σ (Σ r)² of its rows; empties the group.
     #[inline(always)]
     fn take_sum<S: Simd>(&mut self, simd: S) -> f32 {
         if self.rows == 0 {
@@ -109,7 +108,7 @@ impl Group {
     }
 }
 
-/// T of a gather with these sums.
+/// T.
 pub fn correlation_ratio(patches: f64, misfit: f64) -> f64 {
     if misfit > 0.0 { patches / (SIDE as f64 * misfit) } else { 1.0 }
 }

@@ -1,7 +1,7 @@
-//! What a contour's nodes add to the pixels round them.
+//! Contributions of contour nodes to the pixels around them.
 //!
-//! Each node adds e(y - q) k(x - p) dx to the 8 × 8 (or 16 × 16) pixels (p, q) round it, with the kernel's
-//! functions (`super::blur`); summed from row to row this is d(p, q).
+//! Each node adds e(y - q) k(x - p) dx to the 8 × 8 (or 16 × 16) pixels (p, q) around it, with the
+//! functions of [`super::blur_kernel`]. The sum over the rows above is d(p, q).
 
 use fearless_simd::{Level, Simd, dispatch, f32x8, prelude::*};
 use fearless_simd_macros::simd;
@@ -11,7 +11,7 @@ use super::{
     projection::Nodes,
 };
 
-/// Adds what the nodes, whose pixels all lie in the image, do to it.
+/// Adds the contributions of the nodes, whose pixels all lie in the image.
 pub fn scatter(level: Level, nodes: &Nodes, kernel: &Kernel, image: &mut [f32], width: usize) {
     let table = &kernel.table[..];
     match kernel.width {
@@ -20,8 +20,7 @@ pub fn scatter(level: Level, nodes: &Nodes, kernel: &Kernel, image: &mut [f32], 
     }
 }
 
-/// One of the table's functions at a phase, `rest` of a step beyond it; `values` are followed by
-/// their rise.
+/// One of the table's functions at a phase plus `rest`; `values` are followed by their increases.
 #[inline(always)]
 fn interpolate<S: Simd>(simd: S, values: &[f32], half: usize, rest: f32) -> f32x8<S> {
     let reach = values.len() / 2;
@@ -30,7 +29,6 @@ fn interpolate<S: Simd>(simd: S, values: &[f32], half: usize, rest: f32) -> f32x
     rise.mul_add(f32x8::splat(simd, rest), low)
 }
 
-/// Adds `value` times `factor` to eight pixels.
 #[inline(always)]
 fn add<S: Simd>(simd: S, pixels: &mut [f32], value: f32x8<S>, factor: f32) {
     let sum = f32x8::from_slice(simd, pixels);
@@ -47,8 +45,8 @@ fn scatter_all<S: Simd, const HALVES: usize>(
 ) {
     let quarter = nodes.x.len() / 4;
     for i in 0..quarter {
-        // Quarters side by side: two neighbours in a row would write to the pixels that the one
-        // before has just written, and wait for it.
+        // Four quarters in turn: neighbouring nodes would write to pixels that the one before has
+        // just written, and wait for it.
         for k in 0..4 {
             scatter_one::<S, HALVES>(simd, (nodes, i + k * quarter), table, image, width);
         }
@@ -65,7 +63,7 @@ fn scatter_one<S: Simd, const HALVES: usize>(
 ) {
     let reach = 8 * HALVES;
     let phase_len = FUNCTIONS * 2 * reach;
-    // Never negative, as has been seen to.
+    // Not negative: the nodes lie in the window.
     let (step_x, step_y) = (nodes.steps[0][i] as usize, nodes.steps[1][i] as usize);
     let (column, row) = (step_x / PHASES, step_y / PHASES);
     let (phase_x, phase_y) = (step_x % PHASES, step_y % PHASES);

@@ -1,30 +1,31 @@
 //! The rim of a coded print's white disc, teeth included, as quadrature nodes.
 //!
-//! Each of the 2N slots has an arc, at the disc's radius or, where its tooth is, at the core's; where the
-//! two meet there is a radial edge. Corners end what makes equal steps converge, so every arc and every
-//! edge has Gauss' nodes of its own, about as far apart as those of the smooth outer rim.
+//! Each of the 2N slots has an arc, at the disc's radius or, where its tooth is, at the core's; a
+//! radial edge connects arcs of different radii. Equal steps do not converge across corners, so
+//! every arc and every edge has Gauss-Legendre nodes of its own, spaced about like those of the
+//! smooth outer rim.
 
 use std::f64::consts::PI;
 
 use crate::marker::CodeLayout;
 
-/// The teeth of one print.
+/// The teeth of a print.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Teeth {
-    /// Of its code.
+    /// Number of bits of its code.
     pub bits: u8,
-    /// As printed, the first bit the most significant.
+    /// As printed, first bit most significant.
     pub word: u16,
 }
 
-/// Nodes of the outer rim at most, so that there is room for those of teeth: arcs and edges are as long as
-/// 1.2 outer rims, with [`DENSER`] nodes on a length and [`MORE`] on each.
+/// Limit of the nodes of the outer rim that leaves space for those of teeth: arcs and edges are 1.2
+/// outer rims long, with [`DENSITY`] nodes per length and [`EXTRA_NODES`] on each.
 pub const MAX_OUTER_NODES: usize = 16_384;
-/// Nodes of a panel over those that equal steps round a smooth curve would have …
+/// Nodes of a panel over those of equal steps on a smooth curve …
 const DENSITY: f64 = 1.3;
-/// … and on top.
+/// … and in addition.
 const EXTRA_NODES: f64 = 0.7;
-/// Spacings of one panel at most.
+/// Longest panel, in spacings.
 const PANEL_SPACINGS: f64 = 8.0;
 
 /// A piece of the contour.
@@ -37,15 +38,16 @@ enum Piece {
 }
 
 impl Teeth {
-    /// Whether a slot, counted round and round, holds a tooth: that of a 0 is in its bit's first one.
+    /// Whether a slot, modulo the number of slots, holds a tooth; that of a 0 is in the first slot
+    /// of its bit.
     fn is_tooth(self, slot: u32) -> bool {
         let bits = u32::from(self.bits);
         let slot = slot % (2 * bits);
         u32::from(self.word >> (bits - 1 - slot / 2) & 1) == slot % 2
     }
 
-    /// Nodes x, y, dx, dy counter-clockwise round the white of a disc of the radius `ratio`, as far apart
-    /// as steps of `spacing` would be; lengths in outer radii.
+    /// Nodes (x, y, dx, dy) counter-clockwise around the white of a disc of radius `ratio`, spaced
+    /// like steps of `spacing`; in outer radii.
     pub fn nodes(self, ratio: f64, spacing: f64) -> impl Iterator<Item = [f64; 4]> {
         self.pieces(ratio).flat_map(move |piece| piece.nodes(spacing))
     }
@@ -83,7 +85,7 @@ impl Piece {
         })
     }
 
-    /// At a place between its ends, with a share of the way between them.
+    /// At a position between its ends, with a share of the length.
     fn node(self, place: f64, share: f64) -> [f64; 4] {
         match self {
             Self::Arc(radius, _) => {
@@ -98,12 +100,12 @@ impl Piece {
     }
 }
 
-/// A node of Gauss' and Legendre's quadrature over [-1, 1], and its weight.
+/// Node and weight of Gauss-Legendre quadrature over [-1, 1].
 fn gauss(count: usize, index: usize) -> (f64, f64) {
     let n = count as f64;
     let mut x = (PI * (index as f64 + 0.75) / (n + 0.5)).cos();
     let mut slope = 1.0;
-    // From so near, Newton's steps double the digits.
+    // Newton's steps from this close double the digits.
     for _ in 0..5 {
         let (mut before, mut value) = (0.0, 1.0);
         for degree in 0..count {
@@ -149,8 +151,7 @@ mod tests {
         }
     }
 
-    /// What nodes leave out at their usual distance from each other, in units of the contrast, for a
-    /// Gaussian anywhere.
+    /// Error of the usual spacing, in units of the contrast, for a Gaussian anywhere.
     #[test]
     fn usual_nodes_see_what_dense_ones_see() {
         // Of an edge that blur and pixels have rounded.
@@ -159,7 +160,7 @@ mod tests {
             let nodes = Teeth { bits: 8, word: 0b0010_1101 }.nodes(RATIO, spacing);
             let terms = nodes.map(|[x, y, dx, _]| {
                 let (p, q) = ((x - u) / deviation, (y - v) / deviation);
-                // Φ to a part in a thousand is of the same shape for both.
+                // An approximation of Φ that both sums share.
                 let above = 1.0 / (1.0 + (-1.702 * q).exp());
                 -above * (-0.5 * p * p).exp() * dx / (deviation * (2.0 * PI).sqrt())
             });

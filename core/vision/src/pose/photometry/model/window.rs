@@ -1,11 +1,13 @@
-//! The model image of a roundel, and what a frame says against it.
+//! A window of the frame around a roundel, with the model image and the sums of both.
 //!
-//! The frame's pixels are brought together once a fit, all at once: their rows are far apart in memory,
-//! and a look that waits for one after the other takes longer than its arithmetic.
+//! The frame's pixels are copied once per fit: their rows are far apart in memory, and waiting for
+//! them in each linearization would take longer than its arithmetic.
 //!
-//! Scatter: what the contour's nodes add to the pixels (`scatter`), summed from row to row, is d.
+//! Scatter: the contributions of the contour's nodes ([`super::scatter`]), summed from row to row,
+//! are d.
 //!
-//! Gather: with d, the columns of the linear problem (`columns`) go to `super::normal`.
+//! Gather: with d, the columns of the linear problem ([`super::columns`]) go to
+//! [`super::column_products`].
 
 use std::ops::Range;
 
@@ -23,67 +25,63 @@ use super::{
 };
 use crate::{ellipse::Chords, frame::Frame, room::make_room};
 
-/// Rows are padded to whole vectors of any width.
 pub const LANES: usize = 16;
-/// Rows whose spans are found side by side, and their numbers.
+/// Rows whose spans are computed at once.
 const SPAN_ROWS: usize = 8;
 const ROW: [f64; SPAN_ROWS] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
 
-/// Part of a frame round a roundel, with its image.
 #[derive(Clone, Debug, Default)]
 pub struct Window {
     /// Column and row of the frame at the top left; may be negative.
     pub origin: (i64, i64),
-    /// Columns, a multiple of [`LANES`].
+    /// A multiple of [`LANES`].
     width: usize,
-    /// Rows.
     height: usize,
-    /// Row by row what nodes add, then d; zero between calls.
+    /// Contributions of the nodes by row, then d; zero between calls.
     image: Vec<f32>,
-    /// Rows and columns, in whole packs of [`LANES`], that the nodes reach.
+    /// Rows, and columns in multiples of [`LANES`], that the nodes reach.
     touched: [Range<usize>; 2],
-    /// The frame's pixels that count; what others hold is of no matter.
+    /// The frame's counted pixels; the others are arbitrary.
     pixels: Vec<u8>,
-    /// The first row with pixels that count …
+    /// First row with counted pixels.
     first: usize,
-    /// … and from there on the columns of each row's.
+    /// Columns of the counted pixels of each row from `first` on.
     spans: Vec<(usize, usize)>,
-    /// Grey values of the row at hand, then its residuals.
+    /// Grey values of the current row, then its residuals.
     grey: Vec<f32>,
     patches: Patches,
 }
 
-/// Numbers of the model that gather needs, as f32.
+/// Coefficients of the model that gather needs, as f32.
 #[derive(Clone, Copy, Debug)]
 pub struct PixelModel {
     /// W, grey levels.
     pub white: f32,
     /// C = B - W, grey levels.
     pub step: f32,
-    /// ½ (σ² - σ²of the table), px².
+    /// ½ (σ² - σ² of the table), px².
     pub blur: f32,
-    /// What of μ the nodes do not have, over 48, px²; none where the motion is held.
+    /// Part of μ that the nodes do not contain, over 48, px²; `None` where the motion is held.
     pub motion: Option<[f32; 2]>,
-    /// Weights of the differences.
     pub taps: DifferenceWeights,
     /// Derivative of (u, v) by t, row by row, pixels.
     pub slope: [f32; 4],
     /// ℓ.
     pub light: [f32; 2],
-    /// t₁ and t₂ as constant, column and row terms.
+    /// t₁ and t₂: constant, column and row terms.
     pub t: [[f32; 3]; 2],
-    /// Relative inverse depth p₃/Q₃, as constant, t₁ and t₂ terms.
+    /// Relative inverse depth p₃/Q₃: constant, t₁ and t₂ terms.
     pub nearness: [f32; 3],
-    /// Nearness times the plane's x and y, alike.
+    /// Nearness times the plane's x and y: constant, t₁ and t₂ terms.
     pub plane: [[f32; 3]; 2],
-    /// n₁/s, n₂/s, n₃ times R/p₃: how a step along the normal moves t.
+    /// (n₁/s, n₂/s, n₃) R/p₃: change of t by a step along the normal.
     pub lift: [f32; 3],
-    /// p₁/(s p₃), p₂/(s p₃): where the middle is.
+    /// (p₁, p₂)/(s p₃): the centre.
     pub middle: [f32; 2],
 }
 
 impl Window {
-    /// Room for windows of so many columns and rows.
+    /// Reserves memory for windows of this size.
     pub fn make_room(&mut self, (columns, rows): (usize, usize)) {
         let width = columns.next_multiple_of(LANES);
         make_room(&mut self.image, width * rows + LANES);
@@ -93,8 +91,8 @@ impl Window {
         self.patches.make_room(width);
     }
 
-    /// Lays the window over columns and rows of the frame; all are included. Pixels within the chords
-    /// count.
+    /// Places the window over columns and rows of the frame, inclusive. Pixels within the chords
+    /// are counted.
     pub fn set_region(
         &mut self,
         (columns, rows): ((i64, i64), (i64, i64)),
@@ -104,8 +102,8 @@ impl Window {
         self.origin = (columns.0, rows.0);
         self.width = ((columns.1 - columns.0 + 1) as usize).next_multiple_of(LANES);
         self.height = (rows.1 - rows.0 + 1) as usize;
-        // Gather leaves zeros behind, so what is added is all that needs filling.
-        // A row's last vector may reach beyond it.
+        // Gather leaves zeros behind, so only the extension needs filling. The last vector of a row
+        // may extend beyond it.
         let needed = self.width * self.height + LANES;
         if self.image.len() < needed {
             self.image.resize(needed, 0.0);
@@ -133,18 +131,18 @@ impl Window {
         }
     }
 
-    /// How many pixels count.
+    /// Number of counted pixels.
     pub fn pixels(&self) -> usize {
         self.spans.iter().map(|(from, to)| to - from).sum()
     }
 
-    /// Rows and columns that nodes reach; `None` unless every node's pixels lie in the window.
+    /// Rows and columns that the nodes reach; `None` if a node reaches beyond the window.
     fn reached(&self, level: Level, nodes: &Nodes, reach: usize) -> Option<[Range<usize>; 2]> {
         let half = (reach / 2) as i32;
         let [(left, right), (top, bottom)] = [0, 1].map(|axis| {
             let steps = &nodes.steps[axis][..];
             let (min, max) = dispatch!(level, simd => bounds(simd, steps));
-            // What is no number has become a step below the window or above.
+            // NaN has become a step outside the window.
             (min >> PHASES.ilog2(), max >> PHASES.ilog2())
         });
         let within = left >= half
@@ -159,7 +157,7 @@ impl Window {
         })
     }
 
-    /// Scatters the nodes; false, with nothing done, if one lies outside the window.
+    /// Scatters the nodes; returns false, and changes nothing, if one reaches beyond the window.
     pub fn scatter(&mut self, level: Level, nodes: &Nodes, kernel: &Kernel) -> bool {
         let Some(touched) = self.reached(level, nodes, kernel.width) else { return false };
         self.touched = touched;
@@ -167,7 +165,7 @@ impl Window {
         true
     }
 
-    /// Sums the frame against the model over the pixels that count, and clears the image. All products
+    /// Sums the frame against the model over the counted pixels, and clears the image: all products
     /// of the columns, or only those with the residual.
     pub fn gather(
         &mut self,
@@ -202,11 +200,11 @@ impl Window {
     }
 }
 
-/// Columns of the window in its rows up to the last one that counts, within the chords and the frame.
+/// Spans of the rows up to `last`, within the chords and the frame.
 #[simd]
 fn spans<S: Simd>(simd: S, window: &mut Window, last: usize, frame: &Frame, chords: &Chords) {
     let (left, top) = window.origin;
-    // The window is wider than what counts by more than the differences need.
+    // The window's margin exceeds what the differences need.
     let min = (-left).max(DIFFERENCE as i64);
     let max = frame.width() as i64 - left;
     let max = max.clamp(min, (window.width - DIFFERENCE) as i64);
@@ -225,12 +223,12 @@ fn spans<S: Simd>(simd: S, window: &mut Window, last: usize, frame: &Frame, chor
     }
 }
 
-/// Least and most.
+/// Minimum and maximum.
 #[simd]
 fn bounds<S: Simd>(simd: S, steps: &[i32]) -> (i32, i32) {
     let lanes = S::i32s::LEN;
     let (mut min, mut max) = (S::i32s::splat(simd, i32::MAX), S::i32s::splat(simd, i32::MIN));
-    // Nodes come in whole packs.
+    // Nodes are padded to whole packs.
     for steps in steps.chunks_exact(lanes) {
         let steps = S::i32s::from_slice(simd, steps);
         (min, max) = (min.min(steps), max.max(steps));
@@ -241,14 +239,15 @@ fn bounds<S: Simd>(simd: S, steps: &[i32]) -> (i32, i32) {
     (low.into_iter().fold(i32::MAX, i32::min), high.into_iter().fold(i32::MIN, i32::max))
 }
 
-/// The standard library's is a call without SSE 4.1.
+/// That of the standard library is a function call without SSE 4.1.
 #[inline(always)]
 fn ceil(value: f64) -> i64 {
     let cut = value as i64;
     cut + i64::from(value > cut as f64)
 }
 
-/// Copies the first `count` bytes: where there are as many, in whole packs, which takes no call.
+/// Copies `count` bytes, rounded up to whole packs where both slices are long enough, which avoids
+/// a call.
 #[inline(always)]
 fn copy_packed(from: &[u8], to: &mut [u8], count: usize) {
     let packs = count.next_multiple_of(LANES);
@@ -319,7 +318,7 @@ fn gather_all<S: Simd, const PRODUCTS: bool, const MOTION: bool>(
     sums.patches = window.patches.finish(simd);
 }
 
-/// Vectors of a row summed side by side: each waits for the one above it.
+/// Vectors of a row summed at once, since each sum waits for the row above.
 const COLUMN_VECTORS: usize = 4;
 
 /// Sums rows from the top down, in these columns.

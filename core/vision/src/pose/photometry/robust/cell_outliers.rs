@@ -1,28 +1,29 @@
-//! Which cells agree, and by how much those that do stand apart.
+//! Rejection of cells that disagree with the model.
 //!
-//! A cell's [`Witness`](super::cells::Witness) says by how much its rim stands off the model's, against
-//! the noise, and what is left of its pixels then. Most cells of a ring worth fitting are undisturbed, so
-//! the medians over all cells are what a sound one has; cells far beyond them are left out, and may come
-//! back. What those that stay still stand apart widens the variance of every pixel.
+//! A cell's [`CellFit`](super::cells::CellFit) states how far its rim is off the model's, relative
+//! to the noise, and what remains of its pixels' residuals then. Most cells of a usable ring are
+//! undisturbed, so the medians over all cells describe an undisturbed one. Cells far beyond them
+//! are rejected, and may return. The spread of the remaining cells widens the variance of every
+//! pixel.
 
 use super::{RobustFit, RobustScratch, cells::Reference};
 use crate::pose::photometry::solver::normal_equations::NormalEquations;
 
-/// δ²/var(δ) that a cell may have, as a multiple of what most have.
+/// Limit of δ²/var(δ) of a cell, relative to the median.
 const MAX_SQUARE: f64 = 12.0;
-/// Deviations by which the variance of a cell's pixels may exceed that of most.
+/// Limit of the variance of a cell's pixels above the median, in standard deviations.
 const MAX_SPREAD: f64 = 5.0;
-/// Part of the contrast that the model may miss.
+/// Model error, as a share of the contrast.
 const MODEL_SHARE: f64 = 0.01;
-/// A cell's step over the reference's.
+/// Range of a cell's contrast over that of the reference.
 const CONTRAST: (f64, f64) = (0.2, 3.0);
-/// Median of χ² of one degree of freedom.
+/// Median of χ² with one degree of freedom.
 const MEDIAN_SQUARE: f64 = 0.455;
-/// The pose's degrees of freedom, and blur's.
+/// Degrees of freedom of pose and blur.
 const FITTED: f64 = 6.0;
 
 impl RobustFit<'_> {
-    /// Leaves out the cells that do not agree with most; whether any changed.
+    /// Updates which cells are kept; returns whether any changed.
     pub(super) fn reject_outliers(&mut self) -> bool {
         let RobustScratch { cells, list, .. } = &mut self.scratch.robust;
         let mut reference = self.reference;
@@ -47,7 +48,7 @@ impl RobustFit<'_> {
         changed
     }
 
-    /// By how much the variance of a pixel must grow for the cells to agree.
+    /// Factor on the variance of a pixel that makes the cells agree.
     pub(super) fn variance_growth(&self, linear: &NormalEquations) -> f64 {
         let reference = Reference { noise2: linear.noise2(), ..self.reference };
         let kept = self.scratch.robust.cells.iter().filter(|cell| cell.kept);
@@ -59,7 +60,7 @@ impl RobustFit<'_> {
         (sum / (count - FITTED).max(1.0)).max(1.0)
     }
 
-    /// The smaller of the rims' shares of cells that count.
+    /// Share of kept cells, of the rim with the smaller one.
     pub(super) fn share_kept(&self) -> f64 {
         let cells = &self.scratch.robust.cells;
         let share = |rim: usize| {

@@ -1,74 +1,70 @@
-//! Cells along the rims: what each of them says of its own levels, of its rim's place, and of the pose.
+//! Cells along the rims, each with its own levels and its information about rim and pose.
 //!
-//! A cell is a stretch of one rim, about [`LENGTH_PX`] long, with the pixels nearer to it than to the
-//! other rim. Its sums are the products of all columns over its pixels. From them, without another look
-//! at the pixels, follow
+//! A cell is a stretch of one rim, about [`LENGTH_PX`] long, with the pixels closer to it than to
+//! the other rim. Its sums are the products of all columns over its pixels. From them follow,
+//! without another pass over the pixels,
 //!
-//! * its information on the pose with its own levels (W, C) free: with local columns l and shared ones
-//!   g, A_gg - A_gl A_ll⁻¹ A_lg (Schur's complement);
-//! * by how much its rim seems to stand off the model's, δ, and δ²/var(δ), which is 1 in the mean where
-//!   noise alone moves it;
-//! * what is left of the residuals then.
+//! * its information about the pose with its own levels (W, C) free: with local columns l and
+//!   shared ones g, A_gg - A_gl A_ll⁻¹ A_lg (Schur's complement);
+//! * the displacement δ of its rim from the model's, and δ²/var(δ), which is 1 on average for noise
+//!   alone;
+//! * the remaining residual.
 
 use fearless_simd::prelude::*;
 use nalgebra::{Matrix2, SMatrix, SVector};
 
 use crate::pose::photometry::model::column_products::{self, STILL, column};
 
-/// Columns of a pixel: those of the fast fit, but the last is the outer rim's spread, and then the
-/// inner one's; filled up to whole vectors.
+/// Columns of a pixel: those of the plain fit, the last replaced by the spread of the outer rim,
+/// then that of the inner one; padded to whole vectors.
 pub const WIDTH: usize = 16;
-/// Of the spread of the outer rim; the inner one's follows.
+/// Spread of the outer rim; that of the inner one follows.
 pub const SPREAD: usize = STILL - 1;
-/// All products' sums: the motion is held.
+/// The motion is held.
 pub type Products = column_products::Products<STILL>;
-/// Length of a cell along its rim, pixels …
+/// Length of a cell along its rim …
 const LENGTH_PX: f64 = 6.0;
-/// … as long as these are not too few or too many.
+/// … within these numbers of cells on a rim.
 const COUNT: (f64, f64) = (6.0, 32.0);
-/// Cells of both rims, at most.
 pub const MAX_CELLS: usize = 2 * COUNT.1 as usize;
-/// A cell of fewer pixels says nothing.
+/// A cell of fewer pixels is not evaluated.
 const MIN_PIXELS: f64 = 8.0;
-/// Deviation of a cell's levels from the reference, grey levels: no more than keeps them finite.
+/// Standard deviation of a cell's levels from the reference, grey levels; wide, to keep the levels
+/// finite.
 const LEVEL_PRIOR: f64 = 200.0;
 
-/// One cell.
 #[derive(Clone, Debug)]
 pub struct Cell {
     /// 0 the outer rim, 1 the inner one.
     pub rim: usize,
     /// W and C, grey levels.
     pub levels: [f64; 2],
-    /// Whether it counts.
     pub kept: bool,
-    /// Products of the columns, shape's over the step.
+    /// Products of the columns; those of shape are over the step.
     pub sums: [[f32; WIDTH]; WIDTH],
 }
 
-/// What a cell says for itself.
+/// How well a cell agrees with the model.
 #[derive(Clone, Copy, Debug)]
 pub struct CellFit {
-    /// Variance of its pixels once its levels and its rim are free, grey levels².
+    /// Variance of its pixels with levels and rim free, grey levels².
     pub variance: f64,
-    /// (gradient of δ)² over its information: times the noise's variance, δ²/var(δ).
+    /// (gradient of δ)² over its information: δ²/var(δ) times the noise's variance.
     pub square: f64,
-    /// Its step over the reference's.
+    /// Its step over that of the reference.
     pub contrast: f64,
 }
 
-/// How many cells a rim of this circumference has.
+/// Number of cells of a rim.
 pub fn count(around_px: f64) -> usize {
     (around_px / LENGTH_PX).clamp(COUNT.0, COUNT.1).round() as usize
 }
 
 impl Cell {
-    /// Of a rim, with the reference's levels.
     pub fn new(rim: usize, levels: [f64; 2]) -> Self {
         Self { rim, levels, kept: true, sums: [[0.0; WIDTH]; WIDTH] }
     }
 
-    /// Adds a pixel.
     #[inline(always)]
     pub fn add<S: Simd>(&mut self, simd: S, columns: &[f32; WIDTH]) {
         let width = S::f32s::LEN;
@@ -81,7 +77,7 @@ impl Cell {
         }
     }
 
-    /// Its products with the spread of both rims as one column, the last; shape's columns are over the
+    /// Products with the spread of both rims as one column, the last; columns of shape are over the
     /// reference's step.
     pub fn products(&self, step: f64) -> Products {
         let ratio = self.levels[1] / step;
@@ -97,7 +93,7 @@ impl Cell {
         products
     }
 
-    /// The inverse of the levels' information, and the prior's pull on them.
+    /// Inverse of the levels' information, and the gradient of the prior.
     fn level_inverse(
         &self,
         products: &Products,
@@ -110,14 +106,14 @@ impl Cell {
         Some((information.try_inverse()?, pull))
     }
 
-    /// Σ r², with the prior's share.
+    /// Σ r², with the prior's part.
     pub fn misfit(&self, reference: &Reference) -> f64 {
         let prior = reference.noise2 / (LEVEL_PRIOR * LEVEL_PRIOR);
         let off = |k: usize| (reference.levels[k] - self.levels[k]).powi(2);
         f64::from(self.sums[0][0]) + prior * (off(0) + off(1))
     }
 
-    /// Its products with its levels free.
+    /// Products with the levels eliminated.
     pub fn marginalized(&self, reference: &Reference) -> Option<Products> {
         let mut products = self.products(reference.levels[1]);
         let (inverse, pull) = self.level_inverse(&products, reference)?;
@@ -134,7 +130,7 @@ impl Cell {
         Some(products)
     }
 
-    /// Moves its levels to what they are after the shared columns' coefficients.
+    /// Updates the levels for the coefficients of the shared columns.
     pub fn update_levels(&mut self, reference: &Reference, coefficients: &SVector<f64, STILL>) {
         let products = self.products(reference.levels[1]);
         let Some((inverse, pull)) = self.level_inverse(&products, reference) else { return };
@@ -147,12 +143,12 @@ impl Cell {
         self.levels[1] += change[1];
     }
 
-    /// Pixels, less those whose level is cut off.
+    /// Number of pixels, less those with clipped levels.
     pub fn pixels(&self) -> f64 {
         f64::from(self.sums[column::WHITE][column::WHITE])
     }
 
-    /// What it says for itself; `None` where it has too few pixels.
+    /// `None` with too few pixels.
     pub fn evaluate(&self, reference: &Reference) -> Option<CellFit> {
         let pixels = self.pixels();
         if pixels < MIN_PIXELS {
@@ -177,7 +173,7 @@ impl Cell {
     }
 }
 
-/// The reference that cells are held against.
+/// Levels and noise that cells are compared with.
 #[derive(Clone, Copy, Debug)]
 pub struct Reference {
     /// W and C, grey levels.
@@ -186,7 +182,7 @@ pub struct Reference {
     pub noise2: f64,
 }
 
-/// Whether a column is one of shape, which grows with the step.
+/// Whether a column is one of shape, which is proportional to the step.
 fn is_shape(index: usize) -> bool {
     index == column::BLUR || index >= column::SHIFT
 }

@@ -1,8 +1,9 @@
-//! The images that a contour gives, in plain loops and with a bloom.
+//! Images of a contour, its derivatives and its spread, with bloom.
 //!
-//! As in the fast fit (`super::super::image`) nodes add to images over the pixels round them, but the
-//! kernel is that of the very blur, both rims may have moved by a bloom, and how the black share d
-//! follows a rim that moves towards black, -∮ K ds, is an image of its own for each rim.
+//! As in the plain fit ([`window`](super::super::model::window)) nodes add to the pixels around
+//! them. Here the kernel is that of the exact blur, both rims may be moved by a bloom, and the
+//! derivative of the black share d by a motion of a rim into black, -∮ K ds, is an image of its own
+//! for each rim.
 
 use fearless_simd::{Level, Simd, dispatch};
 use fearless_simd_macros::simd;
@@ -12,18 +13,17 @@ use crate::{
     room::make_room,
 };
 
-/// Images: fall (later d), two gradients, curvature, and the spread of either rim.
+/// Fall (later d), two gradients, curvature, and the spread of either rim.
 pub const IMAGES: usize = 6;
-/// Steps of the table of the normal distribution, to a unit …
+/// Steps of the table per unit …
 const FINE: f64 = 256.0;
-/// … and where it ends.
+/// … and its range.
 const END: f64 = 6.0;
 /// Up to this blur a node reaches over 8 pixels, beyond it over 16.
 const NARROW_PX: f64 = 1.12;
-/// Places on one axis: pixels of the widest node, one more for the fall, and a pixel's two sides.
+/// Pixels of the widest node, one more for the fall, and both sides of a pixel.
 const PLACES: usize = 20;
 
-/// The normal distribution and its density.
 #[derive(Clone, Debug)]
 pub struct NormalTable(Vec<[f32; 2]>);
 
@@ -70,37 +70,34 @@ impl NormalTable {
     }
 }
 
-/// A window's images.
 #[derive(Clone, Debug, Default)]
 pub struct RimImages {
     /// Column and row of the frame at the top left.
     pub origin: (i64, i64),
-    /// Columns.
     pub width: usize,
-    /// Rows.
     pub height: usize,
     planes: Vec<f32>,
     normals: Vec<[f32; 2]>,
 }
 
-/// What one axis of a node comes to.
+/// Kernel of a node along one axis.
 struct Axis {
     /// First pixel.
     first: usize,
-    /// k, its slope, and e.
+    /// k, its derivative, and e.
     weight: [f32; PLACES],
     slope: [f32; PLACES],
     fall: [f32; PLACES],
 }
 
 impl RimImages {
-    /// Room for windows of so many pixels.
+    /// Reserves memory for windows of this size.
     pub fn make_room(&mut self, pixels: usize) {
         make_room(&mut self.planes, pixels * IMAGES);
         make_room(&mut self.normals, MAX_NODES);
     }
 
-    /// Lays the window over columns and rows of the frame; all are included.
+    /// Places the window over columns and rows of the frame, inclusive.
     pub fn set_region(&mut self, columns: (i64, i64), rows: (i64, i64)) {
         self.origin = (columns.0, rows.0);
         self.width = (columns.1 - columns.0 + 1) as usize;
@@ -109,7 +106,6 @@ impl RimImages {
         self.planes.resize(size.max(self.planes.len()), 0.0);
     }
 
-    /// One image.
     pub fn plane(&self, index: usize) -> &[f32] {
         let size = self.width * self.height;
         &self.planes[index * size..(index + 1) * size]
@@ -178,7 +174,7 @@ impl RimImages {
         }
     }
 
-    /// Moves both rims into the black by so many pixels.
+    /// Moves both rims into the black.
     pub fn move_rims(&mut self, nodes: &mut Nodes, by_px: f64) {
         let by_px = by_px as f32;
         let count = nodes.x.len();
@@ -190,7 +186,7 @@ impl RimImages {
         for (from, to) in [(0, nodes.outer), (nodes.outer, count)] {
             let around = &self.normals[from..to];
             let round = |i: usize, by: usize| around[(i + by) % around.len()];
-            // Shares of the way may run against the order of the nodes.
+            // The contour may run against the order of the nodes.
             let (x, y) = (&nodes.x[from..], &nodes.y[from..]);
             let forward = (x[1] - x[0]) * nodes.dx[from] + (y[1] - y[0]) * nodes.dy[from];
             let along_px = by_px * forward.signum();
@@ -198,7 +194,7 @@ impl RimImages {
                 let end = around.len();
                 let (one, two) =
                     ([round(i, 1), round(i, end - 1)], [round(i, 2), round(i, end - 2)]);
-                // The normal's change from node to node, exact to the fourth order.
+                // Change of the normal from node to node, to fourth order.
                 let change = [0, 1]
                     .map(|k| (8.0 * (one[0][k] - one[1][k]) - (two[0][k] - two[1][k])) / 12.0);
                 nodes.x[from + i] += by_px * around[i][0];
@@ -210,7 +206,7 @@ impl RimImages {
     }
 }
 
-/// One body for all that the processor can do, in which the loops become vector instructions.
+/// Compiled for each SIMD level, in which the loops become vector instructions.
 #[simd]
 fn draw<S: Simd>(
     simd: S,
@@ -223,7 +219,7 @@ fn draw<S: Simd>(
 }
 
 impl Axis {
-    /// Of a node at a place on an axis of so many pixels; `None` if it reaches beyond them.
+    /// `None` if the node reaches beyond the window.
     #[inline(always)]
     fn new(
         place: f64,
@@ -237,7 +233,7 @@ impl Axis {
             return None;
         }
         let first = place as usize + 1 - reach / 2;
-        // At the sides of the pixels, from the one above the first on: Φ, φ and F.
+        // Φ, φ and F at the sides of the pixels, from the one above the first on.
         let mut sides = [[0.0; 3]; PLACES];
         for (i, side) in sides.iter_mut().enumerate().take(reach + 3) {
             let t = place - first as f64 + 1.5 - i as f64;
@@ -260,7 +256,7 @@ impl Axis {
 mod tests {
     use super::*;
 
-    /// A ring of radii 12 and 5 px; `turn` says which way round its nodes come.
+    /// A ring of radii 12 and 5 px; `turn` is the direction of its nodes.
     fn ring(turn: f64) -> Nodes {
         let mut nodes = Nodes::default();
         for (radius, sign) in [(12.0, 1.0), (5.0, -1.0)] {
@@ -287,7 +283,7 @@ mod tests {
             images.move_rims(&mut nodes, bloom_px);
             assert!(images.draw(Level::new(), &nodes, 0.8, &table));
             let share = images.plane(0);
-            // In the middle of black, of white, and outside.
+            // In black, in white, and outside.
             for (u, expected) in [(24 + 9, 1.0), (24, 0.0), (2, 0.0)] {
                 let share = share[24 * images.width + u];
                 assert!((share - expected).abs() < 2e-3, "{turn} {u}: {share}");
@@ -296,7 +292,7 @@ mod tests {
             let expected =
                 std::f64::consts::PI * ((12.0 - bloom_px).powi(2) - (5.0 + bloom_px).powi(2));
             assert!((f64::from(area) / expected - 1.0).abs() < 2e-3, "{turn}: {area} {expected}");
-            // What a further bloom would take is as long as both rims.
+            // The derivative by a further bloom is the length of both rims.
             let move_rims: f32 = images.plane(4).iter().chain(images.plane(5)).sum();
             let around = -std::f64::consts::TAU * (12.0 + 5.0);
             assert!(

@@ -1,28 +1,28 @@
-//! The careful fit: for rings whose residual shows that the plain model does not hold.
+//! The robust fit, for rings whose residual contradicts the plain model.
 //!
-//! In: where the fast fit ended. Out: a solution whose covariance says what the picture holds, or a
-//! refusal. The image is the same (`image`), but
+//! In: the state where the plain fit ended. Out: a solution with a realistic covariance, or a
+//! rejection. The image is the same (`image`), with these extensions:
 //!
-//! * **cut off levels.** A pixel at an end of the scale says only that its level m, with noise ε of
-//!   deviation s, lies beyond: with z = (254.5 - m)/s its likelihood is Φ(-z), so that it pulls by
-//!   s λ, λ = φ(z)/Φ(-z), with the weight λ (λ - z): as any other pixel where m is far below, not at
-//!   all where m is far above (Tobit's regression). The flanks say how high white is.
-//! * **bloom.** Where levels are cut off, white may spread into black across both rims: one more
-//!   unknown, expected within [`BLOOM_PRIOR_PX`].
-//! * **cells.** Where that does not explain the residual, each stretch of either rim gets levels of its
-//!   own (`cells`): half of a ring in shadow keeps its say on where the rims are, and a cover without
-//!   an edge near the rim has none.
-//! * **drops.** Cells whose rim stands off the model's, or whose pixels are left with more than most
-//!   cells' are, leave the fit until their number settles.
-//! * **no motion.** Motion within the exposure would pass for whatever blurs one side more than another: it is
-//!   held at none.
-//! * **growth.** The variance of a pixel is multiplied by the mean of δ²/var(δ) over the cells that
-//!   stay: motion, JPEG and covers that were not seen move whole stretches, not single pixels.
+//! * **Clipped levels.** A pixel at an end of the scale states only that its level m, with noise ε
+//!   of standard deviation s, lies beyond. With z = (254.5 - m)/s its likelihood is Φ(-z), so its
+//!   residual is s λ, λ = φ(z)/Φ(-z), with the weight λ (λ - z): that of any other pixel where m is
+//!   far below, zero where m is far above (Tobit regression). The flanks determine the white level.
+//! * **Bloom.** Where levels are clipped, white may spread into black across both rims: one more
+//!   unknown, with a prior of [`BLOOM_PRIOR_PX`].
+//! * **Cells.** Where that does not explain the residual, each stretch of either rim gets its own
+//!   levels (`cells`). A ring half in shadow keeps all its information about the rims, and an
+//!   occlusion without an edge near the rim has no effect.
+//! * **Outliers.** Cells whose rim is off the model's, or whose residual exceeds that of most
+//!   cells, are rejected until their set is stable.
+//! * **No motion.** Motion within the exposure would explain anything that blurs one side more than
+//!   another; it is held at zero.
+//! * **Variance.** The variance of a pixel is multiplied by the mean of δ²/var(δ) over the kept
+//!   cells: motion, JPEG and undetected occlusions move whole stretches, not single pixels.
 //!
-//! Refused are rings of which fewer than [`LEAST_KEPT`] of either rim's cells agree.
+//! Rejected are rings of which fewer than [`MIN_KEPT`] of either rim's cells agree.
 //!
-//! **Accuracy** (`roundel-tests`, `tests/robustness.rs`): white at 330 of 255, with and without bloom, a
-//! shadow's edge across the ring, covers.
+//! **Accuracy** (`roundel-tests`, `tests/robustness.rs`): white at 330 of 255, with and without
+//! bloom, the edge of a shadow across the ring, occlusions.
 
 mod cell_outliers;
 mod cells;
@@ -48,45 +48,44 @@ use cells::{Cell, Products, Reference, SPREAD};
 use image::{NormalTable, RimImages};
 use pixels::Pixel;
 
-/// Deviation of the bloom where levels are cut off, pixels.
+/// Standard deviation of the bloom where levels are clipped.
 const BLOOM_PRIOR_PX: f64 = 0.3;
-/// Levels are cut off if more than this share of the pixels stands at an end of the scale.
+/// Levels are clipped if more than this share of the pixels is at an end of the scale.
 const CUT_OFF: f64 = 0.02;
-/// Least share of each rim's cells that must agree.
+/// Share of each rim's cells that must agree.
 const MIN_KEPT: f64 = 0.4;
-/// Rounds of dropping cells.
+/// Rounds of rejecting cells.
 const ROUNDS: usize = 6;
 /// Steps of one round.
 const STEPS: usize = 8;
-/// Looks at the picture, of both normals: twice as many as most rings need.
+/// Linearizations for both normals: twice as many as most rings need.
 const MAX_LINEARIZATIONS: usize = 28;
-/// A step that lowers the misfit by less than this many variances is the last one.
+/// A step that decreases the misfit by fewer variances is the last one.
 const LAST_STEP: f64 = 0.3;
-/// A step that promises less than this many variances, and does not keep it, is left out.
+/// A step that promises fewer variances, and does not deliver them, is ignored.
 const SETTLED: f64 = 4.0;
-/// Deviation of a pixel, at least.
+/// Lower limit of the standard deviation of a pixel.
 const MIN_NOISE: f64 = 0.5;
-/// The growth up to which one set of levels is enough for the whole ring.
+/// Growth of the variance up to which one set of levels serves the whole ring.
 const UNIFORM_GROWTH: f64 = 3.0;
-/// Variance that face-on adds to the tilt, in units of the elongation's deviation …
+/// Variance that face-on poses add to the tilt, in units of the elongation's standard deviation …
 const FACE_ON: f64 = 1.5;
-/// … up to an elongation of about so many deviations.
+/// … up to an elongation of about so many standard deviations.
 const FACE_ON_END: f64 = 2.5;
 
-/// Memory of the careful fit.
 #[derive(Clone, Debug, Default)]
 pub struct RobustScratch {
     normal: NormalTable,
     images: RimImages,
     pixels: Vec<Pixel>,
     cells: Vec<Cell>,
-    /// The cells before a step that may not hold.
+    /// Cells before a step, to restore them if it fails.
     saved: Vec<Cell>,
     list: Vec<f64>,
 }
 
 impl RobustScratch {
-    /// Room for windows of so many pixels.
+    /// Reserves memory for windows of this size.
     pub fn make_room(&mut self, pixels: usize) {
         self.images.make_room(pixels);
         make_room(&mut self.pixels, pixels);
@@ -95,31 +94,30 @@ impl RobustScratch {
         make_room(&mut self.list, cells::MAX_CELLS);
     }
 
-    /// Whether all of the inner rim's cells agreed in the newest fit.
+    /// Whether all cells of the inner rim agreed in the last fit.
     pub fn disc_is_unobstructed(&self) -> bool {
         self.cells.iter().all(|cell| cell.rim == 0 || cell.kept)
     }
 }
 
-/// Whose levels hold.
+/// Whether the ring or each cell has its own levels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum LevelScope {
     Ring,
     Cells,
 }
 
-/// A fit at work.
 struct RobustFit<'a> {
     problem: &'a Problem<'a>,
     scratch: &'a mut FitScratch,
     reference: Reference,
     levels: LevelScope,
-    /// Whether levels are cut off, and the bloom is free.
+    /// Whether levels are clipped, and the bloom is free.
     cut_off: bool,
     bloom_px: f64,
-    /// The last column's products, from before it was eliminated.
+    /// Products of the last column before its elimination.
     bloom: SVector<f64, STILL>,
-    /// The misfit as it is, before levels and bloom have followed.
+    /// Misfit before levels and bloom are updated.
     misfit: f64,
     iterations: usize,
 }
@@ -150,7 +148,6 @@ pub fn solve(
     estimate(problem, solution, second)
 }
 
-/// The solution with its covariance.
 fn estimate(
     problem: &Problem,
     solution: Solution,
@@ -182,7 +179,7 @@ fn estimate(
 }
 
 impl RobustFit<'_> {
-    /// Deals the pixels out to cells.
+    /// Assigns pixels to cells.
     fn assign_cells(&mut self, state: &State) {
         let robust = &mut self.scratch.robust;
         let (origin, width, height) =
@@ -266,7 +263,7 @@ impl RobustFit<'_> {
         Ok(self.against_mirrored(solution))
     }
 
-    /// The likelier of a solution and the one from its mirrored place, with what the other comes to.
+    /// The more likely of a solution and the one from its mirrored pose, with the other one.
     fn against_mirrored(&mut self, first: Solution) -> (Solution, Option<MirrorEstimate>) {
         let Ok((state, mut equations, _)) = self.iterate(first.state.mirrored()) else {
             return (first, None);
@@ -293,7 +290,7 @@ impl RobustFit<'_> {
         )
     }
 
-    /// Steps down from a state; whether it settled.
+    /// Damped Gauss-Newton steps; the flag is set if they converged.
     fn iterate(&mut self, start: State) -> Result<(State, NormalEquations, bool), FitError> {
         let mut state = start;
         let mut equations = self.assemble(&state)?;
@@ -332,7 +329,7 @@ impl RobustFit<'_> {
                     let RobustScratch { cells, saved, .. } = &mut self.scratch.robust;
                     cells.clone_from(saved);
                     self.bloom_px = bloom_px;
-                    // The columns, not the model, stand in the way of so little.
+                    // The approximate columns, not the model, prevent so small a decrease.
                     if found.is_ok() && gain < SETTLED * noise2 {
                         return Ok((state, equations, true));
                     }
@@ -343,7 +340,7 @@ impl RobustFit<'_> {
         Ok((state, equations, false))
     }
 
-    /// Moves bloom and the cells' levels along with the shared unknowns.
+    /// Updates bloom and the cells' levels for a step of the shared unknowns.
     fn update_levels(&mut self, equations: &NormalEquations, change: &[f64]) {
         let mut coefficients = SVector::<f64, STILL>::zeros();
         coefficients[0] = 1.0;
@@ -356,7 +353,7 @@ impl RobustFit<'_> {
             self.bloom_px += bloom / self.reference.levels[1];
         }
         if self.levels == LevelScope::Cells {
-            // The levels' own coefficients are what is looked for.
+            // The levels' own coefficients are the unknowns here.
             (coefficients[column::WHITE], coefficients[column::STEP]) = (0.0, 0.0);
             for cell in &mut self.scratch.robust.cells {
                 cell.update_levels(&self.reference, &coefficients);
@@ -393,7 +390,7 @@ impl RobustFit<'_> {
         Ok(NormalEquations::new(self.problem, state, (&products, &pixel_model), radius_px))
     }
 
-    /// The products of all cells that count, with bloom free or held.
+    /// Products of the kept cells, with the bloom eliminated where it is free.
     fn summed_products(&mut self) -> Products {
         let mut sum = Products::zeros();
         self.misfit = 0.0;

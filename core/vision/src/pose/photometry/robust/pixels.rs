@@ -1,4 +1,4 @@
-//! What each pixel says, summed over the cells.
+//! Columns of each counted pixel, summed over the cells.
 
 use fearless_simd::{Level, Simd, dispatch};
 use fearless_simd_macros::simd;
@@ -12,20 +12,15 @@ use crate::pose::photometry::solver::{
     state::{Problem, State},
 };
 
-/// A pixel that counts.
 #[derive(Clone, Copy, Debug)]
 pub struct Pixel {
-    /// Its place in the window …
+    /// In the window.
     pub column: u16,
-    /// … across and down.
     pub row: u16,
-    /// Whose it is.
     pub cell: u16,
-    /// What is seen.
     pub grey: f32,
 }
 
-/// Sums each cell's pixels against the images that are drawn.
 pub fn add_all(level: Level, at: (&Problem, &State), robust: &mut RobustScratch, deviation: f64) {
     dispatch!(level, simd => add_each(simd, at, robust, deviation));
 }
@@ -90,17 +85,17 @@ fn add_each<S: Simd>(
     }
 }
 
-/// What a pixel says against a level.
+/// Contribution of a pixel to the likelihood.
 struct PixelTerm {
-    /// Residual, over the root of the weight.
+    /// Residual over the root of its weight.
     residual: f64,
-    /// Root of the weight of its columns' products.
+    /// Root of the weight.
     root: f64,
-    /// -2 s² times the logarithm of its likelihood.
+    /// -2 s² times the log-likelihood.
     misfit: f64,
 }
 
-/// Of a pixel's grey against a level, with noise of a deviation.
+/// Of a grey value against a level, with noise of this standard deviation.
 #[inline]
 fn pixel_term(table: &NormalTable, grey: f64, level: f64, deviation: f64) -> PixelTerm {
     let (sign, z) = if grey >= 255.0 {

@@ -1,4 +1,4 @@
-//! Small symmetric positive definite systems of a size known only at run time.
+//! Small symmetric positive definite systems, with a size known at run time.
 
 use std::ops::Range;
 
@@ -6,21 +6,20 @@ use fearless_simd::{Level, Simd, dispatch};
 use fearless_simd_macros::simd;
 use nalgebra::SMatrix;
 
-/// Unknowns at most.
 pub const MAX_UNKNOWNS: usize = 12;
 
-/// The Cholesky factor of a matrix, scaled to a diagonal of ones first.
+/// Cholesky factor of a matrix that is first scaled to a unit diagonal.
 #[derive(Clone, Debug)]
 pub struct Cholesky {
-    /// Rows and columns that it is of.
+    /// Factored rows and columns.
     range: Range<usize>,
     scale: [f64; MAX_UNKNOWNS],
-    /// Upper triangle; on the diagonal its inverse, below it what is left of the elimination.
+    /// Upper triangle; the diagonal holds inverses, the rest is scratch.
     upper: [[f64; MAX_UNKNOWNS]; MAX_UNKNOWNS],
 }
 
 impl Cholesky {
-    /// Of some rows and the same columns; `None` unless they are positive definite.
+    /// Factors a range of rows and columns; `None` unless it is positive definite.
     pub fn new(matrix: &[[f64; MAX_UNKNOWNS]; MAX_UNKNOWNS], range: Range<usize>) -> Option<Self> {
         let mut factor =
             Self { range, scale: [0.0; MAX_UNKNOWNS], upper: [[0.0; MAX_UNKNOWNS]; MAX_UNKNOWNS] };
@@ -28,8 +27,8 @@ impl Cholesky {
         is_one.then_some(factor)
     }
 
-    /// That of a matrix which differs from this one's in the last `COUNT` rows and columns only; `None`
-    /// unless it is positive definite.
+    /// Factor of a matrix that differs only in the last `COUNT` rows and columns; `None` unless it
+    /// is positive definite.
     pub fn with_last<const COUNT: usize>(
         &self,
         matrix: &[[f64; MAX_UNKNOWNS]; MAX_UNKNOWNS],
@@ -70,7 +69,7 @@ impl Cholesky {
         Some(next)
     }
 
-    /// The solution of matrix · x = right; other unknowns stay at none.
+    /// Solves matrix · x = right; unknowns outside the range are zero.
     pub fn solve(&self, right: &[f64; MAX_UNKNOWNS]) -> [f64; MAX_UNKNOWNS] {
         let mut x: [f64; MAX_UNKNOWNS] = std::array::from_fn(|i| right[i] * self.scale[i]);
         for j in self.range.clone() {
@@ -80,7 +79,8 @@ impl Cholesky {
                 *value -= by * above;
             }
         }
-        // What is known of an unknown is taken from all above it at once, so that none waits for a sum.
+        // Each solved unknown is subtracted from all rows above at once, which avoids a chain of
+        // dependent additions.
         for i in self.range.clone().rev() {
             x[i] *= self.upper[i][i];
             let by = x[i];
@@ -94,10 +94,10 @@ impl Cholesky {
         x
     }
 
-    /// The last `COUNT` rows and columns of the inverse: those of the factor's own last rows.
+    /// The last `COUNT` rows and columns of the inverse, from the last rows of the factor.
     pub fn inverse_of_last<const COUNT: usize>(&self) -> SMatrix<f64, COUNT, COUNT> {
         let first = self.range.end - COUNT;
-        // Lower triangle of the inverse of the factor's corner.
+        // Inverse of the factor's corner, lower triangle.
         let mut inverse = SMatrix::<f64, COUNT, COUNT>::zeros();
         for column in 0..COUNT {
             let diagonal = self.upper[first + column][first + column];
@@ -120,7 +120,7 @@ impl Cholesky {
     }
 }
 
-/// Divisions and roots take longer than all else: only one division of a row waits for the row before.
+/// One division per row waits for the row before; divisions and roots dominate the time.
 #[simd]
 fn eliminate<S: Simd>(
     simd: S,
@@ -147,7 +147,7 @@ fn eliminate<S: Simd>(
             return false;
         }
         inverse[j] = 1.0 / row[j];
-        // Whole rows, of one length, go into vectors; what comes below the diagonal is not read.
+        // Whole rows vectorize; entries below the diagonal are not read.
         for i in j + 1..range.end {
             let by = row[i] * inverse[j];
             for k in 0..MAX_UNKNOWNS {
@@ -195,7 +195,7 @@ mod tests {
                 assert!((corner[(row, column)] - expected).abs() < 1e-9 * (1.0 + expected.abs()));
             }
         }
-        // Of a part, as if there were no more.
+        // A part, as if there were nothing else.
         let part = Cholesky::new(&matrix, 2..5).unwrap().solve(&right);
         for (row, (values, right)) in matrix.iter().zip(right).enumerate() {
             let left: f64 = values.iter().zip(part).map(|(a, b)| a * b).sum();

@@ -1,4 +1,8 @@
-//! Gauss and Newton's steps from a start to the unknowns, damped where they fail.
+//! Damped Gauss-Newton (Levenberg-Marquardt) from a start to the unknowns.
+//!
+//! Steps are undamped until one fails to decrease the misfit. After a small step the information is
+//! kept and only the residual evaluated again. If the first step is large, the mirrored pose is
+//! tested as well ([`super::mirror`]).
 
 use super::{
     linearize::{linearize, linearize_start},
@@ -8,20 +12,18 @@ use super::{
 };
 use crate::pose::photometry::{FitError, FitScratch};
 
-/// Steps at most.
 const MAX_STEPS: usize = 16;
-/// A step that lowers the misfit by less than this many variances is the last one.
+/// A step that decreases the misfit by fewer variances is the last one.
 const LAST_STEP: f64 = 0.5;
-/// After a step that was to lower the misfit by less than this many variances the information is
-/// not taken anew.
+/// After a step that promises fewer variances the information is reused.
 const SMALL_STEP: f64 = 100.0;
-/// The least damping, other than none.
+/// Smallest damping other than zero.
 const MIN_DAMPING: f64 = 0.01;
-/// A step that promises less than this many variances, and does not keep it, is left out.
+/// A step that promises fewer variances, and does not deliver them, is ignored.
 const SETTLED: f64 = 4.0;
-/// The mirrored place's misfit is to be smaller by so many variances for the fit to go on there.
+/// Decrease of the misfit, in variances, for which the fit continues from the mirrored pose.
 const MIRRORED: f64 = 10.0;
-/// Least difference of black and white, grey levels.
+/// Minimum contrast, grey levels.
 const MIN_STEP: f64 = 5.0;
 
 /// Finds the unknowns from a start.
@@ -61,7 +63,7 @@ pub fn solve(
             let mut behind = equations.clone();
             behind.advance(&change, left);
             let left2 = equations.noise2_for(left);
-            // From the wrong place of two, the first step already says so.
+            // A start at the wrong one of two poses shows in the first step.
             if let Some(other) = evaluate_mirrored(problem, &next, (&behind, left2, None), scratch)
                 && other.misfit < left - MIRRORED * left2
                 && let Ok(found) = linearize(problem, &other.state, None, scratch)
@@ -72,17 +74,17 @@ pub fn solve(
         }
         // The information hardly changes over a small step; the residual does.
         let small = gain < SMALL_STEP * noise2 && damping == 0.0 && state.is_small_turn(&change);
-        // What was recalled is as good at the second look as at the first.
+        // Cached information is as good at the second linearization as at the first.
         let is_fresh = !equations.reused || (equations.cache && step == 1);
         let reused = (small && is_fresh).then_some(&equations);
         match linearize(problem, &next, reused, scratch) {
-            // Another blur's table moves the misfit by less than a variance.
+            // A change of the kernel table moves the misfit by less than a variance.
             Ok(found) if found.misfit <= equations.misfit + noise2 => {
                 (state, equations) = (next, found);
                 damping = if damping > MIN_DAMPING { 0.1 * damping } else { 0.0 };
             }
             Err(FitError::Uninformative) => return Err(FitError::Uninformative),
-            // Rounding, not the model, stands in the way of so little.
+            // Rounding, not the model, prevents so small a decrease.
             Ok(_) if gain < SETTLED * noise2 => {
                 let misfit = equations.misfit;
                 return Ok(Solution { state, misfit, noise2, iterations: step, equations });

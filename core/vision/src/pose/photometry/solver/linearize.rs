@@ -1,4 +1,4 @@
-//! One look at the pixels: from a state to its image, and from that to the linear problem.
+//! One linearization: from a state to its image, and from that to the normal equations.
 
 use nalgebra::{Vector2, Vector3};
 
@@ -18,19 +18,18 @@ use crate::pose::photometry::{
     },
 };
 
-/// Fewest pixels.
 const MIN_PIXELS: f64 = 30.0;
 
-/// What is known of a linear problem beforehand: with it the pixels are asked for the rest only.
+/// Information that is reused; the pixels then give the gradient only.
 #[derive(Clone, Copy)]
 enum Reuse<'a> {
-    /// The one at a state near by.
+    /// That of a state nearby.
     Near(&'a NormalEquations),
-    /// Products of columns, from a frame before.
+    /// That of an earlier frame.
     Recalled(&'a NormalEquationCache),
 }
 
-/// The linear problem at a state where a fit begins: with what is recalled, if that serves there.
+/// Linearizes at the start of a fit, with the cache where it is valid.
 pub fn linearize_start(
     problem: &Problem,
     state: &State,
@@ -41,7 +40,7 @@ pub fn linearize_start(
     assemble(problem, state, cache.map(Reuse::Recalled), scratch)
 }
 
-/// The linear problem at a state; with the information that is known from near by, if there is one.
+/// Linearizes at a state, with the information of a state nearby if given.
 pub fn linearize(
     problem: &Problem,
     state: &State,
@@ -97,7 +96,6 @@ fn assemble(
     if equations.pixels < MIN_PIXELS { Err(FitError::Uninformative) } else { Ok(equations) }
 }
 
-/// What carrying the contour into the window needs of the scratch.
 pub struct ProjectionScratch<'a> {
     pub level: fearless_simd::Level,
     pub contours: &'a mut crate::pose::photometry::model::contour::Contours,
@@ -105,14 +103,14 @@ pub struct ProjectionScratch<'a> {
     pub window: (i64, i64),
 }
 
-/// The outer rim's radius, pixels.
+/// Radius of the outer rim.
 pub fn radius_px(problem: &Problem, state: &State) -> f64 {
-    // The largest stretch of the lens is at most the slope's norm.
+    // The largest stretch of the lens is at most the norm of its derivative.
     let scale_px = problem.lens.slope.norm() * std::f64::consts::FRAC_1_SQRT_2;
     scale_px * problem.radius_m / (state.pose.position_m.z * problem.lens.spread)
 }
 
-/// Carries the contour into the window; returns the outer rim's radius, pixels.
+/// Projects the contour into the window; returns the radius of the outer rim, pixels.
 pub fn project(
     problem: &Problem,
     state: &State,
@@ -142,7 +140,7 @@ pub fn pixel_model(
         (ray - nearness * axis.dot(p)) / problem.radius_m
     };
     let inverse = lens.slope.try_inverse().unwrap_or_default();
-    // t = slope⁻¹ (pixel - pixel of t = 0): for the columns an affine lens is enough.
+    // t = slope⁻¹ (pixel - pixel of t = 0): an affine lens is enough for the columns.
     let from = Vector2::new(
         window.0 as f64 - lens.origin.u - f64::from(lens.terms[0][0]),
         window.1 as f64 - lens.origin.v - f64::from(lens.terms[1][0]),

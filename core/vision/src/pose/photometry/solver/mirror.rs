@@ -1,13 +1,14 @@
-//! The other place that looks nearly the same: the roundel mirrored along the line of sight.
+//! The other pose that looks nearly the same: the roundel mirrored along the line of sight.
 //!
-//! Where a point of the plane has the relative inverse depth q (1 in the middle), it has 2 - 1/q over q
-//! in the mirrored place, so its ray t goes to t/(2 q - 1). The image changes by this displacement times
-//! -∇d, one column m more beside those of the unknowns (J, residual r): the mirrored place leaves r - m.
-//! Where this place turns by τ, the mirrored one turns by -τ, and m grows by the share κ·τ, as the tangent
-//! of the tilt does: in this place's turns the mirrored one's columns are J + m κᵀ. So with the products
-//! of m all that a step from there comes to is known without looking at the picture again.
-//! Linear in the displacement, this serves up to [`LINEAR_BLURS`]; beyond, the picture decides, unless
-//! the mirrored place is worse by [`EXCLUDED`] variances even so.
+//! A point of the plane with relative inverse depth q (1 in the middle) has 2 - 1/q over q in the
+//! mirrored pose, so its ray t becomes t/(2 q - 1). This displacement times -∇d changes the image
+//! by m, one more column besides those of the unknowns (J, residual r): the mirrored pose leaves r
+//! - m. Where this pose rotates by τ, the mirrored one rotates by -τ, and m grows by the share κ·τ,
+//! as the tangent of the tilt does: in rotations of this pose the columns of the mirrored one are J
+//! + m κᵀ. With the products of m, the result of a step from the mirrored pose is known without
+//! another pass over the pixels. This is linear in the displacement and holds up to
+//! [`LINEAR_BLURS`]. Beyond that the pixels decide, unless the mirrored pose is worse by
+//! [`EXCLUDED`] variances anyway.
 
 use nalgebra::Vector3;
 
@@ -19,26 +20,27 @@ use super::{
 };
 use crate::pose::photometry::{FitScratch, model::projection::PrintPose};
 
-/// Displacement of the outer rim up to which the image follows it linearly, in deviations of its edges.
+/// Displacement of the outer rim up to which the image is linear in it, in standard deviations of
+/// its edges.
 const LINEAR_BLURS: f64 = 0.6;
-/// A place whose misfit is greater by so many variances is not the right one.
+/// A pose with a misfit larger by so many variances is excluded.
 const EXCLUDED: f64 = 200.0;
 
-/// What the mirrored place of a solution comes to.
+/// Estimate of the mirrored pose.
 pub struct MirrorEstimate {
     /// Sum of squared residuals after one step, grey levels².
     pub misfit: f64,
-    /// The same without the step.
+    /// `misfit` without the step.
     pub initial_misfit: f64,
-    /// How far from the solution's that step's position is, local frame, metres.
+    /// From the solution's position to that after the step, local frame.
     pub other_offset_m: Vector3<f64>,
-    /// Where to go on from: where the step leads, if it can be relied on.
+    /// Where to continue: after the step, if it is reliable.
     pub state: State,
 }
 
-/// The mirrored place after one step; `None` where it has none. `known` is the linear problem at the
-/// state, of which a pixel's variance is `noise2`, and `factor` that of its information with what is known
-/// beforehand, where there is one.
+/// The mirrored pose after one step; `None` where there is none. `equations` is the problem at the
+/// state, `noise2` the variance of a pixel, and `factor` that of its information with priors, if
+/// available.
 pub fn evaluate_mirrored(
     problem: &Problem,
     state: &State,
@@ -53,24 +55,25 @@ pub fn evaluate_mirrored(
     }
     let mut own = linearize(problem, &mirrored, Some(&own), scratch).ok()?;
     negate_turns(&mut own.gradient);
-    // A step so far from where the information holds says which place is nearer, and no more.
+    // The information does not hold this far: the step decides which pose is closer, and is not
+    // taken.
     let found = step(&mirrored, &own, noise2, factor)?;
     Some(MirrorEstimate { state: mirrored, ..found })
 }
 
-/// Whether the mirrored place moves the rims by so little that the image follows it linearly.
+/// Whether the mirrored pose displaces the rims by so little that the image is linear in it.
 pub fn is_linear(state: &State, equations: &NormalEquations) -> bool {
     equations.apart_px < LINEAR_BLURS * state.edge_px()
 }
 
-/// One step from the mirrored place, with the information of the other, whose turns the gradient's are.
+/// One step from the mirrored pose, with the information and in the rotations of the other.
 fn step(
     mirrored: &State,
     equations: &NormalEquations,
     noise2: f64,
     factor: Option<&Cholesky>,
 ) -> Option<MirrorEstimate> {
-    // Of the information only the tilts' is another.
+    // Only the information of the tilts differs.
     let mut change = match factor {
         Some(factor) => equations.step_beside(mirrored, noise2, factor)?,
         None => equations.step(mirrored, noise2, 0.0)?,
@@ -89,7 +92,7 @@ fn step(
 }
 
 impl NormalEquations {
-    /// That of the mirrored place, in this one's turns.
+    /// The problem at the mirrored pose, in rotations of this one.
     fn mirrored(&self, state: &State) -> Self {
         let mut other = self.clone();
         let (with_unknowns, with_residual, own) = &self.mirror;
@@ -110,7 +113,7 @@ impl NormalEquations {
 }
 
 impl State {
-    /// κ: by which share each unknown makes m grow.
+    /// κ: relative growth of m by each unknown.
     fn mirror_growth(&self) -> [f64; MAX_UNKNOWNS] {
         let PrintPose { position_m, axes } = &self.pose;
         let along = axes.transpose() * position_m.normalize();
@@ -124,7 +127,7 @@ impl State {
     }
 }
 
-/// From one place's turns to the other's.
+/// Converts between the rotations of the two poses.
 fn negate_turns(unknowns: &mut [f64; MAX_UNKNOWNS]) {
     unknowns[TILT] *= -1.0;
     unknowns[TILT + 1] *= -1.0;

@@ -1,4 +1,9 @@
-//! The least-squares problem of one ring, and its solution by Gauss-Newton steps.
+//! The least-squares problem of one ring, and its solution.
+//!
+//! [`linearize`] turns a [`state`] into [`normal_equations`], reusing those of a state nearby or of
+//! an earlier frame ([`normal_equation_cache`]) where possible. [`gauss_newton`] steps to the
+//! minimum with [`cholesky`]. [`mirror`] estimates the mirrored pose from the same equations.
+//! [`solution`] gives covariance and rims.
 
 pub mod cholesky;
 pub mod gauss_newton;

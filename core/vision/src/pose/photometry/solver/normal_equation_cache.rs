@@ -1,12 +1,11 @@
-//! The products of the linear problem's columns, from one frame to the next.
+//! Products of the linear problem's columns, reused from one frame to the next.
 //!
-//! Where a ring stands, is lit and blurred nearly as in a frame before, its columns have nearly the products
-//! that they had there, and only those with the residual, which are the frame's own, are to be summed: the
-//! step, and the covariance, then err by a share of themselves that [`RecalledProducts::serve`] bounds.
-//! Products recalled are never handed on as those of the frame that recalled them, so that no such share
-//! comes upon another.
+//! Where a ring has nearly the same pose, light and blur as in an earlier frame, its columns have
+//! nearly the same products. Only those with the residual, which belong to the frame, are summed.
+//! The relative error of step and covariance is bounded by [`NormalEquationCache::is_valid_for`]. A
+//! frame that uses the cache passes it on unchanged, so errors do not accumulate.
 //!
-//! PERF: 30 px followed, 0.88 of the time (`cargo bench -p roundel-tests --bench time`).
+//! PERF: 30 px tracked, 0.88 of the time (`cargo bench -p roundel-tests --bench time`).
 
 use nalgebra::Matrix2;
 
@@ -22,26 +21,28 @@ use crate::{
     },
 };
 
-/// Columns but for the residual's and the motion's, and their products.
+/// Columns without those of the residual and of the motion.
 const COLUMNS: usize = STILL - 1;
 const COUNT: usize = COLUMNS * (COLUMNS + 1) / 2;
 
-/// By no more than this share may range, lens and number of pixels be others …
+/// Largest relative change of range, lens and number of pixels.
 const MAX_CHANGE: f64 = 0.02;
-/// … the levels by this share of the step, with which only the light's columns go, …
+/// Largest change of the levels, as a share of the step; only the columns of the light depend on
+/// them.
 const MAX_LEVEL_CHANGE: f64 = 0.05;
-/// … and σ², with whose fourth root the information goes.
+/// Largest relative change of σ²; the information varies with its fourth root.
 const MAX_BLUR2_CHANGE: f64 = 0.06;
-/// Turned by no more than this share of the sine of the tilt, with whose square the tilts' information goes.
+/// Largest rotation, as a share of the sine of the tilt; the information about tilts varies with
+/// its square.
 const MAX_TILT_CHANGE: f64 = 0.05;
 
-/// Products of columns of a frame before, and of what they depend on.
+/// Products of the columns of an earlier frame, and the conditions that they depend on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NormalEquationCache {
     /// Upper triangle, row by row.
     products: [f32; COUNT],
     pose: PrintPose,
-    /// Of the lens.
+    /// Derivative of the lens.
     slope: Matrix2<f64>,
     blur2: f64,
     white: f64,
@@ -50,8 +51,8 @@ pub struct NormalEquationCache {
 }
 
 impl NormalEquationCache {
-    /// Of a fit that took them anew; `None` if its motion was free, the blur was held, or the print is not
-    /// a plain one, whose columns hang on more than is compared.
+    /// From a fit without a cache; `None` if its motion was free, its blur at a limit, or the print
+    /// not plain, since columns of other prints depend on more than is compared.
     pub fn of(problem: &Problem, state: &State, equations: &NormalEquations) -> Option<Self> {
         let is_plain = matches!(problem.kind.pattern, Pattern::Plain);
         if !(problem.is_still && is_plain) || equations.is_held(BLUR) {
@@ -70,14 +71,15 @@ impl NormalEquationCache {
         Some(Self { products, pose, slope, blur2, white, step, pixels })
     }
 
-    /// Whether they are as good as those of a state, of which so many pixels count.
+    /// Whether the products hold at a state with this number of counted pixels.
     pub fn is_valid_for(&self, problem: &Problem, state: &State, pixels: usize) -> bool {
         let is_near = |one: f64, other: f64| (one - other).abs() < MAX_CHANGE * other.abs();
         let is_lit =
             |one: f64, other: f64| (one - other).abs() < MAX_LEVEL_CHANGE * self.step.abs();
         let pose = &state.pose;
         let cosine = pose.axes.column(2).dot(&pose.position_m.normalize());
-        // Of a turn by a small angle the matrix's difference has the norm √2 times the angle.
+        // The difference of the matrices for a rotation by a small angle has the norm √2 times the
+        // angle.
         let turn2 = 0.5 * (pose.axes - self.pose.axes).norm_squared();
         problem.is_still
             && matches!(problem.kind.pattern, Pattern::Plain)
@@ -90,7 +92,6 @@ impl NormalEquationCache {
             && (problem.lens.slope - self.slope).norm() < MAX_CHANGE * self.slope.norm()
     }
 
-    /// Puts them in place.
     pub fn write_to(&self, products: &mut Products) {
         let mut at = 0;
         for one in column::WHITE..STILL {
@@ -105,7 +106,7 @@ impl NormalEquationCache {
 }
 
 impl NormalEquations {
-    /// Of two columns, none of which is the residual's or the motion's.
+    /// Product of two columns other than those of residual and motion.
     fn product(&self, one: usize, other: usize) -> f64 {
         let (with_unknowns, _, own) = &self.mirror;
         let step = self.scale[SHIFT];

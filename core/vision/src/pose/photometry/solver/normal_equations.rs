@@ -1,4 +1,4 @@
-//! The linear problem at a state: information, gradient, steps, and when a step is the last one.
+//! Normal equations at a state: information, gradient, steps, and the criterion of the last step.
 
 use std::ops::Range;
 
@@ -11,7 +11,6 @@ use crate::pose::photometry::model::{
     window::PixelModel,
 };
 
-/// The linear problem at a state.
 #[derive(Clone, Debug)]
 pub struct NormalEquations {
     pub information: [[f64; MAX_UNKNOWNS]; MAX_UNKNOWNS],
@@ -21,55 +20,54 @@ pub struct NormalEquations {
     /// Sum of squared residuals, grey levels².
     pub misfit: f64,
     pub pixels: f64,
-    /// How far residuals hang together ([`patches::share`]).
+    /// Correlation of the residuals ([`residual_patches`](super::super::model::residual_patches)).
     pub patch_ratio: f64,
-    /// Products of what tells the mirrored place from this one: with the unknowns, with the residual and
-    /// with itself.
+    /// Products of the mirrored pose's column: with the unknowns, with the residual, and with
+    /// itself.
     pub mirror: ([f64; MAX_UNKNOWNS], f64, f64),
-    /// How far the mirrored place moves the outer rim, pixels.
+    /// Displacement of the outer rim by the mirrored pose, pixels.
     pub apart_px: f64,
     /// Whether the information is that of an earlier state …
     pub reused: bool,
     /// … and of an earlier frame.
     pub cache: bool,
-    /// Variance of μ beforehand besides its own size, px⁴; none where the motion is held.
+    /// Variance of μ besides its own size, px⁴; `None` where the motion is held.
     pub motion_prior: Option<f64>,
-    /// Information of a move of both rims.
+    /// Information about a displacement of both rims.
     edge_information: f64,
-    /// The outer rim's radius, pixels.
     radius_px: f64,
-    /// Information of a rim's elongation, both rims.
+    /// Information about the elongation of both rims.
     pub elongation: f64,
-    /// p₃ s: metres that a unit of shift is.
+    /// p₃ s: metres per unit of shift.
     pub unit_m: f64,
 }
 
-/// Column of the mirrored place.
 const MIRROR: usize = column::MIRROR;
-/// A step is the last one if it moves the rims by less than this on average, pixels …
+/// Limits of the last step. Mean displacement of the rims, pixels …
 const LAST_MOVE_PX: f64 = 0.03;
-/// … which the pixels tell with a misfit of no more variances: what the columns miss of it is far below
-/// the noise …
+/// … and its effect on the misfit, in variances. The error of the columns is then far below the
+/// noise.
 const LAST_MOVE: f64 = 25.0;
-/// … by no more through the square of its turn …
+/// Displacement by the square of the rotation, pixels.
 const LAST_BEND_PX: f64 = 0.002;
-/// … and σ² by less than this share of the radius, px² to px: the smaller the rims, the less they tell blur
-/// from size and levels, and the further the columns' errors carry.
+/// Change of σ² over the radius, px² per px: the smaller the rims, the less they separate blur from
+/// size and levels, and the more the errors of the columns matter.
 const LAST_BLUR_PX: f64 = 8e-4;
-/// μ may move as far as the pixels tell with [`LAST_MOVE`] variances, and no more than this, px²: the columns'
-/// errors carry far less of it than its own noise.
+/// Change of μ, px², besides [`LAST_MOVE`]: the errors of the columns matter far less for it than
+/// its own noise.
 const LAST_MOTION_PX2: f64 = 1.0;
-/// Deviation of the light's gradient: relative change over a radius.
+/// Standard deviation of the light's gradient: relative change over a radius.
 const LIGHT_PRIOR: f64 = 0.1;
-/// [`patches::share`] of noise exceeds 1 by no more than this over the root of the number of pixels: more than
-/// three deviations of 5.3 beyond its mean of 1 (of 15,000 rendered rings), since a clean ring that is taken for a
-/// disturbed one costs as much as a hundred others.
+/// [`correlation_ratio`](super::super::model::residual_patches::correlation_ratio) of noise exceeds
+/// 1 by at most this over the root of the number of pixels: more than three standard deviations of
+/// 5.3 (over 15,000 rendered rings), since a clean ring taken for a disturbed one costs as much
+/// time as a hundred others.
 const PATCH_SLACK: f64 = 18.0;
-/// By so many times as much it is neither noise nor what the model leaves out of a clean ring.
+/// Beyond this multiple of [`PATCH_SLACK`] the residual is not that of a clean ring.
 const MISMATCH_FACTOR: f64 = 1.7;
 
 impl NormalEquations {
-    /// From the products of all columns, or of those without the motion's.
+    /// From the products of all columns, or of those without motion.
     pub fn new<const COUNT: usize>(
         problem: &Problem,
         state: &State,
@@ -93,7 +91,8 @@ impl NormalEquations {
             gradient[i] = products[(0, column)] * scale[i];
             mirror[i] = products[(column, MIRROR)] * scale[i] * step;
         }
-        // A straight edge of deviation τ tells its place by C²/(2 √π τ) a pixel's length.
+        // A straight edge of standard deviation τ has the information C²/(2 √π τ) per pixel of
+        // length about its position.
         let spread_px = state.edge_px();
         let edge = state.step * state.step / (2.0 * std::f64::consts::PI.sqrt() * spread_px);
         let ratio = problem.kind.mean_ratio();
@@ -121,7 +120,7 @@ impl NormalEquations {
         }
     }
 
-    /// The same information, with the residual's products of another state near by.
+    /// With the same information, and the gradient at a state nearby.
     pub fn updated(&self, products: &Products) -> Self {
         let mut next = self.clone();
         for i in self.free_unknowns() {
@@ -133,7 +132,7 @@ impl NormalEquations {
         next
     }
 
-    /// Whether the problem is as good as linear over a change, and its residual all noise already.
+    /// Whether a step is the last: the problem is linear over it, and the residual is noise.
     pub fn is_converged_by(&self, state: &State, change: &[f64; MAX_UNKNOWNS]) -> bool {
         let shape = SHIFT..UNKNOWNS;
         let moved: f64 = shape
@@ -158,12 +157,12 @@ impl NormalEquations {
         self.patch_ratio < 1.0 + PATCH_SLACK / self.pixels.sqrt()
     }
 
-    /// Whether what is left is far more than noise would ever leave.
+    /// Whether the residual is far more than noise leaves.
     pub fn contradicts_model(&self) -> bool {
         self.patch_ratio > 1.0 + MISMATCH_FACTOR * PATCH_SLACK / self.pixels.sqrt()
     }
 
-    /// Carries what depends on the residual over a change that leaves this misfit.
+    /// Updates gradient and misfit for a step.
     pub fn advance(&mut self, change: &[f64; MAX_UNKNOWNS], misfit: f64) {
         for (gradient, row) in self.gradient.iter_mut().zip(&self.information) {
             *gradient -= row.iter().zip(change).map(|(a, b)| a * b).sum::<f64>();
@@ -172,7 +171,7 @@ impl NormalEquations {
         self.misfit = misfit;
     }
 
-    /// Holds an unknown where it is.
+    /// Fixes an unknown.
     pub fn hold(&mut self, unknown: usize) {
         for other in self.free_unknowns() {
             self.information[unknown][other] = 0.0;
@@ -183,12 +182,12 @@ impl NormalEquations {
         self.mirror.0[unknown] = 0.0;
     }
 
-    /// Whether an unknown is held: the level of black hangs together with all others.
+    /// A free unknown is always correlated with the black level.
     pub fn is_held(&self, unknown: usize) -> bool {
         self.information[unknown][STEP] == 0.0
     }
 
-    /// The unknowns but for a motion that is held.
+    /// All unknowns, without a held motion.
     pub fn free_unknowns(&self) -> Range<usize> {
         if self.motion_prior.is_some() { MOTION..UNKNOWNS } else { WHITE..UNKNOWNS }
     }
@@ -197,12 +196,12 @@ impl NormalEquations {
         self.noise2_for(self.misfit)
     }
 
-    /// Variance of a pixel for a sum of squares; never below that of rounding.
+    /// Variance of a pixel for a sum of squares; at least that of rounding.
     pub fn noise2_for(&self, misfit: f64) -> f64 {
         (misfit / (self.pixels - self.free_unknowns().len() as f64).max(1.0)).max(1.0 / 12.0)
     }
 
-    /// Information and gradient with what is known beforehand.
+    /// Information and gradient with the priors.
     pub fn with_prior(
         &self,
         state: &State,
@@ -224,7 +223,7 @@ impl NormalEquations {
         (information, gradient)
     }
 
-    /// The information for a step, and the gradient.
+    /// Information and gradient for a step.
     fn with_curvature(
         &self,
         state: &State,
@@ -238,7 +237,7 @@ impl NormalEquations {
         (information, gradient)
     }
 
-    /// The factor of the information for a step, and the gradient.
+    /// Factor of the information for a step, and the gradient.
     pub fn factor(
         &self,
         state: &State,
@@ -252,13 +251,12 @@ impl NormalEquations {
         Some((Cholesky::new(&information, self.free_unknowns())?, gradient))
     }
 
-    /// A step, damped or not.
     pub fn step(&self, state: &State, noise2: f64, damping: f64) -> Option<[f64; MAX_UNKNOWNS]> {
         let (factor, gradient) = self.factor(state, noise2, damping)?;
         Some(factor.solve(&gradient))
     }
 
-    /// A step, from the factor of information that differs from this one in the tilts alone.
+    /// A step, from the factor of information that differs in the tilts only.
     pub fn step_beside(
         &self,
         state: &State,
@@ -269,14 +267,14 @@ impl NormalEquations {
         Some(neighbor.with_last::<2>(&information)?.solve(&gradient))
     }
 
-    /// Information, over that of one grey level, about the tilt about either axis.
+    /// Information about the tilt about either axis, for a noise of one grey level.
     pub fn tilt_information(&self, state: &State) -> f64 {
         let pose = &state.pose;
         let cosine = pose.axes.column(2).dot(&pose.position_m.normalize());
         self.elongation * (1.0 - cosine * cosine) / 8.0
     }
 
-    /// What the curvature of the elongation adds to the tilt's information.
+    /// Contribution of the elongation's curvature to the information about the tilt.
     fn tilt_curvature(&self, state: &State, noise2: f64) -> f64 {
         let (tilt, elongation) = (self.tilt_information(state) / noise2, self.elongation / noise2);
         let variance = 2.0 / ((tilt * tilt + elongation).sqrt() + tilt);

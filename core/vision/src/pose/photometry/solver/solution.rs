@@ -1,4 +1,4 @@
-//! What a fit has found: whether noise explains what is left, the covariance, and the rims.
+//! Result of a fit: noise test, covariance, and rims.
 
 use nalgebra::{SMatrix, Vector3};
 
@@ -15,7 +15,6 @@ use crate::{
     rigid::{Covariance6, UNKNOWN_ANGLE_VARIANCE_RAD2},
 };
 
-/// Unknowns with their information.
 #[derive(Clone, Debug)]
 pub struct Solution {
     pub state: State,
@@ -27,14 +26,14 @@ pub struct Solution {
     pub equations: NormalEquations,
 }
 
-/// Over shift, shift, logarithm of the range and two turns.
+/// Over two shifts, logarithm of the range and two rotations.
 pub type Covariance5 = SMatrix<f64, 5, 5>;
 
-/// Deviations of the noise that levels stay away from the ends of the scale.
+/// Distance of white and black from the ends of the scale, in standard deviations of the noise.
 const ENDS_NOISE: f64 = 3.0;
 
 impl Solution {
-    /// Whether noise explains the residual, and the scale of grey levels holds white and black.
+    /// Whether noise explains the residual, and white and black are within the scale.
     pub fn is_plain(&self) -> bool {
         let (state, equations) = (&self.state, &self.equations);
         let slack = ENDS_NOISE * self.noise2.sqrt();
@@ -43,13 +42,13 @@ impl Solution {
         equations.is_noise_only() && low > slack && high < 255.0 - slack
     }
 
-    /// The factor of the information, with what is known beforehand.
+    /// Factor of the information with priors.
     pub fn factor(&self) -> Option<Cholesky> {
         let (information, _) = self.equations.with_prior(&self.state, self.noise2);
         Cholesky::new(&information, self.equations.free_unknowns())
     }
 
-    /// Of (position, rotation) in the camera's frame, by [`Self::factor`].
+    /// Of (position, rotation) in the camera frame, from [`Self::factor`].
     pub fn covariance(&self, problem: &Problem, factor: &Cholesky) -> Covariance6 {
         let own: Covariance5 = factor.inverse_of_last() * self.noise2;
         let axes = &self.state.pose.axes;
@@ -57,7 +56,7 @@ impl Solution {
         self.in_camera_frame(problem, &self.state, &own, &turns)
     }
 
-    /// What later frames may recall: what this one recalled itself, or what it has taken anew.
+    /// Cache for later frames: the one that was used, or a new one.
     pub fn cache(&self, problem: &Problem) -> Option<NormalEquationCache> {
         if self.equations.cache {
             problem.cache.copied()
@@ -66,8 +65,8 @@ impl Solution {
         }
     }
 
-    /// Variance of either part of the motion's square by noise alone, px⁴, as far as the prior lets it;
-    /// none where it was held.
+    /// Variance by noise of either component of the motion's square, px⁴, without the prior's part;
+    /// `None` where the motion was held.
     pub fn motion_variance(&self) -> Option<f64> {
         let prior = self.equations.motion_prior?;
         let factor = self.factor()?;
@@ -81,8 +80,8 @@ impl Solution {
         Some(posterior * (1.0 - posterior / prior).max(0.0))
     }
 
-    /// A covariance over shift, range and turns about these axes as one of (position, rotation) in the
-    /// camera's frame, with nothing about the normal, for a state near the solution's.
+    /// Converts a covariance over shift, range and rotations about `turns` to one of (position,
+    /// rotation) in the camera frame, with the variance of an unknown angle about the normal.
     pub fn in_camera_frame(
         &self,
         problem: &Problem,
@@ -108,10 +107,10 @@ impl Solution {
     }
 }
 
-/// A blur whose nodes stand as far apart as can be: for areas and their moments few are enough.
+/// A blur for which nodes are as sparse as possible: areas and moments need few.
 const FEW_NODES_PX: f64 = 1e6;
 
-/// Both rims as a state images them.
+/// Both rims that a state implies.
 pub fn rims(
     problem: &Problem,
     state: &State,
@@ -123,7 +122,7 @@ pub fn rims(
         nodes: &mut scratch.nodes,
         window: scratch.window.origin,
     };
-    // The disc's rim is that between the teeth.
+    // The disc's rim without teeth.
     project(&Problem { teeth: None, ..*problem }, state, FEW_NODES_PX, &mut parts);
     let nodes = &scratch.nodes;
     let outer = nodes.outer;
@@ -135,7 +134,7 @@ pub fn rims(
     Some((rim(0, outer)?, rim(outer, nodes.x.len())?))
 }
 
-/// The ellipse of the area, centre and second moments that a contour encloses.
+/// Ellipse with the area, centre and second moments of a contour.
 fn ellipse_of(x: &[f32], y: &[f32], dx: &[f32], dy: &[f32], origin: (i64, i64)) -> Option<Ellipse> {
     let points = (0..x.len()).map(|i| [x[i], y[i], dx[i], dy[i]].map(f64::from));
     let mut shape = Shape::of_contour(points);
