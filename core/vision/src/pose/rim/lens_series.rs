@@ -21,7 +21,7 @@
 use std::ops::{Add, Mul, Sub};
 
 use super::{
-    projection::{POINTS, PlaneEllipse},
+    plane_ellipse::{POINTS, PlaneEllipse},
     rim_pair::RimEllipse,
 };
 use crate::lanes::{Lane, Mat2, Vec2};

@@ -11,5 +11,6 @@ pub mod information;
 pub mod lens_iteration;
 pub mod lens_series;
 pub mod noise;
+pub mod plane_ellipse;
 pub mod projection;
 pub mod rim_pair;
