@@ -4,6 +4,7 @@
 //! | --- | --- |
 //! | [`time`], [`id`], [`rigid`] | instants, names, rigid transforms with covariance |
 //! | `lanes` | numbers side by side, one case in each lane of a vector |
+//! | [`normal_distribution`] | φ, Φ and its tail |
 //! | `share` | work on a frame's rings, shared among threads |
 //! | [`camera`] | lens models |
 //! | [`frame`] | a view of 8-bit grey pixels |
@@ -25,6 +26,7 @@ pub mod frame;
 pub mod id;
 mod lanes;
 pub mod marker;
+pub mod normal_distribution;
 pub mod pose;
 pub mod rigid;
 mod room;

@@ -26,10 +26,7 @@ use crate::{
         PoseError, RimNoise, RoundelPose,
         circle::closed_form::LANES,
         locate, locate_each,
-        photometry::{
-            self, FitScratch, Start,
-            history::{FitHistory, start},
-        },
+        photometry::{self, FitHistory, FitInput, FitScratch},
         recent_tracks::RecentTracks,
         shutter::{Shutter, Skew},
         yaw,
@@ -43,6 +40,7 @@ use crate::{
 pub struct Located {
     /// The ring, with the rims that the pose implies.
     pub ring: Ring,
+    /// Its pose.
     pub pose: RoundelPose,
     /// The mode that succeeded: [`Mode::Fast`] also where the precise fit rejected the ring.
     pub by: Mode,
@@ -59,6 +57,7 @@ pub struct ImageQuality {
     pub noise: f64,
 }
 
+/// Locates the rings of one camera.
 #[derive(Clone, Debug)]
 pub struct Locator {
     camera: Camera,
@@ -202,15 +201,15 @@ impl Locator {
     ) -> Result<Located, PoseError> {
         let pose = locate(&self.camera, kind, ring, &self.noise)?;
         let mut located = Located::from_rims(ring, pose);
-        let with = (&self.camera, kind, self.mode);
-        located.refine(with, frame, (None, None), self.shares.own());
+        let input = FitInput { frame, camera: &self.camera, kind, ring, skew: None };
+        located.refine(&input, self.mode, None, self.shares.own());
         Ok(located)
     }
 
     /// Updates the motion of the rings, for a rolling shutter.
     fn update_shutter(&mut self, frame: &Frame, time: Option<Timestamp>, tracked: &[TrackedRing]) {
         if let Some(shutter) = &mut self.shutter {
-            shutter.update((time, frame.height()), tracked, (&self.kinds, &self.noise));
+            shutter.update(time, frame.height(), tracked, &self.kinds, &self.noise);
         }
     }
 
@@ -235,10 +234,11 @@ impl Locator {
                 let skew = skews.map(|skews| skews[first + place]);
                 let is_certain =
                     tracked.code.is_some_and(|code| code.confidence >= MIN_CODE_CONFIDENCE);
-                let before = histories.of(tracked.track).copied();
+                let before = histories.get(tracked.track).copied();
                 let before =
                     if is_certain { before } else { before.map(FitHistory::without_teeth) };
-                one.history = located.refine((camera, kind, mode), frame, (before, skew), scratch);
+                let input = FitInput { frame, camera, kind, ring: &tracked.ring, skew };
+                one.history = located.refine(&input, mode, before.as_ref(), scratch);
                 if let Some(skew) = skew {
                     skew.widen(&mut located.pose, camera, kind);
                 }
@@ -246,7 +246,7 @@ impl Locator {
         });
         for (tracked, one) in tracked.iter().zip(pending) {
             if one.located.is_ok() {
-                histories.renew(tracked.track, one.history.take());
+                histories.update(tracked.track, one.history.take());
             }
         }
     }
@@ -271,32 +271,29 @@ impl Located {
     /// next frame.
     fn refine(
         &mut self,
-        (camera, kind, mode): (&Camera, &Kind, Mode),
-        frame: &Frame,
-        (before, skew): (Option<FitHistory>, Option<Skew>),
+        input: &FitInput,
+        mode: Mode,
+        before: Option<&FitHistory>,
         scratch: &mut FitScratch,
     ) -> Option<FitHistory> {
-        let code = self.ring.code;
         let mut history = None;
-        if mode == Mode::Precise {
-            let start = start(&self.pose, &self.ring.outer.center, before.as_ref());
-            let start = Start { skew, ..start };
-            if let Ok(fit) = photometry::fit(frame, camera, kind, &self.ring, &start, scratch) {
-                history = Some(FitHistory::of(&fit, &start, before.as_ref()));
-                *self = Self {
-                    ring: fit.ring,
-                    pose: fit.pose,
-                    by: Mode::Precise,
-                    image: Some(ImageQuality { blur_px: fit.blur_px, noise: fit.noise }),
-                };
-            }
+        if mode == Mode::Precise
+            && let Ok((fit, next)) = photometry::fit_tracked(input, &self.pose, before, scratch)
+        {
+            history = Some(next);
+            *self = Self {
+                ring: fit.ring,
+                pose: fit.pose,
+                by: Mode::Precise,
+                image: Some(ImageQuality { blur_px: fit.blur_px, noise: fit.noise }),
+            };
         }
         // A fit of the teeth includes the yaw.
-        if let Some(reading) = &code
+        if let Some(reading) = &input.ring.code
             && self.pose.yaw_rad.is_none()
         {
-            let reading = skew.map_or(*reading, |skew| skew.code(reading));
-            yaw::add(&mut self.pose, camera, &reading);
+            let reading = input.skew.map_or(*reading, |skew| skew.code(reading));
+            yaw::add(&mut self.pose, input.camera, &reading);
         }
         history
     }

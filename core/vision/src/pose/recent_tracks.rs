@@ -29,23 +29,23 @@ impl<T> RecentTracks<T> {
         Self { entries: Vec::with_capacity(2 * CAPACITY), calls: 0 }
     }
 
-    pub fn of(&self, track: TrackNumber) -> Option<&T> {
+    pub fn get(&self, track: TrackNumber) -> Option<&T> {
         self.position(track).ok().map(|index| &self.entries[index].value)
     }
 
     /// Replaces the value of a track; `None` keeps it.
-    pub fn renew(&mut self, track: TrackNumber, next: Option<T>) {
+    pub fn update(&mut self, track: TrackNumber, next: Option<T>) {
         self.calls += 1;
         let Some(value) = next else { return };
-        let entries = Entry { track, call: self.calls, value };
+        let entry = Entry { track, call: self.calls, value };
         match self.position(track) {
-            Ok(index) => self.entries[index] = entries,
-            Err(index) => self.insert(index, entries),
+            Ok(index) => self.entries[index] = entry,
+            Err(index) => self.insert(index, entry),
         }
     }
 
     fn position(&self, track: TrackNumber) -> Result<usize, usize> {
-        self.entries.binary_search_by_key(&track, |entries| entries.track)
+        self.entries.binary_search_by_key(&track, |entry| entry.track)
     }
 
     pub fn clear(&mut self) {
@@ -54,11 +54,11 @@ impl<T> RecentTracks<T> {
 
     /// Inserts a new track in order, and discards the oldest ones when the memory is full. Each
     /// update keeps one track, so the last [`CAPACITY`] updates are at most as many tracks.
-    fn insert(&mut self, index: usize, entries: Entry<T>) {
-        self.entries.insert(index, entries);
+    fn insert(&mut self, index: usize, entry: Entry<T>) {
+        self.entries.insert(index, entry);
         if self.entries.len() >= 2 * CAPACITY {
             let oldest = self.calls.saturating_sub(CAPACITY as u64);
-            self.entries.retain(|entries| entries.call > oldest);
+            self.entries.retain(|entry| entry.call > oldest);
         }
     }
 }
@@ -68,21 +68,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_stays_away_is_forgotten_and_who_is_seen_is_not() {
-        let mut recall = RecentTracks::new();
+    fn absent_tracks_are_discarded_and_updated_ones_are_not() {
+        let mut tracks = RecentTracks::new();
         let end = 4 * CAPACITY as u64;
         for number in 1..end {
             for track in [0, number] {
                 let before = (track == 0 && number > 1).then(|| number - 1);
-                assert_eq!(recall.of(TrackNumber(track)), before.as_ref(), "{track}");
-                recall.renew(TrackNumber(track), Some(number));
+                assert_eq!(tracks.get(TrackNumber(track)), before.as_ref(), "{track}");
+                tracks.update(TrackNumber(track), Some(number));
                 // `None` does not discard it.
-                recall.renew(TrackNumber(track), None);
-                assert_eq!(recall.of(TrackNumber(track)), Some(&number));
+                tracks.update(TrackNumber(track), None);
+                assert_eq!(tracks.get(TrackNumber(track)), Some(&number));
             }
-            assert!(recall.entries.len() < 2 * CAPACITY);
+            assert!(tracks.entries.len() < 2 * CAPACITY);
         }
-        assert_eq!(recall.of(TrackNumber(1)), None);
-        assert_eq!(recall.of(TrackNumber(end - 1)), Some(&(end - 1)));
+        assert_eq!(tracks.get(TrackNumber(1)), None);
+        assert_eq!(tracks.get(TrackNumber(end - 1)), Some(&(end - 1)));
     }
 }

@@ -23,13 +23,15 @@ use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Vector2, Vector3};
 
-use super::{DEFAULT_BLUR_PX, Fit, NormalEquationCache, Start, Teeth};
+use super::{
+    DEFAULT_BLUR_PX, Outcome, Start, Teeth, solver::normal_equation_cache::NormalEquationCache,
+};
 use crate::{
     camera::PixelPoint,
     pose::{RoundelPose, yaw},
 };
 
-/// Opaque to callers.
+/// What the next fit of a tracked ring reuses; opaque to the rest of the crate.
 #[derive(Clone, Copy, Debug)]
 pub struct FitHistory {
     normal: Vector3<f64>,
@@ -51,14 +53,15 @@ struct TeethMotion {
 }
 
 impl FitHistory {
-    pub fn of(fit: &Fit, start: &Start, before: Option<&Self>) -> Self {
+    pub(super) fn new(outcome: &Outcome, moved_px: f64, before: Option<&Self>) -> Self {
+        let fit = &outcome.fit;
         let mut motion_test = before.map_or(MotionTest::default(), |before| before.motion_test);
         let motion_px2 = fit.motion_px.norm_squared();
-        motion_test.update(motion_px2, fit.motion_variance_px4, start.moved_px);
-        let code = fit.teeth.zip(fit.pose.yaw_rad).map(|(teeth, yaw_rad)| {
-            let transferred_rad = before.and_then(|before| before.predicted_yaw(&fit.pose));
-            let turned_rad = transferred_rad
-                .map_or(0.0, |(_, transferred_rad)| wrap_angle(yaw_rad - transferred_rad));
+        motion_test.update(motion_px2, outcome.motion_variance_px4, moved_px);
+        let code = outcome.teeth.zip(fit.pose.yaw_rad).map(|(teeth, yaw_rad)| {
+            let turned_rad = before
+                .and_then(|before| before.predicted_yaw(&fit.pose))
+                .map_or(0.0, |(_, predicted_rad)| wrap_angle(yaw_rad - predicted_rad));
             TeethMotion { teeth, yaw_rad, turned_rad }
         });
         Self {
@@ -69,8 +72,12 @@ impl FitHistory {
             motion_test,
             code,
             // A fit with free motion fills no cache.
-            cache: fit.cache.or(start.cache),
+            cache: outcome.cache.or(before.and_then(|before| before.cache)),
         }
+    }
+
+    pub(super) fn cache(&self) -> Option<&NormalEquationCache> {
+        self.cache.as_ref()
     }
 
     pub fn without_teeth(self) -> Self {
@@ -92,7 +99,7 @@ fn wrap_angle(angle_rad: f64) -> f64 {
 }
 
 /// Start of a fit; of the two normals, the one nearer to that of the frame before.
-pub fn start(pose: &RoundelPose, center: &PixelPoint, before: Option<&FitHistory>) -> Start {
+pub(super) fn start(pose: &RoundelPose, center: &PixelPoint, before: Option<&FitHistory>) -> Start {
     let mut pose = pose.clone();
     let Some(before) = before else {
         return Start {
@@ -101,9 +108,7 @@ pub fn start(pose: &RoundelPose, center: &PixelPoint, before: Option<&FitHistory
             motion_px: Vector2::zeros(),
             moved_px: f64::INFINITY,
             is_still: false,
-            skew: None,
             teeth: None,
-            cache: None,
         };
     };
     if pose.other_normal.dot(&before.normal) > pose.normal.dot(&before.normal) {
@@ -111,8 +116,8 @@ pub fn start(pose: &RoundelPose, center: &PixelPoint, before: Option<&FitHistory
         std::mem::swap(&mut pose.normal, &mut pose.other_normal);
     }
     let code = before.predicted_yaw(&pose);
-    if let Some((TeethMotion { turned_rad, .. }, transferred_rad)) = code {
-        pose.yaw_rad = Some(transferred_rad + turned_rad);
+    if let Some((TeethMotion { turned_rad, .. }, predicted_rad)) = code {
+        pose.yaw_rad = Some(predicted_rad + turned_rad);
     }
     let moved_px = (center.u - before.center.u).hypot(center.v - before.center.v);
     Start {
@@ -121,9 +126,7 @@ pub fn start(pose: &RoundelPose, center: &PixelPoint, before: Option<&FitHistory
         motion_px: before.motion_px,
         moved_px,
         is_still: before.motion_test.may_hold_still(moved_px),
-        skew: None,
         teeth: code.map(|(code, _)| code.teeth),
-        cache: before.cache,
     }
 }
 

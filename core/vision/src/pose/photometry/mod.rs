@@ -53,7 +53,7 @@
 //! **Limits.** Rejected are coded prints whose teeth no frame has read, and elliptical discs whose
 //! rim is partly occluded. The paper must extend 3 px, or 3.5 blurs, beyond the outer rim.
 
-pub(super) mod history;
+mod history;
 mod hypotheses;
 mod model;
 mod robust;
@@ -67,30 +67,49 @@ use thiserror::Error;
 
 use crate::{
     camera::{Camera, LensError},
-    ellipse::{Chords, Ellipse},
+    ellipse::Chords,
     frame::Frame,
     marker::{Kind, Pattern, Ring},
     pose::{RoundelPose, Skew, frame_along, yaw},
 };
-use hypotheses::{PoseEstimate, estimate_pose};
-use model::{blur_kernel::BLUR_LIMITS_PX, local_lens::LocalLens, motion, projection::PrintPose};
-pub use model::{blur_kernel::normal_distribution, teeth::Teeth};
-pub use scratch::FitScratch;
-pub use solver::normal_equation_cache::NormalEquationCache;
-use solver::{
-    solution,
-    state::{Problem, State},
+pub(super) use history::FitHistory;
+use hypotheses::estimate_pose;
+pub use model::teeth::Teeth;
+use model::{
+    blur_kernel::BLUR_LIMITS_PX, local_lens::LocalLens, motion, projection::PrintPose,
+    window::Region,
 };
+pub use scratch::FitScratch;
+use solver::{
+    normal_equation_cache::NormalEquationCache,
+    problem::Problem,
+    solution::{self, PoseEstimate},
+    state::State,
+};
+
+/// A ring in a frame.
+#[derive(Clone, Copy, Debug)]
+pub struct FitInput<'a> {
+    /// The frame.
+    pub frame: &'a Frame<'a>,
+    /// Model of the camera.
+    pub camera: &'a Camera,
+    /// Kind of the ring.
+    pub kind: &'a Kind,
+    /// The ring as detected in the frame.
+    pub ring: &'a Ring,
+    /// Effect of a rolling shutter.
+    pub skew: Option<Skew>,
+}
 
 /// Start of a fit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Start {
     /// From [`super::locate`] or predicted; accurate to a third of a pixel and some degrees.
     pub pose: RoundelPose,
-    /// Standard deviation of the blur, pixels: that of the track's last fit, or
-    /// [`DEFAULT_BLUR_PX`].
+    /// Standard deviation of the blur, pixels, or [`DEFAULT_BLUR_PX`].
     pub blur_px: f64,
-    /// Motion within the exposure, pixels: that of the track's last fit, or zero.
+    /// Motion within the exposure, pixels, or zero.
     pub motion_px: Vector2<f64>,
     /// Displacement of the ring since the frame before, pixels, an upper bound of the motion within
     /// an exposure; infinite if unknown.
@@ -98,13 +117,9 @@ pub struct Start {
     /// Holds the motion at zero, which is faster. It is free nevertheless where noise does not
     /// explain the residual.
     pub is_still: bool,
-    /// Effect of a rolling shutter.
-    pub skew: Option<Skew>,
     /// Teeth of a coded print from earlier frames, for a frame without a reading. The pose then has
     /// a yaw, accurate to a fraction of a slot.
     pub teeth: Option<Teeth>,
-    /// Normal equations of the same ring in an earlier frame, which save time.
-    pub cache: Option<NormalEquationCache>,
 }
 
 /// Blur of a start about which nothing is known, pixels.
@@ -122,17 +137,20 @@ pub struct Fit {
     /// Motion within the exposure, pixels, or its opposite, which looks the same. The pose is that
     /// at the middle of the exposure.
     pub motion_px: Vector2<f64>,
-    /// Variance by noise of either component of the motion's square, px⁴; `None` where the motion
-    /// was held.
-    pub motion_variance_px4: Option<f64>,
     /// Standard deviation of the residual, grey levels: the noise of the image, if the model holds.
     pub noise: f64,
-    /// Teeth of a coded print.
-    pub teeth: Option<Teeth>,
     /// Number of iterations.
     pub iterations: usize,
-    /// For fits in later frames.
-    pub cache: Option<NormalEquationCache>,
+}
+
+/// A fit with what [`FitHistory`] keeps of it.
+struct Outcome {
+    fit: Fit,
+    /// Variance by noise of either component of the motion's square, px⁴; `None` where the motion
+    /// was held.
+    motion_variance_px4: Option<f64>,
+    teeth: Option<Teeth>,
+    cache: Option<NormalEquationCache>,
 }
 
 /// Why a ring has no fitted pose.
@@ -172,20 +190,34 @@ const MAX_MOTION_PX: f64 = 8.0;
 const MARGIN: (f64, f64) = (0.3, 0.8);
 /// … but never closer than this.
 const MIN_REACH_PX: f64 = 0.6;
-/// Distance of the nodes, in blurs.
-const SPACING: f64 = 1.45;
-/// Margin of the window around the counted pixels, into which contours may move.
-const SLACK_PX: f64 = 9.0;
 
-/// Fits the pose of a roundel of a known kind to the frame's pixels.
-pub fn fit(
-    frame: &Frame,
-    camera: &Camera,
-    kind: &Kind,
-    ring: &Ring,
-    start: &Start,
+/// Fits the pose of a single roundel of a known kind to the frame's pixels.
+pub fn fit(input: &FitInput, start: &Start, scratch: &mut FitScratch) -> Result<Fit, FitError> {
+    fit_with_cache(input, start, None, scratch).map(|outcome| outcome.fit)
+}
+
+/// Fits a tracked roundel, whose rims have this pose, from the state that its last fit left.
+/// Returns the state for the next frame as well.
+pub(super) fn fit_tracked(
+    input: &FitInput,
+    pose: &RoundelPose,
+    history: Option<&FitHistory>,
     scratch: &mut FitScratch,
-) -> Result<Fit, FitError> {
+) -> Result<(Fit, FitHistory), FitError> {
+    let start = history::start(pose, &input.ring.outer.center, history);
+    let cache = history.and_then(FitHistory::cache);
+    let outcome = fit_with_cache(input, &start, cache, scratch)?;
+    let next = FitHistory::new(&outcome, start.moved_px, history);
+    Ok((outcome.fit, next))
+}
+
+fn fit_with_cache(
+    input: &FitInput,
+    start: &Start,
+    cache: Option<&NormalEquationCache>,
+    scratch: &mut FitScratch,
+) -> Result<Outcome, FitError> {
+    let FitInput { frame, camera, kind, ring, skew } = *input;
     let range_m = start.pose.position_m.norm();
     let facing = start.pose.normal.dot(&start.pose.position_m) < 0.0;
     if !(facing && range_m.is_finite() && ring.outer.is_valid() && start.blur_px.is_finite()) {
@@ -196,20 +228,20 @@ pub fn fit(
         Pattern::Plain => (None, None),
         Pattern::Elliptical { .. } => (Some(start.pose.yaw_rad.ok_or(FitError::Pattern)?), None),
         Pattern::Coded(_) => {
-            let read_code = read_code(start, camera, ring);
+            let reading = read_code(input, &start.pose);
+            teeth_are_predicted = reading.is_none();
             let (yaw_rad, teeth) =
-                read_code.or(start.pose.yaw_rad.zip(start.teeth)).ok_or(FitError::Pattern)?;
-            teeth_are_predicted = read_code.is_none();
+                reading.or(start.pose.yaw_rad.zip(start.teeth)).ok_or(FitError::Pattern)?;
             (Some(yaw_rad), Some(teeth))
         }
     };
-    scratch.make_room(frame);
+    scratch.reserve(frame);
+    let model = &mut scratch.model;
     let radius_m = 0.5 * kind.outer_diameter_m;
     let local_from_camera = frame_along(&(start.pose.position_m / range_m));
     let spread = 1.05 * radius_m / range_m;
-    let skew = start.skew.as_ref();
-    let with = (scratch.level, &scratch.plan);
-    let lens = LocalLens::new(camera, local_from_camera, spread, skew, with)?;
+    let skew = skew.as_ref();
+    let lens = LocalLens::new(camera, local_from_camera, spread, skew, model.level, &model.plan)?;
     let blur_px = start.blur_px.clamp(BLUR_LIMITS_PX.0, BLUR_LIMITS_PX.1);
     let margin_px = (MARGIN.0 * ring.outer.semi_minor_px - MARGIN.1).max(MIN_REACH_PX);
     let max_px = if start.is_still { 0.0 } else { MAX_MOTION_PX };
@@ -217,9 +249,7 @@ pub fn fit(
     let reach_px = (REACH.0.max(REACH.1 * blur_px) + 0.5 * motion_px.norm()).min(margin_px);
     let counted = ring.outer.grown(reach_px);
     let chords = Chords::new(&counted);
-    scratch.window.set_region(window_of(&counted), (scratch.level, frame), &chords);
-    let motion_prior = motion::prior(start.moved_px);
-    let is_still = start.is_still;
+    model.window.set_region(model.level, frame, &Region::around(&counted), &chords);
     let problem = Problem {
         frame,
         kind,
@@ -227,24 +257,30 @@ pub fn fit(
         teeth_are_predicted,
         radius_m,
         lens: &lens,
+        counted,
         chords,
-        motion_prior,
-        is_still,
-        cache: start.cache.as_ref(),
+        motion_prior: motion::prior(start.moved_px),
+        is_still: start.is_still,
+        cache,
     };
     let normal = &start.pose.normal;
     let axes = match heading_rad {
         None => axes_of(&(local_from_camera * normal).normalize()),
         Some(yaw_rad) => local_from_camera * yaw::axes(normal, yaw_rad),
     };
-    let place = PrintPose { position_m: Vector3::new(0.0, 0.0, range_m), axes };
-    let first = State::new(place, ring, blur_px, &motion_px);
+    let pose = PrintPose { position_m: Vector3::new(0.0, 0.0, range_m), axes };
+    let first = State::new(pose, ring, blur_px, &motion_px);
     let deviation_rad = heading_rad.map(|_| yaw::deviation_rad(&start.pose));
-    let estimate_pose = estimate_pose(&problem, first, deviation_rad, &counted, scratch)?;
-    let fit = finish(&problem, ring, &estimate_pose, scratch);
-    match problem.teeth {
+    let estimate = estimate_pose(&problem, first, deviation_rad, scratch)?;
+    let fit = finish(&problem, ring, &estimate, scratch);
+    match teeth {
         Some(teeth) if teeth_are_predicted && !fit.resolves(teeth) => Err(FitError::Uninformative),
-        _ => Ok(fit),
+        _ => Ok(Outcome {
+            fit,
+            motion_variance_px4: estimate.motion_variance,
+            teeth,
+            cache: estimate.cache,
+        }),
     }
 }
 
@@ -259,22 +295,13 @@ impl Fit {
     }
 }
 
-/// Yaw and teeth of the ring's reading.
-fn read_code(start: &Start, camera: &Camera, ring: &Ring) -> Option<(f64, Teeth)> {
-    let observed = ring.code?;
-    let reading = start.skew.map_or(observed, |skew| skew.code(&observed));
-    let mut turned = start.pose.clone();
-    yaw::add(&mut turned, camera, &reading);
+/// Yaw and teeth of the ring's reading, for a roundel of this pose.
+fn read_code(input: &FitInput, pose: &RoundelPose) -> Option<(f64, Teeth)> {
+    let observed = input.ring.code?;
+    let reading = input.skew.map_or(observed, |skew| skew.code(&observed));
+    let mut turned = pose.clone();
+    yaw::add(&mut turned, input.camera, &reading);
     Some((turned.yaw_rad?, Teeth { bits: reading.code.bits, word: reading.word? }))
-}
-
-/// Columns and rows of the window around the counted pixels.
-fn window_of(counted: &Ellipse) -> ((i64, i64), (i64, i64)) {
-    let (half_u, half_v) = counted.half_box_px();
-    let range = |center: f64, half: f64| {
-        ((center - half - SLACK_PX).floor() as i64, (center + half + SLACK_PX).ceil() as i64)
-    };
-    (range(counted.center.u, half_u), range(counted.center.v, half_v))
 }
 
 /// Columns a, b, n for a normal; the direction of a is arbitrary.
@@ -288,16 +315,16 @@ fn axes_of(normal: &Vector3<f64>) -> Matrix3<f64> {
 fn finish(
     problem: &Problem,
     ring: &Ring,
-    estimate_pose: &PoseEstimate,
+    estimate: &PoseEstimate,
     scratch: &mut FitScratch,
 ) -> Fit {
-    let state = &estimate_pose.state;
+    let state = &estimate.state;
     let camera_from_local = problem.lens.local_from_camera.transpose();
-    let mut covariance = estimate_pose.covariance;
+    let mut covariance = estimate.covariance;
     // The two normals give slightly different positions, and which one is right is uncertain.
-    let apart = camera_from_local * estimate_pose.other_offset_m;
+    let apart = camera_from_local * estimate.other_offset_m;
     let mut position = covariance.fixed_view_mut::<3, 3>(0, 0);
-    position += apart * apart.transpose() * (1.0 - estimate_pose.likelihood);
+    position += apart * apart.transpose() * (1.0 - estimate.likelihood);
     let axes = camera_from_local * state.pose.axes;
     let (yaw_rad, yaw_symmetry) = match problem.kind.pattern {
         Pattern::Plain => (None, 1),
@@ -307,24 +334,21 @@ fn finish(
     let pose = RoundelPose {
         position_m: camera_from_local * state.pose.position_m,
         normal: axes.column(2).into_owned(),
-        normal_likelihood: estimate_pose.likelihood,
-        other_normal: camera_from_local * estimate_pose.other_normal,
+        normal_likelihood: estimate.likelihood,
+        other_normal: camera_from_local * estimate.other_normal,
         yaw_rad,
         yaw_symmetry,
         covariance,
     };
     let (outer, inner) =
-        solution::rims(problem, state, scratch).unwrap_or((ring.outer, ring.inner));
+        solution::rims(problem, state, &mut scratch.model).unwrap_or((ring.outer, ring.inner));
     let ring = Ring { outer, inner, black: state.white + state.step, white: state.white, ..*ring };
     Fit {
         pose,
         ring,
         blur_px: state.blur2.sqrt(),
         motion_px: motion::from_square(&state.motion2),
-        motion_variance_px4: estimate_pose.motion_variance,
-        noise: estimate_pose.noise2.sqrt(),
-        teeth: problem.teeth,
-        iterations: estimate_pose.iterations,
-        cache: estimate_pose.cache,
+        noise: estimate.noise2.sqrt(),
+        iterations: estimate.iterations,
     }
 }

@@ -2,44 +2,22 @@
 
 use fearless_simd::Level;
 
-use super::{
-    model::{
-        blur_kernel::Kernels, column_products::ProductSums, contour::Contours,
-        local_lens::SamplingPlan, projection::Nodes, window::Window,
-    },
-    robust::RobustScratch,
-};
+use super::{model::scratch::ModelScratch, robust::RobustScratch};
 use crate::frame::Frame;
 
 /// Working memory of fits, reused from fit to fit. The first fit reserves memory for rings as large
 /// as the frame, so that later ones allocate nothing (`tests/allocation.rs`).
 #[derive(Clone, Debug)]
 pub struct FitScratch {
-    pub(super) level: Level,
-    /// Frame size that memory is reserved for.
-    pub(super) size: (usize, usize),
-    pub(super) plan: SamplingPlan,
-    pub(super) kernels: Kernels,
-    pub(super) contours: Contours,
-    pub(super) nodes: Nodes,
-    pub(super) window: Window,
-    pub(super) sums: ProductSums,
+    pub(super) model: ModelScratch,
     pub(super) robust: RobustScratch,
+    /// Width and height of the frames that memory is reserved for.
+    size: [usize; 2],
 }
 
 impl Default for FitScratch {
     fn default() -> Self {
-        Self {
-            level: Level::new(),
-            size: (0, 0),
-            plan: SamplingPlan::default(),
-            kernels: Kernels::default(),
-            contours: Contours::default(),
-            nodes: Nodes::default(),
-            window: Window::default(),
-            sums: ProductSums::default(),
-            robust: RobustScratch::default(),
-        }
+        Self::with_level(Level::new())
     }
 }
 
@@ -47,15 +25,19 @@ impl Default for FitScratch {
 const MARGIN_PX: usize = 64;
 
 impl FitScratch {
+    pub(super) fn with_level(level: Level) -> Self {
+        Self { model: ModelScratch::new(level), robust: RobustScratch::default(), size: [0; 2] }
+    }
+
     /// Reserves memory for any ring in the frame; pages that no ring uses are not touched.
-    pub(super) fn make_room(&mut self, frame: &Frame) {
-        let size = (frame.width(), frame.height());
+    pub(super) fn reserve(&mut self, frame: &Frame) {
+        let size = [frame.width(), frame.height()];
         if self.size == size {
             return;
         }
         self.size = size;
-        let (columns, rows) = (size.0 + MARGIN_PX, size.1 + MARGIN_PX);
-        self.window.make_room((columns, rows));
-        self.robust.make_room(columns * rows);
+        let [columns, rows] = size.map(|side| side + MARGIN_PX);
+        self.model.window.reserve(columns, rows);
+        self.robust.reserve(columns * rows);
     }
 }

@@ -147,13 +147,15 @@ impl Shutter {
         self.motions.clear();
     }
 
-    /// Updates the motion of the rings in a frame whose middle row was exposed at `time`; `None`
+    /// Updates the motion of the rings in a frame of this height, whose middle row was exposed at `time`; `None`
     /// leaves the motion unknown.
     pub fn update(
         &mut self,
-        (time, height): (Option<Timestamp>, usize),
+        time: Option<Timestamp>,
+        height: usize,
         tracked: &[TrackedRing],
-        (kinds, noise): (&[Kind], &RimNoise),
+        kinds: &[Kind],
+        noise: &RimNoise,
     ) {
         self.skews.clear();
         for TrackedRing { track, ring, .. } in tracked {
@@ -170,18 +172,19 @@ impl Shutter {
             };
             let mut motion = ImageMotion::new(&observed);
             if time.is_some() {
-                if let Some(before) = self.motions.of(*track) {
+                if let Some(before) = self.motions.get(*track) {
                     motion = *before;
                     motion.update(&observed);
                 }
-                self.motions.renew(*track, Some(motion));
+                self.motions.update(*track, Some(motion));
             }
-            let size = (outer.semi_major_px, 0.5 * diameter_m);
-            self.skews.push(self.skew(&motion, outer.center.v, size));
+            let radius_m = 0.5 * diameter_m;
+            let skew = self.skew(&motion, outer.center.v, outer.semi_major_px, radius_m);
+            self.skews.push(skew);
         }
     }
 
-    fn skew(&self, motion: &ImageMotion, row_px: f64, (radius_px, radius_m): (f64, f64)) -> Skew {
+    fn skew(&self, motion: &ImageMotion, row_px: f64, radius_px: f64, radius_m: f64) -> Skew {
         let (velocity_px_s, variance) = motion.velocity();
         let speed_m_s =
             (velocity_px_s.norm_squared() + 2.0 * variance).sqrt() * radius_m / radius_px;

@@ -20,11 +20,13 @@ use nalgebra::Vector3;
 
 use crate::{
     pose::photometry::{
-        FitError, FitScratch, PoseEstimate,
+        FitError,
+        model::scratch::ModelScratch,
         solver::{
             gauss_newton,
-            solution::Solution,
-            state::{Problem, State},
+            problem::Problem,
+            solution::{PoseEstimate, Solution},
+            state::State,
         },
     },
     rigid::UNKNOWN_ANGLE_VARIANCE_RAD2,
@@ -56,7 +58,7 @@ pub fn solve(
     problem: &Problem,
     start: State,
     deviation_rad: f64,
-    scratch: &mut FitScratch,
+    scratch: &mut ModelScratch,
 ) -> Result<(Solution, YawEstimate), FitError> {
     let spacing_rad = (SPACING_SIGMA * deviation_rad).clamp(LIMITS_RAD.0, LIMITS_RAD.1);
     let mut middle = gauss_newton::solve(problem, start, scratch)?;
@@ -125,16 +127,16 @@ impl YawEstimate {
     }
 
     /// Replaces the variance of an unknown yaw by this one.
-    pub fn add_to(&self, problem: &Problem, estimate_pose: &mut PoseEstimate) {
+    pub fn add_to(&self, problem: &Problem, estimate: &mut PoseEstimate) {
         let camera_from_local = problem.lens.local_from_camera.transpose();
-        let normal = estimate_pose.state.pose.axes.column(2);
+        let normal = estimate.state.pose.axes.column(2);
         let mut by_heading = nalgebra::Vector6::zeros();
         let (pose, turn) = (self.position_m, self.rotation + normal);
         by_heading.fixed_rows_mut::<3>(0).copy_from(&(camera_from_local * pose));
         by_heading.fixed_rows_mut::<3>(3).copy_from(&(camera_from_local * turn));
         let normal = camera_from_local * normal;
-        let mut rotation = estimate_pose.covariance.fixed_view_mut::<3, 3>(3, 3);
+        let mut rotation = estimate.covariance.fixed_view_mut::<3, 3>(3, 3);
         rotation -= normal * normal.transpose() * UNKNOWN_ANGLE_VARIANCE_RAD2;
-        estimate_pose.covariance += by_heading * by_heading.transpose() * self.variance_rad2;
+        estimate.covariance += by_heading * by_heading.transpose() * self.variance_rad2;
     }
 }

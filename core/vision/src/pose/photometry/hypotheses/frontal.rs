@@ -25,13 +25,13 @@ use crate::pose::{
     circle::tilt_posterior::{self, Evidence, Lean},
     frame_along,
     photometry::{
-        FitScratch,
-        model::projection::PrintPose,
+        model::{projection::PrintPose, scratch::ModelScratch},
         solver::{
             cholesky::{Cholesky, MAX_UNKNOWNS},
             linearize,
+            problem::Problem,
             solution::{Covariance5, Solution},
-            state::{BLUR, MOTION, Problem, RANGE, SHIFT, STEP, State, TILT, WHITE},
+            state::{BLUR, MOTION, RANGE, SHIFT, STEP, State, TILT, WHITE},
         },
     },
 };
@@ -61,7 +61,11 @@ const PROBE: f64 = 2.0;
 const RANGE_OVER_SQUARED: f64 = 32.0;
 
 /// Posterior of the lean where the solution nearly faces the camera.
-pub fn estimate(problem: &Problem, solution: &Solution, scratch: &mut FitScratch) -> FrontalResult {
+pub fn estimate(
+    problem: &Problem,
+    solution: &Solution,
+    scratch: &mut ModelScratch,
+) -> FrontalResult {
     let state = &solution.state;
     let noise2 = solution.noise2;
     let frame = frame_along(&state.pose.position_m);
@@ -154,7 +158,7 @@ struct Marginal {
     /// … and their derivatives by the components of w.
     follow: [[f64; MAX_UNKNOWNS]; 2],
     /// Inverse information about shift and range with the lean held.
-    pose: Matrix3<f64>,
+    shift_and_range: Matrix3<f64>,
 }
 
 impl Marginal {
@@ -163,7 +167,7 @@ impl Marginal {
         solution: &Solution,
         frame: &Matrix3<f64>,
         lean: &Vector2<f64>,
-        scratch: &mut FitScratch,
+        scratch: &mut ModelScratch,
     ) -> Option<Self> {
         let state = leaned(&solution.state, frame, lean);
         let mut equations = linearize::linearize(problem, &state, None, scratch).ok()?;
@@ -195,7 +199,7 @@ impl Marginal {
             step,
             follow,
             // Shift and range are the last of the others.
-            pose: others.inverse_of_last(),
+            shift_and_range: others.inverse_of_last(),
         })
     }
 }
@@ -205,7 +209,7 @@ struct Middle {
     step: [f64; MAX_UNKNOWNS],
     follow: [[f64; MAX_UNKNOWNS]; 2],
     /// Covariance of shift and range with the lean held.
-    pose: Matrix3<f64>,
+    shift_and_range: Matrix3<f64>,
 }
 
 impl Middle {
@@ -216,7 +220,7 @@ impl Middle {
         Self {
             step: mean(&plus.step, &minus.step),
             follow: [0, 1].map(|k| mean(&plus.follow[k], &minus.follow[k])),
-            pose: (plus.pose + minus.pose) * (0.5 * noise2),
+            shift_and_range: (plus.shift_and_range + minus.shift_and_range) * (0.5 * noise2),
         }
     }
 
@@ -250,7 +254,7 @@ impl Middle {
         let by_square = Vector3::new(0.0, 0.0, -0.25);
         let with_lean = moved * lean.covariance + by_square * lean.cross.transpose();
         let with_square = moved * lean.cross * by_square.transpose();
-        let pose = self.pose
+        let pose = self.shift_and_range
             + moved * lean.covariance * moved.transpose()
             + with_square
             + with_square.transpose()

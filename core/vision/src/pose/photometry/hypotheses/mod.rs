@@ -12,88 +12,73 @@ use super::{
     solver::{
         gauss_newton,
         mirror::{MirrorEstimate, evaluate_mirrored},
-        normal_equation_cache::NormalEquationCache,
-        solution::Solution,
-        state::{Problem, State},
+        problem::Problem,
+        solution::{PoseEstimate, Solution},
+        state::State,
     },
 };
-use crate::{ellipse::Ellipse, marker::Pattern, rigid::Covariance6};
+use crate::marker::Pattern;
 use disc_heading::YawEstimate;
 use frontal::{FrontalPose, FrontalResult};
 
-/// Result of a fit, local frame; the covariance is in the camera frame.
-pub struct PoseEstimate {
-    pub state: State,
-    pub other_normal: Vector3<f64>,
-    pub likelihood: f64,
-    /// From this position to that with the other normal.
-    pub other_offset_m: Vector3<f64>,
-    /// Given this normal.
-    pub covariance: Covariance6,
-    pub noise2: f64,
-    /// Variance of either component of the motion's square by noise, px⁴.
-    pub motion_variance: Option<f64>,
-    pub iterations: usize,
-    /// For later frames.
-    pub cache: Option<NormalEquationCache>,
-}
-
-/// Fits the pixels within `counted`. `deviation_rad` is the standard deviation of an elliptical
-/// disc's heading at the start.
+/// The best pose from a start. `deviation_rad` is the standard deviation of an elliptical disc's
+/// heading there.
 pub fn estimate_pose(
     problem: &Problem,
     first: State,
     deviation_rad: Option<f64>,
-    counted: &Ellipse,
     scratch: &mut FitScratch,
 ) -> Result<PoseEstimate, FitError> {
     let mut heading = None;
     let mut solution = match (problem.teeth, deviation_rad) {
         (Some(_), _) => {
-            let (solution, found) = teeth_yaw::solve(problem, first, scratch)?;
+            let (solution, found) = teeth_yaw::solve(problem, first, &mut scratch.model)?;
             heading = Some(found);
             solution
         }
         (None, Some(deviation_rad)) => {
-            let (solution, found) = disc_heading::solve(problem, first, deviation_rad, scratch)?;
+            let (solution, found) =
+                disc_heading::solve(problem, first, deviation_rad, &mut scratch.model)?;
             heading = Some(found);
             solution
         }
-        (None, None) => gauss_newton::solve(problem, first, scratch)?,
+        (None, None) => gauss_newton::solve(problem, first, &mut scratch.model)?,
     };
     if problem.is_still && !solution.is_plain() {
         let moving = Problem { is_still: false, ..*problem };
-        return estimate_pose(&moving, solution.state, deviation_rad, counted, scratch);
+        return estimate_pose(&moving, solution.state, deviation_rad, scratch);
     }
-    let mut found = frontal::estimate(problem, &solution, scratch);
+    let mut found = frontal::estimate(problem, &solution, &mut scratch.model);
     if let FrontalResult::Further(state) = found {
-        solution = gauss_newton::solve(problem, state, scratch)?;
-        found = frontal::estimate(problem, &solution, scratch);
+        solution = gauss_newton::solve(problem, state, &mut scratch.model)?;
+        found = frontal::estimate(problem, &solution, &mut scratch.model);
     }
-    let (mut estimate_pose, heading) = match found {
+    let (mut estimate, heading) = match found {
         FrontalResult::Facing(first, other, likelihood) if solution.is_plain() => {
-            let estimate_pose = frontal_pose(problem, &solution, (first, other, likelihood));
-            (estimate_pose, heading.map(YawEstimate::decorrelated))
+            let estimate = frontal_pose(problem, &solution, first, other, likelihood);
+            (estimate, heading.map(YawEstimate::decorrelated))
         }
         _ => {
             let heading = match heading {
                 Some(heading) if !solution.is_plain() => Some(heading.inflated(&solution)),
                 _ => heading,
             };
-            (tilted_pose(problem, &mut solution, counted, scratch)?, heading)
+            (tilted_pose(problem, &mut solution, scratch)?, heading)
         }
     };
     if let Some(heading) = heading {
-        heading.add_to(problem, &mut estimate_pose);
+        heading.add_to(problem, &mut estimate);
     }
-    Ok(estimate_pose)
+    Ok(estimate)
 }
 
 /// One or two leans of a roundel that nearly faces the camera.
 fn frontal_pose(
     problem: &Problem,
     solution: &Solution,
-    (first, other, likelihood): (FrontalPose, Option<FrontalPose>, f64),
+    first: FrontalPose,
+    other: Option<FrontalPose>,
+    likelihood: f64,
 ) -> PoseEstimate {
     let FrontalPose { state, covariance, turns } = first;
     let covariance = solution.in_camera_frame(problem, &state, &covariance, &turns);
@@ -116,15 +101,20 @@ fn frontal_pose(
 fn tilted_pose(
     problem: &Problem,
     solution: &mut Solution,
-    counted: &Ellipse,
     scratch: &mut FitScratch,
 ) -> Result<PoseEstimate, FitError> {
     let mut factor = solution.factor();
-    let at = (&solution.equations, solution.noise2, factor.as_ref());
-    let mut other = evaluate_mirrored(problem, &solution.state, at, scratch);
+    let mut other = evaluate_mirrored(
+        problem,
+        &solution.state,
+        &solution.equations,
+        solution.noise2,
+        factor.as_ref(),
+        &mut scratch.model,
+    );
     if let Some(better) = &other
         && better.misfit < solution.misfit
-        && let Ok(found) = gauss_newton::solve(problem, better.state.clone(), scratch)
+        && let Ok(found) = gauss_newton::solve(problem, better.state.clone(), &mut scratch.model)
     {
         let normal = |solution: &Solution| solution.state.pose.axes.column(2).into_owned();
         let back = normal(&found).dot(&normal(solution));
@@ -156,15 +146,15 @@ fn tilted_pose(
         // A disturbance may have passed for motion and shifted the pose.
         let still = Problem { is_still: true, ..*problem };
         let without_motion = solution.state.without_motion();
-        let start = gauss_newton::solve(&still, without_motion.clone(), scratch);
+        let start = gauss_newton::solve(&still, without_motion.clone(), &mut scratch.model);
         let start = start.map_or(without_motion, |solution| solution.state);
-        let estimate_pose = robust::solve(&still, &start, counted, scratch)?;
+        let estimate = robust::solve(&still, &start, scratch)?;
         // A partly occluded rim of the disc would give a wrong heading.
         let is_elliptical = matches!(problem.kind.pattern, Pattern::Elliptical { .. });
         if is_elliptical && !scratch.robust.disc_is_unobstructed() {
             return Err(FitError::Obstructed);
         }
-        return Ok(estimate_pose);
+        return Ok(estimate);
     }
     let likelihood = other.as_ref().map_or(1.0, |other| {
         let worse = (other.misfit - solution.misfit).max(0.0) / solution.noise2;

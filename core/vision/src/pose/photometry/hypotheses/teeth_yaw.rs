@@ -19,13 +19,15 @@ use nalgebra::Vector3;
 
 use super::disc_heading::YawEstimate;
 use crate::pose::photometry::{
-    FitError, FitScratch,
+    FitError,
+    model::scratch::ModelScratch,
     solver::{
         cholesky::MAX_UNKNOWNS,
         gauss_newton, linearize,
         normal_equations::NormalEquations,
+        problem::Problem,
         solution::Solution,
-        state::{BLUR, Problem, RANGE, SHIFT, State, TILT},
+        state::{BLUR, RANGE, SHIFT, State, TILT},
     },
 };
 
@@ -43,7 +45,7 @@ const MAX_YAW_STEPS: usize = 4;
 pub fn solve(
     problem: &Problem,
     start: State,
-    scratch: &mut FitScratch,
+    scratch: &mut ModelScratch,
 ) -> Result<(Solution, YawEstimate), FitError> {
     let mut start =
         if problem.teeth_are_predicted { align_yaw(problem, start, scratch)? } else { start };
@@ -72,7 +74,7 @@ pub fn solve(
 fn align_yaw(
     problem: &Problem,
     mut start: State,
-    scratch: &mut FitScratch,
+    scratch: &mut ModelScratch,
 ) -> Result<State, FitError> {
     for _ in 0..MAX_YAW_STEPS {
         let equations = linearize::linearize(problem, &start, None, scratch)?;
@@ -101,7 +103,7 @@ fn align_yaw(
 fn relinearized(
     problem: &Problem,
     solution: Solution,
-    scratch: &mut FitScratch,
+    scratch: &mut ModelScratch,
 ) -> Result<Solution, FitError> {
     let equations =
         linearize::linearize(problem, &solution.state, Some(&solution.equations), scratch)?;
@@ -128,7 +130,7 @@ impl YawStep {
         problem: &Problem,
         solution: &Solution,
         offset_rad: f64,
-        scratch: &mut FitScratch,
+        scratch: &mut ModelScratch,
     ) -> Result<Self, FitError> {
         let Solution { state, equations, noise2, .. } = solution;
         let mut probe = |by_rad: f64| {
@@ -160,11 +162,11 @@ impl YawStep {
         let left = own - dot(&with_turn, &step);
         let by_rad = left / information;
         let change: [f64; MAX_UNKNOWNS] = std::array::from_fn(|i| step[i] - follow[i] * by_rad);
-        let (mirror, mirror_turn) = half(&|probe| probe.mirror.1);
+        let (mirror, mirror_turn) = half(&|probe| probe.mirror.with_residual);
         Ok(Self {
             by_rad,
             variance: 1.0 / information,
-            mirror: mirror - dot(&equations.mirror.0, &change) - mirror_turn * by_rad,
+            mirror: mirror - dot(&equations.mirror.with_unknowns, &change) - mirror_turn * by_rad,
             gain: dot(&gradient, &step) + left * by_rad,
             change,
             follow: follow.map(|value| -value),
@@ -173,11 +175,11 @@ impl YawStep {
 
     fn applied(&self, solution: Solution) -> Option<(Solution, YawEstimate)> {
         let Solution { state, equations, .. } = &solution;
-        let mut next = state.rotated(self.by_rad).moved(equations, &self.change)?;
+        let mut next = state.rotated(self.by_rad).moved(equations.unit_m, &self.change)?;
         let mut equations = equations.clone();
         equations.misfit = (equations.misfit - self.gain).max(0.0);
         equations.gradient = [0.0; MAX_UNKNOWNS];
-        equations.mirror.1 = self.mirror;
+        equations.mirror.with_residual = self.mirror;
         let noise2 = equations.noise2();
         let pose = &mut next.pose;
         let along = |axis: usize| pose.axes.column(axis).into_owned();

@@ -14,6 +14,8 @@
 //! starts at -1, half a pixel lower; from the middle phase on its rows shift by one to stay
 //! central.
 
+use crate::normal_distribution;
+
 /// Phases of a table.
 pub const PHASES: usize = 64;
 /// k and e.
@@ -53,7 +55,8 @@ impl Kernel {
         let mut list = [[0.0; 2]; MAX_OFFSETS];
         for (i, both) in (-half..=half).zip(&mut list) {
             let z = i as f64 / (PHASES as f64 * blur_px);
-            let (below, density) = normal_distribution(z);
+            let density = normal_distribution::density(z);
+            let below = normal_distribution::cumulative_with_density(z, density);
             *both = [below, blur_px * (z * below + density)];
         }
         let box_of = |i: i64, which: usize| {
@@ -141,19 +144,6 @@ impl DifferenceWeights {
     }
 }
 
-/// Φ(z) and φ(z), to 1e-7 (Abramowitz and Stegun, 26.2.17).
-pub fn normal_distribution(z: f64) -> (f64, f64) {
-    const INVERSE_ROOT_TWO_PI: f64 = 0.398_942_280_401_432_7;
-    let density = INVERSE_ROOT_TWO_PI * (-0.5 * z * z).exp();
-    let t = 1.0 / (1.0 + 0.231_641_9 * z.abs());
-    let series = t
-        * (0.319_381_530
-            + t * (-0.356_563_782
-                + t * (1.781_477_937 + t * (-1.821_255_978 + t * 1.330_274_429))));
-    let above = density * series;
-    (if z < 0.0 { above } else { 1.0 - above }, density)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -199,7 +189,8 @@ mod tests {
                         let (x, y) = (f64::from(k % 16), f64::from(k / 16));
                         let place = |x: f64| (x + 0.5) / 16.0 - 0.5;
                         let z = (s + (u + place(x)) * cos + (v + place(y)) * sin) / blur_px;
-                        let (below, density) = normal_distribution(z);
+                        let density = normal_distribution::density(z);
+                        let below = normal_distribution::cumulative(z);
                         sums[0] += below / 256.0;
                         sums[1] += density / blur_px / 256.0;
                         sums[2] -= z * density / (blur_px * blur_px) / 256.0;

@@ -10,10 +10,13 @@
 use fearless_simd::{Simd, prelude::*};
 
 use super::{
+    blur_kernel::DifferenceWeights,
     column_products::COLUMNS,
     differences::{Differences, ImageRows, differences},
-    window::{LANES, PixelModel},
 };
+
+/// Rows of the window are padded to whole vectors of any width.
+pub const LANES: usize = 16;
 
 /// Indices of the lanes.
 const COUNT: [f32; LANES] = [0., 1., 2., 3., 4., 5., 6., 7., 8., 9., 10., 11., 12., 13., 14., 15.];
@@ -24,6 +27,34 @@ pub struct RowSpan<'a> {
     /// Grey values, replaced by residuals.
     pub grey: &'a mut [f32],
     pub around: ImageRows<'a>,
+}
+
+/// Coefficients of the model that gather needs, as f32.
+#[derive(Clone, Copy, Debug)]
+pub struct PixelModel {
+    /// W, grey levels.
+    pub white: f32,
+    /// C = B - W, grey levels.
+    pub step: f32,
+    /// ½ (σ² - σ² of the table), px².
+    pub blur: f32,
+    /// Part of μ that the nodes do not contain, over 48, px²; `None` where the motion is held.
+    pub motion: Option<[f32; 2]>,
+    pub taps: DifferenceWeights,
+    /// Derivative of (u, v) by t, row by row, pixels.
+    pub slope: [f32; 4],
+    /// ℓ.
+    pub light: [f32; 2],
+    /// t₁ and t₂: constant, column and row terms.
+    pub t: [[f32; 3]; 2],
+    /// Relative inverse depth p₃/Q₃: constant, t₁ and t₂ terms.
+    pub nearness: [f32; 3],
+    /// Nearness times the plane's x and y: constant, t₁ and t₂ terms.
+    pub plane: [[f32; 3]; 2],
+    /// (n₁/s, n₂/s, n₃) R/p₃: change of t by a step along the normal.
+    pub lift: [f32; 3],
+    /// (p₁, p₂)/(s p₃): the centre.
+    pub middle: [f32; 2],
 }
 
 /// A function linear in t: constant, t₁ and t₂ terms.

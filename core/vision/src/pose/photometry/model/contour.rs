@@ -16,6 +16,8 @@ use crate::marker::Kind;
 
 /// Nodes are padded to multiples of this, which vectors of any width divide.
 pub const PACK: usize = 16;
+/// Distance of the nodes, in blurs.
+pub const SPACING_BLURS: f64 = 1.45;
 /// Limits of the cache: contours …
 const MAX_CONTOURS: usize = 512;
 /// … and nodes of a rim. Beyond either the cache is emptied.
@@ -37,7 +39,7 @@ pub struct Contour<'a> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Key {
     /// Semiaxes of the disc.
-    inner: (f64, f64),
+    inner: [f64; 2],
     teeth: Option<Teeth>,
     outer_packs: usize,
     inner_packs: usize,
@@ -65,7 +67,7 @@ impl Default for Contours {
 impl Contours {
     /// Contour of a print whose outer rim is at most `around_px` long, with nodes at most
     /// `spacing_px` apart.
-    pub fn of(
+    pub fn get(
         &mut self,
         kind: &Kind,
         teeth: Option<Teeth>,
@@ -81,7 +83,7 @@ impl Contours {
         let outer_packs = packs(1.0);
         // The number of nodes on teeth follows from that of the outer rim.
         let inner_packs = if teeth.is_some() { 0 } else { packs(max_ratio) };
-        let key = Key { inner: (max_ratio, min_ratio), teeth, outer_packs, inner_packs };
+        let key = Key { inner: [max_ratio, min_ratio], teeth, outer_packs, inner_packs };
         let cached = self.cached.iter().find(|(cached, _)| *cached == key);
         let range = match cached {
             Some((_, range)) => range.clone(),
@@ -98,7 +100,7 @@ impl Contours {
 
     fn add(&mut self, key: Key) -> Range<usize> {
         let inner_packs = key.teeth.map_or(key.inner_packs, |teeth| {
-            teeth.nodes(key.inner.0, spacing(key.outer_packs * PACK)).count().div_ceil(PACK)
+            teeth.nodes(key.inner[0], spacing(key.outer_packs * PACK)).count().div_ceil(PACK)
         });
         let count = (key.outer_packs + inner_packs) * PACK;
         if self.cached.len() == MAX_CONTOURS || self.x.len() + count > MAX_NODES {
@@ -108,11 +110,11 @@ impl Contours {
             }
         }
         let first = self.x.len();
-        self.push_ellipse((1.0, 1.0), key.outer_packs * PACK, 1.0);
+        self.push_ellipse([1.0, 1.0], key.outer_packs * PACK, 1.0);
         match key.teeth {
             None => self.push_ellipse(key.inner, key.inner_packs * PACK, -1.0),
             Some(teeth) => {
-                self.push_teeth(teeth, key.inner.0, spacing(key.outer_packs * PACK), first + count)
+                self.push_teeth(teeth, key.inner[0], spacing(key.outer_packs * PACK), first + count)
             }
         }
         let range = first..first + count;
@@ -133,7 +135,7 @@ impl Contours {
         }
     }
 
-    fn push_ellipse(&mut self, (a, b): (f64, f64), count: usize, sign: f64) {
+    fn push_ellipse(&mut self, [a, b]: [f64; 2], count: usize, sign: f64) {
         let step = std::f64::consts::TAU / count as f64;
         for i in 0..count {
             let (sin, cos) = (step * i as f64).sin_cos();
@@ -159,12 +161,12 @@ mod tests {
     fn contours_enclose_the_black_area() {
         let mut contours = Contours::default();
         let kind = Kind::plain("", 0.2, 0.08);
-        let contour = contours.of(&kind, None, 90.0, 0.8);
+        let contour = contours.get(&kind, None, 90.0, 0.8);
         let terms = contour.x.iter().zip(contour.dy);
         let area: f64 = terms.map(|(x, dy)| f64::from(x * dy)).sum();
         assert!((area - std::f64::consts::PI * (1.0 - 0.16)).abs() < 1e-5, "{area}");
         let pattern = Pattern::Elliptical { minor_diameter_m: 0.06 };
-        let contour = contours.of(&Kind { pattern, ..kind }, None, 90.0, 0.8);
+        let contour = contours.get(&Kind { pattern, ..kind }, None, 90.0, 0.8);
         let moment = |x: &[f32], dy: &[f32]| -> f64 {
             x.iter().zip(dy).map(|(x, dy)| f64::from(x * x * x * dy)).sum::<f64>() / 3.0
         };
@@ -178,18 +180,18 @@ mod tests {
         let mut contours = Contours::default();
         let kind = Kind::plain("", 0.2, 0.08);
         let first = |contours: &mut Contours| {
-            let Contour { x, y, dx, dy, outer } = contours.of(&kind, None, 90.0, 0.8);
+            let Contour { x, y, dx, dy, outer } = contours.get(&kind, None, 90.0, 0.8);
             ([x, y, dx, dy].map(<[f32]>::to_vec), outer)
         };
         let before = first(&mut contours);
         // The cache holds two of them.
         for around_px in [41_000.0, 40_000.0, 42_000.0] {
-            contours.of(&kind, None, around_px, 1.0);
+            contours.get(&kind, None, around_px, 1.0);
             assert!(contours.x.len() <= MAX_NODES);
         }
         assert!(contours.cached.len() < 4);
         assert_eq!(first(&mut contours), before);
-        let for_rim = contours.of(&kind, None, f64::INFINITY, 1.0);
+        let for_rim = contours.get(&kind, None, f64::INFINITY, 1.0);
         assert!(for_rim.outer == MAX_RIM_NODES && for_rim.x.len() <= MAX_NODES);
     }
 }

@@ -78,7 +78,7 @@ impl SamplingPlan {
     }
 }
 
-const ABREAST: usize = 8;
+const SIMD_RAYS: usize = 8;
 
 /// Pixels of all samples; false where the lens has no vectorized projection, or none for some
 /// sample.
@@ -86,13 +86,14 @@ const ABREAST: usize = 8;
 fn sample_all<S: Simd>(
     simd: S,
     camera: &Camera,
-    (camera_from_local, spread): (&Matrix3<f64>, f64),
+    camera_from_local: &Matrix3<f64>,
+    spread: f64,
     plan: &SamplingPlan,
     samples: &mut [[f64; 2]; SAMPLES],
 ) -> bool {
     let m = camera_from_local;
-    for (samples, places) in samples.chunks_mut(ABREAST).zip(plan.places.chunks(ABREAST)) {
-        let (mut x, mut y) = ([0.0; ABREAST], [0.0; ABREAST]);
+    for (samples, places) in samples.chunks_mut(SIMD_RAYS).zip(plan.places.chunks(SIMD_RAYS)) {
+        let (mut x, mut y) = ([0.0; SIMD_RAYS], [0.0; SIMD_RAYS]);
         for (k, [along, across]) in places.iter().enumerate() {
             (x[k], y[k]) = (spread * along, spread * across);
         }
@@ -106,7 +107,7 @@ fn sample_all<S: Simd>(
         if (!valid).any() {
             return false;
         }
-        let (mut u, mut v) = ([0.0; ABREAST], [0.0; ABREAST]);
+        let (mut u, mut v) = ([0.0; SIMD_RAYS], [0.0; SIMD_RAYS]);
         pixel.x.store_slice(&mut u);
         pixel.y.store_slice(&mut v);
         for (k, sample) in samples.iter_mut().enumerate() {
@@ -138,7 +139,8 @@ impl LocalLens {
         local_from_camera: Matrix3<f64>,
         spread: f64,
         skew: Option<&Skew>,
-        (level, plan): (Level, &SamplingPlan),
+        level: Level,
+        plan: &SamplingPlan,
     ) -> Result<Self, LensError> {
         let camera_from_local = local_from_camera.transpose();
         let image = |ray: &Vector3<f64>| {
@@ -148,8 +150,8 @@ impl LocalLens {
         let middle = image(&camera_from_local.column(2).into_owned())?;
         let origin = PixelPoint { u: middle.u.round(), v: middle.v.round() };
         let mut samples = [[0.0; 2]; SAMPLES];
-        let rays = (&camera_from_local, spread);
-        if !dispatch!(level, simd => sample_all(simd, camera, rays, plan, &mut samples)) {
+        if !dispatch!(level, simd => sample_all(simd, camera, &camera_from_local, spread, plan, &mut samples))
+        {
             for (sample, [x, y]) in samples.iter_mut().zip(&plan.places) {
                 let ray = camera_from_local * Vector3::new(spread * x, spread * y, 1.0);
                 let pixel = camera.project(&ray)?;
@@ -218,7 +220,7 @@ mod tests {
             ] {
                 let frame = frame_along(&axis.normalize());
                 let local =
-                    LocalLens::new(&camera, frame, spread, None, (Level::new(), &plan)).unwrap();
+                    LocalLens::new(&camera, frame, spread, None, Level::new(), &plan).unwrap();
                 for i in 0..400 {
                     let radius = ((i % 20) as f64 / 19.0).sqrt();
                     let (sin, cos) = (f64::from(i) * 0.7).sin_cos();

@@ -16,5 +16,6 @@ pub mod motion;
 pub mod projection;
 pub mod residual_patches;
 pub mod scatter;
+pub mod scratch;
 pub mod teeth;
 pub mod window;

@@ -75,7 +75,7 @@ impl Nodes {
         // Backwards, so that no node is overwritten before it is read.
         for (from, to, length) in [(outer, copies * outer, count - outer), (0, 0, outer)] {
             for (k, &(along, share)) in places.iter().enumerate().rev() {
-                let copy = Copy { from, to: to + k * length, length, share };
+                let copy = NodeCopy { from, to: to + k * length, length, share };
                 let by = motion.map(|part| along * part);
                 dispatch!(level, simd => smear_all(simd, self, &copy, by));
             }
@@ -96,7 +96,7 @@ impl Nodes {
 }
 
 /// Range of nodes to copy.
-struct Copy {
+struct NodeCopy {
     from: usize,
     to: usize,
     length: usize,
@@ -105,7 +105,7 @@ struct Copy {
 }
 
 #[simd]
-fn smear_all<S: Simd>(simd: S, nodes: &mut Nodes, copy: &Copy, by: [f32; 2]) {
+fn smear_all<S: Simd>(simd: S, nodes: &mut Nodes, copy: &NodeCopy, by: [f32; 2]) {
     let width = S::f32s::LEN;
     for start in (0..copy.length).step_by(width).rev() {
         let (from, to) = (copy.from + start, copy.to + start);
@@ -146,15 +146,20 @@ struct ProjectionTerms {
     sign: f32,
 }
 
-/// Projects a contour into the window whose top left pixel is `window`.
-pub fn project(
-    level: Level,
-    (lens, place, radius_m): (&LocalLens, &PrintPose, f64),
-    contour: Contour,
-    window: (i64, i64),
-    nodes: &mut Nodes,
-) {
-    let (p, axes) = (&place.position_m, &place.axes);
+/// A print in front of a lens, and the window that it is projected into.
+#[derive(Clone, Copy)]
+pub struct ProjectedPrint<'a> {
+    pub lens: &'a LocalLens,
+    pub pose: &'a PrintPose,
+    pub radius_m: f64,
+    /// The window's top left pixel.
+    pub window: (i64, i64),
+}
+
+/// Projects a contour into the window.
+pub fn project(level: Level, print: &ProjectedPrint, contour: Contour, nodes: &mut Nodes) {
+    let ProjectedPrint { lens, pose, radius_m, window } = *print;
+    let (p, axes) = (&pose.position_m, &pose.axes);
     let scale = 1.0 / (lens.spread * p.z);
     let above = [0, 1]
         .map(|i| [p[i] * scale, radius_m * axes[(i, 0)] * scale, radius_m * axes[(i, 1)] * scale]);

@@ -38,7 +38,7 @@ struct Group {
 
 impl Patches {
     /// Reserves memory for rows of this width.
-    pub fn make_room(&mut self, width: usize) {
+    pub fn reserve(&mut self, width: usize) {
         for group in &mut self.groups {
             make_room(&mut group.columns, width + 2 * LANES);
         }
@@ -52,7 +52,7 @@ impl Patches {
 
     /// Adds a row's residuals, columns `from` to `to`, padded with zeros to whole vectors.
     #[inline(always)]
-    pub fn add_row<S: Simd>(&mut self, simd: S, residuals: &[f32], (from, to): (usize, usize)) {
+    pub fn add_row<S: Simd>(&mut self, simd: S, residuals: &[f32], from: usize, to: usize) {
         let lanes = S::f32s::LEN;
         let group = &mut self.groups[0];
         (group.from, group.to) =
@@ -160,7 +160,7 @@ mod tests {
             for (from, residuals) in rows {
                 let mut whole = residuals.clone();
                 whole.resize(residuals.len().next_multiple_of(LANES), 0.0);
-                patches.add_row(simd, &whole, (*from, from + residuals.len()));
+                patches.add_row(simd, &whole, *from, from + residuals.len());
             }
             sum = patches.finish(simd);
         });

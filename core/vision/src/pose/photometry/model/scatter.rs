@@ -48,7 +48,7 @@ fn scatter_all<S: Simd, const HALVES: usize>(
         // Four quarters in turn: neighbouring nodes would write to pixels that the one before has
         // just written, and wait for it.
         for k in 0..4 {
-            scatter_one::<S, HALVES>(simd, (nodes, i + k * quarter), table, image, width);
+            scatter_one::<S, HALVES>(simd, nodes, i + k * quarter, table, image, width);
         }
     }
 }
@@ -56,7 +56,8 @@ fn scatter_all<S: Simd, const HALVES: usize>(
 #[inline(always)]
 fn scatter_one<S: Simd, const HALVES: usize>(
     simd: S,
-    (nodes, i): (&Nodes, usize),
+    nodes: &Nodes,
+    i: usize,
     table: &[f32],
     image: &mut [f32],
     width: usize,

@@ -166,7 +166,7 @@ mod tests {
             });
             terms.sum()
         };
-        let usual = crate::pose::photometry::SPACING * deviation;
+        let usual = super::super::contour::SPACING_BLURS * deviation;
         let mut worst: f64 = 0.0;
         for i in 0..400 {
             let at = [f64::from(i % 20), f64::from(i / 20)].map(|k| 0.07 * (k - 9.7));

@@ -15,17 +15,20 @@ use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
 use fearless_simd_macros::simd;
 
 use super::{
-    blur_kernel::{DifferenceWeights, Kernel, PHASES},
+    blur_kernel::{Kernel, PHASES},
     column_products::{COLUMNS, ProductSums},
-    columns::{RowSpan, add_row},
+    columns::{LANES, PixelModel, RowSpan, add_row},
     differences::{DIFFERENCE, ImageRows},
     projection::Nodes,
     residual_patches::Patches,
     scatter::scatter,
 };
-use crate::{ellipse::Chords, frame::Frame, room::make_room};
+use crate::{
+    ellipse::{Chords, Ellipse},
+    frame::Frame,
+    room::make_room,
+};
 
-pub const LANES: usize = 16;
 /// Rows whose spans are computed at once.
 const SPAN_ROWS: usize = 8;
 const ROW: [f64; SPAN_ROWS] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
@@ -52,56 +55,49 @@ pub struct Window {
     patches: Patches,
 }
 
-/// Coefficients of the model that gather needs, as f32.
-#[derive(Clone, Copy, Debug)]
-pub struct PixelModel {
-    /// W, grey levels.
-    pub white: f32,
-    /// C = B - W, grey levels.
-    pub step: f32,
-    /// ½ (σ² - σ² of the table), px².
-    pub blur: f32,
-    /// Part of μ that the nodes do not contain, over 48, px²; `None` where the motion is held.
-    pub motion: Option<[f32; 2]>,
-    pub taps: DifferenceWeights,
-    /// Derivative of (u, v) by t, row by row, pixels.
-    pub slope: [f32; 4],
-    /// ℓ.
-    pub light: [f32; 2],
-    /// t₁ and t₂: constant, column and row terms.
-    pub t: [[f32; 3]; 2],
-    /// Relative inverse depth p₃/Q₃: constant, t₁ and t₂ terms.
-    pub nearness: [f32; 3],
-    /// Nearness times the plane's x and y: constant, t₁ and t₂ terms.
-    pub plane: [[f32; 3]; 2],
-    /// (n₁/s, n₂/s, n₃) R/p₃: change of t by a step along the normal.
-    pub lift: [f32; 3],
-    /// (p₁, p₂)/(s p₃): the centre.
-    pub middle: [f32; 2],
+/// Columns and rows of a frame, which may extend beyond it.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Region {
+    /// Column and row at the top left.
+    pub origin: (i64, i64),
+    pub width: usize,
+    pub height: usize,
+}
+
+/// Margin of a region around the counted pixels, into which contours may move.
+const SLACK_PX: f64 = 9.0;
+
+impl Region {
+    /// Region around the counted pixels.
+    pub fn around(counted: &Ellipse) -> Self {
+        let (half_u, half_v) = counted.half_box_px();
+        let range = |center: f64, half: f64| {
+            let first = (center - half - SLACK_PX).floor() as i64;
+            (first, ((center + half + SLACK_PX).ceil() as i64 - first + 1) as usize)
+        };
+        let (left, width) = range(counted.center.u, half_u);
+        let (top, height) = range(counted.center.v, half_v);
+        Self { origin: (left, top), width, height }
+    }
 }
 
 impl Window {
     /// Reserves memory for windows of this size.
-    pub fn make_room(&mut self, (columns, rows): (usize, usize)) {
+    pub fn reserve(&mut self, columns: usize, rows: usize) {
         let width = columns.next_multiple_of(LANES);
         make_room(&mut self.image, width * rows + LANES);
         make_room(&mut self.pixels, width * rows + LANES);
         make_room(&mut self.grey, width + LANES);
         make_room(&mut self.spans, rows);
-        self.patches.make_room(width);
+        self.patches.reserve(width);
     }
 
     /// Places the window over columns and rows of the frame, inclusive. Pixels within the chords
     /// are counted.
-    pub fn set_region(
-        &mut self,
-        (columns, rows): ((i64, i64), (i64, i64)),
-        (level, frame): (Level, &Frame),
-        chords: &Chords,
-    ) {
-        self.origin = (columns.0, rows.0);
-        self.width = ((columns.1 - columns.0 + 1) as usize).next_multiple_of(LANES);
-        self.height = (rows.1 - rows.0 + 1) as usize;
+    pub fn set_region(&mut self, level: Level, frame: &Frame, region: &Region, chords: &Chords) {
+        self.origin = region.origin;
+        self.width = region.width.next_multiple_of(LANES);
+        self.height = region.height;
         // Gather leaves zeros behind, so only the extension needs filling. The last vector of a row
         // may extend beyond it.
         let needed = self.width * self.height + LANES;
@@ -303,7 +299,7 @@ fn gather_all<S: Simd, const PRODUCTS: bool, const MOTION: bool>(
             }
         });
         let whole = (to - from).next_multiple_of(S::f32s::LEN);
-        window.patches.add_row(simd, &window.grey[from..from + whole], (from, to));
+        window.patches.add_row(simd, &window.grey[from..from + whole], from, to);
     }
     if !PRODUCTS {
         sums.take_gradient::<S, MOTION>(&gradient);

@@ -25,7 +25,7 @@ const FITTED: f64 = 6.0;
 impl RobustFit<'_> {
     /// Updates which cells are kept; returns whether any changed.
     pub(super) fn reject_outliers(&mut self) -> bool {
-        let RobustScratch { cells, list, .. } = &mut self.scratch.robust;
+        let RobustScratch { cells, list, .. } = &mut *self.scratch;
         let mut reference = self.reference;
         list.clear();
         list.extend(cells.iter().filter_map(|cell| Some(cell.evaluate(&reference)?.variance)));
@@ -51,7 +51,7 @@ impl RobustFit<'_> {
     /// Factor on the variance of a pixel that makes the cells agree.
     pub(super) fn variance_growth(&self, linear: &NormalEquations) -> f64 {
         let reference = Reference { noise2: linear.noise2(), ..self.reference };
-        let kept = self.scratch.robust.cells.iter().filter(|cell| cell.kept);
+        let kept = self.scratch.cells.iter().filter(|cell| cell.kept);
         let (mut sum, mut count) = (0.0, 0.0);
         for evaluate in kept.filter_map(|cell| cell.evaluate(&reference)) {
             sum += evaluate.square / reference.noise2;
@@ -62,7 +62,7 @@ impl RobustFit<'_> {
 
     /// Share of kept cells, of the rim with the smaller one.
     pub(super) fn share_kept(&self) -> f64 {
-        let cells = &self.scratch.robust.cells;
+        let cells = &self.scratch.cells;
         let share = |rim: usize| {
             let all = cells.iter().filter(|cell| cell.rim == rim).count() as f64;
             cells.iter().filter(|cell| cell.rim == rim && cell.kept).count() as f64 / all

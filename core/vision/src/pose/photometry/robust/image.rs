@@ -9,73 +9,21 @@ use fearless_simd::{Level, Simd, dispatch};
 use fearless_simd_macros::simd;
 
 use crate::{
-    pose::photometry::model::{contour::MAX_NODES, projection::Nodes},
+    normal_distribution::Table,
+    pose::photometry::model::{contour::MAX_NODES, projection::Nodes, window::Region},
     room::make_room,
 };
 
 /// Fall (later d), two gradients, curvature, and the spread of either rim.
 pub const IMAGES: usize = 6;
-/// Steps of the table per unit …
-const FINE: f64 = 256.0;
-/// … and its range.
-const END: f64 = 6.0;
 /// Up to this blur a node reaches over 8 pixels, beyond it over 16.
 const NARROW_PX: f64 = 1.12;
 /// Pixels of the widest node, one more for the fall, and both sides of a pixel.
 const PLACES: usize = 20;
 
-#[derive(Clone, Debug)]
-pub struct NormalTable(Vec<[f32; 2]>);
-
-impl Default for NormalTable {
-    fn default() -> Self {
-        let count = (2.0 * END * FINE) as usize + 2;
-        let mut below = 0.0;
-        let density = |z: f64| (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt();
-        let list = (0..count).map(|i| {
-            let z = i as f64 / FINE - END;
-            let here = density(z);
-            // Simpson's rule from step to step.
-            if i > 0 {
-                let step = 1.0 / FINE;
-                below += step / 6.0 * (density(z - step) + 4.0 * density(z - 0.5 * step) + here);
-            }
-            [below as f32, here as f32]
-        });
-        Self(list.collect())
-    }
-}
-
-impl NormalTable {
-    /// Φ(z) and φ(z), to 2e-6.
-    #[inline(always)]
-    pub fn at(&self, z: f64) -> [f64; 2] {
-        let place = ((z + END) * FINE).clamp(0.0, 2.0 * END * FINE);
-        let index = place as usize;
-        let rest = place - index as f64;
-        let (low, high) = (self.0[index], self.0[index + 1]);
-        [0, 1].map(|k| f64::from(low[k]) + rest * f64::from(high[k] - low[k]))
-    }
-
-    /// φ(z)/Φ(-z) and -2 ln Φ(-z), each to 1 %.
-    #[inline(always)]
-    pub fn tail(&self, z: f64) -> (f64, f64) {
-        if z > 3.5 {
-            // Laplace's continued fraction.
-            let pull = z + 1.0 / (z + 2.0 / (z + 3.0 / (z + 4.0 / z)));
-            return (pull, z * z + 2.0 * (pull * std::f64::consts::TAU.sqrt()).ln());
-        }
-        let [above, density] = self.at(-z);
-        (density / above, -2.0 * above.ln())
-    }
-}
-
 #[derive(Clone, Debug, Default)]
 pub struct RimImages {
-    /// Column and row of the frame at the top left.
-    pub origin: (i64, i64),
-    pub width: usize,
-    pub height: usize,
+    region: Region,
     planes: Vec<f32>,
     normals: Vec<[f32; 2]>,
 }
@@ -92,44 +40,55 @@ struct Axis {
 
 impl RimImages {
     /// Reserves memory for windows of this size.
-    pub fn make_room(&mut self, pixels: usize) {
+    pub fn reserve(&mut self, pixels: usize) {
         make_room(&mut self.planes, pixels * IMAGES);
         make_room(&mut self.normals, MAX_NODES);
     }
 
-    /// Places the window over columns and rows of the frame, inclusive.
-    pub fn set_region(&mut self, columns: (i64, i64), rows: (i64, i64)) {
-        self.origin = (columns.0, rows.0);
-        self.width = (columns.1 - columns.0 + 1) as usize;
-        self.height = (rows.1 - rows.0 + 1) as usize;
-        let size = self.width * self.height * IMAGES;
+    /// Places the window over a region of the frame.
+    pub fn set_region(&mut self, region: &Region) {
+        self.region = *region;
+        let size = region.width * region.height * IMAGES;
         self.planes.resize(size.max(self.planes.len()), 0.0);
     }
 
+    /// Column and row of the frame at the top left.
+    pub fn origin(&self) -> (i64, i64) {
+        self.region.origin
+    }
+
+    pub fn width(&self) -> usize {
+        self.region.width
+    }
+
+    pub fn height(&self) -> usize {
+        self.region.height
+    }
+
     pub fn plane(&self, index: usize) -> &[f32] {
-        let size = self.width * self.height;
+        let size = self.region.width * self.region.height;
         &self.planes[index * size..(index + 1) * size]
     }
 
     /// Draws the contour; false if it leaves the window.
-    pub fn draw(&mut self, level: Level, nodes: &Nodes, blur_px: f64, table: &NormalTable) -> bool {
-        dispatch!(level, simd => draw(simd, self, (nodes, blur_px), table))
+    pub fn draw(&mut self, level: Level, nodes: &Nodes, blur_px: f64, table: &Table) -> bool {
+        dispatch!(level, simd => draw(simd, self, nodes, blur_px, table))
     }
 
     #[inline(always)]
-    fn draw_plain(&mut self, nodes: &Nodes, blur_px: f64, table: &NormalTable) -> bool {
-        let size = self.width * self.height;
+    fn draw_plain(&mut self, nodes: &Nodes, blur_px: f64, table: &Table) -> bool {
+        let size = self.region.width * self.region.height;
         self.planes[..size * IMAGES].fill(0.0);
         let reach = if blur_px <= NARROW_PX { 8 } else { 16 };
         for index in 0..nodes.x.len() {
             let (x, y) = (f64::from(nodes.x[index]), f64::from(nodes.y[index]));
             let (Some(across), Some(down)) = (
-                Axis::new(x, self.width, reach, blur_px, table),
-                Axis::new(y, self.height, reach, blur_px, table),
+                Axis::new(x, self.region.width, reach, blur_px, table),
+                Axis::new(y, self.region.height, reach, blur_px, table),
             ) else {
                 return false;
             };
-            let way = (nodes.dx[index], nodes.dy[index]);
+            let way = [nodes.dx[index], nodes.dy[index]];
             let rim = usize::from(index >= nodes.outer);
             if reach == 8 {
                 self.add::<8>(&across, &down, way, rim)
@@ -137,9 +96,10 @@ impl RimImages {
                 self.add::<16>(&across, &down, way, rim)
             }
         }
-        for row in 1..self.height {
-            let (above, here) = self.planes[(row - 1) * self.width..].split_at_mut(self.width);
-            for (here, above) in here.iter_mut().zip(above.iter()).take(self.width) {
+        for row in 1..self.region.height {
+            let (above, here) =
+                self.planes[(row - 1) * self.region.width..].split_at_mut(self.region.width);
+            for (here, above) in here.iter_mut().zip(above.iter()).take(self.region.width) {
                 *here += above;
             }
         }
@@ -151,14 +111,14 @@ impl RimImages {
         &mut self,
         across: &Axis,
         down: &Axis,
-        (dx, dy): (f32, f32),
+        [dx, dy]: [f32; 2],
         rim: usize,
     ) {
-        let size = self.width * self.height;
+        let size = self.region.width * self.region.height;
         let length = (dx * dx + dy * dy).sqrt();
         let (weight, slope) = (&across.weight[..REACH], &across.slope[..REACH]);
         for row in 0..=REACH {
-            let start = (down.first + row) * self.width + across.first;
+            let start = (down.first + row) * self.region.width + across.first;
             let mut put = |image: usize, of: &[f32], factor: f32| {
                 let pixels = &mut self.planes[image * size + start..][..REACH];
                 for (pixel, of) in pixels.iter_mut().zip(of) {
@@ -211,8 +171,9 @@ impl RimImages {
 fn draw<S: Simd>(
     simd: S,
     images: &mut RimImages,
-    (nodes, blur_px): (&Nodes, f64),
-    table: &NormalTable,
+    nodes: &Nodes,
+    blur_px: f64,
+    table: &Table,
 ) -> bool {
     let _ = simd;
     images.draw_plain(nodes, blur_px, table)
@@ -221,13 +182,7 @@ fn draw<S: Simd>(
 impl Axis {
     /// `None` if the node reaches beyond the window.
     #[inline(always)]
-    fn new(
-        place: f64,
-        pixels: usize,
-        reach: usize,
-        blur_px: f64,
-        table: &NormalTable,
-    ) -> Option<Self> {
+    fn new(place: f64, pixels: usize, reach: usize, blur_px: f64, table: &Table) -> Option<Self> {
         let half = reach as f64 / 2.0;
         if !(place > half && place + half + 2.0 < pixels as f64) {
             return None;
@@ -275,17 +230,17 @@ mod tests {
 
     #[test]
     fn a_bloom_takes_black_from_both_rims() {
-        let (table, bloom_px) = (NormalTable::default(), 0.4);
+        let (table, bloom_px) = (Table::default(), 0.4);
         for turn in [1.0, -1.0] {
             let mut images = RimImages::default();
-            images.set_region((0, 47), (0, 47));
+            images.set_region(&Region { origin: (0, 0), width: 48, height: 48 });
             let mut nodes = ring(turn);
             images.move_rims(&mut nodes, bloom_px);
             assert!(images.draw(Level::new(), &nodes, 0.8, &table));
             let share = images.plane(0);
             // In black, in white, and outside.
             for (u, expected) in [(24 + 9, 1.0), (24, 0.0), (2, 0.0)] {
-                let share = share[24 * images.width + u];
+                let share = share[24 * images.width() + u];
                 assert!((share - expected).abs() < 2e-3, "{turn} {u}: {share}");
             }
             let area: f32 = share.iter().sum();
@@ -300,18 +255,5 @@ mod tests {
                 "{turn}: {move_rims} {around}"
             );
         }
-    }
-
-    #[test]
-    fn cut_off_pixels_pull_as_far_as_they_are_off() {
-        let table = NormalTable::default();
-        let (far, _) = table.tail(8.0);
-        assert!((far - 8.12).abs() < 0.02, "{far}");
-        let (above, _) = table.tail(3.4999);
-        let (tail, _) = table.tail(3.5001);
-        assert!((above / tail - 1.0).abs() < 0.01, "{above} {tail}");
-        let (pull, misfit) = table.tail(0.0);
-        assert!((pull - 0.7979).abs() < 1e-3 && (misfit - 2.0 * 2f64.ln()).abs() < 1e-3);
-        assert!(table.tail(-4.0).0 < 1e-3);
     }
 }

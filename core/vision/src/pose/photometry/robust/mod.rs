@@ -32,20 +32,24 @@ mod pixels;
 use nalgebra::{SVector, Vector3};
 
 use super::{
-    FitError, FitScratch, PoseEstimate,
-    model::column_products::{STILL, column},
+    FitError, FitScratch,
+    model::{
+        column_products::{STILL, column},
+        scratch::ModelScratch,
+        window::Region,
+    },
     solver::{
-        linearize::{self, ProjectionScratch},
+        linearize,
         mirror::MirrorEstimate,
         normal_equations::NormalEquations,
-        solution::{Covariance5, Solution},
-        state::{BLUR, Problem, State, UNKNOWNS, WHITE},
+        problem::Problem,
+        solution::{Covariance5, PoseEstimate, Solution},
+        state::{BLUR, State, UNKNOWNS, WHITE},
     },
-    window_of,
 };
-use crate::{ellipse::Ellipse, room::make_room};
+use crate::{normal_distribution::Table, room::make_room};
 use cells::{Cell, Products, Reference, SPREAD};
-use image::{NormalTable, RimImages};
+use image::RimImages;
 use pixels::Pixel;
 
 /// Standard deviation of the bloom where levels are clipped.
@@ -75,7 +79,7 @@ const FACE_ON_END: f64 = 2.5;
 
 #[derive(Clone, Debug, Default)]
 pub struct RobustScratch {
-    normal: NormalTable,
+    normal: Table,
     images: RimImages,
     pixels: Vec<Pixel>,
     cells: Vec<Cell>,
@@ -86,8 +90,8 @@ pub struct RobustScratch {
 
 impl RobustScratch {
     /// Reserves memory for windows of this size.
-    pub fn make_room(&mut self, pixels: usize) {
-        self.images.make_room(pixels);
+    pub fn reserve(&mut self, pixels: usize) {
+        self.images.reserve(pixels);
         make_room(&mut self.pixels, pixels);
         make_room(&mut self.cells, cells::MAX_CELLS);
         make_room(&mut self.saved, cells::MAX_CELLS);
@@ -109,7 +113,8 @@ enum LevelScope {
 
 struct RobustFit<'a> {
     problem: &'a Problem<'a>,
-    scratch: &'a mut FitScratch,
+    model: &'a mut ModelScratch,
+    scratch: &'a mut RobustScratch,
     reference: Reference,
     levels: LevelScope,
     /// Whether levels are clipped, and the bloom is free.
@@ -122,18 +127,18 @@ struct RobustFit<'a> {
     iterations: usize,
 }
 
-/// Fits from a state, over the pixels within `counted`.
+/// Fits from a state.
 pub fn solve(
     problem: &Problem,
     start: &State,
-    counted: &Ellipse,
     scratch: &mut FitScratch,
 ) -> Result<PoseEstimate, FitError> {
-    let (columns, rows) = window_of(counted);
-    scratch.robust.images.set_region(columns, rows);
+    let FitScratch { model, robust: scratch, .. } = scratch;
+    scratch.images.set_region(&Region::around(&problem.counted));
     let reference = Reference { levels: [start.white, start.step], noise2: 4.0 };
     let mut fitter = RobustFit {
         problem,
+        model,
         scratch,
         reference,
         levels: LevelScope::Ring,
@@ -181,9 +186,9 @@ fn estimate(
 impl RobustFit<'_> {
     /// Assigns pixels to cells.
     fn assign_cells(&mut self, state: &State) {
-        let robust = &mut self.scratch.robust;
+        let robust = &mut *self.scratch;
         let (origin, width, height) =
-            (robust.images.origin, robust.images.width, robust.images.height);
+            (robust.images.origin(), robust.images.width(), robust.images.height());
         let pixel_model = linearize::pixel_model(self.problem, state, state.blur2.sqrt(), origin);
         let ratio = self.problem.kind.mean_ratio();
         let radius_px = linearize::radius_px(self.problem, state);
@@ -237,7 +242,7 @@ impl RobustFit<'_> {
         if changed || variance_growth > UNIFORM_GROWTH || !settled {
             self.levels = LevelScope::Cells;
             self.reference.levels = [state.white, state.step];
-            for cell in &mut self.scratch.robust.cells {
+            for cell in &mut self.scratch.cells {
                 cell.levels = self.reference.levels;
             }
             for _ in 0..ROUNDS {
@@ -315,9 +320,9 @@ impl RobustFit<'_> {
             if damping < 1e-3 && gain < LAST_STEP * noise2 {
                 return Ok((state, equations, true));
             }
-            let next = state.moved(&equations, &change).ok_or(FitError::OutOfWindow)?;
+            let next = state.moved(equations.unit_m, &change).ok_or(FitError::OutOfWindow)?;
             let bloom_px = self.bloom_px;
-            let RobustScratch { cells, saved, .. } = &mut self.scratch.robust;
+            let RobustScratch { cells, saved, .. } = &mut *self.scratch;
             saved.clone_from(cells);
             self.update_levels(&equations, &change);
             match self.assemble(&next) {
@@ -326,7 +331,7 @@ impl RobustFit<'_> {
                     damping *= 0.1;
                 }
                 found => {
-                    let RobustScratch { cells, saved, .. } = &mut self.scratch.robust;
+                    let RobustScratch { cells, saved, .. } = &mut *self.scratch;
                     cells.clone_from(saved);
                     self.bloom_px = bloom_px;
                     // The approximate columns, not the model, prevent so small a decrease.
@@ -355,7 +360,7 @@ impl RobustFit<'_> {
         if self.levels == LevelScope::Cells {
             // The levels' own coefficients are the unknowns here.
             (coefficients[column::WHITE], coefficients[column::STEP]) = (0.0, 0.0);
-            for cell in &mut self.scratch.robust.cells {
+            for cell in &mut self.scratch.cells {
                 cell.update_levels(&self.reference, &coefficients);
             }
         }
@@ -365,10 +370,10 @@ impl RobustFit<'_> {
     fn assemble(&mut self, state: &State) -> Result<NormalEquations, FitError> {
         self.iterations += 1;
         let blur_px = state.blur2.sqrt();
-        let FitScratch { level, contours, nodes, robust, .. } = &mut *self.scratch;
-        let RobustScratch { normal, images, .. } = robust;
-        let mut parts = ProjectionScratch { level: *level, contours, nodes, window: images.origin };
-        let radius_px = linearize::project(self.problem, state, blur_px, &mut parts);
+        let RobustScratch { normal, images, cells, .. } = &mut *self.scratch;
+        let origin = images.origin();
+        linearize::project(self.problem, state, blur_px, origin, self.model);
+        let ModelScratch { level, nodes, .. } = &mut *self.model;
         if self.bloom_px != 0.0 {
             images.move_rims(nodes, self.bloom_px);
         }
@@ -377,24 +382,23 @@ impl RobustFit<'_> {
         }
         if self.levels == LevelScope::Ring {
             self.reference.levels = [state.white, state.step];
-            for cell in &mut robust.cells {
+            for cell in cells {
                 cell.levels = self.reference.levels;
             }
         }
-        let FitScratch { level, robust, .. } = &mut *self.scratch;
         let deviation = self.reference.noise2.sqrt().max(MIN_NOISE);
-        pixels::add_all(*level, (self.problem, state), robust, deviation);
+        pixels::add_all(*level, self.problem, state, self.scratch, deviation);
         let products = self.summed_products();
-        let origin = self.scratch.robust.images.origin;
-        let pixel_model = linearize::pixel_model(self.problem, state, blur_px, origin);
-        Ok(NormalEquations::new(self.problem, state, (&products, &pixel_model), radius_px))
+        let model = linearize::pixel_model(self.problem, state, blur_px, origin);
+        let scale = linearize::scale(self.problem, state, &model);
+        Ok(NormalEquations::new(state, &products, &scale))
     }
 
     /// Products of the kept cells, with the bloom eliminated where it is free.
     fn summed_products(&mut self) -> Products {
         let mut sum = Products::zeros();
         self.misfit = 0.0;
-        for cell in self.scratch.robust.cells.iter().filter(|cell| cell.kept) {
+        for cell in self.scratch.cells.iter().filter(|cell| cell.kept) {
             self.misfit += cell.misfit(&self.reference);
             match self.levels {
                 LevelScope::Ring => sum += cell.products(self.reference.levels[1]),

@@ -3,13 +3,10 @@
 use fearless_simd::{Level, Simd, dispatch};
 use fearless_simd_macros::simd;
 
-use super::{
-    RobustScratch,
-    image::{IMAGES, NormalTable},
-};
-use crate::pose::photometry::solver::{
-    linearize,
-    state::{Problem, State},
+use super::{RobustScratch, image::IMAGES};
+use crate::{
+    normal_distribution::{Table, Tail},
+    pose::photometry::solver::{linearize, problem::Problem, state::State},
 };
 
 #[derive(Clone, Copy, Debug)]
@@ -21,26 +18,33 @@ pub struct Pixel {
     pub grey: f32,
 }
 
-pub fn add_all(level: Level, at: (&Problem, &State), robust: &mut RobustScratch, deviation: f64) {
-    dispatch!(level, simd => add_each(simd, at, robust, deviation));
+pub fn add_all(
+    level: Level,
+    problem: &Problem,
+    state: &State,
+    robust: &mut RobustScratch,
+    deviation: f64,
+) {
+    dispatch!(level, simd => add_each(simd, problem, state, robust, deviation));
 }
 
 #[simd]
 fn add_each<S: Simd>(
     simd: S,
-    (problem, state): (&Problem, &State),
+    problem: &Problem,
+    state: &State,
     robust: &mut RobustScratch,
     deviation: f64,
 ) {
     let RobustScratch { normal: table, images, pixels, cells, .. } = robust;
-    let pixel_model = linearize::pixel_model(problem, state, state.blur2.sqrt(), images.origin);
+    let pixel_model = linearize::pixel_model(problem, state, state.blur2.sqrt(), images.origin());
     for cell in cells.iter_mut() {
         cell.sums = Default::default();
     }
     let planes: [&[f32]; IMAGES] = std::array::from_fn(|index| images.plane(index));
     for pixel in pixels.iter() {
         let cell = &mut cells[usize::from(pixel.cell)];
-        let index = usize::from(pixel.row) * images.width + usize::from(pixel.column);
+        let index = usize::from(pixel.row) * images.width() + usize::from(pixel.column);
         let [share, right, down, curvature, outer, inner] = planes.map(|plane| plane[index]);
         let (p, q) = (f32::from(pixel.column), f32::from(pixel.row));
         let [t1, t2] = pixel_model.t.map(|[c, by_p, by_q]| c + by_p * p + by_q * q);
@@ -97,7 +101,7 @@ struct PixelTerm {
 
 /// Of a grey value against a level, with noise of this standard deviation.
 #[inline]
-fn pixel_term(table: &NormalTable, grey: f64, level: f64, deviation: f64) -> PixelTerm {
+fn pixel_term(table: &Table, grey: f64, level: f64, deviation: f64) -> PixelTerm {
     let (sign, z) = if grey >= 255.0 {
         (1.0, (254.5 - level) / deviation)
     } else if grey <= 0.0 {
@@ -109,7 +113,7 @@ fn pixel_term(table: &NormalTable, grey: f64, level: f64, deviation: f64) -> Pix
     if z < -5.0 {
         return PixelTerm { residual: 0.0, root: 0.0, misfit: 0.0 };
     }
-    let (pull, misfit) = table.tail(z);
+    let Tail { hazard: pull, minus_two_ln: misfit } = table.tail(z);
     let root = (pull * (pull - z)).max(0.0).sqrt();
     let variance = deviation * deviation;
     PixelTerm { residual: sign * deviation * pull / root, root, misfit: variance * misfit }

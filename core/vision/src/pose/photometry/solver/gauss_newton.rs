@@ -7,10 +7,11 @@
 use super::{
     linearize::{linearize, linearize_start},
     mirror::{evaluate_mirrored, is_linear},
+    problem::Problem,
     solution::Solution,
-    state::{BLUR, Problem, State},
+    state::{BLUR, State},
 };
-use crate::pose::photometry::{FitError, FitScratch};
+use crate::pose::photometry::{FitError, model::scratch::ModelScratch};
 
 const MAX_STEPS: usize = 16;
 /// A step that decreases the misfit by fewer variances is the last one.
@@ -30,7 +31,7 @@ const MIN_STEP: f64 = 5.0;
 pub fn solve(
     problem: &Problem,
     start: State,
-    scratch: &mut FitScratch,
+    scratch: &mut ModelScratch,
 ) -> Result<Solution, FitError> {
     let mut state = start;
     let mut equations = linearize_start(problem, &state, scratch)?;
@@ -43,7 +44,7 @@ pub fn solve(
             change = equations.step(&state, noise2, damping).ok_or(FitError::Uninformative)?;
         }
         let gain: f64 = change.iter().zip(&equations.gradient).map(|(x, g)| x * g).sum();
-        let next = state.moved(&equations, &change).ok_or(FitError::OutOfWindow)?;
+        let next = state.moved(equations.unit_m, &change).ok_or(FitError::OutOfWindow)?;
         let left = (equations.misfit - gain).max(0.0);
         let settled = gain < LAST_STEP * equations.noise2_for(left);
         let last = damping == 0.0 && (settled || equations.is_converged_by(&state, &change));
@@ -64,7 +65,7 @@ pub fn solve(
             behind.advance(&change, left);
             let left2 = equations.noise2_for(left);
             // A start at the wrong one of two poses shows in the first step.
-            if let Some(other) = evaluate_mirrored(problem, &next, (&behind, left2, None), scratch)
+            if let Some(other) = evaluate_mirrored(problem, &next, &behind, left2, None, scratch)
                 && other.misfit < left - MIRRORED * left2
                 && let Ok(found) = linearize(problem, &other.state, None, scratch)
             {
@@ -75,7 +76,7 @@ pub fn solve(
         // The information hardly changes over a small step; the residual does.
         let small = gain < SMALL_STEP * noise2 && damping == 0.0 && state.is_small_turn(&change);
         // Cached information is as good at the second linearization as at the first.
-        let is_fresh = !equations.reused || (equations.cache && step == 1);
+        let is_fresh = !equations.reused || (equations.cached && step == 1);
         let reused = (small && is_fresh).then_some(&equations);
         match linearize(problem, &next, reused, scratch) {
             // A change of the kernel table moves the misfit by less than a variance.

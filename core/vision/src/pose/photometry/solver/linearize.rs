@@ -4,17 +4,20 @@ use nalgebra::{Vector2, Vector3};
 
 use super::{
     normal_equation_cache::NormalEquationCache,
-    normal_equations::NormalEquations,
-    state::{Problem, State},
+    normal_equations::{NormalEquations, ProblemScale},
+    problem::Problem,
+    state::State,
 };
 use crate::pose::photometry::{
-    FitError, FitScratch, SPACING,
+    FitError,
     model::{
         blur_kernel::DifferenceWeights,
+        columns::PixelModel,
+        contour::SPACING_BLURS,
         motion,
-        projection::{self, Nodes, PrintPose},
+        projection::{self, PrintPose, ProjectedPrint},
         residual_patches,
-        window::PixelModel,
+        scratch::ModelScratch,
     },
 };
 
@@ -26,18 +29,20 @@ enum Reuse<'a> {
     /// That of a state nearby.
     Near(&'a NormalEquations),
     /// That of an earlier frame.
-    Recalled(&'a NormalEquationCache),
+    Cached(&'a NormalEquationCache),
 }
 
 /// Linearizes at the start of a fit, with the cache where it is valid.
 pub fn linearize_start(
     problem: &Problem,
     state: &State,
-    scratch: &mut FitScratch,
+    scratch: &mut ModelScratch,
 ) -> Result<NormalEquations, FitError> {
     let pixels = scratch.window.pixels();
-    let cache = problem.cache.filter(|cache| cache.is_valid_for(problem, state, pixels));
-    assemble(problem, state, cache.map(Reuse::Recalled), scratch)
+    let cache = problem
+        .cache
+        .filter(|cache| problem.allows_cache() && cache.is_valid_for(state, problem.lens, pixels));
+    assemble(problem, state, cache.map(Reuse::Cached), scratch)
 }
 
 /// Linearizes at a state, with the information of a state nearby if given.
@@ -45,7 +50,7 @@ pub fn linearize(
     problem: &Problem,
     state: &State,
     reuse: Option<&NormalEquations>,
-    scratch: &mut FitScratch,
+    scratch: &mut ModelScratch,
 ) -> Result<NormalEquations, FitError> {
     assemble(problem, state, reuse.map(Reuse::Near), scratch)
 }
@@ -54,53 +59,38 @@ fn assemble(
     problem: &Problem,
     state: &State,
     reuse: Option<Reuse>,
-    scratch: &mut FitScratch,
+    scratch: &mut ModelScratch,
 ) -> Result<NormalEquations, FitError> {
-    let kernel = scratch.kernels.nearest(state.blur2.sqrt());
-    let radius_px = project(
-        problem,
-        state,
-        kernel.blur_px,
-        &mut ProjectionScratch {
-            level: scratch.level,
-            contours: &mut scratch.contours,
-            nodes: &mut scratch.nodes,
-            window: scratch.window.origin,
-        },
-    );
+    let window = scratch.window.origin;
+    let blur_px = scratch.kernels.nearest(state.blur2.sqrt()).blur_px;
+    project(problem, state, blur_px, window, scratch);
     if !motion::is_linear(&state.motion2) {
         let motion_px = motion::from_square(&state.motion2);
-        let quadrature = motion::quadrature(&state.motion2, kernel.blur_px);
+        let quadrature = motion::quadrature(&state.motion2, blur_px);
         scratch.nodes.smear(scratch.level, &motion_px, quadrature);
     }
+    let kernel = scratch.kernels.nearest(blur_px);
     if !scratch.window.scatter(scratch.level, &scratch.nodes, kernel) {
         return Err(FitError::OutOfWindow);
     }
-    let pixel_model = pixel_model(problem, state, kernel.blur_px, scratch.window.origin);
+    let model = pixel_model(problem, state, blur_px, window);
     let sums = &mut scratch.sums;
-    scratch.window.gather(scratch.level, &pixel_model, sums, reuse.is_none());
+    scratch.window.gather(scratch.level, &model, sums, reuse.is_none());
     let mut equations = match reuse {
-        None => NormalEquations::new(problem, state, (&sums.products, &pixel_model), radius_px),
+        None => NormalEquations::new(state, &sums.products, &scale(problem, state, &model)),
         Some(Reuse::Near(reuse)) => reuse.updated(&sums.products),
-        Some(Reuse::Recalled(cache)) => {
+        Some(Reuse::Cached(cache)) => {
             cache.write_to(&mut sums.products);
             let mut equations =
-                NormalEquations::new(problem, state, (&sums.products, &pixel_model), radius_px);
+                NormalEquations::new(state, &sums.products, &scale(problem, state, &model));
             equations.pixels = scratch.window.pixels() as f64;
-            (equations.reused, equations.cache) = (true, true);
+            (equations.reused, equations.cached) = (true, true);
             equations
         }
     };
     equations.patch_ratio =
         residual_patches::correlation_ratio(f64::from(sums.patches), equations.misfit);
     if equations.pixels < MIN_PIXELS { Err(FitError::Uninformative) } else { Ok(equations) }
-}
-
-pub struct ProjectionScratch<'a> {
-    pub level: fearless_simd::Level,
-    pub contours: &'a mut crate::pose::photometry::model::contour::Contours,
-    pub nodes: &'a mut Nodes,
-    pub window: (i64, i64),
 }
 
 /// Radius of the outer rim.
@@ -110,19 +100,31 @@ pub fn radius_px(problem: &Problem, state: &State) -> f64 {
     scale_px * problem.radius_m / (state.pose.position_m.z * problem.lens.spread)
 }
 
-/// Projects the contour into the window; returns the radius of the outer rim, pixels.
+pub fn scale(problem: &Problem, state: &State, model: &PixelModel) -> ProblemScale {
+    let radius_px = radius_px(problem, state);
+    ProblemScale {
+        radius_px,
+        disc_ratio: problem.kind.mean_ratio(),
+        mirror_px: 2.0 * radius_px * model.nearness[1].hypot(model.nearness[2]) as f64,
+        unit_m: state.pose.position_m.z * problem.lens.spread,
+        motion_prior: (!problem.is_still).then_some(problem.motion_prior),
+    }
+}
+
+/// Projects the contour into the window with this top left pixel.
 pub fn project(
     problem: &Problem,
     state: &State,
     blur_px: f64,
-    parts: &mut ProjectionScratch,
-) -> f64 {
-    let radius_px = radius_px(problem, state);
-    let around_px = std::f64::consts::TAU * radius_px * 1.1;
-    let contour = parts.contours.of(problem.kind, problem.teeth, around_px, SPACING * blur_px);
-    let at = (problem.lens, &state.pose, problem.radius_m);
-    projection::project(parts.level, at, contour, parts.window, parts.nodes);
-    radius_px
+    window: (i64, i64),
+    scratch: &mut ModelScratch,
+) {
+    let around_px = std::f64::consts::TAU * radius_px(problem, state) * 1.1;
+    let ModelScratch { level, contours, nodes, .. } = scratch;
+    let contour = contours.get(problem.kind, problem.teeth, around_px, SPACING_BLURS * blur_px);
+    let (lens, radius_m) = (problem.lens, problem.radius_m);
+    let print = ProjectedPrint { lens, pose: &state.pose, radius_m, window };
+    projection::project(*level, &print, contour, nodes);
 }
 
 pub fn pixel_model(

@@ -15,10 +15,11 @@ use nalgebra::Vector3;
 use super::{
     cholesky::{Cholesky, MAX_UNKNOWNS},
     linearize::linearize,
-    normal_equations::NormalEquations,
-    state::{Problem, RANGE, SHIFT, State, TILT},
+    normal_equations::{MirrorProducts, NormalEquations},
+    problem::Problem,
+    state::{RANGE, SHIFT, State, TILT},
 };
-use crate::pose::photometry::{FitScratch, model::projection::PrintPose};
+use crate::pose::photometry::model::{projection::PrintPose, scratch::ModelScratch};
 
 /// Displacement of the outer rim up to which the image is linear in it, in standard deviations of
 /// its edges.
@@ -44,8 +45,10 @@ pub struct MirrorEstimate {
 pub fn evaluate_mirrored(
     problem: &Problem,
     state: &State,
-    (equations, noise2, factor): (&NormalEquations, f64, Option<&Cholesky>),
-    scratch: &mut FitScratch,
+    equations: &NormalEquations,
+    noise2: f64,
+    factor: Option<&Cholesky>,
+    scratch: &mut ModelScratch,
 ) -> Option<MirrorEstimate> {
     let mirrored = state.mirrored();
     let own = equations.mirrored(state);
@@ -63,7 +66,7 @@ pub fn evaluate_mirrored(
 
 /// Whether the mirrored pose displaces the rims by so little that the image is linear in it.
 pub fn is_linear(state: &State, equations: &NormalEquations) -> bool {
-    equations.apart_px < LINEAR_BLURS * state.edge_px()
+    equations.mirror_px < LINEAR_BLURS * state.edge_px()
 }
 
 /// One step from the mirrored pose, with the information and in the rotations of the other.
@@ -82,7 +85,7 @@ fn step(
     negate_turns(&mut change);
     let other_offset_m = Vector3::new(change[SHIFT], change[SHIFT + 1], 0.0) * equations.unit_m
         + mirrored.pose.position_m * change[RANGE];
-    let state = mirrored.moved(equations, &change)?;
+    let state = mirrored.moved(equations.unit_m, &change)?;
     Some(MirrorEstimate {
         misfit: equations.misfit - gain,
         initial_misfit: equations.misfit,
@@ -95,7 +98,7 @@ impl NormalEquations {
     /// The problem at the mirrored pose, in rotations of this one.
     fn mirrored(&self, state: &State) -> Self {
         let mut other = self.clone();
-        let (with_unknowns, with_residual, own) = &self.mirror;
+        let MirrorProducts { with_unknowns, with_residual, own } = &self.mirror;
         let grown = state.mirror_growth();
         for (i, row) in other.information.iter_mut().enumerate() {
             for (j, value) in row.iter_mut().enumerate() {

@@ -11,5 +11,6 @@ pub mod linearize;
 pub mod mirror;
 pub mod normal_equation_cache;
 pub mod normal_equations;
+pub mod problem;
 pub mod solution;
 pub mod state;

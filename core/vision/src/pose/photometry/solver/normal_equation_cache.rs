@@ -10,15 +10,13 @@
 use nalgebra::Matrix2;
 
 use super::{
-    normal_equations::NormalEquations,
-    state::{BLUR, Problem, SHIFT, State, unknown_of},
+    normal_equations::{MirrorProducts, NormalEquations},
+    state::{BLUR, SHIFT, State, unknown_of},
 };
-use crate::{
-    marker::Pattern,
-    pose::photometry::model::{
-        column_products::{Products, STILL, column},
-        projection::PrintPose,
-    },
+use crate::pose::photometry::model::{
+    column_products::{Products, STILL, column},
+    local_lens::LocalLens,
+    projection::PrintPose,
 };
 
 /// Columns without those of the residual and of the motion.
@@ -51,11 +49,9 @@ pub struct NormalEquationCache {
 }
 
 impl NormalEquationCache {
-    /// From a fit without a cache; `None` if its motion was free, its blur at a limit, or the print
-    /// not plain, since columns of other prints depend on more than is compared.
-    pub fn of(problem: &Problem, state: &State, equations: &NormalEquations) -> Option<Self> {
-        let is_plain = matches!(problem.kind.pattern, Pattern::Plain);
-        if !(problem.is_still && is_plain) || equations.is_held(BLUR) {
+    /// From a fit of a plain print without motion; `None` if its blur was at a limit.
+    pub fn new(state: &State, equations: &NormalEquations, lens: &LocalLens) -> Option<Self> {
+        if equations.is_held(BLUR) {
             return None;
         }
         let mut products = [0.0; COUNT];
@@ -67,12 +63,12 @@ impl NormalEquationCache {
             }
         }
         let State { pose, blur2, white, step, .. } = *state;
-        let (slope, pixels) = (problem.lens.slope, equations.pixels);
+        let (slope, pixels) = (lens.slope, equations.pixels);
         Some(Self { products, pose, slope, blur2, white, step, pixels })
     }
 
     /// Whether the products hold at a state with this number of counted pixels.
-    pub fn is_valid_for(&self, problem: &Problem, state: &State, pixels: usize) -> bool {
+    pub fn is_valid_for(&self, state: &State, lens: &LocalLens, pixels: usize) -> bool {
         let is_near = |one: f64, other: f64| (one - other).abs() < MAX_CHANGE * other.abs();
         let is_lit =
             |one: f64, other: f64| (one - other).abs() < MAX_LEVEL_CHANGE * self.step.abs();
@@ -81,15 +77,13 @@ impl NormalEquationCache {
         // The difference of the matrices for a rotation by a small angle has the norm √2 times the
         // angle.
         let turn2 = 0.5 * (pose.axes - self.pose.axes).norm_squared();
-        problem.is_still
-            && matches!(problem.kind.pattern, Pattern::Plain)
-            && turn2 < MAX_TILT_CHANGE * MAX_TILT_CHANGE * (1.0 - cosine * cosine)
+        turn2 < MAX_TILT_CHANGE * MAX_TILT_CHANGE * (1.0 - cosine * cosine)
             && is_near(pose.position_m.z, self.pose.position_m.z)
             && (state.blur2 - self.blur2).abs() < MAX_BLUR2_CHANGE * state.blur2
             && is_lit(state.white, self.white)
             && is_lit(state.step, self.step)
             && is_near(pixels as f64, self.pixels)
-            && (problem.lens.slope - self.slope).norm() < MAX_CHANGE * self.slope.norm()
+            && (lens.slope - self.slope).norm() < MAX_CHANGE * self.slope.norm()
     }
 
     pub fn write_to(&self, products: &mut Products) {
@@ -108,7 +102,7 @@ impl NormalEquationCache {
 impl NormalEquations {
     /// Product of two columns other than those of residual and motion.
     fn product(&self, one: usize, other: usize) -> f64 {
-        let (with_unknowns, _, own) = &self.mirror;
+        let MirrorProducts { with_unknowns, own, .. } = &self.mirror;
         let step = self.scale[SHIFT];
         match (one, other) {
             (column::MIRROR, column::MIRROR) => own / (step * step),

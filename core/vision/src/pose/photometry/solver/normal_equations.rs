@@ -4,12 +4,9 @@ use std::ops::Range;
 
 use super::{
     cholesky::{Cholesky, MAX_UNKNOWNS},
-    state::{BLUR, LIGHT, MOTION, Problem, SHIFT, STEP, State, TILT, UNKNOWNS, WHITE, column_of},
+    state::{BLUR, LIGHT, MOTION, SHIFT, STEP, State, TILT, UNKNOWNS, WHITE, column_of},
 };
-use crate::pose::photometry::model::{
-    column_products::{COLUMNS, Products, column},
-    window::PixelModel,
-};
+use crate::pose::photometry::model::column_products::{COLUMNS, Products, column};
 
 #[derive(Clone, Debug)]
 pub struct NormalEquations {
@@ -22,15 +19,13 @@ pub struct NormalEquations {
     pub pixels: f64,
     /// Correlation of the residuals ([`residual_patches`](super::super::model::residual_patches)).
     pub patch_ratio: f64,
-    /// Products of the mirrored pose's column: with the unknowns, with the residual, and with
-    /// itself.
-    pub mirror: ([f64; MAX_UNKNOWNS], f64, f64),
+    pub mirror: MirrorProducts,
     /// Displacement of the outer rim by the mirrored pose, pixels.
-    pub apart_px: f64,
+    pub mirror_px: f64,
     /// Whether the information is that of an earlier state …
     pub reused: bool,
     /// … and of an earlier frame.
-    pub cache: bool,
+    pub cached: bool,
     /// Variance of μ besides its own size, px⁴; `None` where the motion is held.
     pub motion_prior: Option<f64>,
     /// Information about a displacement of both rims.
@@ -40,6 +35,28 @@ pub struct NormalEquations {
     pub elongation: f64,
     /// p₃ s: metres per unit of shift.
     pub unit_m: f64,
+}
+
+/// Products of the mirrored pose's column.
+#[derive(Clone, Debug)]
+pub struct MirrorProducts {
+    pub with_unknowns: [f64; MAX_UNKNOWNS],
+    pub with_residual: f64,
+    pub own: f64,
+}
+
+/// Size of a ring in the image, and prior of its motion.
+pub struct ProblemScale {
+    /// Radius of the outer rim.
+    pub radius_px: f64,
+    /// Radius of the disc over that of the outer rim.
+    pub disc_ratio: f64,
+    /// Displacement of the outer rim by the mirrored pose.
+    pub mirror_px: f64,
+    /// p₃ s: metres per unit of shift.
+    pub unit_m: f64,
+    /// Variance of μ besides its own size, px⁴; `None` where the motion is held.
+    pub motion_prior: Option<f64>,
 }
 
 const MIRROR: usize = column::MIRROR;
@@ -69,20 +86,20 @@ const MISMATCH_FACTOR: f64 = 1.7;
 impl NormalEquations {
     /// From the products of all columns, or of those without motion.
     pub fn new<const COUNT: usize>(
-        problem: &Problem,
         state: &State,
-        (products, model): (&Products<COUNT>, &PixelModel),
-        radius_px: f64,
+        products: &Products<COUNT>,
+        scale: &ProblemScale,
     ) -> Self {
+        let ProblemScale { radius_px, disc_ratio, mirror_px, unit_m, motion_prior } = *scale;
+        let motion_prior = motion_prior.filter(|_| COUNT == COLUMNS);
+        let step = state.step;
         let mut scale = [1.0; MAX_UNKNOWNS];
-        scale[BLUR] = 0.5 * state.step;
-        scale[MOTION..MOTION + 2].fill(state.step / 48.0);
-        scale[SHIFT..UNKNOWNS].fill(state.step);
+        scale[BLUR] = 0.5 * step;
+        scale[MOTION..MOTION + 2].fill(step / 48.0);
+        scale[SHIFT..UNKNOWNS].fill(step);
         let mut information = [[0.0; MAX_UNKNOWNS]; MAX_UNKNOWNS];
         let (mut gradient, mut mirror) = ([0.0; MAX_UNKNOWNS], [0.0; MAX_UNKNOWNS]);
-        let step = state.step;
-        let is_free = COUNT == COLUMNS && !problem.is_still;
-        let first = if is_free { MOTION } else { WHITE };
+        let first = if motion_prior.is_some() { MOTION } else { WHITE };
         for i in first..UNKNOWNS {
             let column = column_of(i);
             for j in first..UNKNOWNS {
@@ -93,30 +110,28 @@ impl NormalEquations {
         }
         // A straight edge of standard deviation τ has the information C²/(2 √π τ) per pixel of
         // length about its position.
-        let spread_px = state.edge_px();
-        let edge = state.step * state.step / (2.0 * std::f64::consts::PI.sqrt() * spread_px);
-        let ratio = problem.kind.mean_ratio();
+        let edge = step * step / (2.0 * std::f64::consts::PI.sqrt() * state.edge_px());
         let around = std::f64::consts::TAU * edge * radius_px;
         Self {
-            edge_information: around * (1.0 + ratio),
+            edge_information: around * (1.0 + disc_ratio),
             radius_px,
             information,
             scale,
             gradient,
             misfit: products[(0, 0)],
-            mirror: (
-                mirror,
-                products[(0, MIRROR)] * step,
-                products[(MIRROR, MIRROR)] * step * step,
-            ),
-            apart_px: 2.0 * radius_px * model.nearness[1].hypot(model.nearness[2]) as f64,
+            mirror: MirrorProducts {
+                with_unknowns: mirror,
+                with_residual: products[(0, MIRROR)] * step,
+                own: products[(MIRROR, MIRROR)] * step * step,
+            },
+            mirror_px,
             pixels: products[(column::WHITE, column::WHITE)],
             patch_ratio: 1.0,
             reused: false,
-            cache: false,
-            motion_prior: is_free.then_some(problem.motion_prior),
-            elongation: around * radius_px * (1.0 + ratio * ratio),
-            unit_m: state.pose.position_m.z * problem.lens.spread,
+            cached: false,
+            motion_prior,
+            elongation: around * radius_px * (1.0 + disc_ratio * disc_ratio),
+            unit_m,
         }
     }
 
@@ -127,7 +142,7 @@ impl NormalEquations {
             next.gradient[i] = products[(0, column_of(i))] * self.scale[i];
         }
         next.misfit = products[(0, 0)];
-        next.mirror.1 = products[(0, MIRROR)] * self.scale[SHIFT];
+        next.mirror.with_residual = products[(0, MIRROR)] * self.scale[SHIFT];
         next.reused = true;
         next
     }
@@ -167,7 +182,8 @@ impl NormalEquations {
         for (gradient, row) in self.gradient.iter_mut().zip(&self.information) {
             *gradient -= row.iter().zip(change).map(|(a, b)| a * b).sum::<f64>();
         }
-        self.mirror.1 -= self.mirror.0.iter().zip(change).map(|(a, b)| a * b).sum::<f64>();
+        self.mirror.with_residual -=
+            self.mirror.with_unknowns.iter().zip(change).map(|(a, b)| a * b).sum::<f64>();
         self.misfit = misfit;
     }
 
@@ -179,7 +195,7 @@ impl NormalEquations {
         }
         self.information[unknown][unknown] = 1.0;
         self.gradient[unknown] = 0.0;
-        self.mirror.0[unknown] = 0.0;
+        self.mirror.with_unknowns[unknown] = 0.0;
     }
 
     /// A free unknown is always correlated with the black level.

@@ -4,14 +4,15 @@ use nalgebra::{SMatrix, Vector3};
 
 use super::{
     cholesky::{Cholesky, MAX_UNKNOWNS},
-    linearize::{ProjectionScratch, project},
+    linearize::project,
     normal_equation_cache::NormalEquationCache,
     normal_equations::NormalEquations,
-    state::{MOTION, Problem, State},
+    problem::Problem,
+    state::{MOTION, State},
 };
 use crate::{
     ellipse::{Ellipse, Shape},
-    pose::photometry::FitScratch,
+    pose::photometry::model::scratch::ModelScratch,
     rigid::{Covariance6, UNKNOWN_ANGLE_VARIANCE_RAD2},
 };
 
@@ -24,6 +25,23 @@ pub struct Solution {
     pub noise2: f64,
     pub iterations: usize,
     pub equations: NormalEquations,
+}
+
+/// Result of a fit, local frame; the covariance is in the camera frame.
+pub struct PoseEstimate {
+    pub state: State,
+    pub other_normal: Vector3<f64>,
+    pub likelihood: f64,
+    /// From this position to that with the other normal.
+    pub other_offset_m: Vector3<f64>,
+    /// Given this normal.
+    pub covariance: Covariance6,
+    pub noise2: f64,
+    /// Variance of either component of the motion's square by noise, px⁴.
+    pub motion_variance: Option<f64>,
+    pub iterations: usize,
+    /// For later frames.
+    pub cache: Option<NormalEquationCache>,
 }
 
 /// Over two shifts, logarithm of the range and two rotations.
@@ -58,10 +76,12 @@ impl Solution {
 
     /// Cache for later frames: the one that was used, or a new one.
     pub fn cache(&self, problem: &Problem) -> Option<NormalEquationCache> {
-        if self.equations.cache {
+        if self.equations.cached {
             problem.cache.copied()
+        } else if problem.allows_cache() {
+            NormalEquationCache::new(&self.state, &self.equations, problem.lens)
         } else {
-            NormalEquationCache::of(problem, &self.state, &self.equations)
+            None
         }
     }
 
@@ -114,16 +134,11 @@ const FEW_NODES_PX: f64 = 1e6;
 pub fn rims(
     problem: &Problem,
     state: &State,
-    scratch: &mut FitScratch,
+    scratch: &mut ModelScratch,
 ) -> Option<(Ellipse, Ellipse)> {
-    let mut parts = ProjectionScratch {
-        level: scratch.level,
-        contours: &mut scratch.contours,
-        nodes: &mut scratch.nodes,
-        window: scratch.window.origin,
-    };
     // The disc's rim without teeth.
-    project(&Problem { teeth: None, ..*problem }, state, FEW_NODES_PX, &mut parts);
+    let without_teeth = Problem { teeth: None, ..*problem };
+    project(&without_teeth, state, FEW_NODES_PX, scratch.window.origin, scratch);
     let nodes = &scratch.nodes;
     let outer = nodes.outer;
     let rim = |from: usize, to: usize| {

@@ -1,41 +1,14 @@
-//! The unknowns of a fit, and its constants.
+//! The unknowns of a fit.
 
 use nalgebra::{Matrix3, Rotation3, Vector2, Vector3};
 
-use super::{
-    cholesky::MAX_UNKNOWNS, normal_equation_cache::NormalEquationCache,
-    normal_equations::NormalEquations,
-};
+use super::cholesky::MAX_UNKNOWNS;
 use crate::{
-    ellipse::Chords,
-    frame::Frame,
-    marker::{Kind, Ring},
+    marker::Ring,
     pose::photometry::model::{
-        blur_kernel::BLUR_LIMITS_PX, column_products::column, local_lens::LocalLens, motion,
-        projection::PrintPose, teeth::Teeth,
+        blur_kernel::BLUR_LIMITS_PX, column_products::column, motion, projection::PrintPose,
     },
 };
-
-/// Constants of one fit.
-#[derive(Clone, Copy)]
-pub struct Problem<'a> {
-    pub frame: &'a Frame<'a>,
-    pub kind: &'a Kind,
-    /// Of a coded print.
-    pub teeth: Option<Teeth>,
-    /// Whether the teeth are those of earlier frames.
-    pub teeth_are_predicted: bool,
-    pub radius_m: f64,
-    pub lens: &'a LocalLens,
-    /// Counted pixels.
-    pub chords: Chords,
-    /// Variance of μ besides its own size, px⁴.
-    pub motion_prior: f64,
-    /// Whether the motion is held at zero.
-    pub is_still: bool,
-    /// From an earlier frame.
-    pub cache: Option<&'a NormalEquationCache>,
-}
 
 /// The unknowns.
 #[derive(Clone, Debug)]
@@ -155,8 +128,8 @@ impl State {
         1.0 - cosine * cosine > MIN_TILT_SINE * MIN_TILT_SINE
     }
 
-    /// After a step; `None` unless that is a roundel in front of the camera.
-    pub fn moved(&self, equations: &NormalEquations, change: &[f64; MAX_UNKNOWNS]) -> Option<Self> {
+    /// After a step, with `unit_m` metres per unit of shift; `None` unless that is a roundel in front of the camera.
+    pub fn moved(&self, unit_m: f64, change: &[f64; MAX_UNKNOWNS]) -> Option<Self> {
         let mut next = self.clone();
         next.white += change[WHITE];
         next.step += change[STEP];
@@ -172,7 +145,7 @@ impl State {
         // A rotation beyond its linearization is shortened, and the whole step with it.
         let cut = (MAX_TURN_RAD / turn.norm()).min(1.0) * ratio;
         let pose = &mut next.pose;
-        let shift = Vector3::new(change[SHIFT], change[SHIFT + 1], 0.0) * equations.unit_m;
+        let shift = Vector3::new(change[SHIFT], change[SHIFT + 1], 0.0) * unit_m;
         pose.position_m *= (cut * change[RANGE]).clamp(-0.2, 0.2).exp();
         pose.position_m += shift * cut;
         let (a, b) = (pose.axes.column(0), pose.axes.column(1));
