@@ -15,7 +15,7 @@ use roundel_core::{
     marker::{CodeLayout, CodeReader, Kind, Pattern, Ring, Tooth},
     pose::{
         RimNoise, locate,
-        photometry::{FitScratch, Start, fit},
+        photometry::{FitInput, FitScratch, Start, fit},
     },
     rigid::orientation_of_normal,
 };
@@ -138,14 +138,14 @@ fn coded_fits(criterion: &mut Criterion) {
             motion_px: Vector2::zeros(),
             moved_px: 1.0,
             is_still: true,
-            skew: None,
             teeth: None,
-            recalled: None,
         };
-        let first = fit(&frame, &camera, &kind, &ring, &start, &mut scratch).expect("it is drawn");
+        let input =
+            FitInput { frame: &frame, camera: &camera, kind: &kind, ring: &ring, skew: None };
+        let first = fit(&input, &start, &mut scratch).expect("it is drawn");
         start.blur_px = first.blur_px;
         criterion.bench_function(&format!("fit/coded {bits} bits {diameter_px} px"), |bencher| {
-            bencher.iter(|| fit(&frame, &camera, &kind, &ring, black_box(&start), &mut scratch));
+            bencher.iter(|| fit(&input, black_box(&start), &mut scratch));
         });
     }
 }
@@ -185,14 +185,13 @@ fn fits(criterion: &mut Criterion) {
             motion_px: Vector2::zeros(),
             moved_px: 1.0,
             is_still: true,
-            skew: None,
             teeth: None,
-            recalled: None,
         };
-        let first = fit(&frame, &camera, kind, &ring, &start, &mut scratch).expect("it is drawn");
+        let input = FitInput { frame: &frame, camera: &camera, kind, ring: &ring, skew: None };
+        let first = fit(&input, &start, &mut scratch).expect("it is drawn");
         (start.blur_px, start.motion_px) = (first.blur_px, first.motion_px);
         criterion.bench_function(&format!("fit/{name}{diameter_px} px"), |bencher| {
-            bencher.iter(|| fit(&frame, &camera, kind, &ring, black_box(&start), &mut scratch));
+            bencher.iter(|| fit(&input, black_box(&start), &mut scratch));
         });
     }
 }

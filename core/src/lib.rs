@@ -5,7 +5,7 @@
 //!
 //! | crate | modules | content |
 //! | --- | --- | --- |
-//! | [`roundel_vision`] | [`time`], [`id`], [`rigid`], [`camera`], [`frame`], [`ellipse`], [`marker`], [`pose`] | from pixels to poses in the camera frame |
+//! | [`roundel_vision`] | [`time`], [`id`], [`rigid`], [`normal_distribution`], [`camera`], [`frame`], [`ellipse`], [`marker`], [`pose`] | from pixels to poses in the camera frame |
 //! | [`roundel_fusion`] | [`track`], [`world`] | all objects in the world frame, from all cameras |
 //! | [`roundel_calib`] | [`calib`] | calibration of lenses and camera poses, and its supervision |
 //! | [`roundel_sim`] | [`sim`] | simulated scenarios, rendered to pixels |
@@ -18,5 +18,5 @@ pub use roundel_fusion::{track, world};
 pub use roundel_plan as plan;
 pub use roundel_sim as sim;
 pub use roundel_vision::{
-    camera, conventions, ellipse, errata, frame, id, marker, pose, rigid, time,
+    camera, conventions, ellipse, errata, frame, id, marker, normal_distribution, pose, rigid, time,
 };

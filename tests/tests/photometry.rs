@@ -9,7 +9,7 @@ use roundel_core::{
     marker::{Kind, Ring},
     pose::{
         RoundelPose,
-        photometry::{self, DEFAULT_BLUR_PX, FitScratch, Start},
+        photometry::{self, DEFAULT_BLUR_PX, FitInput, FitScratch, Start},
     },
 };
 use roundel_tests::{
@@ -97,15 +97,14 @@ fn trial(diameter_px: f64, tilt_rad: f64, seed: u64) -> Trial {
         motion_px: Vector2::zeros(),
         moved_px: 0.0,
         is_still: true,
-        skew: None,
         teeth: None,
-        recalled: None,
     };
     let rims = (rim(&core, &pose, OUTER_M / 2.0), rim(&core, &pose, INNER_M / 2.0));
     let ring = Ring { black: 46.0, white: 195.0, ..Ring::of_rims(rims.0, rims.1) };
     let kind = Kind::plain("robot", OUTER_M, INNER_M);
     let mut scratch = FitScratch::default();
-    let fit = photometry::fit(&frame, &core, &kind, &ring, &start, &mut scratch).unwrap();
+    let input = FitInput { frame: &frame, camera: &core, kind: &kind, ring: &ring, skew: None };
+    let fit = photometry::fit(&input, &start, &mut scratch).unwrap();
 
     let scene = Scene { camera, imaging, print: &print, pose, motion_px: [0.0; 2] };
     let limit = bound(&scene, Unknowns::default()).unwrap();

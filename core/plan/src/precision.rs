@@ -32,7 +32,8 @@ use roundel_vision::{
     camera::{Camera, Intrinsics, Lens},
     id::TrackNumber,
     marker::{Kind, Mode, Pattern, Ring, compensated, rim_shift_px},
-    pose::{Detection, RimNoise, RoundelPose, apart_m, locate, photometry::normal_distribution},
+    normal_distribution,
+    pose::{Detection, RimNoise, RoundelPose, locate, other_offset_m},
     rigid::Rigid,
     time::Timestamp,
 };
@@ -105,7 +106,7 @@ pub fn expect(
 pub(super) fn modelled(sensor: &Sensor, kind: &Kind, sighting: &Sighting) -> Option<RoundelPose> {
     let (seen_as, noise) = (whole(kind), rim_noise(sensor, kind, sighting));
     let mut pose = locate(&sensor.camera, &seen_as, &sighting.ring, &noise).ok()?;
-    let apart = apart_m(&sensor.camera, &seen_as, &sighting.ring, &noise).ok()?;
+    let apart = other_offset_m(&sensor.camera, &seen_as, &sighting.ring, &noise).ok()?;
     let wrong = wrong_share(pose.normal_likelihood) - (1.0 - pose.normal_likelihood);
     let moved = match sensor.mode {
         Mode::Precise => Vector3::zeros(),
@@ -120,7 +121,7 @@ pub(super) fn modelled(sensor: &Sensor, kind: &Kind, sighting: &Sighting) -> Opt
 /// this likelihood.
 fn wrong_share(likelihood: f64) -> f64 {
     let misfit = 2.0 * (likelihood / (1.0 - likelihood)).ln().max(0.0);
-    normal_distribution(-0.5 * misfit.sqrt()).0
+    normal_distribution::cumulative(-0.5 * misfit.sqrt())
 }
 
 /// What compensation moves the position by where the rims' areas are not as the print's: camera frame, metres.

@@ -29,7 +29,7 @@ use std::f64::consts::{PI, TAU};
 use super::{Imaging, Sensor, sight::Sighting};
 use roundel_vision::{
     marker::{Kind, Mode, WIDE_PX},
-    normal::Beyond,
+    normal_distribution::Beyond,
     pose::RimNoise,
 };
 

@@ -19,8 +19,7 @@ use super::{FULL_SCALE, Imaging};
 use roundel_vision::{
     ellipse::Ellipse,
     marker::{Polarity, Ring},
-    normal::Beyond,
-    pose::photometry::normal_distribution,
+    normal_distribution::{self, Beyond},
 };
 
 /// Deviations beyond which an edge's blur shows no more.
@@ -74,7 +73,7 @@ impl Edge {
 
     /// k.
     fn weight(&self, x_px: f64) -> f64 {
-        let below = |x_px: f64| normal_distribution(x_px / self.blur_px).0;
+        let below = |x_px: f64| normal_distribution::cumulative(x_px / self.blur_px);
         below(x_px + 0.5) - below(x_px - 0.5)
     }
 

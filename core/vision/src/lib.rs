@@ -5,7 +5,7 @@
 //! | [`time`], [`id`], [`rigid`] | instants, identifiers, rigid transforms with covariance |
 //! | `simd` | numeric code generic over one value or one value per vector lane |
 //! | `parallel`, `scratch` | per-thread memory, buffers reserved in advance |
-//! | [`normal`] | the normal distribution, fast enough to evaluate per pixel |
+//! | [`normal_distribution`] | φ, Φ and tails, also fast enough to evaluate per pixel |
 //! | [`camera`] | lens models |
 //! | [`frame`] | view of an 8-bit grey image, and windows of it |
 //! | [`ellipse`] | ellipses from moments |
@@ -24,7 +24,7 @@ pub mod ellipse;
 pub mod frame;
 pub mod id;
 pub mod marker;
-pub mod normal;
+pub mod normal_distribution;
 mod parallel;
 pub mod pose;
 pub mod rigid;

@@ -1,61 +1,59 @@
-//! The one way from a ring in a frame to a pose, for both modes.
+//! From a ring in a frame to a pose, in both modes.
 //!
-//! A [`Locator`] knows one camera and its kinds of roundel. [`Locator::locate_all`] takes the rings that a
-//! tracker follows, [`Locator::locate`] one of them, [`Locator::locate_single`] a ring of a picture that
-//! stands alone.
+//! A [`Locator`] holds one camera and its kinds of roundel. [`Locator::locate_all`] takes the rings
+//! of a tracker, [`Locator::locate`] one of them, [`Locator::locate_single`] a ring of a single
+//! image.
 //!
-//! Both modes begin with the rims' pose in closed form. [`Mode::Precise`] fits the grey levels from
-//! there (`photometry`); of a followed ring it starts from what is kept of the frames before (`memory`).
-//! Where the fit refuses the ring (a cover, white and black washed out), the closed form stands, with its own
-//! covariance, and [`Located::by`] says so.
+//! Both modes start with the closed-form pose of the rims ([`super::locate`]). [`Mode::Precise`]
+//! then fits the grey levels ([`super::photometry`]), for a tracked ring from the state of earlier
+//! frames. When the fit rejects the ring (occlusion, washed out levels), the closed form with its
+//! own covariance is returned, and [`Located::by`] is [`Mode::Fast`].
 //!
-//! Of a camera with a rolling shutter ([`Locator::with_line_time`]) the frames' times must be told
-//! ([`Locator::locate_all_at`]), so that what moves is located as it is at one instant (`shutter`); of all others
-//! they say nothing.
+//! A camera with a rolling shutter ([`Locator::with_line_time`]) needs the time of each frame
+//! ([`Locator::locate_all_at`]), so that moving rings are located at one instant
+//! ([`super::shutter`]). Other cameras ignore the time.
 //!
-//! On a thread of a [`rayon`] pool the fits of a frame are shared among all of its threads that are idle (`share`), with
-//! the same result.
-//!
-//! Memory of tracks is bounded without being told of their end (`recall`).
+//! On a thread of a [`rayon`] pool the fits of a frame are distributed over its idle threads, with
+//! identical results. The memory of tracks is bounded (`recent_tracks`); the locator needs no
+//! notice when a track ends.
 
-use super::{
-    PoseError, RimNoise, RoundelPose,
-    closed::LANES,
-    locate, locate_each,
-    memory::{Memory, start},
-    photometry::{self, FitScratch, Start},
-    recall::Recall,
-    shutter::{Shutter, Skew},
-    yaw,
-};
 use crate::{
     camera::Camera,
     frame::Frame,
     id::KindId,
     marker::{Kind, Mode, Ring, TrackedRing},
     parallel::PerThread,
+    pose::{
+        PoseError, RimNoise, RoundelPose,
+        circle::closed_form::LANES,
+        locate, locate_each,
+        photometry::{self, FitHistory, FitInput, FitScratch},
+        recent_tracks::RecentTracks,
+        shutter::{Shutter, Skew},
+        yaw,
+    },
     time::Timestamp,
 };
 
-/// A ring with its pose, and how it was found.
+/// A ring with its pose.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Located {
-    /// The ring, with its rims as the pose has them.
+    /// The ring, with the rims that the pose implies.
     pub ring: Ring,
-    /// Where it is.
+    /// Its pose.
     pub pose: RoundelPose,
-    /// How it was located: [`Mode::Fast`] also where the precise way refused the ring.
+    /// The mode that succeeded: [`Mode::Fast`] also where the precise fit rejected the ring.
     pub by: Mode,
-    /// Deviation of the blur, pixels, and of the noise, grey levels, where they were fitted.
+    /// Blur and noise, where they were fitted.
     pub image: Option<ImageQuality>,
 }
 
-/// What a fit says of the picture itself.
+/// Blur and noise of the image at a ring.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImageQuality {
-    /// Deviation of the blur, pixels.
+    /// Standard deviation of the blur, pixels.
     pub blur_px: f64,
-    /// Deviation of the noise, and of whatever else the fit does not explain, grey levels.
+    /// Standard deviation of the noise and of all else that the fit does not explain, grey levels.
     pub noise: f64,
 }
 
@@ -67,66 +65,67 @@ pub struct Locator {
     mode: Mode,
     noise: RimNoise,
     shares: PerThread<FitScratch>,
-    memories: Recall<Memory>,
-    /// Rings of the newest frame that are followed.
-    following: Vec<Following>,
-    /// If it is a rolling one.
+    histories: RecentTracks<FitHistory>,
+    /// Tracked rings of the current frame.
+    pending: Vec<PendingRing>,
+    /// `None` for a global shutter.
     shutter: Option<Shutter>,
 }
 
-/// A ring on its way to what its mode makes of it.
+/// A ring between the closed form and the fit.
 #[derive(Clone, Debug)]
-struct Following {
+struct PendingRing {
     located: Result<Located, PoseError>,
-    /// What is to be kept of it.
-    memory: Option<Memory>,
+    /// State for the next frame.
+    history: Option<FitHistory>,
 }
 
-/// From this confidence of a track's code on a frame that does not read it has the teeth of those before.
-const CERTAIN: f64 = 0.99;
+/// Confidence of a track's code from which a frame that does not read it uses the teeth of earlier
+/// frames.
+const MIN_CODE_CONFIDENCE: f64 = 0.99;
 
 impl Locator {
-    /// For rings of these kinds, in the order that [`KindId`] counts them.
+    /// For rings of these kinds, indexed by [`KindId`].
     pub fn new(camera: Camera, kinds: Vec<Kind>, mode: Mode) -> Self {
         let noise = RimNoise::default();
-        let (shares, memories) = (PerThread::default(), Recall::new());
-        Self { camera, kinds, mode, noise, shares, memories, following: Vec::new(), shutter: None }
+        let (shares, histories) = (PerThread::default(), RecentTracks::new());
+        Self { camera, kinds, mode, noise, shares, histories, pending: Vec::new(), shutter: None }
     }
 
-    /// With a shutter that exposes each row so much later than the one above it; 0: all rows at once.
+    /// Sets the delay between the exposures of consecutive rows, seconds; 0 for a global shutter.
     pub fn with_line_time(self, line_time_s: f64) -> Self {
         Self { shutter: (line_time_s != 0.0).then(|| Shutter::new(line_time_s)), ..self }
     }
 
-    /// The camera's model.
+    /// The camera model.
     pub fn camera(&self) -> &Camera {
         &self.camera
     }
 
-    /// Another model of the same camera from the next frame on; what was kept of tracks is forgotten.
+    /// Replaces the camera model, and discards the state of all tracks.
     pub fn set_camera(&mut self, camera: Camera) {
         self.camera = camera;
         self.reset();
     }
 
-    /// The kinds.
+    /// The kinds, indexed by [`KindId`].
     pub fn kinds(&self) -> &[Kind] {
         &self.kinds
     }
 
-    /// What is worth more.
+    /// The mode.
     pub fn mode(&self) -> Mode {
         self.mode
     }
 
-    /// Forgets all tracks, as after a gap in the frames.
+    /// Discards the state of all tracks, as after a gap in the frames.
     pub fn reset(&mut self) {
-        self.memories.clear();
+        self.histories.clear();
         self.shutter.iter_mut().for_each(Shutter::reset);
     }
 
-    /// The poses of the rings that a tracker follows, in the frame that they were found in and in their
-    /// order: each just what [`Self::locate`] gives, in a fraction of the time.
+    /// Poses of tracked rings, in their order. Equal to [`Self::locate`] for each, in a fraction of
+    /// the time.
     pub fn locate_all(
         &mut self,
         frame: &Frame,
@@ -136,8 +135,8 @@ impl Locator {
         self.locate_each(frame, None, tracked, located);
     }
 
-    /// The same in a frame whose middle row was exposed at `time`, each pose as it is when the row of the
-    /// ring's centre is exposed, as that is in `tracked` ([`crate::time::row_time`]).
+    /// As [`Self::locate_all`] for a frame whose middle row was exposed at `time`. Each pose is
+    /// that at the exposure of the row of the ring's centre ([`crate::time::row_time`]).
     pub fn locate_all_at(
         &mut self,
         frame: &Frame,
@@ -156,45 +155,44 @@ impl Locator {
         located: &mut Vec<Result<Located, PoseError>>,
     ) {
         located.clear();
-        self.expose(frame, time, tracked);
-        self.following.clear();
+        self.update_shutter(frame, time, tracked);
+        self.pending.clear();
         let skews = self.shutter.as_ref().map(Shutter::skews);
         let mut poses = [const { Err(PoseError::NoCircle) }; LANES];
         for (chunk, tracked) in tracked.chunks(LANES).enumerate() {
-            let mut straight = [None; LANES];
+            let mut deskewed = [None; LANES];
             let skews = skews.map_or(&[][..], |skews| &skews[chunk * LANES..]);
-            for ((straight, skew), one) in straight.iter_mut().zip(skews).zip(tracked) {
-                *straight = Some(skew.ring(&one.ring));
+            for ((deskewed, skew), one) in deskewed.iter_mut().zip(skews).zip(tracked) {
+                *deskewed = Some(skew.ring(&one.ring));
             }
-            let rings = tracked.iter().zip(&straight).map(|(one, straight)| {
-                let ring = straight.as_ref().unwrap_or(&one.ring);
+            let rings = tracked.iter().zip(&deskewed).map(|(one, deskewed)| {
+                let ring = deskewed.as_ref().unwrap_or(&one.ring);
                 Ok((kind_of(&self.kinds, ring.kind)?, ring))
             });
             locate_each(&self.camera, rings, &self.noise, &mut poses);
-            self.following.extend(tracked.iter().zip(&mut poses).map(|(one, pose)| {
+            self.pending.extend(tracked.iter().zip(&mut poses).map(|(one, pose)| {
                 let pose = std::mem::replace(pose, Err(PoseError::NoCircle));
-                Following::new(pose.map(|pose| Located::by_rims(&one.ring, pose)))
+                PendingRing::new(pose.map(|pose| Located::from_rims(&one.ring, pose)))
             }));
         }
-        self.follow(frame, tracked);
-        located.extend(self.following.drain(..).map(|one| one.located));
+        self.refine_all(frame, tracked);
+        located.extend(self.pending.drain(..).map(|one| one.located));
     }
 
-    /// The pose of a ring that a tracker follows, in the frame that it was found in.
+    /// Pose of one tracked ring, in the frame that it was found in.
     pub fn locate(&mut self, frame: &Frame, tracked: &TrackedRing) -> Result<Located, PoseError> {
-        self.expose(frame, None, std::slice::from_ref(tracked));
+        self.update_shutter(frame, None, std::slice::from_ref(tracked));
         let kind = kind_of(&self.kinds, tracked.ring.kind)?;
-        let straight = self.skew(0).map(|skew| skew.ring(&tracked.ring));
-        let ring = straight.as_ref().unwrap_or(&tracked.ring);
+        let deskewed = self.skew(0).map(|skew| skew.ring(&tracked.ring));
+        let ring = deskewed.as_ref().unwrap_or(&tracked.ring);
         let pose = locate(&self.camera, kind, ring, &self.noise)?;
-        self.following.clear();
-        self.following.push(Following::new(Ok(Located::by_rims(&tracked.ring, pose))));
-        self.follow(frame, std::slice::from_ref(tracked));
-        self.following.pop().map_or(Err(PoseError::NoCircle), |one| one.located)
+        self.pending.clear();
+        self.pending.push(PendingRing::new(Ok(Located::from_rims(&tracked.ring, pose))));
+        self.refine_all(frame, std::slice::from_ref(tracked));
+        self.pending.pop().map_or(Err(PoseError::NoCircle), |one| one.located)
     }
 
-    /// The pose of a ring of a picture that stands alone, of a kind that need not be one of this
-    /// locator's.
+    /// Pose of a ring in a single image; its kind need not be one of this locator's.
     pub fn locate_single(
         &mut self,
         frame: &Frame,
@@ -202,59 +200,61 @@ impl Locator {
         ring: &Ring,
     ) -> Result<Located, PoseError> {
         let pose = locate(&self.camera, kind, ring, &self.noise)?;
-        let mut located = Located::by_rims(ring, pose);
-        let with = (&self.camera, kind, self.mode);
-        located.improve(with, frame, (None, None), self.shares.first());
+        let mut located = Located::from_rims(ring, pose);
+        let input = FitInput { frame, camera: &self.camera, kind, ring, skew: None };
+        located.refine(&input, self.mode, None, self.shares.first());
         Ok(located)
     }
 
-    /// Takes the frame's rings in, if the shutter is a rolling one.
-    fn expose(&mut self, frame: &Frame, time: Option<Timestamp>, tracked: &[TrackedRing]) {
+    /// Updates the motion of the rings, for a rolling shutter.
+    fn update_shutter(&mut self, frame: &Frame, time: Option<Timestamp>, tracked: &[TrackedRing]) {
         if let Some(shutter) = &mut self.shutter {
-            shutter.expose((time, frame.height()), tracked, (&self.kinds, &self.noise));
+            shutter.update(time, frame.height(), tracked, &self.kinds, &self.noise);
         }
     }
 
-    /// Of the newest frame's ring of this number.
     fn skew(&self, index: usize) -> Option<Skew> {
         self.shutter.as_ref().map(|shutter| shutter.skews()[index])
     }
 
-    /// From the straightened rims of the frame's rings to what the mode makes of them.
-    fn follow(&mut self, frame: &Frame, tracked: &[TrackedRing]) {
-        let Self { camera, kinds, mode, shares, memories, following, shutter, .. } = self;
+    /// Refines the closed-form poses of the frame's rings as the mode demands.
+    fn refine_all(&mut self, frame: &Frame, tracked: &[TrackedRing]) {
+        let Self { camera, kinds, mode, shares, histories, pending, shutter, .. } = self;
         let skews = shutter.as_ref().map(Shutter::skews);
         let (camera, kinds, mode) = (&*camera, &*kinds, *mode);
-        // Without a fit there is hardly anything to do.
+        // Without a fit there is too little work to share.
         let at_a_time = if mode == Mode::Precise { 1 } else { usize::MAX };
-        shares.for_each_chunk(following, at_a_time, |scratch, first, following| {
-            for (place, one) in following.iter_mut().enumerate() {
+        shares.for_each_chunk(pending, at_a_time, |scratch, first, pending| {
+            for (place, one) in pending.iter_mut().enumerate() {
                 let tracked = &tracked[first + place];
                 let (Ok(located), Ok(kind)) = (&mut one.located, kind_of(kinds, tracked.ring.kind))
                 else {
                     continue;
                 };
                 let skew = skews.map(|skews| skews[first + place]);
-                let is_certain = tracked.code.is_some_and(|code| code.confidence >= CERTAIN);
-                let before = memories.of(tracked.track).copied();
-                let before = if is_certain { before } else { before.map(Memory::without_teeth) };
-                one.memory = located.improve((camera, kind, mode), frame, (before, skew), scratch);
+                let is_certain =
+                    tracked.code.is_some_and(|code| code.confidence >= MIN_CODE_CONFIDENCE);
+                let before = histories.get(tracked.track).copied();
+                let before =
+                    if is_certain { before } else { before.map(FitHistory::without_teeth) };
+                let input = FitInput { frame, camera, kind, ring: &tracked.ring, skew };
+                one.history = located.refine(&input, mode, before.as_ref(), scratch);
                 if let Some(skew) = skew {
                     skew.widen(&mut located.pose, camera, kind);
                 }
             }
         });
-        for (tracked, one) in tracked.iter().zip(following) {
+        for (tracked, one) in tracked.iter().zip(pending) {
             if one.located.is_ok() {
-                memories.renew(tracked.track, one.memory.take());
+                histories.update(tracked.track, one.history.take());
             }
         }
     }
 }
 
-impl Following {
+impl PendingRing {
     fn new(located: Result<Located, PoseError>) -> Self {
-        Self { located, memory: None }
+        Self { located, history: None }
     }
 }
 
@@ -263,41 +263,39 @@ fn kind_of(kinds: &[Kind], id: Option<KindId>) -> Result<&Kind, PoseError> {
 }
 
 impl Located {
-    fn by_rims(ring: &Ring, pose: RoundelPose) -> Self {
+    fn from_rims(ring: &Ring, pose: RoundelPose) -> Self {
         Self { ring: *ring, pose, by: Mode::Fast, image: None }
     }
 
-    /// From the rims' pose to the mode's, and to the yaw that a code tells; what to keep of a fit.
-    fn improve(
+    /// Fits the grey levels in precise mode, and adds the yaw of a code; returns the state for the
+    /// next frame.
+    fn refine(
         &mut self,
-        (camera, kind, mode): (&Camera, &Kind, Mode),
-        frame: &Frame,
-        (before, skew): (Option<Memory>, Option<Skew>),
+        input: &FitInput,
+        mode: Mode,
+        before: Option<&FitHistory>,
         scratch: &mut FitScratch,
-    ) -> Option<Memory> {
-        let code = self.ring.code;
-        let mut memory = None;
-        if mode == Mode::Precise {
-            let start = start(&self.pose, &self.ring.outer.center, before.as_ref());
-            let start = Start { skew, ..start };
-            if let Ok(fit) = photometry::fit(frame, camera, kind, &self.ring, &start, scratch) {
-                memory = Some(Memory::of(&fit, &start, before.as_ref()));
-                *self = Self {
-                    ring: fit.ring,
-                    pose: fit.pose,
-                    by: Mode::Precise,
-                    image: Some(ImageQuality { blur_px: fit.blur_px, noise: fit.noise }),
-                };
-            }
+    ) -> Option<FitHistory> {
+        let mut history = None;
+        if mode == Mode::Precise
+            && let Ok((fit, next)) = photometry::fit_tracked(input, &self.pose, before, scratch)
+        {
+            history = Some(next);
+            *self = Self {
+                ring: fit.ring,
+                pose: fit.pose,
+                by: Mode::Precise,
+                image: Some(ImageQuality { blur_px: fit.blur_px, noise: fit.noise }),
+            };
         }
-        // A fit of the teeth has the yaw already.
-        if let Some(reading) = &code
+        // A fit of the teeth includes the yaw.
+        if let Some(reading) = &input.ring.code
             && self.pose.yaw_rad.is_none()
         {
-            let reading = skew.map_or(*reading, |skew| skew.code(reading));
-            yaw::add(&mut self.pose, camera, &reading);
+            let reading = input.skew.map_or(*reading, |skew| skew.code(reading));
+            yaw::add(&mut self.pose, input.camera, &reading);
         }
-        memory
+        history
     }
 }
 
@@ -305,16 +303,16 @@ impl Located {
 mod tests {
     use proptest::prelude::*;
 
-    use super::super::tests::{camera, pose, rim_of};
     use super::*;
     use crate::{
         camera::{Lens, PixelPoint},
         id::TrackNumber,
         marker::{CodeLayout, Pattern},
+        pose::tests::{camera, pose, rim_of},
         rigid::orientation_of_normal,
     };
 
-    /// What is odd about a ring.
+    /// Special cases of a ring.
     #[derive(Clone, Copy, Debug)]
     enum Odd {
         Nothing,
@@ -323,7 +321,7 @@ mod tests {
         OfAnEllipticalDisc,
         OfACode,
         NoEllipse,
-        /// Where this lens has ended.
+        /// Outside the range of the lens model.
         Beyond,
         /// Rims that no circle can have.
         FarApart,

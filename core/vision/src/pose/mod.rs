@@ -1,54 +1,40 @@
-//! Where a roundel is in the camera frame: from two rims, as imaged, to position, normal and their
-//! covariance.
+//! Pose of a roundel in the camera frame: from two imaged rims to position, normal and covariance.
 //!
-//! 1. Points of both rims are carried through the lens, and the ellipses through their images are
-//!    turned into the frame of the outer rim's cone (`rim`).
-//! 2. The outer rim's ellipse gives two circles in closed form (`cone`; paper, eqs. 9 and 10 and
-//!    section 4.3 as corrected in [`crate::errata`]).
-//! 3. One step of Gauss and Newton brings each onto both rims at once, weighted by what is known of
-//!    their errors, which also gives the covariance and how well each explains the rims (`refine`).
-//! 4. A roundel that nearly faces the camera is no matter of one step: its tilt is the mean of all that
-//!    the rims leave open (`upright`, `facing`), one broad normal rather than two.
+//! 1. [`rim`]: points of both rims pass through the lens, and the ellipses through their images are
+//!    expressed in the frame of the outer rim's cone.
+//! 2. [`circle`]: the outer rim's ellipse gives two circles in closed form (paper, eqs. 9 and 10
+//!    and section 4.3 as corrected in [`crate::errata`]). One Gauss-Newton step fits each to both
+//!    rims, weighted by their errors, and gives covariance and likelihood. A roundel that nearly
+//!    faces the camera gets the mean of the posterior of its tilt instead: one broad normal rather
+//!    than two.
+//! 3. [`photometry`]: in precise mode, a least-squares fit of the grey levels that starts from
+//!    there.
+//! 4. [`shutter`]: under a rolling shutter, the rims of a moving ring are first transformed to one
+//!    instant.
+//!
+//! [`Locator`] runs these steps for the rings of a frame.
 //!
 //! Accuracy on exact rims (`tests/golden.rs`, against OpenCV's projection): position to 1e-9 of the
-//! distance without distortion; under strong distortion the image of a circle is no ellipse, and what
-//! the ellipse loses remains. On rims with errors (`tests::covariance_is_that_of_the_errors`): 95 ± 3 %
-//! of position and rotation inside their 95 % ellipsoid from 12 to 120 px and from 0 to 60°, and the
-//! depth's bias below a third of its rms. Time: `cargo bench -p roundel-core --bench pose`, alone and among
-//! others, since a frame's rings are located side by side (`closed`).
+//! distance without distortion. Under strong distortion the image of a circle is no ellipse, and
+//! what the ellipse omits remains as an error. On rims with errors
+//! (`tests::covariance_is_that_of_the_errors`): 95 ± 3 % of position and rotation inside their 95 %
+//! ellipsoid from 12 to 120 px and from 0 to 60°, depth bias below a third of its rms. Time: `cargo
+//! bench -p roundel-core --bench pose`, alone and in a batch ([`circle::closed_form`]).
 //!
-//! Rims that contradict each other by more than their errors explain (a ring partly covered, a lens
-//! less sharp than thought) widen the covariance by as much.
+//! Rims that contradict each other by more than their errors explain (partial occlusion, more blur
+//! than assumed) widen the covariance accordingly.
 //!
-//! Under a rolling shutter a ring that moves is put back to where all of it was at the instant of its pose
-//! (`shutter`).
-//!
-//! Limits: a plain ring says which of two normals is right only by the difference of its rims' centres,
-//! a fraction of a pixel: `normal_likelihood` near 0.5 means just that.
+//! Limits: for a plain ring only the difference of its rims' centres, a fraction of a pixel,
+//! distinguishes the two normals. A `normal_likelihood` near 0.5 means that they are ambiguous.
 
-mod bend;
-mod closed;
-mod cone;
-mod course;
-mod derivative;
-mod elliptical;
-mod facing;
-mod information;
+mod circle;
 mod locator;
-mod memory;
-mod noise;
 pub mod photometry;
-mod recall;
-mod refine;
+mod recent_tracks;
 mod rim;
-mod seen;
 mod shutter;
-mod smear;
-mod stretch;
 #[cfg(test)]
 mod tests;
-mod turns;
-mod upright;
 mod yaw;
 
 use nalgebra::{Matrix3, Vector3};
@@ -63,9 +49,10 @@ use crate::{
     simd::Vec3,
     time::Timestamp,
 };
+use circle::{closed_form, elliptical_disc};
 pub use locator::{ImageQuality, Located, Locator};
-pub use noise::RimNoise;
-use seen::RingFound;
+pub use rim::noise::RimNoise;
+use rim::rim_pair::RingMeasurement;
 pub use shutter::Skew;
 
 /// Pose of a roundel in the camera frame.
@@ -79,36 +66,36 @@ pub struct RoundelPose {
     pub normal_likelihood: f64,
     /// The other normal that the same ellipse allows.
     pub other_normal: Vector3<f64>,
-    /// Angle about the normal of the code's zero, or of an elliptical disc's longer axis, in (-π/2, π/2]
-    /// since the opposite looks the same; `None` for a plain roundel.
+    /// Angle about the normal, radians: of the code's zero, or of an elliptical disc's longer axis
+    /// in (-π/2, π/2], whose opposite looks the same. `None` for a plain roundel.
     pub yaw_rad: Option<f64>,
-    /// In how many evenly spaced yaws it looks the same, if it has one: 2 with an elliptical disc, else 1.
+    /// Number of evenly spaced yaws at which the roundel looks the same: 2 with an elliptical disc,
+    /// else 1.
     pub yaw_symmetry: u32,
     /// Over (position, rotation), camera frame, left perturbation.
     pub covariance: Covariance6,
 }
 
 impl RoundelPose {
-    /// The yaw that it has if `other_normal` is the right one: the print's x points the same way in the
-    /// picture.
+    /// The yaw if `other_normal` is the right one: the print's x points the same way in the image.
     pub fn other_yaw_rad(&self) -> Option<f64> {
-        self.yaw_rad.map(|yaw_rad| yaw::carried_rad(self, yaw_rad, &self.other_normal))
+        self.yaw_rad.map(|yaw_rad| yaw::transferred_rad(self, yaw_rad, &self.other_normal))
     }
 
-    /// Where the print's x points then, if this is where it points with `normal`; camera frame.
+    /// Direction of the print's x with `other_normal`, given that with `normal`; camera frame.
     pub fn other_x(&self, x: &Vector3<f64>) -> Vector3<f64> {
-        yaw::x_for(x, &self.position_m, &self.other_normal)
+        yaw::x_with_normal(x, &self.position_m, &self.other_normal)
     }
 }
 
-/// One roundel found in one frame.
+/// A roundel found in a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Detection {
-    /// The camera's own number for it.
+    /// Track number of this camera.
     pub track: TrackNumber,
-    /// As imaged.
+    /// The ring in the image.
     pub ring: Ring,
-    /// Middle of the exposure at its own row.
+    /// Middle of the exposure of the row of its centre.
     pub capture_time: Timestamp,
     /// `None` without a camera model or a known diameter.
     pub pose: Option<RoundelPose>,
@@ -117,10 +104,10 @@ pub struct Detection {
 /// Why a ring has no pose.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum PoseError {
-    /// The ring is of no kind that is known here, so that nothing says its size.
+    /// The ring matches no configured kind, so its size is unknown.
     #[error("expected a ring of a known kind, found one of none")]
     UnknownKind,
-    /// An ellipse is not one.
+    /// A rim is not a valid ellipse.
     #[error(
         "{rim} rim: expected finite numbers and semiaxes of at least {} px, found {semi_major_px} and {semi_minor_px} px",
         MIN_SEMIAXIS_PX
@@ -128,50 +115,49 @@ pub enum PoseError {
     Ellipse {
         /// `outer` or `inner`.
         rim: &'static str,
-        /// Its longer semiaxis.
+        /// Longer semiaxis, pixels.
         semi_major_px: f64,
-        /// Its shorter semiaxis.
+        /// Shorter semiaxis, pixels.
         semi_minor_px: f64,
     },
-    /// The print's size makes no sense.
+    /// The diameters of the kind are invalid.
     #[error(
         "expected diameters with 0 < inner < outer, found inner {inner_m} m and outer {outer_m} m"
     )]
     Diameter {
-        /// White disc's.
+        /// Diameter of the white disc.
         inner_m: f64,
-        /// Black ring's.
+        /// Diameter of the black ring.
         outer_m: f64,
     },
-    /// The noise is no positive number.
+    /// The rim noise is not positive.
     #[error("expected positive rim noise, found edge {edge_px} px and floor {floor_px} px")]
     Noise {
-        /// As given.
+        /// The given value.
         edge_px: f64,
-        /// As given.
+        /// The given value.
         floor_px: f64,
     },
-    /// Part of a rim lies where the lens model gives no ray.
+    /// The lens model gives no ray for part of a rim.
     #[error("{rim} rim: {source}")]
     Lens {
         /// `outer` or `inner`.
         rim: &'static str,
-        /// What the lens says.
+        /// Error of the lens model.
         source: LensError,
     },
-    /// The rims fit no circle in front of the camera.
+    /// No circle in front of the camera has these rims.
     #[error("expected rims that a circle in front of the camera can have, found others")]
     NoCircle,
 }
 
-/// A rim thinner than this, pixels, has no usable shape.
+/// Rims with a smaller semiaxis, pixels, have no usable shape.
 const MIN_SEMIAXIS_PX: f64 = 0.5;
-/// The pose of a roundel of a known kind from its rims, with covariance.
+/// Pose of a roundel from its rims, with covariance.
 ///
-/// `kind` gives the diameters of the two rims of `ring`, `noise` how exactly they were found. The
-/// pose is that of a plain roundel: without yaw, and with the variance about the normal that stands
-/// for an unknown angle, unless the disc is elliptical (`elliptical`). The covariance is positive
-/// definite.
+/// `kind` gives the diameters of the rims, `noise` their errors. The pose is that of a plain
+/// roundel, without yaw and with the variance of an unknown angle about the normal, unless the disc
+/// is elliptical. The covariance is positive definite.
 pub fn locate(
     camera: &Camera,
     kind: &Kind,
@@ -179,62 +165,62 @@ pub fn locate(
     noise: &RimNoise,
 ) -> Result<RoundelPose, PoseError> {
     match found(kind, ring, noise)? {
-        Some(found) => closed::locate(camera, &found),
-        None => elliptical::locate(camera, kind, ring, noise),
+        Some(found) => closed_form::locate(camera, &found),
+        None => elliptical_disc::locate(camera, kind, ring, noise),
     }
 }
 
-/// From where the likelier of both normals puts the centre to where the other one does, camera frame, metres; nothing of
-/// an elliptical disc, whose heading tells them apart.
-pub fn apart_m(
+/// Vector from the position with the more likely normal to that with the other one, camera frame,
+/// metres. Zero for an elliptical disc, whose heading distinguishes the two.
+pub fn other_offset_m(
     camera: &Camera,
     kind: &Kind,
     ring: &Ring,
     noise: &RimNoise,
 ) -> Result<Vector3<f64>, PoseError> {
     match found(kind, ring, noise)? {
-        Some(found) => closed::apart_m(camera, &found),
+        Some(found) => closed_form::other_offset_m(camera, &found),
         None => Ok(Vector3::zeros()),
     }
 }
 
-/// As [`locate`], of up to [`closed::LANES`] rings of one camera at once, each in its place.
+/// As [`locate`], for up to [`closed_form::LANES`] rings of one camera.
 fn locate_each<'a>(
     camera: &Camera,
     rings: impl Iterator<Item = Result<(&'a Kind, &'a Ring), PoseError>>,
     noise: &RimNoise,
-    poses: &mut [Result<RoundelPose, PoseError>; closed::LANES],
+    poses: &mut [Result<RoundelPose, PoseError>; closed_form::LANES],
 ) {
-    let mut round = [None; closed::LANES];
-    for ((ring, round), pose) in rings.zip(&mut round).zip(&mut *poses) {
+    let mut lanes = [None; closed_form::LANES];
+    for ((ring, lanes), pose) in rings.zip(&mut lanes).zip(&mut *poses) {
         match ring.and_then(|(kind, ring)| Ok((found(kind, ring, noise)?, kind, ring))) {
-            Ok((Some(found), ..)) => *round = Some(found),
-            Ok((None, kind, ring)) => *pose = elliptical::locate(camera, kind, ring, noise),
+            Ok((Some(found), ..)) => *lanes = Some(found),
+            Ok((None, kind, ring)) => *pose = elliptical_disc::locate(camera, kind, ring, noise),
             Err(error) => *pose = Err(error),
         }
     }
-    closed::locate_each(camera, &round, poses);
+    closed_form::locate_each(camera, &lanes, poses);
 }
 
-/// What the closed form sees of a ring; `None` of one with an elliptical disc.
-fn found(kind: &Kind, ring: &Ring, noise: &RimNoise) -> Result<Option<RingFound>, PoseError> {
+/// Input of the closed form; `None` for an elliptical disc.
+fn found(kind: &Kind, ring: &Ring, noise: &RimNoise) -> Result<Option<RingMeasurement>, PoseError> {
     check(kind, ring, noise)?;
     if let Pattern::Elliptical { .. } = kind.pattern {
         return Ok(None);
     }
     let radii_m = [0.5 * kind.outer_diameter_m, 0.5 * kind.inner_diameter_m];
     let noise = if let Pattern::Coded(layout) = kind.pattern {
-        noise.of_coded(ring, layout.bits)
+        noise.for_coded_ring(ring, layout.bits)
     } else {
         let disc_px = ring.inner.semi_minor_px;
-        noise.of_ring(ring, disc_px, ring.outer.semi_minor_px - disc_px)
+        noise.for_ring(ring, disc_px, ring.outer.semi_minor_px - disc_px)
     };
-    Ok(Some(RingFound::new(ring, radii_m, noise)))
+    Ok(Some(RingMeasurement::new(ring, radii_m, noise)))
 }
 
 /// Rows of a right-handed frame whose z lies along `axis`, of any length.
 fn frame_along(axis: &Vector3<f64>) -> Matrix3<f64> {
-    rim::frame_along(Vec3::new(axis.x, axis.y, axis.z)).into()
+    rim::projection::frame_along(Vec3::new(axis.x, axis.y, axis.z)).into()
 }
 
 fn check(kind: &Kind, ring: &Ring, noise: &RimNoise) -> Result<(), PoseError> {

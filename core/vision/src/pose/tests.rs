@@ -1,17 +1,17 @@
-//! Round trips of `locate` on circles that this file projects and fits itself.
+//! Round trips of `locate` on circles that this file projects and fits.
 
 use nalgebra::{SMatrix, SVector, SymmetricEigen, UnitQuaternion, Vector2, Vector3};
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 
-use super::{
-    noise::{CLEAN_UNEVENNESS, RimErrors},
-    refine::Estimates,
-    *,
-};
 use crate::{
     camera::{Intrinsics, Lens, PixelPoint},
+    pose::{
+        circle::refine::Estimates,
+        rim::noise::{CLEAN_UNEVENNESS, RimErrors},
+        *,
+    },
     rigid::{UNKNOWN_ANGLE_VARIANCE_RAD2, mahalanobis_squared, orientation_of_normal},
 };
 
@@ -32,7 +32,7 @@ fn kind() -> Kind {
     Kind::plain("robot", 0.16, 0.064)
 }
 
-/// The ellipse whose conic fits the points best, by the smallest eigenvector of their design.
+/// Least-squares conic through the points.
 fn fit_ellipse(points: &[Vector2<f64>]) -> Ellipse {
     let middle = points.iter().sum::<Vector2<f64>>() / points.len() as f64;
     let scale = points.iter().map(|p| (p - middle).norm()).sum::<f64>() / points.len() as f64;
@@ -75,7 +75,7 @@ fn rim(
     rim_of(camera, position_m, &orientation_of_normal(normal), [0.5 * diameter_m; 2])
 }
 
-/// The image of an ellipse with these semiaxes along a roundel's x and y.
+/// Image of an ellipse with these semiaxes along a roundel's x and y.
 pub fn rim_of(
     camera: &Camera,
     position_m: &Vector3<f64>,
@@ -105,7 +105,7 @@ fn ring(camera: &Camera, position_m: &Vector3<f64>, normal: &Vector3<f64>) -> Ri
     }
 }
 
-/// A pose from the pixel it is seen at, its distance, its tilt and the tilt's direction.
+/// Pose for a pixel, a distance, a tilt and the tilt's direction.
 pub fn pose(
     camera: &Camera,
     pixel: PixelPoint,
@@ -123,7 +123,7 @@ proptest! {
     #[test]
     fn exact_rims_give_the_exact_pose(
         u in 50.0..1870.0f64, v in 50.0..1030.0f64, distance_m in 0.7..12.0f64,
-        // More upright, and small, a ring's tilt is the mean of what its noise leaves open.
+        // At smaller tilts a small ring gets the mean of the tilt's posterior.
         tilt_rad in 0.35..1.2f64, turn_rad in -3.1..3.1f64,
     ) {
         let camera = camera(Lens::PlumbBob([0.0; 5]));
@@ -139,8 +139,8 @@ proptest! {
     }
 }
 
-/// An ellipse as found: its rim strays by white noise along its arc, of which an ellipse takes up the
-/// first harmonics, and by a floor on its numbers.
+/// A detected ellipse: white noise along the arc of its rim, of which an ellipse keeps the first
+/// harmonics, and a floor on its harmonics.
 fn stray(ellipse: &Ellipse, noise: &RimErrors<f64>, draw: &mut impl FnMut() -> f64) -> Ellipse {
     const SAMPLES: usize = 48;
     let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
@@ -158,7 +158,7 @@ fn stray(ellipse: &Ellipse, noise: &RimErrors<f64>, draw: &mut impl FnMut() -> f
         let q = g * noise.edge_px / (g * step).sqrt() * draw() / (a * b);
         numbers += harmonics.component_mul(&twice) * (q / SAMPLES as f64);
     }
-    // The floor: a shift of the rim across itself, and a quarter of it for the other numbers.
+    // The floor: a shift of the rim across itself, and a quarter of it for the other harmonics.
     let shift = noise.floor_px * draw() / (a * b);
     for k in 0..SAMPLES {
         let (sin, cos, harmonics) = basis(k);
@@ -183,31 +183,36 @@ fn stray(ellipse: &Ellipse, noise: &RimErrors<f64>, draw: &mut impl FnMut() -> f
     fit_ellipse(&points)
 }
 
-/// What became of many roundels of one size and a range of tilts.
+/// Results over many roundels of one size and a range of tilts.
 #[derive(Debug, Default)]
-struct Tally {
+struct Statistics {
     runs: usize,
-    /// Whole error of the pose with the nearer normal within the 95 % ellipsoid of five dimensions.
+    /// Pose errors, with the nearer normal, inside the 95 % ellipsoid of five dimensions.
     whole_inside: usize,
-    /// Reported position within the 95 % ellipsoid, whichever normal was reported.
+    /// Reported positions inside the 95 % ellipsoid, with either normal.
     position_inside: usize,
     /// Reported normals that are not the nearer one.
     wrong: usize,
-    /// Sum of the likelihoods that they had of being so.
+    /// Sum of the likelihoods of that.
     expected_wrong: f64,
-    /// Sums of the depth's relative error, of its square, and of that over the stated variance.
+    /// Sums of the relative depth error, of its square, and of that over the stated variance.
     depth: f64,
     depth_squared: f64,
     depth_normalized: f64,
 }
 
-fn tally(radius_px: f64, tilts_rad: std::ops::Range<f64>, runs: usize, noise: &RimNoise) -> Tally {
+fn statistics(
+    radius_px: f64,
+    tilts_rad: std::ops::Range<f64>,
+    runs: usize,
+    noise: &RimNoise,
+) -> Statistics {
     let camera = camera(Lens::PlumbBob([-0.08, 0.02, 0.0003, -0.0004, 0.0]));
     let kind = kind();
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(7);
-    let mut tally = Tally { runs, ..Tally::default() };
+    let mut statistics = Statistics { runs, ..Statistics::default() };
     for _ in 0..runs {
-        // Normals spread evenly over their part of the sphere.
+        // Normals uniform over their part of the sphere.
         let cos = random.random_range(tilts_rad.end.cos()..tilts_rad.start.cos());
         let pixel = PixelPoint {
             u: random.random_range(200.0..1700.0),
@@ -219,46 +224,50 @@ fn tally(radius_px: f64, tilts_rad: std::ops::Range<f64>, runs: usize, noise: &R
         let exact = ring(&camera, &position_m, &normal);
         let mut draw = || -> f64 { StandardNormal.sample(&mut random) };
         let disc_px = exact.inner.semi_minor_px;
-        let of_ring = noise.of_ring(&exact, disc_px, exact.outer.semi_minor_px - disc_px);
-        let outer = stray(&exact.outer, &of_ring.rims[0], &mut draw);
-        let inner = stray(&exact.inner, &of_ring.rims[1], &mut draw);
+        let for_ring = noise.for_ring(&exact, disc_px, exact.outer.semi_minor_px - disc_px);
+        let outer = stray(&exact.outer, &for_ring.rims[0], &mut draw);
+        let inner = stray(&exact.inner, &for_ring.rims[1], &mut draw);
         let found = Ring { outer, inner, ..exact };
         let reported = locate(&camera, &kind, &found, noise).unwrap();
         let off_m = position_m - reported.position_m;
         let spread = reported.covariance.fixed_view::<3, 3>(0, 0).into_owned();
-        tally.position_inside += usize::from(mahalanobis_squared(&off_m, &spread).unwrap() < 7.815);
+        statistics.position_inside +=
+            usize::from(mahalanobis_squared(&off_m, &spread).unwrap() < 7.815);
         let radii_m = [0.5 * kind.outer_diameter_m, 0.5 * kind.inner_diameter_m];
         let nearer = if reported.normal == reported.other_normal {
             reported
         } else {
             let off = |n: &Vector3<f64>| (n - normal).norm();
             let right = off(&reported.normal) <= off(&reported.other_normal);
-            tally.wrong += usize::from(!right);
-            tally.expected_wrong += 1.0 - reported.normal_likelihood;
-            let carried =
-                rim::carry(&camera, &RingFound::new(&found, radii_m, of_ring).seen()).unwrap();
-            let Estimates { first, other, .. } = closed::estimate(&carried.rims).unwrap();
+            statistics.wrong += usize::from(!right);
+            statistics.expected_wrong += 1.0 - reported.normal_likelihood;
+            let projected = rim::projection::project(
+                &camera,
+                &RingMeasurement::new(&found, radii_m, for_ring).rim_pair(),
+            )
+            .unwrap();
+            let Estimates { first, other, .. } = closed_form::estimate(&projected.rims).unwrap();
             let alone = Estimates::alone(if right { first } else { other });
-            closed::finish(&carried.local_from_camera, &alone).pose(0)
+            closed_form::finish(&projected.local_from_camera, &alone).pose(0)
         };
         let off_m = position_m - nearer.position_m;
         let turn = nearer.normal.cross(&normal);
         let error = SVector::<f64, 6>::new(off_m.x, off_m.y, off_m.z, turn.x, turn.y, turn.z);
-        // The turn has nothing about the normal, whose variance is therefore of no matter.
+        // The rotation has no component about the normal, whose variance does not matter here.
         let square = mahalanobis_squared(&error, &nearer.covariance).unwrap();
-        tally.whole_inside += usize::from(square < 11.07);
+        statistics.whole_inside += usize::from(square < 11.07);
         let axis = position_m.normalize();
         let depth = -off_m.dot(&axis) / distance_m;
-        tally.depth += depth;
-        tally.depth_squared += depth * depth;
+        statistics.depth += depth;
+        statistics.depth_squared += depth * depth;
         let stated = axis.dot(&(nearer.covariance.fixed_view::<3, 3>(0, 0) * axis));
-        tally.depth_normalized += (depth * distance_m).powi(2) / stated;
+        statistics.depth_normalized += (depth * distance_m).powi(2) / stated;
     }
-    tally
+    statistics
 }
 
-/// Both modes' honesty, from small to large, from face-on to steep, in the detector's noise and in
-/// several times that, where errors grow past what is linear.
+/// Realistic covariances from small to large and from face-on to steep, at the detector's noise and
+/// several times that, where errors are not linear.
 #[test]
 fn covariance_is_that_of_the_errors() {
     let degrees = |range: std::ops::Range<f64>| range.start.to_radians()..range.end.to_radians();
@@ -271,12 +280,13 @@ fn covariance_is_that_of_the_errors() {
     for (noise, radii_px) in cases {
         for &radius_px in radii_px {
             for tilts in [0.0..0.01, 0.0..5.0, 5.0..15.0, 15.0..30.0, 30.0..50.0, 50.0..60.0] {
-                let tally = tally(radius_px, degrees(tilts.clone()), 800, &noise);
-                let share = |count: f64| count / tally.runs as f64;
-                let (bias, rms) = (share(tally.depth), share(tally.depth_squared).sqrt());
-                let whole = share(tally.whole_inside as f64);
-                let position = share(tally.position_inside as f64);
-                let (wrong, expected) = (share(tally.wrong as f64), share(tally.expected_wrong));
+                let statistics = statistics(radius_px, degrees(tilts.clone()), 800, &noise);
+                let share = |count: f64| count / statistics.runs as f64;
+                let (bias, rms) = (share(statistics.depth), share(statistics.depth_squared).sqrt());
+                let whole = share(statistics.whole_inside as f64);
+                let position = share(statistics.position_inside as f64);
+                let (wrong, expected) =
+                    (share(statistics.wrong as f64), share(statistics.expected_wrong));
                 let name = format!(
                     "{:.2} px, {radius_px:2} px, {:4.1}-{:4.1}°: {whole:.3} {position:.3}, \
                      {wrong:.3} ({expected:.3}), bias {:+.2} of rms {:.4} %, {:.2} of stated",
@@ -285,15 +295,15 @@ fn covariance_is_that_of_the_errors() {
                     tilts.end,
                     bias / rms,
                     100.0 * rms,
-                    share(tally.depth_normalized).sqrt(),
+                    share(statistics.depth_normalized).sqrt(),
                 );
                 println!("{name}");
-                // 800 runs stray by 0.8 points.
+                // The standard deviation over 800 runs is 0.8 %.
                 assert!((0.92..0.985).contains(&position), "{name}");
                 assert!(bias.abs() < rms / 3.0, "{name}");
-                // Exactly face-on, where the two hypotheses are least of a use, they miss the middle.
-                let least = if tilts.end > 1.0 { 0.92 } else { 0.89 };
-                assert!((least..0.985).contains(&whole), "{name}");
+                // Exactly face-on the two hypotheses fit worst.
+                let minimum = if tilts.end > 1.0 { 0.92 } else { 0.89 };
+                assert!((minimum..0.985).contains(&whole), "{name}");
                 assert!(tilts.end < 1.0 || (wrong - expected).abs() < 0.05, "{name}");
             }
         }
@@ -327,7 +337,7 @@ fn a_face_on_roundel_has_one_broad_normal() {
     assert!((found.position_m - position_m).norm() < sigma_m && sigma_m < 0.006);
     let sigma_rad = found.covariance[(3, 3)].sqrt();
     assert!((0.01..0.1).contains(&sigma_rad), "{sigma_rad}");
-    // Along the normal, here -z, nothing is known.
+    // The rotation about the normal, here -z, is unknown.
     assert!((found.covariance[(5, 5)] - UNKNOWN_ANGLE_VARIANCE_RAD2).abs() < 1e-2);
     assert!(found.covariance.cholesky().is_some());
 }
@@ -363,7 +373,7 @@ fn rims_that_contradict_each_other_widen_the_covariance() {
     let exact = ring(&camera, &position_m, &normal);
     let noise = RimNoise::default();
     let clean = locate(&camera, &kind(), &exact, &noise).unwrap();
-    // A shadow over one side of the ring makes its outer rim smaller.
+    // A shadow over one side of the ring shrinks its outer rim.
     for cut_px in [0.5, 1.0, 2.0] {
         let mut cut = exact;
         cut.outer.center.u += cut_px / 2.0;
@@ -397,7 +407,7 @@ fn broken_input_is_a_typed_error() {
     assert!(matches!(refused(good, swapped, noise), PoseError::Diameter { .. }));
     let noiseless = RimNoise { edge_px: 0.0, floor_px: 0.0, ..RimNoise::default() };
     assert!(matches!(refused(good, kind(), noiseless), PoseError::Noise { .. }));
-    // This lens ends 773 px from its middle, so that a rim around there is half outside.
+    // This lens ends 773 px from its middle, so half of a rim there lies outside.
     let mut beyond = good;
     beyond.outer.center = PixelPoint { u: 957.0 + 760.0, v: 541.0 };
     beyond.inner.center = beyond.outer.center;

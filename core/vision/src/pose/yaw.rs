@@ -1,44 +1,45 @@
-//! The turn of a coded roundel about its normal.
+//! Rotation of a coded roundel about its normal.
 //!
-//! The rays through the code's zero and its opposite meet the roundel's plane at
-//! X = m (n·p)/(n·m), and from one to the other runs the print's x axis. An error of the centre alone
-//! moves both alike and turns nothing; an error δn of the normal moves X by -X (δn·(X - p))/(n·p), along
-//! its ray, which for a tilted roundel turns the axis as well: with the tilt's error δθ, δn = δθ × n, the
-//! turn about the normal is
+//! The rays through the code's zero and its opposite meet the roundel's plane at X = m (n·p)/(n·m);
+//! the print's x axis runs from one to the other. An error of the centre moves both equally and
+//! rotates nothing. An error δn of the normal moves X along its ray by -X (δn·(X - p))/(n·p), which
+//! rotates the axis of a tilted roundel: with the tilt's error δθ, δn = δθ × n, the rotation about
+//! the normal is
 //!
 //! φ = g·δθ + ε      g = -Σ± ± (n·(x̂ × X)) n × (X - p) / (|X₊ - X₋| n·p)
 //!
-//! so that the covariance of the whole rotation is T Σ Tᵀ + σ² n nᵀ, T = I + n gᵀ, with σ the
+//! so the covariance of the whole rotation is T Σ Tᵀ + σ² n nᵀ, T = I + n gᵀ, with σ the standard
 //! deviation that the reading states.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
-use super::RoundelPose;
 use crate::{
     camera::{Camera, PixelPoint},
     marker::CodeReading,
+    pose::RoundelPose,
     rigid::{Covariance6, UNKNOWN_ANGLE_VARIANCE_RAD2, orientation_of_normal},
 };
 
-/// Least deviation of a yaw, radians: what a print's own errors make, and no reading is without any.
-pub const LEAST_DEVIATION_RAD: f64 = 1e-3;
+/// Lower limit of the standard deviation of a yaw, by errors of the print itself.
+pub const MIN_DEVIATION_RAD: f64 = 1e-3;
 
-/// Adds to a pose without yaw what the teeth say of it; without rays to the code's zero, or in a plane
-/// seen from its edge, the pose stays as it is.
+/// Adds the yaw of a reading to a pose without yaw. The pose is unchanged without a ray to the
+/// code's zero, or if its plane is seen edge-on.
 pub fn add(pose: &mut RoundelPose, camera: &Camera, reading: &CodeReading) {
     let (p, n) = (pose.position_m, pose.normal);
     let height = n.dot(&p);
-    let meet = |pixel: PixelPoint| {
+    let intersect = |pixel: PixelPoint| {
         let ray = camera.bearing(pixel).ok()?;
         let along = height / n.dot(&ray);
         (along > 0.0 && along.is_finite()).then(|| ray * along)
     };
-    let Some(zero) = meet(reading.zero) else { return };
+    let Some(zero) = intersect(reading.zero) else { return };
     // Without an opposite the centre is the other end.
-    let known = (reading.opposite != reading.zero).then(|| meet(reading.opposite)).flatten();
-    let other = known.unwrap_or(p);
+    let opposite =
+        (reading.opposite != reading.zero).then(|| intersect(reading.opposite)).flatten();
+    let other = opposite.unwrap_or(p);
     let across = zero - other;
     let length = across.norm();
     if length.is_nan() || length <= 0.0 {
@@ -49,11 +50,11 @@ pub fn add(pose: &mut RoundelPose, camera: &Camera, reading: &CodeReading) {
     let orientation = orientation_of_normal(&n);
     let (x, y) = (orientation * Vector3::x(), orientation * Vector3::y());
     pose.yaw_rad = Some(axis.dot(&y).atan2(axis.dot(&x)));
-    let bend = |end: &Vector3<f64>| n.cross(&(end - p)) * side.dot(end);
-    let by_tilt = (bend(&zero) - bend(&other)) / (-length * height);
-    let by_shift = if known.is_some() { Vector3::zeros() } else { side / -length };
-    let deviation_rad = reading.yaw_deviation_rad.max(LEAST_DEVIATION_RAD);
-    pose.covariance = turned(&pose.covariance, &n, &by_shift, &by_tilt, deviation_rad.powi(2));
+    let gradient = |end: &Vector3<f64>| n.cross(&(end - p)) * side.dot(end);
+    let by_tilt = (gradient(&zero) - gradient(&other)) / (-length * height);
+    let by_shift = if opposite.is_some() { Vector3::zeros() } else { side / -length };
+    let deviation_rad = reading.yaw_deviation_rad.max(MIN_DEVIATION_RAD);
+    pose.covariance = with_yaw(&pose.covariance, &n, &by_shift, &by_tilt, deviation_rad.powi(2));
 }
 
 /// Columns x, y and z of a roundel with this normal and yaw.
@@ -64,15 +65,15 @@ pub fn axes(normal: &Vector3<f64>, yaw_rad: f64) -> Matrix3<f64> {
 }
 
 /// The yaw of these axes.
-pub fn of_axes_rad(axes: &Matrix3<f64>) -> f64 {
+pub fn from_axes_rad(axes: &Matrix3<f64>) -> f64 {
     let [x, normal] = [0, 2].map(|axis| axes.column(axis).into_owned());
     let x = orientation_of_normal(&normal).inverse() * x;
     x.y.atan2(x.x)
 }
 
-/// The yaw of these axes where the opposite x looks the same, in (-π/2, π/2].
+/// The yaw of these axes modulo π, in (-π/2, π/2].
 pub fn heading_rad(axes: &Matrix3<f64>) -> f64 {
-    let yaw_rad = of_axes_rad(axes);
+    let yaw_rad = from_axes_rad(axes);
     if yaw_rad > FRAC_PI_2 {
         yaw_rad - PI
     } else if yaw_rad <= -FRAC_PI_2 {
@@ -82,39 +83,42 @@ pub fn heading_rad(axes: &Matrix3<f64>) -> f64 {
     }
 }
 
-/// Axes for another normal: seen along the line of sight to a position, x still points the same way.
-pub fn axes_for(
+/// Axes for another normal: along the line of sight to a position, x still points the same way.
+pub fn axes_with_normal(
     axes: &Matrix3<f64>,
     position_m: &Vector3<f64>,
     normal: &Vector3<f64>,
 ) -> Matrix3<f64> {
-    let a = x_for(&axes.column(0).into_owned(), position_m, normal);
+    let a = x_with_normal(&axes.column(0).into_owned(), position_m, normal);
     Matrix3::from_columns(&[a, normal.cross(&a), *normal])
 }
 
-/// The x axis of these.
-pub fn x_for(x: &Vector3<f64>, position_m: &Vector3<f64>, normal: &Vector3<f64>) -> Vector3<f64> {
+/// The x axis of [`axes_with_normal`].
+pub fn x_with_normal(
+    x: &Vector3<f64>,
+    position_m: &Vector3<f64>,
+    normal: &Vector3<f64>,
+) -> Vector3<f64> {
     let sight = position_m.normalize();
     let across = x - sight * sight.dot(x);
     (across - sight * (across.dot(normal) / sight.dot(normal))).normalize()
 }
 
-/// The yaw about another normal with which the print's x still points the same way, as seen along the
-/// line of sight to its position.
-pub fn carried_rad(pose: &RoundelPose, yaw_rad: f64, normal: &Vector3<f64>) -> f64 {
-    let axes = axes_for(&axes(&pose.normal, yaw_rad), &pose.position_m, normal);
+/// The yaw about another normal for which the print's x points the same way in the image.
+pub fn transferred_rad(pose: &RoundelPose, yaw_rad: f64, normal: &Vector3<f64>) -> f64 {
+    let axes = axes_with_normal(&axes(&pose.normal, yaw_rad), &pose.position_m, normal);
     let x = orientation_of_normal(normal).inverse() * axes.column(0).into_owned();
     x.y.atan2(x.x)
 }
 
-/// Deviation of the yaw.
+/// Standard deviation of the yaw.
 pub fn deviation_rad(pose: &RoundelPose) -> f64 {
     let rotation = pose.covariance.fixed_view::<3, 3>(3, 3);
     pose.normal.dot(&(rotation * pose.normal)).max(0.0).sqrt()
 }
 
-/// A covariance without knowledge about the normal, with what φ = s·δp + g·δθ + ε makes of it.
-pub fn turned(
+/// A covariance without information about the yaw, with φ = s·δp + g·δθ + ε.
+pub fn with_yaw(
     covariance: &Covariance6,
     normal: &Vector3<f64>,
     by_shift: &Vector3<f64>,
@@ -179,10 +183,10 @@ mod tests {
     fn reading(camera: &Camera, pose: &RoundelPose, yaw_rad: f64) -> CodeReading {
         let turn = orientation_of_normal(&pose.normal)
             * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad);
-        let seen =
+        let image_of =
             |x: f64| camera.project(&(pose.position_m + turn * Vector3::new(x, 0.0, 0.0))).unwrap();
-        let certain = CodeReading::certain(Code { bits: 8, number: 1 }, seen(0.03));
-        CodeReading { opposite: seen(-0.03), yaw_deviation_rad: 0.01, ..certain }
+        let certain = CodeReading::certain(Code { bits: 8, number: 1 }, image_of(0.03));
+        CodeReading { opposite: image_of(-0.03), yaw_deviation_rad: 0.01, ..certain }
     }
 
     #[test]
@@ -199,9 +203,9 @@ mod tests {
                 assert!(found.covariance.cholesky().is_some());
                 let rotation = found.covariance.fixed_view::<3, 3>(3, 3);
                 let about = normal.dot(&(rotation * normal));
-                // Without the opposite, the centre's millimetre over 30 is most of it.
-                let most = if opposite == drawn.zero { 2e-3 } else { 2e-4 };
-                assert!(about > 1e-4 && about < most, "{about}");
+                // Without the opposite, the millimetre of the centre over 30 mm dominates.
+                let max = if opposite == drawn.zero { 2e-3 } else { 2e-4 };
+                assert!(about > 1e-4 && about < max, "{about}");
             }
         }
     }
@@ -226,7 +230,7 @@ mod tests {
             let mut wrong = plain(truth.position_m, turn * normal);
             add(&mut wrong, &camera, &drawn);
             let error = (orientation(&wrong) * orientation(&exact).inverse()).scaled_axis();
-            // Of a tilt known to be 1 and nothing else, the covariance is that of (δθ, n φ).
+            // For a tilt with variance 1 and nothing else, the covariance is that of (δθ, n φ).
             let mut only = Covariance6::zeros();
             let mut rotation = only.fixed_view_mut::<3, 3>(3, 3);
             rotation += tilt * tilt.transpose();

@@ -7,7 +7,7 @@ use std::sync::LazyLock;
 use crate::{
     ellipse::Ellipse,
     marker::coded::sampler::{SamplePoints, Sampler},
-    normal::normal_each,
+    normal_distribution::normal_each,
 };
 
 /// Points of the outer rim.

@@ -20,7 +20,7 @@ use crate::{
         code::CodeLayout,
         coded::{plane_map::PlaneMap, rim_points::crossing, sampler::Sampler},
     },
-    normal::normal_each,
+    normal_distribution::normal_each,
 };
 
 /// Largest number of iterations …

@@ -1,130 +1,128 @@
-//! A roundel's pose from the grey levels of its pixels: the precise mode.
+//! Pose of a roundel from the grey levels of its pixels: the precise mode.
 //!
-//! In: a frame, a ring found in it and a pose from its rims. Out: the pose whose image, through the
-//! lens, is nearest to the pixels in the sense of least squares, which for even Gaussian noise is the
-//! maximum of the likelihood, with the covariance of its errors.
+//! In: a frame, a ring found in it, and a pose from its rims. Out: the pose whose image, through
+//! the lens, is closest to the pixels in the least-squares sense, which is the maximum of the
+//! likelihood for uniform Gaussian noise, with covariance.
 //!
-//! **Image.** A pixel at (p, q) sees the print through K = k(x - p) k(y - q), the pixel's box blurred
-//! by a Gaussian of deviation σ (`blur`). With the black area Ω as imaged, whose contour runs so that
-//! black is positive, its black share is by Green's theorem
+//! **Image** (`model`). A pixel at (p, q) sees the print through K = k(x - p) k(y - q), the pixel's
+//! box blurred by a Gaussian of standard deviation σ. With the imaged black area Ω, whose contour
+//! is oriented so that black is positive, its black share follows by Green's theorem:
 //!
 //!   d(p, q) = ∬_Ω K = -∮ A(y - q) k(x - p) dx,   A' = k,
 //!
-//! and its grey level W + C d: exact for any size and tilt, where a local edge fails for a disc as
-//! small as the blur. Nodes at 1.3 σ along the contour are enough (`contour`, `view`, `scatter`).
+//! and its grey level is W + C d. This is exact for any size and tilt, where a local edge model
+//! fails for a disc as small as the blur. Nodes 1.3 σ apart along the contour are enough.
 //!
-//! **Motion.** If a parameter moves the contour by v, d changes by -v·∇d where v varies slowly, which it
-//! does over the width of a rim. So ∇d and ∇²d = 2 ∂d/∂σ², differences of the image itself (`columns`), give
-//! all columns. Only these are approximate, and they cost precision only in second order, since the
-//! residual, which is exact, averages to nothing at the truth.
+//! **Derivatives.** A parameter that moves the contour by v changes d by -v·∇d where v varies
+//! slowly, as it does over the width of a rim. ∇d and ∇²d = 2 ∂d/∂σ², differences of the image
+//! itself, therefore give all columns. Only the columns are approximate, which costs precision to
+//! second order, since the exact residual averages to zero at the truth.
 //!
-//! **Unknowns.** Shift across the line of sight, logarithm of the range, two tilts; white level, step
-//! to black, σ², the motion within the exposure (`motion`), and the light's gradient over the ring (expected
-//! within a tenth), which otherwise would pass for tilt. Gauss and Newton's steps, damped where they fail (`descend`).
+//! **Unknowns** (`solver`). Shift across the line of sight, logarithm of the range, two tilts;
+//! white level, step to black, σ², motion within the exposure, and the gradient of the light over
+//! the ring (prior of a tenth), which would otherwise pass for tilt. Gauss-Newton steps, damped
+//! where they fail.
 //!
-//! **Frames.** Of a followed ring that hardly changes the columns' products are those of a frame before
-//! (`recalled`), and only their products with the residual are summed.
+//! **Frames.** For a tracked ring that hardly changes, the products of the columns are those of an
+//! earlier frame (`solver::normal_equation_cache`), and only their products with the residual are
+//! summed.
 //!
-//! **Two normals.** Mirrored along the line of sight, the roundel looks nearly the same. The mirrored
-//! place's residual is projected with the information of the first; if it promises a smaller misfit, it
-//! is fitted too. The likelihoods of the two follow from the difference of their misfits over the noise.
-//! Face-on the image depends on the tilt's square only; a curvature of the elongation's information
-//! keeps steps finite there, and the pose is the posterior's mean (`upright`), as in [`super::locate`].
+//! **Two normals** (`hypotheses`). Mirrored along the line of sight, a roundel looks nearly the
+//! same. The residual of the mirrored pose is projected with the information of the first; if it
+//! promises a smaller misfit, it is fitted as well. The likelihoods of the two follow from the
+//! difference of their misfits over the noise. Face-on the image depends only on the square of the
+//! tilt; the curvature of the elongation's information keeps steps finite there, and the pose is
+//! the mean of the posterior, as in [`super::locate`].
 //!
-//! **Noise.** A pixel's variance is that of the residuals. Where these hang together over patches of
-//! pixels (`patches`), or white or black come near an end of the scale, the ring is fitted again with
-//! cut off levels, bloom, and levels of each stretch of the rims (`careful`), or refused.
+//! **Noise.** The variance of a pixel is that of the residuals. Where these are correlated over
+//! patches of pixels, or white or black is near an end of the scale, the ring is fitted again with
+//! clipped levels, bloom, and levels of each stretch of the rims (`robust`), or rejected.
 //!
-//! **Accuracy** (`roundel-tests`, `tests/photometry.rs`: tilt 15° to 60°, blur 0.5 to 1.1 px and noise 1
-//! to 4 unknown, contrast 160): rms of the depth over the Cramér-Rao bound 1.23 at 12 to 20 px, 1.13 at
-//! 20 to 30, 0.94 at 30 to 60, 0.83 at 60 to 110 (80 roundels each, so to 8 %); no bias; normals alike;
-//! 96 to 98 % of the positions inside the stated 95 % ellipsoid. Time: `benches/fit.rs`.
+//! **Heading, teeth.** The contour of an elliptical disc rotates with the print; its heading is
+//! found by the profile of the misfit. Where a coded print has been read, its contour is known
+//! completely, arcs and radial edges, from the yaw of the reading, which is fitted along. A frame
+//! without a reading uses the teeth of earlier frames (`history`).
 //!
-//! **Heading.** An elliptical disc's contour turns with the print; its heading is found by the profile of
-//! the misfit (`heading`).
+//! **Accuracy** (`roundel-tests`, `tests/photometry.rs`: tilt 15° to 60°, unknown blur of 0.5 to
+//! 1.1 px and noise of 1 to 4, contrast 160): rms of the depth over the Cramér-Rao bound 1.23 at 12
+//! to 20 px, 1.13 at 20 to 30, 0.94 at 30 to 60, 0.83 at 60 to 110 (80 roundels each, so to 8 %);
+//! no bias; the same for normals; 96 to 98 % of the positions inside the stated 95 % ellipsoid.
+//! Coded (`tests/coded.rs`): depth 1.0 to 1.1 times the bound from 36 to 110 px, yaw 1.0 times.
+//! Time: `benches/fit.rs`.
 //!
-//! **Teeth.** Where a coded print has been read, its contour is known whole: arcs and radial edges (`teeth`),
-//! from the reading's yaw, which is fitted along (`turn`): depth 1.0 to 1.1 times the bound from 36 to 110 px and
-//! the yaw 1.0 times (`tests/coded.rs`). A frame that does not read it has the teeth of those before (`memory`), and
-//! is as exact.
-//!
-//! **Limits.** Refused are coded prints whose teeth no frame has read, and elliptical discs of whose rim a part is
-//! covered. Paper is expected to go on for 3 px, or 3.5 blurs, round the outer rim.
+//! **Limits.** Rejected are coded prints whose teeth no frame has read, and elliptical discs whose
+//! rim is partly occluded. The paper must extend 3 px, or 3.5 blurs, beyond the outer rim.
 
-mod blur;
-mod careful;
-mod columns;
-mod contour;
-mod descend;
-mod differences;
-mod heading;
-mod image;
-mod lens;
-mod linear;
-mod look;
-mod mirror;
-mod motion;
-mod normal;
-mod patches;
-mod placed;
-mod recalled;
-mod scatter;
+mod history;
+mod hypotheses;
+mod model;
+mod robust;
 mod scratch;
-mod solution;
-mod solve;
-mod state;
-mod teeth;
+mod solver;
 #[cfg(test)]
 mod tests;
-mod turn;
-mod upright;
-mod view;
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 use thiserror::Error;
 
-use super::{RoundelPose, Skew, frame_along, yaw};
 use crate::{
     camera::{Camera, LensError},
-    ellipse::{Chords, Ellipse},
+    ellipse::Chords,
     frame::Frame,
     marker::{Kind, Pattern, Ring},
+    pose::{RoundelPose, Skew, frame_along, yaw},
 };
-use blur::BLUR_LIMITS_PX;
-pub use blur::normal_distribution;
-use lens::LocalLens;
-use placed::{Placed, placed};
-pub use recalled::RecalledProducts;
+pub(super) use history::FitHistory;
+use hypotheses::estimate_pose;
+pub use model::teeth::Teeth;
+use model::{
+    blur_kernel::BLUR_LIMITS_PX, local_lens::LocalLens, motion, projection::PrintPose,
+    window::Region,
+};
 pub use scratch::FitScratch;
-use state::{Problem, State};
-pub use teeth::Teeth;
-use view::Place;
+use solver::{
+    normal_equation_cache::NormalEquationCache,
+    problem::Problem,
+    solution::{self, PoseEstimate},
+    state::State,
+};
 
-/// Where a fit starts.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Start {
-    /// From [`super::locate`], or predicted; right to a third of a pixel and some degrees.
-    pub pose: RoundelPose,
-    /// Deviation of the blur, pixels: the track's last one, or [`DEFAULT_BLUR_PX`].
-    pub blur_px: f64,
-    /// Motion within the exposure, pixels: the track's last one, or none.
-    pub motion_px: Vector2<f64>,
-    /// How far the ring has moved since the frame before, pixels, which it hardly exceeds within an
-    /// exposure; infinite where it is not known.
-    pub moved_px: f64,
-    /// Whether the motion is held at none, which takes less time; where noise does not explain what is left
-    /// then, it is free all the same.
-    pub is_still: bool,
-    /// What a rolling shutter does to it.
+/// A ring in a frame.
+#[derive(Clone, Copy, Debug)]
+pub struct FitInput<'a> {
+    /// The frame.
+    pub frame: &'a Frame<'a>,
+    /// Model of the camera.
+    pub camera: &'a Camera,
+    /// Kind of the ring.
+    pub kind: &'a Kind,
+    /// The ring as detected in the frame.
+    pub ring: &'a Ring,
+    /// Effect of a rolling shutter.
     pub skew: Option<Skew>,
-    /// The teeth that a coded print had in earlier frames, for one that is not read in this one; with them the
-    /// pose has a yaw, right to a part of a slot.
-    pub teeth: Option<Teeth>,
-    /// What a fit of the same ring in an earlier frame gave to be recalled, which takes less time.
-    pub recalled: Option<RecalledProducts>,
 }
 
-/// The blur to start from where nothing is known, pixels.
+/// Start of a fit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Start {
+    /// From [`super::locate`] or predicted; accurate to a third of a pixel and some degrees.
+    pub pose: RoundelPose,
+    /// Standard deviation of the blur, pixels, or [`DEFAULT_BLUR_PX`].
+    pub blur_px: f64,
+    /// Motion within the exposure, pixels, or zero.
+    pub motion_px: Vector2<f64>,
+    /// Displacement of the ring since the frame before, pixels, an upper bound of the motion within
+    /// an exposure; infinite if unknown.
+    pub moved_px: f64,
+    /// Holds the motion at zero, which is faster. It is free nevertheless where noise does not
+    /// explain the residual.
+    pub is_still: bool,
+    /// Teeth of a coded print from earlier frames, for a frame without a reading. The pose then has
+    /// a yaw, accurate to a fraction of a slot.
+    pub teeth: Option<Teeth>,
+}
+
+/// Blur of a start about which nothing is known, pixels.
 pub const DEFAULT_BLUR_PX: f64 = 0.7;
 
 /// A pose fitted to grey levels.
@@ -132,211 +130,225 @@ pub const DEFAULT_BLUR_PX: f64 = 0.7;
 pub struct Fit {
     /// The pose.
     pub pose: RoundelPose,
-    /// Rims as this pose images them; black and white as fitted.
+    /// Rims that this pose implies; black and white as fitted.
     pub ring: Ring,
-    /// Deviation of the blur, pixels.
+    /// Standard deviation of the blur, pixels.
     pub blur_px: f64,
-    /// Motion within the exposure, pixels, or its opposite, which looks the same. The pose is that of the
-    /// exposure's middle.
+    /// Motion within the exposure, pixels, or its opposite, which looks the same. The pose is that
+    /// at the middle of the exposure.
     pub motion_px: Vector2<f64>,
-    /// Variance that noise gives either part of the motion's square, px⁴; none where the motion was held.
-    pub motion_variance_px4: Option<f64>,
-    /// Deviation of what the model leaves, grey levels: the image's noise, if the model is right.
+    /// Standard deviation of the residual, grey levels: the noise of the image, if the model holds.
     pub noise: f64,
-    /// Of a coded print.
-    pub teeth: Option<Teeth>,
-    /// Iterations that were needed.
+    /// Number of iterations.
     pub iterations: usize,
-    /// For fits in later frames.
-    pub recalled: Option<RecalledProducts>,
+}
+
+/// A fit with what [`FitHistory`] keeps of it.
+struct Outcome {
+    fit: Fit,
+    /// Variance by noise of either component of the motion's square, px⁴; `None` where the motion
+    /// was held.
+    motion_variance_px4: Option<f64>,
+    teeth: Option<Teeth>,
+    cache: Option<NormalEquationCache>,
 }
 
 /// Why a ring has no fitted pose.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum FitError {
-    /// The start is no pose in front of the camera.
+    /// The start is behind the camera or faces away from it.
     #[error("expected a start in front of the camera and facing it, found another")]
     Start,
-    /// What is printed is not known.
+    /// The printed pattern is unknown.
     #[error(
         "expected a coded ring whose teeth are known, and the start of an elliptical one with a yaw"
     )]
     Pattern,
-    /// The lens gives no pixels there.
+    /// The lens model gives no pixels there.
     #[error("round the start: {0}")]
     Lens(#[from] LensError),
-    /// The rims reach outside of what is looked at.
+    /// The rims left the window.
     #[error("expected rims near those that were found, the fit went elsewhere")]
-    Away,
-    /// No minimum was found in the steps there are.
+    OutOfWindow,
+    /// The steps did not converge.
     #[error("expected a start from which the fit settles, found one from which it does not")]
-    Restless,
-    /// The pixels do not tell the pose.
+    NotConverged,
+    /// The pixels do not determine the pose.
     #[error("expected pixels that tell a pose, found too few or too flat ones")]
-    Flat,
-    /// Too much of the rims is covered or otherwise not as printed.
+    Uninformative,
+    /// Too much of the rims is occluded or otherwise not as printed.
     #[error("expected rims that agree with each other, found too many stretches that do not")]
-    Disturbed,
+    Obstructed,
 }
 
-/// How far outside the outer rim pixels count: pixels, and in blurs.
+/// Reach of the counted pixels beyond the outer rim: pixels, and in blurs.
 const REACH: (f64, f64) = (3.0, 3.5);
-/// Besides half of the motion, of which this is the most, pixels.
-const MOST_MOTION_PX: f64 = 8.0;
-/// They end before the white margin does, which may be as narrow as this share of the outer semiaxis,
-/// less so many pixels for the blur of its own edge: what lies beyond is not in the model …
+/// Half of the motion adds to the reach, up to this.
+const MAX_MOTION_PX: f64 = 8.0;
+/// Limit of the reach by the white margin, which may be as narrow as this share of the outer
+/// semiaxis, less so many pixels for the blur of its own edge. The model ends there …
 const MARGIN: (f64, f64) = (0.3, 0.8);
-/// … but never nearer than this.
-const LEAST_REACH_PX: f64 = 0.6;
-/// Nodes stand this many blurs apart.
-const SPACING: f64 = 1.45;
-/// The window is so much wider than the pixels that count, so that contours may move.
-const SLACK_PX: f64 = 9.0;
+/// … but never closer than this.
+const MIN_REACH_PX: f64 = 0.6;
 
-/// Fits the pose of a roundel of a known kind, from a start, to the frame's pixels.
-pub fn fit(
-    frame: &Frame,
-    camera: &Camera,
-    kind: &Kind,
-    ring: &Ring,
-    start: &Start,
+/// Fits the pose of a single roundel of a known kind to the frame's pixels.
+pub fn fit(input: &FitInput, start: &Start, scratch: &mut FitScratch) -> Result<Fit, FitError> {
+    fit_with_cache(input, start, None, scratch).map(|outcome| outcome.fit)
+}
+
+/// Fits a tracked roundel, whose rims have this pose, from the state that its last fit left.
+/// Returns the state for the next frame as well.
+pub(super) fn fit_tracked(
+    input: &FitInput,
+    pose: &RoundelPose,
+    history: Option<&FitHistory>,
     scratch: &mut FitScratch,
-) -> Result<Fit, FitError> {
+) -> Result<(Fit, FitHistory), FitError> {
+    let start = history::start(pose, &input.ring.outer.center, history);
+    let cache = history.and_then(FitHistory::cache);
+    let outcome = fit_with_cache(input, &start, cache, scratch)?;
+    let next = FitHistory::new(&outcome, start.moved_px, history);
+    Ok((outcome.fit, next))
+}
+
+fn fit_with_cache(
+    input: &FitInput,
+    start: &Start,
+    cache: Option<&NormalEquationCache>,
+    scratch: &mut FitScratch,
+) -> Result<Outcome, FitError> {
+    let FitInput { frame, camera, kind, ring, skew } = *input;
     let range_m = start.pose.position_m.norm();
     let facing = start.pose.normal.dot(&start.pose.position_m) < 0.0;
     if !(facing && range_m.is_finite() && ring.outer.is_valid() && start.blur_px.is_finite()) {
         return Err(FitError::Start);
     }
-    let mut is_presumed = false;
+    let mut teeth_are_predicted = false;
     let (heading_rad, teeth) = match kind.pattern {
         Pattern::Plain => (None, None),
         Pattern::Elliptical { .. } => (Some(start.pose.yaw_rad.ok_or(FitError::Pattern)?), None),
         Pattern::Coded(_) => {
-            let read = read(start, camera, ring);
+            let reading = read_code(input, &start.pose);
+            teeth_are_predicted = reading.is_none();
             let (yaw_rad, teeth) =
-                read.or(start.pose.yaw_rad.zip(start.teeth)).ok_or(FitError::Pattern)?;
-            is_presumed = read.is_none();
+                reading.or(start.pose.yaw_rad.zip(start.teeth)).ok_or(FitError::Pattern)?;
             (Some(yaw_rad), Some(teeth))
         }
     };
-    scratch.make_room(frame);
+    scratch.reserve(frame);
+    let model = &mut scratch.model;
     let radius_m = 0.5 * kind.outer_diameter_m;
     let local_from_camera = frame_along(&(start.pose.position_m / range_m));
     let spread = 1.05 * radius_m / range_m;
-    let skew = start.skew.as_ref();
-    let with = (scratch.level, &scratch.plan);
-    let lens = LocalLens::new(camera, local_from_camera, spread, skew, with)?;
+    let skew = skew.as_ref();
+    let lens = LocalLens::new(camera, local_from_camera, spread, skew, model.level, &model.plan)?;
     let blur_px = start.blur_px.clamp(BLUR_LIMITS_PX.0, BLUR_LIMITS_PX.1);
-    let margin_px = (MARGIN.0 * ring.outer.semi_minor_px - MARGIN.1).max(LEAST_REACH_PX);
-    let most_px = if start.is_still { 0.0 } else { MOST_MOTION_PX };
-    let motion_px = start.motion_px.cap_magnitude(most_px);
+    let margin_px = (MARGIN.0 * ring.outer.semi_minor_px - MARGIN.1).max(MIN_REACH_PX);
+    let max_px = if start.is_still { 0.0 } else { MAX_MOTION_PX };
+    let motion_px = start.motion_px.cap_magnitude(max_px);
     let reach_px = (REACH.0.max(REACH.1 * blur_px) + 0.5 * motion_px.norm()).min(margin_px);
     let counted = ring.outer.grown(reach_px);
     let chords = Chords::new(&counted);
-    scratch.window.lay(window_of(&counted), (scratch.level, frame), &chords);
-    let motion_prior = motion::prior(start.moved_px);
-    let is_still = start.is_still;
+    model.window.set_region(model.level, frame, &Region::around(&counted), &chords);
     let problem = Problem {
         frame,
         kind,
         teeth,
-        is_presumed,
+        teeth_are_predicted,
         radius_m,
         lens: &lens,
+        counted,
         chords,
-        motion_prior,
-        is_still,
-        recalled: start.recalled.as_ref(),
+        motion_prior: motion::prior(start.moved_px),
+        is_still: start.is_still,
+        cache,
     };
     let normal = &start.pose.normal;
     let axes = match heading_rad {
         None => axes_of(&(local_from_camera * normal).normalize()),
         Some(yaw_rad) => local_from_camera * yaw::axes(normal, yaw_rad),
     };
-    let place = Place { position_m: Vector3::new(0.0, 0.0, range_m), axes };
-    let first = State::new(place, ring, blur_px, &motion_px);
+    let pose = PrintPose { position_m: Vector3::new(0.0, 0.0, range_m), axes };
+    let first = State::new(pose, ring, blur_px, &motion_px);
     let deviation_rad = heading_rad.map(|_| yaw::deviation_rad(&start.pose));
-    let placed = placed(&problem, first, deviation_rad, &counted, scratch)?;
-    let fit = finish(&problem, ring, &placed, scratch);
-    match problem.teeth {
-        Some(teeth) if is_presumed && !fit.tells(teeth) => Err(FitError::Flat),
-        _ => Ok(fit),
+    let estimate = estimate_pose(&problem, first, deviation_rad, scratch)?;
+    let fit = finish(&problem, ring, &estimate, scratch);
+    match teeth {
+        Some(teeth) if teeth_are_predicted && !fit.resolves(teeth) => Err(FitError::Uninformative),
+        _ => Ok(Outcome {
+            fit,
+            motion_variance_px4: estimate.motion_variance,
+            teeth,
+            cache: estimate.cache,
+        }),
     }
 }
 
-/// Teeth that are not read are seen where the yaw's deviation is no more than this share of a slot: else the
-/// fit may as well have settled at other ones.
-const SEEN_SHARE: f64 = 1.0 / 6.0;
+/// Predicted teeth are confirmed where the standard deviation of the yaw is at most this share of a
+/// slot; otherwise the fit may have converged to other ones.
+const MAX_YAW_SHARE: f64 = 1.0 / 6.0;
 
 impl Fit {
-    /// Whether the pixels tell how these teeth are turned.
-    fn tells(&self, teeth: Teeth) -> bool {
+    fn resolves(&self, teeth: Teeth) -> bool {
         let slot_rad = std::f64::consts::PI / f64::from(teeth.bits);
-        yaw::deviation_rad(&self.pose) < SEEN_SHARE * slot_rad
+        yaw::deviation_rad(&self.pose) < MAX_YAW_SHARE * slot_rad
     }
 }
 
-/// The yaw and the teeth that a reading gives a start.
-fn read(start: &Start, camera: &Camera, ring: &Ring) -> Option<(f64, Teeth)> {
-    let seen = ring.code?;
-    let reading = start.skew.map_or(seen, |skew| skew.code(&seen));
-    let mut turned = start.pose.clone();
-    yaw::add(&mut turned, camera, &reading);
+/// Yaw and teeth of the ring's reading, for a roundel of this pose.
+fn read_code(input: &FitInput, pose: &RoundelPose) -> Option<(f64, Teeth)> {
+    let observed = input.ring.code?;
+    let reading = input.skew.map_or(observed, |skew| skew.code(&observed));
+    let mut turned = pose.clone();
+    yaw::add(&mut turned, input.camera, &reading);
     Some((turned.yaw_rad?, Teeth { bits: reading.code.bits, word: reading.word? }))
 }
 
-/// Columns and rows of the window round the pixels that count.
-fn window_of(counted: &Ellipse) -> ((i64, i64), (i64, i64)) {
-    let (half_u, half_v) = counted.half_box_px();
-    let range = |center: f64, half: f64| {
-        ((center - half - SLACK_PX).floor() as i64, (center + half + SLACK_PX).ceil() as i64)
-    };
-    (range(counted.center.u, half_u), range(counted.center.v, half_v))
-}
-
-/// Columns a, b, n for a normal; a is arbitrary.
+/// Columns a, b, n for a normal; the direction of a is arbitrary.
 fn axes_of(normal: &Vector3<f64>) -> Matrix3<f64> {
     let helper = if normal.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
     let b = normal.cross(&helper).normalize();
     Matrix3::from_columns(&[b.cross(normal), b, *normal])
 }
 
-/// A fit in the camera's frame.
-fn finish(problem: &Problem, ring: &Ring, placed: &Placed, scratch: &mut FitScratch) -> Fit {
-    let state = &placed.state;
+/// The fit in the camera frame.
+fn finish(
+    problem: &Problem,
+    ring: &Ring,
+    estimate: &PoseEstimate,
+    scratch: &mut FitScratch,
+) -> Fit {
+    let state = &estimate.state;
     let camera_from_local = problem.lens.local_from_camera.transpose();
-    let mut covariance = placed.covariance;
-    // The two normals put the centre at slightly different places, and which is right is not known.
-    let apart = camera_from_local * placed.apart_m;
+    let mut covariance = estimate.covariance;
+    // The two normals give slightly different positions, and which one is right is uncertain.
+    let apart = camera_from_local * estimate.other_offset_m;
     let mut position = covariance.fixed_view_mut::<3, 3>(0, 0);
-    position += apart * apart.transpose() * (1.0 - placed.likelihood);
-    let axes = camera_from_local * state.place.axes;
+    position += apart * apart.transpose() * (1.0 - estimate.likelihood);
+    let axes = camera_from_local * state.pose.axes;
     let (yaw_rad, yaw_symmetry) = match problem.kind.pattern {
         Pattern::Plain => (None, 1),
         Pattern::Elliptical { .. } => (Some(yaw::heading_rad(&axes)), 2),
-        Pattern::Coded(_) => (Some(yaw::of_axes_rad(&axes)), 1),
+        Pattern::Coded(_) => (Some(yaw::from_axes_rad(&axes)), 1),
     };
     let pose = RoundelPose {
-        position_m: camera_from_local * state.place.position_m,
+        position_m: camera_from_local * state.pose.position_m,
         normal: axes.column(2).into_owned(),
-        normal_likelihood: placed.likelihood,
-        other_normal: camera_from_local * placed.other_normal,
+        normal_likelihood: estimate.likelihood,
+        other_normal: camera_from_local * estimate.other_normal,
         yaw_rad,
         yaw_symmetry,
         covariance,
     };
     let (outer, inner) =
-        solution::rims(problem, state, scratch).unwrap_or((ring.outer, ring.inner));
+        solution::rims(problem, state, &mut scratch.model).unwrap_or((ring.outer, ring.inner));
     let ring = Ring { outer, inner, black: state.white + state.step, white: state.white, ..*ring };
     Fit {
         pose,
         ring,
         blur_px: state.blur2.sqrt(),
-        motion_px: motion::of_square(&state.motion2),
-        motion_variance_px4: placed.motion_variance,
-        noise: placed.noise2.sqrt(),
-        teeth: problem.teeth,
-        iterations: placed.iterations,
-        recalled: placed.recalled,
+        motion_px: motion::from_square(&state.motion2),
+        noise: estimate.noise2.sqrt(),
+        iterations: estimate.iterations,
     }
 }

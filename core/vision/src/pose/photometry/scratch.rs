@@ -1,58 +1,43 @@
-//! Memory of the fit.
+//! Working memory of the fit.
 
 use fearless_simd::Level;
 
-use super::{
-    blur::Kernels, careful::Careful, contour::Contours, image::Window, lens::Plan, normal::Sums,
-    view::Nodes,
-};
+use super::{model::scratch::ModelScratch, robust::RobustScratch};
 use crate::frame::Frame;
 
-/// Memory of the fit, to be used again and again: from the first fit on there is room for rings as large as
-/// the frame, so that none is taken later (`tests/allocation.rs`).
+/// Working memory of fits, reused from fit to fit. The first fit reserves memory for rings as large
+/// as the frame, so that later ones allocate nothing (`tests/allocation.rs`).
 #[derive(Clone, Debug)]
 pub struct FitScratch {
-    pub(super) level: Level,
-    /// Of the frames that there is room for.
-    pub(super) size: (usize, usize),
-    pub(super) plan: Plan,
-    pub(super) kernels: Kernels,
-    pub(super) contours: Contours,
-    pub(super) nodes: Nodes,
-    pub(super) window: Window,
-    pub(super) sums: Sums,
-    pub(super) careful: Careful,
+    pub(super) model: ModelScratch,
+    pub(super) robust: RobustScratch,
+    /// Width and height of the frames that memory is reserved for.
+    size: [usize; 2],
 }
 
 impl Default for FitScratch {
     fn default() -> Self {
-        Self {
-            level: Level::new(),
-            size: (0, 0),
-            plan: Plan::default(),
-            kernels: Kernels::default(),
-            contours: Contours::default(),
-            nodes: Nodes::default(),
-            window: Window::default(),
-            sums: Sums::default(),
-            careful: Careful::default(),
-        }
+        Self::with_level(Level::new())
     }
 }
 
-/// By so many pixels the window of a ring as large as the frame may be wider than the frame.
-const BEYOND_PX: usize = 64;
+/// Margin of the window around a ring as large as the frame.
+const MARGIN_PX: usize = 64;
 
 impl FitScratch {
-    /// Room for what a frame can show. Memory that no ring comes to use is asked for, but not touched.
-    pub(super) fn make_room(&mut self, frame: &Frame) {
-        let size = (frame.width(), frame.height());
+    pub(super) fn with_level(level: Level) -> Self {
+        Self { model: ModelScratch::new(level), robust: RobustScratch::default(), size: [0; 2] }
+    }
+
+    /// Reserves memory for any ring in the frame; pages that no ring uses are not touched.
+    pub(super) fn reserve(&mut self, frame: &Frame) {
+        let size = [frame.width(), frame.height()];
         if self.size == size {
             return;
         }
         self.size = size;
-        let (columns, rows) = (size.0 + BEYOND_PX, size.1 + BEYOND_PX);
-        self.window.make_room((columns, rows));
-        self.careful.make_room(columns * rows);
+        let [columns, rows] = size.map(|side| side + MARGIN_PX);
+        self.model.window.reserve(columns, rows);
+        self.robust.reserve(columns * rows);
     }
 }

@@ -1,8 +1,12 @@
 use fearless_simd::Level;
 
-use super::{mirror::glance, *};
+use super::{
+    solver::{gauss_newton, mirror::evaluate_mirrored, solution::Solution},
+    *,
+};
 use crate::{
     camera::{Intrinsics, Lens},
+    ellipse::Ellipse,
     marker::{Code, CodeLayout, CodeReading},
     pose::{RimNoise, locate},
 };
@@ -26,8 +30,8 @@ fn camera_of(focal_px: f64) -> Camera {
     .unwrap()
 }
 
-/// Both rims of the pose, and a picture of it by 12 × 12 samples over two pixels
-/// a side, cast into the print's plane.
+/// An image of the pose by 12 × 12 samples over two pixels a side, projected into the print's
+/// plane.
 fn picture(
     camera: &Camera,
     kind: &Kind,
@@ -35,10 +39,10 @@ fn picture(
     normal: &Vector3<f64>,
 ) -> Vec<u8> {
     let (outer, inner) = (0.5 * kind.outer_diameter_m, 0.5 * kind.inner_diameter_m);
-    picture_of(camera, position_m, normal, |place| !(inner..outer).contains(&place.norm()))
+    picture_of(camera, position_m, normal, |at| !(inner..outer).contains(&at.norm()))
 }
 
-/// The same of whatever is white in the plane, by the place from the middle.
+/// The same for any pattern, given the position in the plane relative to the middle.
 fn picture_of(
     camera: &Camera,
     position_m: &Vector3<f64>,
@@ -66,10 +70,12 @@ fn start(camera: &Camera, kind: &Kind, ring: &Ring) -> Start {
         motion_px: Vector2::zeros(),
         moved_px: 0.0,
         is_still: false,
-        skew: None,
         teeth: None,
-        recalled: None,
     }
+}
+
+fn input<'a>(frame: &'a Frame, camera: &'a Camera, kind: &'a Kind, ring: &'a Ring) -> FitInput<'a> {
+    FitInput { frame, camera, kind, ring, skew: None }
 }
 
 fn ring() -> Ring {
@@ -86,7 +92,7 @@ fn ring_of(semi_minor_px: f64) -> Ring {
     Ring { black: 45.0, white: 195.0, ..Ring::of_rims(rim(1.0), rim(0.4)) }
 }
 
-/// The picture's blur is a box and not Gaussian: the fit is off by what that costs, and no more.
+/// The image has a box blur, not a Gaussian one, which limits the accuracy.
 #[test]
 fn the_fit_finds_the_pose_from_a_rough_start_at_every_simd_level() {
     let (camera, kind, ring) = (camera(), Kind::plain("", 0.16, 0.064), ring());
@@ -97,8 +103,8 @@ fn the_fit_finds_the_pose_from_a_rough_start_at_every_simd_level() {
     let frame = Frame::new(&pixels, SIDE, SIDE, SIDE).unwrap();
     let mut poses = Vec::new();
     for level in [Level::new(), Level::baseline()] {
-        let mut scratch = FitScratch { level, ..FitScratch::default() };
-        let found = fit(&frame, &camera, &kind, &ring, &start, &mut scratch).unwrap();
+        let mut scratch = FitScratch::with_level(level);
+        let found = fit(&input(&frame, &camera, &kind, &ring), &start, &mut scratch).unwrap();
         let error_m = (found.pose.position_m - position_m).norm();
         let nearer = [found.pose.normal, found.pose.other_normal].map(|n| n.angle(&normal));
         assert!(error_m < 2e-3 * position_m.norm(), "{error_m}");
@@ -110,7 +116,7 @@ fn the_fit_finds_the_pose_from_a_rough_start_at_every_simd_level() {
     assert!((poses[0].normal - poses[1].normal).norm() < 1e-4);
 }
 
-/// A picture is the mean of those that the exposure passes through.
+/// The image is the mean of those during the exposure.
 #[test]
 fn the_fit_finds_the_motion_and_the_pose_of_the_exposures_middle() {
     let (camera, kind, ring) = (camera(), Kind::plain("", 0.16, 0.064), ring());
@@ -125,9 +131,9 @@ fn the_fit_finds_the_motion_and_the_pose_of_the_exposures_middle() {
     let pixels: Vec<u8> = (0..SIDE * SIDE).map(|i| mean(i) as u8).collect();
     let frame = Frame::new(&pixels, SIDE, SIDE, SIDE).unwrap();
     for level in [Level::new(), Level::baseline()] {
-        let mut scratch = FitScratch { level, ..FitScratch::default() };
+        let mut scratch = FitScratch::with_level(level);
         let start = Start { moved_px: f64::INFINITY, ..start.clone() };
-        let found = fit(&frame, &camera, &kind, &ring, &start, &mut scratch).unwrap();
+        let found = fit(&input(&frame, &camera, &kind, &ring), &start, &mut scratch).unwrap();
         let off_px = [moved_px, -moved_px].map(|moved_px| (found.motion_px - moved_px).norm());
         assert!(off_px[0].min(off_px[1]) < 0.2, "{}", found.motion_px);
         let error_m = (found.pose.position_m - position_m).norm();
@@ -142,8 +148,8 @@ fn a_fit_leaves_its_scratch_as_it_was() {
     let pixels = picture(&camera, &kind, &start.pose.position_m, &start.pose.normal);
     let frame = Frame::new(&pixels, SIDE, SIDE, SIDE).unwrap();
     let mut scratch = FitScratch::default();
-    let first = fit(&frame, &camera, &kind, &ring, &start, &mut scratch).unwrap();
-    assert_eq!(fit(&frame, &camera, &kind, &ring, &start, &mut scratch), Ok(first));
+    let first = fit(&input(&frame, &camera, &kind, &ring), &start, &mut scratch).unwrap();
+    assert_eq!(fit(&input(&frame, &camera, &kind, &ring), &start, &mut scratch), Ok(first));
 }
 
 #[test]
@@ -153,63 +159,66 @@ fn what_is_no_roundel_is_an_error() {
     let pixels = vec![120; SIDE * SIDE];
     let frame = Frame::new(&pixels, SIDE, SIDE, SIDE).unwrap();
     let mut scratch = FitScratch::default();
-    assert!(fit(&frame, &camera, &kind, &ring, &start, &mut scratch).is_err());
+    assert!(fit(&input(&frame, &camera, &kind, &ring), &start, &mut scratch).is_err());
     start.pose.normal = -start.pose.normal;
-    let turned = fit(&frame, &camera, &kind, &ring, &start, &mut scratch);
+    let turned = fit(&input(&frame, &camera, &kind, &ring), &start, &mut scratch);
     assert_eq!(turned, Err(FitError::Start));
 }
 
-/// What a fit at the mirrored place comes to, told from the products of the first one.
+/// Prediction of a fit at the mirrored pose from the products of the first one.
 #[test]
 fn the_mirrored_place_is_as_bad_as_it_promises() {
-    // A wide lens, for which the places' columns differ.
+    // A wide lens, for which the columns of the two poses differ.
     let (camera, kind, ring) = (camera_of(200.0), Kind::plain("", 0.16, 0.064), ring_of(14.7));
     let start = start(&camera, &kind, &ring);
     let pixels = picture(&camera, &kind, &start.pose.position_m, &start.pose.normal);
     let frame = Frame::new(&pixels, SIDE, SIDE, SIDE).unwrap();
     let mut scratch = FitScratch::default();
-    let first = fit(&frame, &camera, &kind, &ring, &start, &mut scratch).unwrap();
+    let first = fit(&input(&frame, &camera, &kind, &ring), &start, &mut scratch).unwrap();
     let position_m = first.pose.position_m;
     let (range_m, radius_m) = (position_m.norm(), 0.5 * kind.outer_diameter_m);
     let local_from_camera = frame_along(&(position_m / range_m));
+    let model = &mut scratch.model;
     let lens = LocalLens::new(
         &camera,
         local_from_camera,
         1.05 * radius_m / range_m,
         None,
-        (scratch.level, &scratch.plan),
+        model.level,
+        &model.plan,
     )
     .unwrap();
     let counted = ring.outer.grown(3.0);
     let chords = Chords::new(&counted);
-    scratch.window.lay(window_of(&counted), (scratch.level, &frame), &chords);
+    model.window.set_region(model.level, &frame, &Region::around(&counted), &chords);
     let problem = Problem {
         frame: &frame,
         kind: &kind,
         teeth: None,
-        recalled: None,
+        cache: None,
         radius_m,
         lens: &lens,
+        counted,
         chords,
         motion_prior: 1.0,
         is_still: false,
-        is_presumed: false,
+        teeth_are_predicted: false,
     };
     let axes = axes_of(&(local_from_camera * first.pose.normal));
-    let place = Place { position_m: Vector3::z() * range_m, axes };
-    let state = State::new(place, &first.ring, first.blur_px, &first.motion_px);
-    let solution = descend::solve(&problem, state, &mut scratch).unwrap();
-    let at = (&solution.linear, solution.noise2, None);
-    let promised = glance(&problem, &solution.state, at, &mut scratch).unwrap();
-    let found = descend::solve(&problem, solution.state.mirrored(), &mut scratch).unwrap();
-    let (promised_m, found_m) = (promised.state.place.position_m, found.state.place.position_m);
+    let at = PrintPose { position_m: Vector3::z() * range_m, axes };
+    let state = State::new(at, &first.ring, first.blur_px, &first.motion_px);
+    let solution = gauss_newton::solve(&problem, state, model).unwrap();
+    let Solution { state, equations, noise2, .. } = &solution;
+    let promised = evaluate_mirrored(&problem, state, equations, *noise2, None, model).unwrap();
+    let found = gauss_newton::solve(&problem, solution.state.mirrored(), model).unwrap();
+    let (promised_m, found_m) = (promised.state.pose.position_m, found.state.pose.position_m);
     let [promised, found] = [promised.misfit, found.misfit].map(|misfit| misfit - solution.misfit);
     assert!((promised / found - 1.0).abs() < 0.2, "{promised} {found}");
-    let apart_m = found_m - solution.state.place.position_m;
-    assert!((promised_m - found_m).norm() < 0.2 * apart_m.norm(), "{promised_m} {found_m}");
+    let other_offset_m = found_m - solution.state.pose.position_m;
+    assert!((promised_m - found_m).norm() < 0.2 * other_offset_m.norm(), "{promised_m} {found_m}");
 }
 
-/// Teeth, yaw and all, from a reading that is off by a third of a pixel.
+/// Teeth and yaw, from a reading that is off by a third of a pixel.
 #[test]
 fn a_coded_roundel_is_fitted_with_its_yaw() {
     const YAW_RAD: f64 = 1.9;
@@ -223,22 +232,22 @@ fn a_coded_roundel_is_fitted_with_its_yaw() {
     let word = 0b0010_1101;
     let teeth = layout.teeth(word);
     let axes = yaw::axes(&normal, YAW_RAD);
-    let pixels = picture_of(&camera, &position_m, &normal, |place| {
-        let (x, y) = (axes.column(0).dot(&place), axes.column(1).dot(&place));
+    let pixels = picture_of(&camera, &position_m, &normal, |at| {
+        let (x, y) = (axes.column(0).dot(&at), axes.column(1).dot(&at));
         let (radius, angle_rad) = (x.hypot(y) / 0.08, y.atan2(x).rem_euclid(std::f64::consts::TAU));
         let in_tooth = teeth.iter().any(|t| t.from_rad <= angle_rad && angle_rad < t.to_rad);
         radius > 1.0 || radius < if in_tooth { 0.6 * CodeLayout::CORE_SHARE } else { 0.6 }
     });
     let frame = Frame::new(&pixels, SIDE, SIDE, SIDE).unwrap();
     let mut scratch = FitScratch::default();
-    let unread = fit(&frame, &camera, &kind, &ring, &start, &mut scratch);
+    let unread = fit(&input(&frame, &camera, &kind, &ring), &start, &mut scratch);
     assert_eq!(unread, Err(FitError::Pattern));
     for off_rad in [-0.03, 0.03] {
         let axis = yaw::axes(&normal, YAW_RAD + off_rad).column(0) * 0.048;
         let end = |along: f64| camera.project(&(start.pose.position_m + axis * along)).unwrap();
         let reading = CodeReading::certain(Code { bits: 8, number: 1 }, end(1.0));
         ring.code = Some(CodeReading { word: Some(word), opposite: end(-1.0), ..reading });
-        let pose = fit(&frame, &camera, &kind, &ring, &start, &mut scratch).unwrap().pose;
+        let pose = fit(&input(&frame, &camera, &kind, &ring), &start, &mut scratch).unwrap().pose;
         let error_m = (pose.position_m - position_m).norm();
         assert!(error_m < 1e-3 * position_m.norm(), "{error_m}");
         let error_rad = (pose.yaw_rad.unwrap() - YAW_RAD).abs();
@@ -248,7 +257,7 @@ fn a_coded_roundel_is_fitted_with_its_yaw() {
     }
 }
 
-/// Where a ring hardly changes, with what was recalled as without; where it does, without.
+/// The cache changes nothing where a ring hardly changes, and is not used where it does.
 #[test]
 fn products_are_recalled_where_they_serve() {
     let (camera, kind) = (camera(), Kind::plain("", 0.16, 0.064));
@@ -256,38 +265,43 @@ fn products_are_recalled_where_they_serve() {
     let start = Start { is_still: true, moved_px: 0.0, ..start(&camera, &kind, &ring) };
     let (position_m, normal) = (start.pose.position_m, start.pose.normal);
     let mut scratch = FitScratch::default();
-    let mut fit_at = |position_m: &Vector3<f64>, turn_rad: f64, blur_px, recalled| {
+    let mut fit_at = |position_m: &Vector3<f64>, turn_rad: f64, blur_px, cache| {
         let normal = nalgebra::Rotation3::new(Vector3::x() * turn_rad) * normal;
         let mut pixels = picture(&camera, &kind, position_m, &normal);
-        // Mean 5 and deviation 3: without noise every step is far more than it.
+        // Mean 5 and standard deviation 3: without noise every step would be significant.
         for (at, pixel) in pixels.iter_mut().enumerate() {
             *pixel += (at as u32).wrapping_mul(2_654_435_761).rotate_left(8) as u8 % 11;
         }
         let frame = Frame::new(&pixels, SIDE, SIDE, SIDE).unwrap();
-        // Right to a hundredth of a pixel, as rims are.
+        // Accurate to a hundredth of a pixel, as rims are.
         let position_m = position_m * 1.0001;
         let pose = RoundelPose { position_m, normal, ..start.pose.clone() };
-        let start = Start { pose, blur_px, recalled, ..start.clone() };
-        fit(&frame, &camera, &kind, &ring, &start, &mut scratch).unwrap()
+        let start = Start { pose, blur_px, ..start.clone() };
+        let input = input(&frame, &camera, &kind, &ring);
+        let cache: Option<NormalEquationCache> = cache;
+        let Outcome { fit, cache, .. } =
+            fit_with_cache(&input, &start, cache.as_ref(), &mut scratch).unwrap();
+        (fit, cache)
     };
-    let Fit { recalled, blur_px, .. } = fit_at(&position_m, 0.0, DEFAULT_BLUR_PX, None);
-    assert!(recalled.is_some());
+    let (Fit { blur_px, .. }, cache) = fit_at(&position_m, 0.0, DEFAULT_BLUR_PX, None);
+    assert!(cache.is_some());
 
     let near_m = position_m + Vector3::new(1e-3, -6e-4, 2e-3);
-    let [anew, again] = [None, recalled].map(|recalled| fit_at(&near_m, 0.01, blur_px, recalled));
-    assert_eq!(again.recalled, recalled, "they stay those of the first frame");
-    assert_ne!(anew.recalled, recalled);
+    let [fresh, cached] = [None, cache].map(|cache| fit_at(&near_m, 0.01, blur_px, cache));
+    assert_eq!(cached.1, cache, "the cache stays that of the first frame");
+    assert_ne!(fresh.1, cache);
+    let [fresh, cached] = [fresh.0, cached.0];
     let deviation = |fit: &Fit, axis: usize| fit.pose.covariance[(axis, axis)].sqrt();
     for axis in 0..3 {
-        let apart_m = (again.pose.position_m - anew.pose.position_m)[axis].abs();
-        assert!(apart_m < 0.1 * deviation(&anew, axis), "{axis}: {apart_m}");
-        let ratio = deviation(&again, axis) / deviation(&anew, axis);
+        let other_offset_m = (cached.pose.position_m - fresh.pose.position_m)[axis].abs();
+        assert!(other_offset_m < 0.1 * deviation(&fresh, axis), "{axis}: {other_offset_m}");
+        let ratio = deviation(&cached, axis) / deviation(&fresh, axis);
         assert!((ratio - 1.0).abs() < 0.05, "{axis}: {ratio}");
     }
 
     for (position_m, turn_rad) in [(position_m, 0.15), (position_m * 1.04, 0.0)] {
-        let [anew, again] =
-            [None, recalled].map(|recalled| fit_at(&position_m, turn_rad, blur_px, recalled));
-        assert_eq!(again, anew, "{turn_rad}");
+        let [fresh, cached] =
+            [None, cache].map(|cache| fit_at(&position_m, turn_rad, blur_px, cache));
+        assert_eq!(cached.0, fresh.0, "{turn_rad}");
     }
 }

@@ -28,7 +28,7 @@ use crate::{
         },
         weighed_rim::{RimSpread, WeighedRim},
     },
-    normal::Beyond,
+    normal_distribution::Beyond,
     simd::Lane,
 };
 

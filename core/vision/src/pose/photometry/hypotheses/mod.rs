@@ -1,0 +1,174 @@
+//! Choice among the poses that fit the pixels: Gauss-Newton from the start, then the mirrored
+//! normal, face-on poses, and the robust fit of disturbed rings.
+
+mod disc_heading;
+mod frontal;
+mod teeth_yaw;
+
+use nalgebra::Vector3;
+
+use super::{
+    FitError, FitScratch, robust,
+    solver::{
+        gauss_newton,
+        mirror::{MirrorEstimate, evaluate_mirrored},
+        problem::Problem,
+        solution::{PoseEstimate, Solution},
+        state::State,
+    },
+};
+use crate::marker::Pattern;
+use disc_heading::YawEstimate;
+use frontal::{FrontalPose, FrontalResult};
+
+/// The best pose from a start. `deviation_rad` is the standard deviation of an elliptical disc's
+/// heading there.
+pub fn estimate_pose(
+    problem: &Problem,
+    first: State,
+    deviation_rad: Option<f64>,
+    scratch: &mut FitScratch,
+) -> Result<PoseEstimate, FitError> {
+    let mut heading = None;
+    let mut solution = match (problem.teeth, deviation_rad) {
+        (Some(_), _) => {
+            let (solution, found) = teeth_yaw::solve(problem, first, &mut scratch.model)?;
+            heading = Some(found);
+            solution
+        }
+        (None, Some(deviation_rad)) => {
+            let (solution, found) =
+                disc_heading::solve(problem, first, deviation_rad, &mut scratch.model)?;
+            heading = Some(found);
+            solution
+        }
+        (None, None) => gauss_newton::solve(problem, first, &mut scratch.model)?,
+    };
+    if problem.is_still && !solution.is_plain() {
+        let moving = Problem { is_still: false, ..*problem };
+        return estimate_pose(&moving, solution.state, deviation_rad, scratch);
+    }
+    let mut found = frontal::estimate(problem, &solution, &mut scratch.model);
+    if let FrontalResult::Further(state) = found {
+        solution = gauss_newton::solve(problem, state, &mut scratch.model)?;
+        found = frontal::estimate(problem, &solution, &mut scratch.model);
+    }
+    let (mut estimate, heading) = match found {
+        FrontalResult::Facing(first, other, likelihood) if solution.is_plain() => {
+            let estimate = frontal_pose(problem, &solution, first, other, likelihood);
+            (estimate, heading.map(YawEstimate::decorrelated))
+        }
+        _ => {
+            let heading = match heading {
+                Some(heading) if !solution.is_plain() => Some(heading.inflated(&solution)),
+                _ => heading,
+            };
+            (tilted_pose(problem, &mut solution, scratch)?, heading)
+        }
+    };
+    if let Some(heading) = heading {
+        heading.add_to(problem, &mut estimate);
+    }
+    Ok(estimate)
+}
+
+/// One or two leans of a roundel that nearly faces the camera.
+fn frontal_pose(
+    problem: &Problem,
+    solution: &Solution,
+    first: FrontalPose,
+    other: Option<FrontalPose>,
+    likelihood: f64,
+) -> PoseEstimate {
+    let FrontalPose { state, covariance, turns } = first;
+    let covariance = solution.in_camera_frame(problem, &state, &covariance, &turns);
+    let second = other.map_or(state.pose, |other| other.state.pose);
+    PoseEstimate {
+        other_normal: second.axes.column(2).into_owned(),
+        likelihood,
+        other_offset_m: second.position_m - state.pose.position_m,
+        covariance,
+        noise2: solution.noise2,
+        motion_variance: solution.motion_variance(),
+        iterations: solution.iterations,
+        cache: None,
+        state,
+    }
+}
+
+/// The solution or the mirrored one, whichever has the smaller misfit; the robust fit where noise
+/// explains neither.
+fn tilted_pose(
+    problem: &Problem,
+    solution: &mut Solution,
+    scratch: &mut FitScratch,
+) -> Result<PoseEstimate, FitError> {
+    let mut factor = solution.factor();
+    let mut other = evaluate_mirrored(
+        problem,
+        &solution.state,
+        &solution.equations,
+        solution.noise2,
+        factor.as_ref(),
+        &mut scratch.model,
+    );
+    if let Some(better) = &other
+        && better.misfit < solution.misfit
+        && let Ok(found) = gauss_newton::solve(problem, better.state.clone(), &mut scratch.model)
+    {
+        let normal = |solution: &Solution| solution.state.pose.axes.column(2).into_owned();
+        let back = normal(&found).dot(&normal(solution));
+        // Near face-on the mirrored pose may have no minimum of its own; then its initial misfit
+        // counts.
+        let own = back < normal(&found).dot(&solution.state.mirrored().pose.axes.column(2));
+        let other_offset_m = found.state.pose.position_m - solution.state.pose.position_m;
+        let misfit = match &other {
+            Some(other) if !own => other.initial_misfit,
+            _ => found.misfit.max(solution.misfit),
+        };
+        let better = found.misfit < solution.misfit;
+        other = Some(MirrorEstimate {
+            misfit,
+            initial_misfit: misfit,
+            other_offset_m,
+            state: found.state.clone(),
+        });
+        if better {
+            *solution = found;
+            factor = solution.factor();
+        }
+    }
+    if !solution.is_plain() {
+        // Wrong teeth or a wrong yaw would pass for an occlusion.
+        if problem.teeth_are_predicted && solution.equations.contradicts_model() {
+            return Err(FitError::Obstructed);
+        }
+        // A disturbance may have passed for motion and shifted the pose.
+        let still = Problem { is_still: true, ..*problem };
+        let without_motion = solution.state.without_motion();
+        let start = gauss_newton::solve(&still, without_motion.clone(), &mut scratch.model);
+        let start = start.map_or(without_motion, |solution| solution.state);
+        let estimate = robust::solve(&still, &start, scratch)?;
+        // A partly occluded rim of the disc would give a wrong heading.
+        let is_elliptical = matches!(problem.kind.pattern, Pattern::Elliptical { .. });
+        if is_elliptical && !scratch.robust.disc_is_unobstructed() {
+            return Err(FitError::Obstructed);
+        }
+        return Ok(estimate);
+    }
+    let likelihood = other.as_ref().map_or(1.0, |other| {
+        let worse = (other.misfit - solution.misfit).max(0.0) / solution.noise2;
+        1.0 / (1.0 + (-0.5 * worse).exp())
+    });
+    Ok(PoseEstimate {
+        other_normal: solution.state.mirrored().pose.axes.column(2).into_owned(),
+        likelihood,
+        other_offset_m: other.map_or(Vector3::zeros(), |other| other.other_offset_m),
+        covariance: solution.covariance(problem, &factor.ok_or(FitError::Uninformative)?),
+        noise2: solution.noise2,
+        motion_variance: solution.motion_variance(),
+        iterations: solution.iterations,
+        cache: solution.cache(problem),
+        state: solution.state.clone(),
+    })
+}

@@ -1,0 +1,430 @@
+//! The robust fit, for rings whose residual contradicts the plain model.
+//!
+//! In: the state where the plain fit ended. Out: a solution with a realistic covariance, or a
+//! rejection. The image is the same (`image`), with these extensions:
+//!
+//! * **Clipped levels.** A pixel at an end of the scale states only that its level m, with noise ε
+//!   of standard deviation s, lies beyond. With z = (254.5 - m)/s its likelihood is Φ(-z), so its
+//!   residual is s λ, λ = φ(z)/Φ(-z), with the weight λ (λ - z): that of any other pixel where m is
+//!   far below, zero where m is far above (Tobit regression). The flanks determine the white level.
+//! * **Bloom.** Where levels are clipped, white may spread into black across both rims: one more
+//!   unknown, with a prior of [`BLOOM_PRIOR_PX`].
+//! * **Cells.** Where that does not explain the residual, each stretch of either rim gets its own
+//!   levels (`cells`). A ring half in shadow keeps all its information about the rims, and an
+//!   occlusion without an edge near the rim has no effect.
+//! * **Outliers.** Cells whose rim is off the model's, or whose residual exceeds that of most
+//!   cells, are rejected until their set is stable.
+//! * **No motion.** Motion within the exposure would explain anything that blurs one side more than
+//!   another; it is held at zero.
+//! * **Variance.** The variance of a pixel is multiplied by the mean of δ²/var(δ) over the kept
+//!   cells: motion, JPEG and undetected occlusions move whole stretches, not single pixels.
+//!
+//! Rejected are rings of which fewer than [`MIN_KEPT`] of either rim's cells agree.
+//!
+//! **Accuracy** (`roundel-tests`, `tests/robustness.rs`): white at 330 of 255, with and without
+//! bloom, the edge of a shadow across the ring, occlusions.
+
+mod cell_outliers;
+mod cells;
+mod image;
+mod pixels;
+
+use nalgebra::{SVector, Vector3};
+
+use super::{
+    FitError, FitScratch,
+    model::{
+        column_products::{STILL, column},
+        scratch::ModelScratch,
+        window::Region,
+    },
+    solver::{
+        linearize,
+        mirror::MirrorEstimate,
+        normal_equations::NormalEquations,
+        problem::Problem,
+        solution::{Covariance5, PoseEstimate, Solution},
+        state::{BLUR, State, UNKNOWNS, WHITE},
+    },
+};
+use crate::{normal_distribution::Table, scratch::reserve_total};
+use cells::{Cell, Products, Reference, SPREAD};
+use image::RimImages;
+use pixels::Pixel;
+
+/// Standard deviation of the bloom where levels are clipped.
+const BLOOM_PRIOR_PX: f64 = 0.3;
+/// Levels are clipped if more than this share of the pixels is at an end of the scale.
+const CUT_OFF: f64 = 0.02;
+/// Share of each rim's cells that must agree.
+const MIN_KEPT: f64 = 0.4;
+/// Rounds of rejecting cells.
+const ROUNDS: usize = 6;
+/// Steps of one round.
+const STEPS: usize = 8;
+/// Linearizations for both normals: twice as many as most rings need.
+const MAX_LINEARIZATIONS: usize = 28;
+/// A step that decreases the misfit by fewer variances is the last one.
+const LAST_STEP: f64 = 0.3;
+/// A step that promises fewer variances, and does not deliver them, is ignored.
+const SETTLED: f64 = 4.0;
+/// Lower limit of the standard deviation of a pixel.
+const MIN_NOISE: f64 = 0.5;
+/// Growth of the variance up to which one set of levels serves the whole ring.
+const UNIFORM_GROWTH: f64 = 3.0;
+/// Variance that face-on poses add to the tilt, in units of the elongation's standard deviation …
+const FACE_ON: f64 = 1.5;
+/// … up to an elongation of about so many standard deviations.
+const FACE_ON_END: f64 = 2.5;
+
+#[derive(Clone, Debug, Default)]
+pub struct RobustScratch {
+    normal: Table,
+    images: RimImages,
+    pixels: Vec<Pixel>,
+    cells: Vec<Cell>,
+    /// Cells before a step, to restore them if it fails.
+    saved: Vec<Cell>,
+    list: Vec<f64>,
+}
+
+impl RobustScratch {
+    /// Reserves memory for windows of this size.
+    pub fn reserve(&mut self, pixels: usize) {
+        self.images.reserve(pixels);
+        reserve_total(&mut self.pixels, pixels);
+        reserve_total(&mut self.cells, cells::MAX_CELLS);
+        reserve_total(&mut self.saved, cells::MAX_CELLS);
+        reserve_total(&mut self.list, cells::MAX_CELLS);
+    }
+
+    /// Whether all cells of the inner rim agreed in the last fit.
+    pub fn disc_is_unobstructed(&self) -> bool {
+        self.cells.iter().all(|cell| cell.rim == 0 || cell.kept)
+    }
+}
+
+/// Whether the ring or each cell has its own levels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum LevelScope {
+    Ring,
+    Cells,
+}
+
+struct RobustFit<'a> {
+    problem: &'a Problem<'a>,
+    model: &'a mut ModelScratch,
+    scratch: &'a mut RobustScratch,
+    reference: Reference,
+    levels: LevelScope,
+    /// Whether levels are clipped, and the bloom is free.
+    cut_off: bool,
+    bloom_px: f64,
+    /// Products of the last column before its elimination.
+    bloom: SVector<f64, STILL>,
+    /// Misfit before levels and bloom are updated.
+    misfit: f64,
+    iterations: usize,
+}
+
+/// Fits from a state.
+pub fn solve(
+    problem: &Problem,
+    start: &State,
+    scratch: &mut FitScratch,
+) -> Result<PoseEstimate, FitError> {
+    let FitScratch { model, robust: scratch, .. } = scratch;
+    scratch.images.set_region(&Region::around(&problem.counted));
+    let reference = Reference { levels: [start.white, start.step], noise2: 4.0 };
+    let mut fitter = RobustFit {
+        problem,
+        model,
+        scratch,
+        reference,
+        levels: LevelScope::Ring,
+        cut_off: false,
+        bloom_px: 0.0,
+        bloom: SVector::zeros(),
+        misfit: 0.0,
+        iterations: 0,
+    };
+    fitter.assign_cells(start);
+    let (solution, second) = fitter.run(start)?;
+    estimate(problem, solution, second)
+}
+
+fn estimate(
+    problem: &Problem,
+    solution: Solution,
+    second: Option<MirrorEstimate>,
+) -> Result<PoseEstimate, FitError> {
+    let Solution { state, noise2, equations, .. } = &solution;
+    let (factor, _) = equations.factor(state, *noise2, 0.0).ok_or(FitError::Uninformative)?;
+    let mut own: Covariance5 = factor.inverse_of_last() * *noise2;
+    let unit = (2.0 * noise2 / equations.elongation).sqrt();
+    let tilt = equations.tilt_information(state) / noise2 * unit;
+    let face_on = FACE_ON * (-(tilt / FACE_ON_END).powi(4)).exp() * unit;
+    own[(3, 3)] += face_on;
+    own[(4, 4)] += face_on;
+    let turns = [0, 1].map(|axis| state.pose.axes.column(axis).into_owned());
+    let worse = second
+        .as_ref()
+        .map_or(f64::INFINITY, |other| (other.misfit - solution.misfit).max(0.0) / noise2);
+    Ok(PoseEstimate {
+        other_normal: state.mirrored().pose.axes.column(2).into_owned(),
+        likelihood: 1.0 / (1.0 + (-0.5 * worse).exp()),
+        other_offset_m: second.map_or(Vector3::zeros(), |other| other.other_offset_m),
+        covariance: solution.in_camera_frame(problem, state, &own, &turns),
+        noise2: *noise2,
+        motion_variance: None,
+        iterations: solution.iterations,
+        cache: None,
+        state: solution.state,
+    })
+}
+
+impl RobustFit<'_> {
+    /// Assigns pixels to cells.
+    fn assign_cells(&mut self, state: &State) {
+        let robust = &mut *self.scratch;
+        let (origin, width, height) =
+            (robust.images.origin(), robust.images.width(), robust.images.height());
+        let pixel_model = linearize::pixel_model(self.problem, state, state.blur2.sqrt(), origin);
+        let ratio = self.problem.kind.mean_ratio();
+        let radius_px = linearize::radius_px(self.problem, state);
+        let counts =
+            [1.0, ratio].map(|share| cells::count(std::f64::consts::TAU * share * radius_px));
+        robust.cells.clear();
+        for (rim, &count) in counts.iter().enumerate() {
+            robust.cells.extend((0..count).map(|_| Cell::new(rim, self.reference.levels)));
+        }
+        robust.pixels.clear();
+        let frame = self.problem.frame;
+        let mut ends = 0usize;
+        for row in 0..height {
+            let v = origin.1 + row as i64;
+            if !(0..frame.height() as i64).contains(&v) {
+                continue;
+            }
+            let (from, to) = self.problem.chords.span(v as f64);
+            let from = (from.ceil() as i64).max(origin.0).max(0);
+            let to = (to.ceil() as i64).min(frame.width() as i64).min(origin.0 + width as i64);
+            for u in from..to {
+                let column = (u - origin.0) as usize;
+                let (p, q) = (column as f32, row as f32);
+                let t = pixel_model.t.map(|[c, by_p, by_q]| c + by_p * p + by_q * q);
+                let of = |terms: &[f32; 3]| terms[0] + terms[1] * t[0] + terms[2] * t[1];
+                let (near, x, y) = (
+                    of(&pixel_model.nearness),
+                    of(&pixel_model.plane[0]),
+                    of(&pixel_model.plane[1]),
+                );
+                let rim = usize::from(x.hypot(y) < 0.5 * (1.0 + ratio as f32) * near);
+                let turn = f64::from(y.atan2(x)) / std::f64::consts::TAU + 0.5;
+                let estimate = ((turn * counts[rim] as f64) as usize).min(counts[rim] - 1);
+                let grey = frame.row(v as usize)[u as usize];
+                ends += usize::from(grey == 0 || grey == 255);
+                robust.pixels.push(Pixel {
+                    column: column as u16,
+                    row: row as u16,
+                    cell: (rim * counts[0] + estimate) as u16,
+                    grey: f32::from(grey),
+                });
+            }
+        }
+        self.cut_off = ends as f64 > CUT_OFF * robust.pixels.len() as f64;
+    }
+
+    fn run(&mut self, start: &State) -> Result<(Solution, Option<MirrorEstimate>), FitError> {
+        let (mut state, mut equations, mut settled) = self.iterate(start.clone())?;
+        let mut changed = self.reject_outliers();
+        let mut variance_growth = self.variance_growth(&equations);
+        if changed || variance_growth > UNIFORM_GROWTH || !settled {
+            self.levels = LevelScope::Cells;
+            self.reference.levels = [state.white, state.step];
+            for cell in &mut self.scratch.cells {
+                cell.levels = self.reference.levels;
+            }
+            for _ in 0..ROUNDS {
+                (state, equations, settled) = self.iterate(state)?;
+                changed = self.reject_outliers();
+                if !changed {
+                    break;
+                }
+            }
+            variance_growth = self.variance_growth(&equations);
+        }
+        if changed || !settled {
+            return Err(FitError::NotConverged);
+        }
+        let share = self.share_kept();
+        if share < MIN_KEPT {
+            return Err(FitError::Obstructed);
+        }
+        equations.elongation *= share;
+        let noise2 = equations.noise2() * variance_growth;
+        let misfit = equations.misfit;
+        let solution = Solution { state, misfit, noise2, iterations: self.iterations, equations };
+        Ok(self.against_mirrored(solution))
+    }
+
+    /// The more likely of a solution and the one from its mirrored pose, with the other one.
+    fn against_mirrored(&mut self, first: Solution) -> (Solution, Option<MirrorEstimate>) {
+        let Ok((state, mut equations, _)) = self.iterate(first.state.mirrored()) else {
+            return (first, None);
+        };
+        equations.elongation = first.equations.elongation;
+        let other_offset_m = state.pose.position_m - first.state.pose.position_m;
+        let misfit = equations.misfit;
+        if misfit >= first.misfit {
+            return (
+                first,
+                Some(MirrorEstimate { misfit, initial_misfit: misfit, other_offset_m, state }),
+            );
+        }
+        let evaluate_mirrored = MirrorEstimate {
+            misfit: first.misfit,
+            initial_misfit: first.misfit,
+            other_offset_m: -other_offset_m,
+            state: first.state,
+        };
+        let noise2 = first.noise2;
+        (
+            Solution { state, misfit, noise2, iterations: self.iterations, equations },
+            Some(evaluate_mirrored),
+        )
+    }
+
+    /// Damped Gauss-Newton steps; the flag is set if they converged.
+    fn iterate(&mut self, start: State) -> Result<(State, NormalEquations, bool), FitError> {
+        let mut state = start;
+        let mut equations = self.assemble(&state)?;
+        let mut misfit = self.misfit;
+        let mut damping = 0.0;
+        for _ in 0..STEPS {
+            if self.iterations >= MAX_LINEARIZATIONS {
+                break;
+            }
+            let noise2 = equations.noise2();
+            self.reference.noise2 = noise2;
+            let flat = || FitError::Uninformative;
+            let (factor, right) = equations.factor(&state, noise2, damping).ok_or_else(flat)?;
+            let mut change = factor.solve(&right);
+            if state.blur_at_limit(change[BLUR]) {
+                equations.hold(BLUR);
+                let (factor, right) = equations.factor(&state, noise2, damping).ok_or_else(flat)?;
+                change = factor.solve(&right);
+            }
+            let gain: f64 = change.iter().zip(&equations.gradient).map(|(x, g)| x * g).sum();
+            let gain = gain + misfit - equations.misfit;
+            if damping < 1e-3 && gain < LAST_STEP * noise2 {
+                return Ok((state, equations, true));
+            }
+            let next = state.moved(equations.unit_m, &change).ok_or(FitError::OutOfWindow)?;
+            let bloom_px = self.bloom_px;
+            let RobustScratch { cells, saved, .. } = &mut *self.scratch;
+            saved.clone_from(cells);
+            self.update_levels(&equations, &change);
+            match self.assemble(&next) {
+                Ok(found) if self.misfit <= misfit + noise2 => {
+                    (state, equations, misfit) = (next, found, self.misfit);
+                    damping *= 0.1;
+                }
+                found => {
+                    let RobustScratch { cells, saved, .. } = &mut *self.scratch;
+                    cells.clone_from(saved);
+                    self.bloom_px = bloom_px;
+                    // The approximate columns, not the model, prevent so small a decrease.
+                    if found.is_ok() && gain < SETTLED * noise2 {
+                        return Ok((state, equations, true));
+                    }
+                    damping = (10.0 * damping).max(0.01);
+                }
+            }
+        }
+        Ok((state, equations, false))
+    }
+
+    /// Updates bloom and the cells' levels for a step of the shared unknowns.
+    fn update_levels(&mut self, equations: &NormalEquations, change: &[f64]) {
+        let mut coefficients = SVector::<f64, STILL>::zeros();
+        coefficients[0] = 1.0;
+        for unknown in WHITE..UNKNOWNS {
+            coefficients[unknown + 1 - WHITE] = -change[unknown] * equations.scale[unknown];
+        }
+        if self.cut_off {
+            let bloom = self.bloom.dot(&coefficients) / self.bloom[SPREAD];
+            coefficients[SPREAD] = -bloom;
+            self.bloom_px += bloom / self.reference.levels[1];
+        }
+        if self.levels == LevelScope::Cells {
+            // The levels' own coefficients are the unknowns here.
+            (coefficients[column::WHITE], coefficients[column::STEP]) = (0.0, 0.0);
+            for cell in &mut self.scratch.cells {
+                cell.update_levels(&self.reference, &coefficients);
+            }
+        }
+    }
+
+    /// The linear problem at a state.
+    fn assemble(&mut self, state: &State) -> Result<NormalEquations, FitError> {
+        self.iterations += 1;
+        let blur_px = state.blur2.sqrt();
+        let RobustScratch { normal, images, cells, .. } = &mut *self.scratch;
+        let origin = images.origin();
+        linearize::project(self.problem, state, blur_px, origin, self.model);
+        let ModelScratch { level, nodes, .. } = &mut *self.model;
+        if self.bloom_px != 0.0 {
+            images.move_rims(nodes, self.bloom_px);
+        }
+        if !images.draw(*level, nodes, blur_px, normal) {
+            return Err(FitError::OutOfWindow);
+        }
+        if self.levels == LevelScope::Ring {
+            self.reference.levels = [state.white, state.step];
+            for cell in cells {
+                cell.levels = self.reference.levels;
+            }
+        }
+        let deviation = self.reference.noise2.sqrt().max(MIN_NOISE);
+        pixels::add_all(*level, self.problem, state, self.scratch, deviation);
+        let products = self.summed_products();
+        let model = linearize::pixel_model(self.problem, state, blur_px, origin);
+        let scale = linearize::scale(self.problem, state, &model);
+        Ok(NormalEquations::new(state, &products, &scale))
+    }
+
+    /// Products of the kept cells, with the bloom eliminated where it is free.
+    fn summed_products(&mut self) -> Products {
+        let mut sum = Products::zeros();
+        self.misfit = 0.0;
+        for cell in self.scratch.cells.iter().filter(|cell| cell.kept) {
+            self.misfit += cell.misfit(&self.reference);
+            match self.levels {
+                LevelScope::Ring => sum += cell.products(self.reference.levels[1]),
+                LevelScope::Cells => {
+                    if let Some(products) = cell.marginalized(&self.reference) {
+                        sum += products;
+                    }
+                }
+            }
+        }
+        if self.levels == LevelScope::Cells {
+            sum[(column::STEP, column::STEP)] = 1.0;
+        }
+        if self.cut_off {
+            let step = self.reference.levels[1];
+            let prior = self.reference.noise2 / (BLOOM_PRIOR_PX * step).powi(2);
+            sum[(SPREAD, SPREAD)] += prior;
+            let pull = -prior * self.bloom_px * step;
+            sum[(0, SPREAD)] += pull;
+            sum[(SPREAD, 0)] += pull;
+            let prior = prior * (self.bloom_px * step).powi(2);
+            sum[(0, 0)] += prior;
+            self.misfit += prior;
+            self.bloom = sum.column(SPREAD).into_owned();
+            sum -= self.bloom * self.bloom.transpose() / self.bloom[SPREAD];
+        }
+        sum
+    }
+}

@@ -1,0 +1,221 @@
+//! Small symmetric positive definite systems, with a size known at run time.
+
+use std::ops::Range;
+
+use fearless_simd::{Level, Simd, dispatch};
+use fearless_simd_macros::simd;
+use nalgebra::SMatrix;
+
+pub const MAX_UNKNOWNS: usize = 12;
+
+/// Cholesky factor of a matrix that is first scaled to a unit diagonal.
+#[derive(Clone, Debug)]
+pub struct Cholesky {
+    /// Factored rows and columns.
+    range: Range<usize>,
+    scale: [f64; MAX_UNKNOWNS],
+    /// Upper triangle; the diagonal holds inverses, the rest is scratch.
+    upper: [[f64; MAX_UNKNOWNS]; MAX_UNKNOWNS],
+}
+
+impl Cholesky {
+    /// Factors a range of rows and columns; `None` unless it is positive definite.
+    pub fn new(matrix: &[[f64; MAX_UNKNOWNS]; MAX_UNKNOWNS], range: Range<usize>) -> Option<Self> {
+        let mut factor =
+            Self { range, scale: [0.0; MAX_UNKNOWNS], upper: [[0.0; MAX_UNKNOWNS]; MAX_UNKNOWNS] };
+        let is_one = dispatch!(Level::new(), simd => eliminate(simd, matrix, &mut factor));
+        is_one.then_some(factor)
+    }
+
+    /// Factor of a matrix that differs only in the last `COUNT` rows and columns; `None` unless it
+    /// is positive definite.
+    pub fn with_last<const COUNT: usize>(
+        &self,
+        matrix: &[[f64; MAX_UNKNOWNS]; MAX_UNKNOWNS],
+    ) -> Option<Self> {
+        let mut next = self.clone();
+        let Self { range, scale, upper } = &mut next;
+        let (first, end) = (range.end - COUNT, range.end);
+        for i in first..end {
+            if !(matrix[i][i] > 0.0 && matrix[i][i].is_finite()) {
+                return None;
+            }
+            scale[i] = 1.0 / matrix[i][i].sqrt();
+        }
+        for j in range.start..end {
+            for i in first..end {
+                upper[j][i] = matrix[j][i] * scale[j] * scale[i];
+            }
+        }
+        for j in range.start..end {
+            if j >= first {
+                if upper[j][j].is_nan() || upper[j][j] <= 1e-12 {
+                    return None;
+                }
+                upper[j][j] = 1.0 / upper[j][j].sqrt();
+            }
+            let inverse = upper[j][j];
+            for value in &mut upper[j][first.max(j + 1)..end] {
+                *value *= inverse;
+            }
+            let row = upper[j];
+            for (k, below) in upper.iter_mut().enumerate().take(end).skip(j + 1) {
+                let last = first.max(k)..end;
+                for (value, other) in below[last.clone()].iter_mut().zip(&row[last]) {
+                    *value -= row[k] * other;
+                }
+            }
+        }
+        Some(next)
+    }
+
+    /// Solves matrix · x = right; unknowns outside the range are zero.
+    pub fn solve(&self, right: &[f64; MAX_UNKNOWNS]) -> [f64; MAX_UNKNOWNS] {
+        let mut x: [f64; MAX_UNKNOWNS] = std::array::from_fn(|i| right[i] * self.scale[i]);
+        for j in self.range.clone() {
+            x[j] *= self.upper[j][j];
+            let by = x[j];
+            for (value, above) in x.iter_mut().zip(&self.upper[j]).skip(j + 1) {
+                *value -= by * above;
+            }
+        }
+        // Each solved unknown is subtracted from all rows above at once, which avoids a chain of
+        // dependent additions.
+        for i in self.range.clone().rev() {
+            x[i] *= self.upper[i][i];
+            let by = x[i];
+            for (value, row) in x.iter_mut().zip(&self.upper).take(i).skip(self.range.start) {
+                *value -= by * row[i];
+            }
+        }
+        for (value, scale) in x.iter_mut().zip(self.scale) {
+            *value *= scale;
+        }
+        x
+    }
+
+    /// The last `COUNT` rows and columns of the inverse, from the last rows of the factor.
+    pub fn inverse_of_last<const COUNT: usize>(&self) -> SMatrix<f64, COUNT, COUNT> {
+        let first = self.range.end - COUNT;
+        // Inverse of the factor's corner, lower triangle.
+        let mut inverse = SMatrix::<f64, COUNT, COUNT>::zeros();
+        for column in 0..COUNT {
+            let diagonal = self.upper[first + column][first + column];
+            inverse[(column, column)] = diagonal;
+            for row in column + 1..COUNT {
+                let place = first + row;
+                let solved: f64 = (column..row)
+                    .map(|k| self.upper[first + k][place] * inverse[(k, column)])
+                    .sum();
+                inverse[(row, column)] = -solved * self.upper[place][place];
+            }
+        }
+        let mut product = inverse.transpose() * inverse;
+        for row in 0..COUNT {
+            for column in 0..COUNT {
+                product[(row, column)] *= self.scale[first + row] * self.scale[first + column];
+            }
+        }
+        product
+    }
+}
+
+/// One division per row waits for the row before; divisions and roots dominate the time.
+#[simd]
+fn eliminate<S: Simd>(
+    simd: S,
+    matrix: &[[f64; MAX_UNKNOWNS]; MAX_UNKNOWNS],
+    factor: &mut Cholesky,
+) -> bool {
+    let _ = simd;
+    let Cholesky { range, scale, upper } = factor;
+    for i in range.clone() {
+        if !(matrix[i][i] > 0.0 && matrix[i][i].is_finite()) {
+            return false;
+        }
+        scale[i] = 1.0 / matrix[i][i].sqrt();
+    }
+    for i in range.clone() {
+        for j in 0..MAX_UNKNOWNS {
+            upper[i][j] = matrix[i][j] * scale[i] * scale[j];
+        }
+    }
+    let mut inverse = [0.0; MAX_UNKNOWNS];
+    for j in range.clone() {
+        let row = upper[j];
+        if row[j].is_nan() || row[j] <= 1e-12 {
+            return false;
+        }
+        inverse[j] = 1.0 / row[j];
+        // Whole rows vectorize; entries below the diagonal are not read.
+        for i in j + 1..range.end {
+            let by = row[i] * inverse[j];
+            for k in 0..MAX_UNKNOWNS {
+                upper[i][k] -= by * row[k];
+            }
+        }
+    }
+    for j in range.clone() {
+        let root = inverse[j].sqrt();
+        for value in &mut upper[j] {
+            *value *= root;
+        }
+        upper[j][j] = root;
+    }
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn solutions_solve() {
+        let size = 7;
+        let mut matrix = [[0.0; MAX_UNKNOWNS]; MAX_UNKNOWNS];
+        for (i, row) in matrix.iter_mut().enumerate().take(size) {
+            for (j, value) in row.iter_mut().enumerate().take(size) {
+                let near = 1.0 / (1.0 + (i as f64 - j as f64).abs());
+                *value = near * 10f64.powi(i as i32 + j as i32);
+            }
+        }
+        let factor = Cholesky::new(&matrix, 0..size).unwrap();
+        let right = std::array::from_fn(|i| if i < size { (i as f64).cos() } else { 0.0 });
+        let x = factor.solve(&right);
+        for (row, right) in matrix.iter().zip(right).take(size) {
+            let left: f64 = row.iter().zip(x).map(|(a, b)| a * b).sum();
+            assert!((left - right).abs() < 1e-9 * (1.0 + right.abs()));
+        }
+        let corner = factor.inverse_of_last::<3>();
+        for column in 0..3 {
+            let unit = std::array::from_fn(|i| f64::from(u8::from(i == size - 3 + column)));
+            let inverse = factor.solve(&unit);
+            for row in 0..3 {
+                let expected = inverse[size - 3 + row];
+                assert!((corner[(row, column)] - expected).abs() < 1e-9 * (1.0 + expected.abs()));
+            }
+        }
+        // A part, as if there were nothing else.
+        let part = Cholesky::new(&matrix, 2..5).unwrap().solve(&right);
+        for (row, (values, right)) in matrix.iter().zip(right).enumerate() {
+            let left: f64 = values.iter().zip(part).map(|(a, b)| a * b).sum();
+            let off = if (2..5).contains(&row) { left - right } else { part[row] };
+            assert!(off.abs() < 1e-9, "{row}: {off}");
+        }
+        let mut other = matrix;
+        for (i, row) in other.iter_mut().enumerate().take(size) {
+            for (j, value) in row.iter_mut().enumerate().take(size) {
+                if i.max(j) >= size - 2 {
+                    *value *= if i == j { 1.3 } else { 0.7 };
+                }
+            }
+        }
+        let beside = factor.with_last::<2>(&other).unwrap().solve(&right);
+        let own = Cholesky::new(&other, 0..size).unwrap().solve(&right);
+        for (beside, own) in beside.iter().zip(own) {
+            assert!((beside - own).abs() < 1e-9 * (1.0 + own.abs()));
+        }
+        matrix[3][3] = -1.0;
+        assert!(Cholesky::new(&matrix, 0..size).is_none());
+    }
+}

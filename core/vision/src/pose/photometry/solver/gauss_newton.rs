@@ -1,0 +1,97 @@
+//! Damped Gauss-Newton (Levenberg-Marquardt) from a start to the unknowns.
+//!
+//! Steps are undamped until one fails to decrease the misfit. After a small step the information is
+//! kept and only the residual evaluated again. If the first step is large, the mirrored pose is
+//! tested as well ([`super::mirror`]).
+
+use super::{
+    linearize::{linearize, linearize_start},
+    mirror::{evaluate_mirrored, is_linear},
+    problem::Problem,
+    solution::Solution,
+    state::{BLUR, State},
+};
+use crate::pose::photometry::{FitError, model::scratch::ModelScratch};
+
+const MAX_STEPS: usize = 16;
+/// A step that decreases the misfit by fewer variances is the last one.
+const LAST_STEP: f64 = 0.5;
+/// After a step that promises fewer variances the information is reused.
+const SMALL_STEP: f64 = 100.0;
+/// Smallest damping other than zero.
+const MIN_DAMPING: f64 = 0.01;
+/// A step that promises fewer variances, and does not deliver them, is ignored.
+const SETTLED: f64 = 4.0;
+/// Decrease of the misfit, in variances, for which the fit continues from the mirrored pose.
+const MIRRORED: f64 = 10.0;
+/// Minimum contrast, grey levels.
+const MIN_STEP: f64 = 5.0;
+
+/// Finds the unknowns from a start.
+pub fn solve(
+    problem: &Problem,
+    start: State,
+    scratch: &mut ModelScratch,
+) -> Result<Solution, FitError> {
+    let mut state = start;
+    let mut equations = linearize_start(problem, &state, scratch)?;
+    let mut damping = 0.0;
+    for step in 1..=MAX_STEPS {
+        let noise2 = equations.noise2();
+        let mut change = equations.step(&state, noise2, damping).ok_or(FitError::Uninformative)?;
+        if state.blur_at_limit(change[BLUR]) {
+            equations.hold(BLUR);
+            change = equations.step(&state, noise2, damping).ok_or(FitError::Uninformative)?;
+        }
+        let gain: f64 = change.iter().zip(&equations.gradient).map(|(x, g)| x * g).sum();
+        let next = state.moved(equations.unit_m, &change).ok_or(FitError::OutOfWindow)?;
+        let left = (equations.misfit - gain).max(0.0);
+        let settled = gain < LAST_STEP * equations.noise2_for(left);
+        let last = damping == 0.0 && (settled || equations.is_converged_by(&state, &change));
+        if last && next.step.abs() < MIN_STEP {
+            return Err(FitError::Uninformative);
+        }
+        if last {
+            let noise2 = equations.noise2_for(left);
+            equations.advance(&change, left);
+            return Ok(Solution { state: next, misfit: left, noise2, iterations: step, equations });
+        }
+        if step == 1
+            && gain > SMALL_STEP * noise2
+            && next.is_tilted()
+            && is_linear(&state, &equations)
+        {
+            let mut behind = equations.clone();
+            behind.advance(&change, left);
+            let left2 = equations.noise2_for(left);
+            // A start at the wrong one of two poses shows in the first step.
+            if let Some(other) = evaluate_mirrored(problem, &next, &behind, left2, None, scratch)
+                && other.misfit < left - MIRRORED * left2
+                && let Ok(found) = linearize(problem, &other.state, None, scratch)
+            {
+                (state, equations) = (other.state, found);
+                continue;
+            }
+        }
+        // The information hardly changes over a small step; the residual does.
+        let small = gain < SMALL_STEP * noise2 && damping == 0.0 && state.is_small_turn(&change);
+        // Cached information is as good at the second linearization as at the first.
+        let is_fresh = !equations.reused || (equations.cached && step == 1);
+        let reused = (small && is_fresh).then_some(&equations);
+        match linearize(problem, &next, reused, scratch) {
+            // A change of the kernel table moves the misfit by less than a variance.
+            Ok(found) if found.misfit <= equations.misfit + noise2 => {
+                (state, equations) = (next, found);
+                damping = if damping > MIN_DAMPING { 0.1 * damping } else { 0.0 };
+            }
+            Err(FitError::Uninformative) => return Err(FitError::Uninformative),
+            // Rounding, not the model, prevents so small a decrease.
+            Ok(_) if gain < SETTLED * noise2 => {
+                let misfit = equations.misfit;
+                return Ok(Solution { state, misfit, noise2, iterations: step, equations });
+            }
+            _ => damping = (10.0 * damping).max(MIN_DAMPING),
+        }
+    }
+    Err(FitError::NotConverged)
+}
