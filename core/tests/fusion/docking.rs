@@ -12,7 +12,7 @@ use roundel_core::{
 
 use super::{
     arena::START,
-    sight::{
+    roundel_camera::{
         ABOARD, DRONE, Eye, KIND, STANDING, Tally, carrier, code, error, frame, fusion, mount, own,
         standing_camera,
     },

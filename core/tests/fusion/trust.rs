@@ -11,8 +11,8 @@ use roundel_core::{
 
 use super::{
     arena::{Arena, START, Setting},
+    roundel_camera,
     score::fusion_of,
-    sight,
 };
 
 /// Reports up to 100 mm beside the truth, and states 0.02 mm.
@@ -91,9 +91,9 @@ fn below() -> Rigid {
 
 /// Two cameras, of which the second has rank 0, report code 7 at places 5 m apart, each from a time until another, seconds.
 fn robot_by(cameras: [(CameraId, f64, f64); 2]) -> Vec<ObjectState> {
-    let mut fusion = sight::fusion();
+    let mut fusion = roundel_camera::fusion();
     fusion.set_trust(CameraId(1), 0);
-    let mut eye = sight::Eye::new(1);
+    let mut eye = roundel_camera::Eye::new(1);
     for number in 1..90_u64 {
         let time_s = number as f64 / 30.0;
         for (camera, from_s, until_s) in cameras {
@@ -101,8 +101,8 @@ fn robot_by(cameras: [(CameraId, f64, f64); 2]) -> Vec<ObjectState> {
                 continue;
             }
             let time = START.plus_seconds(time_s);
-            let detection = eye.see(&below(), time, 1, Some(sight::code(7)));
-            fusion.observe(&sight::frame(camera, number, time, vec![detection]));
+            let detection = eye.see(&below(), time, 1, Some(roundel_camera::code(7)));
+            fusion.observe(&roundel_camera::frame(camera, number, time, vec![detection]));
         }
     }
     fusion.snapshot(START.plus_seconds(3.0)).objects
@@ -135,17 +135,17 @@ fn a_spoof_does_not_take_the_id_of_a_robot_that_is_seen() {
 
 #[test]
 fn ranks_are_forgotten_with_their_camera() {
-    let mut fusion = sight::fusion();
+    let mut fusion = roundel_camera::fusion();
     fusion.set_trust(CameraId(0), 0);
     fusion.remove_camera(CameraId(0));
-    let world_from_camera = sight::standing_camera(sight::STANDING[0]);
+    let world_from_camera = roundel_camera::standing_camera(roundel_camera::STANDING[0]);
     let placement = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
     fusion.set_camera(CameraId(0), Some(placement));
-    let mut eye = sight::Eye::new(1);
+    let mut eye = roundel_camera::Eye::new(1);
     for number in 1..10_u64 {
         let time = START.plus_seconds(number as f64 / 30.0);
         let detection = eye.see(&below(), time, 1, None);
-        fusion.observe(&sight::frame(CameraId(0), number, time, vec![detection]));
+        fusion.observe(&roundel_camera::frame(CameraId(0), number, time, vec![detection]));
     }
     assert_eq!(fusion.snapshot(START.plus_seconds(0.35)).objects[0].trust, 1);
 }

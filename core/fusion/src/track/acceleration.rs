@@ -35,7 +35,7 @@ use std::f64::consts::{FRAC_1_SQRT_2, SQRT_2};
 
 use nalgebra::Vector3;
 
-use super::density::Densities;
+use super::process_noise::Densities;
 
 /// T times ω …
 const MEMORY: f64 = 2.0;

@@ -33,9 +33,9 @@ use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 
 use super::{
     Ground, MotionModel, Spread,
-    alarm::{Alarm, UNSEEN_S},
-    density::Densities,
-    kernel::decayed,
+    cusum::{Alarm, UNSEEN_S},
+    kalman::decayed,
+    process_noise::Densities,
 };
 use hypothesis::{Fit, Hypothesis, begin};
 pub use measurement::AttitudeMeasurement;

@@ -10,24 +10,24 @@
 //! *Estimation with Applications to Tracking and Navigation*, 2001, section 6.2.2).
 
 mod acceleration;
-mod alarm;
 mod attitude;
-mod density;
-mod ground;
+mod covariance;
+mod cusum;
+mod floor;
 mod history;
-mod kernel;
+mod kalman;
 mod motion;
-mod spread;
+mod process_noise;
 
 pub(crate) use acceleration::{added_by, left_after};
 pub use attitude::{Attitude, AttitudeEstimate, AttitudeMeasurement};
 pub(crate) use attitude::{smallest_turn, without_yaw};
+pub use covariance::Spread;
 pub use history::{History, Inserted, TakenBack};
-pub use kernel::invert_positive;
-pub(crate) use kernel::positive_root;
-pub use kernel::{Correction, Innovation, Kernel, MAX_SOURCES, Noise};
+pub use kalman::invert_positive;
+pub(crate) use kalman::positive_root;
+pub use kalman::{Correction, Innovation, Kernel, MAX_SOURCES, Noise};
 pub use motion::{Filter, Motion, MotionEstimate};
-pub use spread::Spread;
 
 use nalgebra::Vector3;
 

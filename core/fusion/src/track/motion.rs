@@ -21,8 +21,8 @@ use nalgebra::{Matrix3, Vector3};
 use super::{
     Correction, Ground, Innovation, Kernel, Measurement, MotionModel, Spread,
     acceleration::{Acceleration, Known, added_by, left_after},
-    alarm::{Alarm, UNSEEN_S},
-    density::Densities,
+    cusum::{Alarm, UNSEEN_S},
+    process_noise::Densities,
 };
 
 /// Accelerations may be e to half of this times what objects are said to be capable of.

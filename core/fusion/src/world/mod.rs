@@ -12,43 +12,30 @@
 //! that they see (`landmark`, `localize`). `floor` tells when what drives is not as high as was said; `guard` holds
 //! cameras back that suddenly disagree with all others; `trust` keeps less trusted cameras from moving what others see.
 
-mod anchor;
-mod assembly;
-mod assignment;
 mod association;
 mod body;
+mod camera_outlier;
 mod clock;
-mod coarse;
-mod comparison;
-mod count;
-mod floor;
+mod counts;
 mod fusion;
-mod gap;
-mod gate;
-mod guard;
+mod height_check;
 mod identity;
-mod landmark;
-mod life;
-mod localize;
-mod merge;
-mod observation;
-mod param;
-mod rider;
+mod lifecycle;
+mod measurement;
+mod mobile_camera;
+mod params;
 mod snapshot;
-mod timeline;
-mod trust;
-mod vote;
 
 pub use body::{Body, BodyError, Mount};
-pub use clock::{ClockEstimate, ClockPrior};
-pub use count::FusionCounts;
-pub use floor::WrongHeight;
+pub use camera_outlier::{HeldBack, HeldStep};
+pub use clock::estimator::{ClockEstimate, ClockPrior};
+pub use counts::FusionCounts;
 pub use fusion::{CameraPlacement, Compared, Fusion};
-pub use guard::{HeldBack, HeldStep};
-pub use landmark::{Landmark, TURN_SIGMA_RAD};
-pub use observation::seen_in_world;
-pub use param::{FusionParams, MotionClass};
-pub use rider::{CameraMount, Carrier, Unplaced};
+pub use height_check::WrongHeight;
+pub use measurement::seen_in_world;
+pub use mobile_camera::landmark::{Landmark, TURN_SIGMA_RAD};
+pub use mobile_camera::mount::{CameraMount, Carrier, Unplaced};
+pub use params::{FusionParams, MotionClass};
 
 pub mod reference;
 

@@ -1,0 +1,243 @@
+//! Which tracks a sighting may be of at all, told from a few numbers of each, eight tracks at a time.
+//!
+//! With r the residual, R the covariance of the measurement's error and P that of the prediction, an innovation's
+//! squared length is at least (uᵀ r)² / (uᵀ S u) for any direction u, and however both errors are correlated,
+//! uᵀ S u ≤ (√(uᵀ P u) + √(uᵀ R u))² ≤ 2 (|u|² tr P + uᵀ R u). With u = R⁻¹ r and m = rᵀ R⁻¹ r
+//!
+//! d² ≥ m² / (2 (|u|² tr P + m)),
+//!
+//! which costs no root and no inverse, and refuses nothing that the gate would let pass
+//! (`tests::nobody_within_the_gate_is_left_out`). Along the line of sight, where R is loose, much remains;
+//! across it next to nothing. Before that u = r is tried, d² ≥ |r|² / (2 (tr P + tr R)), which is next to no work
+//! and enough for all that is far away.
+//!
+//! PERF: 64 objects under 8 cameras 2.5 → 1.9 ms a set on a busy machine; 200 under 16 whose clocks are being
+//! compared 20 → 9.5 ms (which time each track wants is asked of those that remain only).
+
+use fearless_simd::{Level, Simd, SimdBase, SimdFloat, SimdMask, dispatch, f64x8};
+use fearless_simd_macros::simd;
+use nalgebra::Matrix3;
+
+use crate::track::{Noise, invert_positive};
+use crate::world::{lifecycle::coarse::Coarse, lifecycle::track::Track};
+use roundel_vision::time::Timestamp;
+
+const LANES: usize = 8;
+/// The clock's error moves a measurement by the object's speed, and the prediction by less than as much.
+const CLOCK_SHARE: f64 = 2.0;
+
+/// Where all tracks are at one time, eight by eight.
+#[derive(Clone, Debug, Default)]
+pub(in crate::world) struct Field {
+    tracks: usize,
+    eights: Vec<Eight>,
+}
+
+/// Eight tracks, number by number.
+#[derive(Clone, Debug)]
+struct Eight {
+    places_m: [[f64; LANES]; 3],
+    velocities_m_s: [[f64; LANES]; 3],
+    /// tr P, with what clocks may add.
+    spreads_m2: [f64; LANES],
+}
+
+/// Nothing is near what is not there.
+const NOBODY: Eight = Eight {
+    places_m: [[f64::INFINITY; LANES]; 3],
+    velocities_m_s: [[0.0; LANES]; 3],
+    spreads_m2: [0.0; LANES],
+};
+
+/// What of a sighting meets the field.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::world) struct Probe {
+    place_m: [f64; 3],
+    /// So much later than the field.
+    offset_s: f64,
+    /// tr R.
+    trace_m2: f64,
+    /// R⁻¹, its upper triangle.
+    precision: [f64; 6],
+    /// det R.
+    pub(in crate::world) determinant: f64,
+}
+
+impl Field {
+    /// Of these tracks, for sightings up to `span_s` before or after `time` by a camera whose clock may be
+    /// off by `timing_s`.
+    pub(in crate::world) fn fill(
+        &mut self,
+        tracks: &[Track],
+        time: Timestamp,
+        span_s: f64,
+        timing_s: f64,
+    ) {
+        self.tracks = 0;
+        self.eights.clear();
+        for track in tracks {
+            self.push(&track.coarse.predicted(time), span_s, timing_s);
+        }
+    }
+
+    fn push(&mut self, coarse: &Coarse, span_s: f64, timing_s: f64) {
+        let lane = self.tracks % LANES;
+        if lane == 0 {
+            self.eights.push(NOBODY);
+        }
+        let eight = &mut self.eights[self.tracks / LANES];
+        self.tracks += 1;
+        for axis in 0..3 {
+            eight.places_m[axis][lane] = coarse.position_m[axis];
+            eight.velocities_m_s[axis][lane] = coarse.velocity_m_s[axis];
+        }
+        let mut deviation_m = coarse.most_deviation_m(span_s);
+        if timing_s > 0.0 {
+            let speed_m_s = coarse.velocity_m_s.norm() + coarse.spread.2.max(0.0).sqrt();
+            deviation_m += CLOCK_SHARE * timing_s * speed_m_s;
+        }
+        eight.spreads_m2[lane] = deviation_m * deviation_m;
+    }
+
+    /// Tracks that the sighting may be of, none that is within this squared Mahalanobis length left out;
+    /// ascending.
+    pub(in crate::world) fn near(&self, probe: &Probe, limit: f64, near: &mut Vec<usize>) {
+        near.clear();
+        dispatch!(Level::new(), simd => self.near_with(simd, probe, limit, near));
+    }
+
+    #[simd]
+    fn near_with<S: Simd>(&self, simd: S, probe: &Probe, limit: f64, near: &mut Vec<usize>) {
+        let [r11, r12, r13, r22, r23, r33] = probe.precision;
+        for (place, eight) in self.eights.iter().enumerate() {
+            let x = eight.apart(simd, 0, probe);
+            let y = eight.apart(simd, 1, probe);
+            let z = eight.apart(simd, 2, probe);
+            let spread_m2 = f64x8::load_array_ref(simd, &eight.spreads_m2);
+            let apart_m2 = x * x + y * y + z * z;
+            if apart_m2.simd_gt((spread_m2 + probe.trace_m2) * (2.0 * limit)).all_true() {
+                continue;
+            }
+            let u = x * r11 + y * r12 + z * r13;
+            let v = x * r12 + y * r22 + z * r23;
+            let w = x * r13 + y * r23 + z * r33;
+            let misfit = x * u + y * v + z * w;
+            let spread = (u * u + v * v + w * w) * spread_m2;
+            let inside = (misfit * misfit).simd_le((spread + misfit) * (2.0 * limit));
+            let mut left = inside.to_bitmask();
+            while left != 0 {
+                near.push(LANES * place + left.trailing_zeros() as usize);
+                left &= left - 1;
+            }
+        }
+    }
+}
+
+impl Eight {
+    /// The residuals along one axis. No closure: it would not be part of the function that has the vector
+    /// instructions.
+    #[inline(always)]
+    fn apart<S: Simd>(&self, simd: S, axis: usize, probe: &Probe) -> f64x8<S> {
+        let place_m = f64x8::load_array_ref(simd, &self.places_m[axis]);
+        let velocity_m_s = f64x8::load_array_ref(simd, &self.velocities_m_s[axis]);
+        velocity_m_s.mul_add(-probe.offset_s, probe.place_m[axis] - place_m)
+    }
+}
+
+impl Probe {
+    /// So many seconds later than the field.
+    pub(in crate::world) fn new(place_m: [f64; 3], noise: &Noise, offset_s: f64) -> Self {
+        // What has no inverse excludes nothing.
+        let (inverse, determinant, trace_m2) = match invert_positive(&noise.total) {
+            Some((inverse, determinant)) => (inverse, determinant, noise.total.trace()),
+            None => (Matrix3::zeros(), 0.0, f64::INFINITY),
+        };
+        let precision =
+            [inverse.m11, inverse.m12, inverse.m13, inverse.m22, inverse.m23, inverse.m33];
+        Self { place_m, offset_s, trace_m2, precision, determinant }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::{
+        track::{AttitudeMeasurement, Estimate, Measurement},
+        world::{FusionParams, MotionClass},
+    };
+    use roundel_vision::id::{CameraId, TrackNumber};
+
+    const LIMIT: f64 = 63.3;
+
+    /// A measurement 7 m along `sight`, whose depth is known ten times worse than the rest.
+    fn seen(time_s: f64, place_m: Vector3<f64>, sight: Vector3<f64>, timing_s: f64) -> Measurement {
+        let sight = sight.normalize();
+        let along = sight * sight.transpose();
+        let total = Matrix3::identity() * 1e-5 + along * 1e-3;
+        let systematic = total * 0.5;
+        let noise = Noise { total, systematic_root: systematic.cholesky().unwrap().l(), timing_s };
+        let upright = UnitQuaternion::identity();
+        Measurement {
+            time: Timestamp::from_ns((time_s * 1e9) as i64),
+            late_s: 0.0,
+            camera: CameraId((sight.x.abs() * 3.0) as u32),
+            frame: 1,
+            number: TrackNumber(1),
+            position_m: place_m,
+            position_noise: noise,
+            attitude: AttitudeMeasurement::new([upright; 2], 0.9, None, noise),
+        }
+    }
+
+    fn vector(size: f64) -> impl Strategy<Value = Vector3<f64>> {
+        [-size..size, -size..size, -size..size].prop_map(Vector3::from)
+    }
+
+    proptest! {
+        #[test]
+        fn nobody_within_the_gate_is_left_out(
+            steps in proptest::collection::vec((0.001..0.05f64, vector(0.03), vector(1.0)), 1..12),
+            off_m in vector(0.6),
+            sight in vector(1.0),
+            later_s in -0.03..0.03f64,
+            offset_s in -0.02..0.02f64,
+            timing_s in prop_oneof![Just(0.0), 0.0..0.02f64],
+        ) {
+            let model = FusionParams::default().motion_model(&MotionClass::Free);
+            prop_assume!(sight.norm() > 0.1 && steps.iter().all(|step| step.2.norm() > 0.1));
+            let mut time_s = 1.0;
+            let first = seen(time_s, Vector3::zeros(), steps[0].2, timing_s);
+            let mut estimate = Estimate::begin(&first, &model);
+            for (dt, error_m, sight) in &steps {
+                time_s += dt;
+                let moving_m = Vector3::new(2.0, 1.0, 0.0) * (time_s - 1.0);
+                estimate.update(&seen(time_s, moving_m + error_m, *sight, timing_s), &model);
+            }
+            let agile = estimate.motion.agile();
+            let dt = later_s + offset_s;
+            let place_m = agile.position_m + agile.kernel.rate * dt + off_m;
+            let sighting = seen(time_s + dt, place_m, sight, timing_s);
+            let noise = &sighting.position_noise;
+            let innovation = agile
+                .kernel
+                .innovation_after(dt, &model, &off_m, (noise, sighting.camera))
+                .unwrap();
+            let mut field = Field::default();
+            let coarse = Coarse::of(&estimate, &model.acceleration_density_m2_s3);
+            let time = estimate.time.plus_seconds(later_s);
+            field.push(&coarse.predicted(time), offset_s.abs(), timing_s);
+            let probe = Probe::new(place_m.into(), noise, offset_s);
+            let mut near = Vec::new();
+            field.near(&probe, LIMIT, &mut near);
+            prop_assert!(innovation.distance_squared > LIMIT || near == [0]);
+            // And who is far off is: nothing is near at a hundred deviations of everything.
+            let deviation_m = coarse.most_deviation_m(0.05) + noise.total.trace().sqrt();
+            let far_m = place_m + off_m.normalize() * (100.0 * (deviation_m + 4.0 * timing_s));
+            field.near(&Probe::new(far_m.into(), noise, offset_s), LIMIT, &mut near);
+            prop_assert!(near.is_empty());
+        }
+    }
+}

@@ -1,0 +1,222 @@
+//! Which track each detection of one frame belongs to.
+//!
+//! A pair is possible if kinds are equal (or both are of one body) and the innovation lies inside the gate (squared
+//! Mahalanobis length of the position with its whole covariance, so along the line of sight far
+//! more is allowed than across it). Its cost is -2 ln likelihood up to a constant,
+//! d² + ln det S - ln det R, less a bonus if the camera's own tracker says that it is the same
+//! roundel as before, and a larger one if the teeth say so. Teeth that say otherwise count against it, each time in a
+//! row once more, and what is not seen now is not known again by them at all: it may be anywhere, and robots that
+//! come into view there would go on under its name. Independent groups of pairs are solved one by one, each
+//! optimally; leaving a detection out costs [`UNASSIGNED_COST`].
+
+mod assignment;
+mod gate;
+
+use super::{
+    FusionParams,
+    association::assignment::{FORBIDDEN, assign},
+    association::gate::{Field, Probe},
+    clock::estimator::Clocks,
+    lifecycle::id_registry::Subject,
+    lifecycle::track::Track,
+};
+use crate::track::{Innovation, Measurement, Noise};
+use roundel_vision::marker::Code;
+
+/// A detection may stay without a track at this cost: above that of a true pair at the gate whose
+/// velocity is not known yet.
+const UNASSIGNED_COST: f64 = 60.0;
+/// The camera's own tracker continues: likelihood e⁶ in favour.
+const CONTINUITY_BONUS: f64 = 12.0;
+/// And the gate is wider by this factor, since a moment's error is then the better explanation; the
+/// filter holds such innovations back.
+const CONTINUITY_GATE: f64 = 3.0;
+/// The track's code was read: likelihood e¹⁰ in favour, and the wider gate; another code, as much against for each one
+/// that was read since.
+const CODE_BONUS: f64 = 20.0;
+/// A track that is not trusted yet takes nothing from one that is.
+const TENTATIVE_COST: f64 = 6.0;
+
+/// A detection in the world, or all of one body, with what it is of and what its teeth say.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sighting {
+    pub(super) subject: Subject,
+    pub(super) code: Option<Code>,
+    pub(super) measurement: Measurement,
+}
+
+/// Index of the track that a sighting belongs to, and how well it fits; `None`: it fits no track.
+pub(super) type Decision = Option<(usize, Innovation)>;
+
+#[derive(Clone, Copy, Debug)]
+struct Pair {
+    sighting: usize,
+    track: usize,
+    cost: Cost,
+    innovation: Innovation,
+}
+
+/// -2 ln likelihood up to a constant: a ratio's logarithm and the rest.
+#[derive(Clone, Copy, Debug)]
+struct Cost {
+    ratio: f64,
+    rest: f64,
+}
+
+impl Cost {
+    fn whole(&self) -> f64 {
+        self.rest + self.ratio.ln()
+    }
+
+    /// PERF: most sightings fit one track alone and well, so that ln x ≤ x - 1 spares the logarithm.
+    fn is_below(&self, limit: f64) -> bool {
+        self.rest + self.ratio - 1.0 < limit || self.whole() < limit
+    }
+}
+
+/// Working memory, kept from frame to frame.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Scratch {
+    field: Field,
+    near: Vec<usize>,
+    pairs: Vec<Pair>,
+    group_of_sighting: Vec<usize>,
+    group_of_track: Vec<usize>,
+}
+
+/// Decides for every sighting of one frame; no track gets two.
+pub(super) fn associate(
+    tracks: &[Track],
+    sightings: &[Sighting],
+    (params, clocks): (&FusionParams, &Clocks),
+    scratch: &mut Scratch,
+) -> Vec<Decision> {
+    let mut decisions = vec![None; sightings.len()];
+    let Some(first) = sightings.first() else { return decisions };
+    let time = first.measurement.time;
+    let offset_s = |sighting: &Sighting| sighting.measurement.time.seconds_since(time);
+    let span_s = sightings.iter().map(|sighting| offset_s(sighting).abs()).fold(0.0, f64::max);
+    let timing_s = if clocks.is_estimating() {
+        clocks.most_deviation_s(first.measurement.camera)
+    } else {
+        0.0
+    };
+    scratch.field.fill(tracks, time, span_s, timing_s);
+    scratch.pairs.clear();
+    for (index, sighting) in sightings.iter().enumerate() {
+        let seen = &sighting.measurement;
+        let place_m = seen.position_m.into();
+        let probe = Probe::new(place_m, &seen.position_noise, offset_s(sighting));
+        let gate = params.gate_distance_squared;
+        scratch.field.near(&probe, gate * CONTINUITY_GATE, &mut scratch.near);
+        let noise_det = probe.determinant.max(f64::MIN_POSITIVE);
+        for &number in &scratch.near {
+            let found = possible(sighting, &tracks[number], (params, noise_det), clocks);
+            let Some((cost, innovation)) = found else { continue };
+            scratch.pairs.push(Pair { sighting: index, track: number, cost, innovation });
+        }
+    }
+    group(sightings.len(), tracks.len(), scratch);
+    solve(&mut decisions, scratch);
+    decisions
+}
+
+/// What it costs that a sighting is a track's, if it can be.
+fn possible(
+    sighting: &Sighting,
+    track: &Track,
+    (params, noise_det): (&FusionParams, f64),
+    clocks: &Clocks,
+) -> Option<(Cost, Innovation)> {
+    if track.subject != sighting.subject {
+        return None;
+    }
+    let seen = &sighting.measurement;
+    // There is one of each body.
+    let is_body = sighting.subject.body.map(|_| true);
+    let agrees = is_body.or(sighting.code.and_then(|read| track.codes.agrees(read)));
+    let unseen_ns = seen.time.ns_since(track.newest);
+    if agrees == Some(false) && unseen_ns > params.predicted_after_ns {
+        return None;
+    }
+    let newest = track.history.newest();
+    let dt = seen.time.seconds_since(newest.time);
+    let agile = newest.motion.agile();
+    let residual_m = seen.position_m - agile.position_m - agile.kernel.rate * dt;
+    let noise = Noise { timing_s: track.timing_s(seen, clocks), ..seen.position_noise };
+    let innovation =
+        agile.kernel.innovation_after(dt, &track.model, &residual_m, (&noise, seen.camera))?;
+    let continued = track.is_continued_by(seen);
+    let is_known = agrees.unwrap_or(continued);
+    let gate = params.gate_distance_squared;
+    let limit = if is_known { gate * CONTINUITY_GATE } else { gate };
+    if innovation.distance_squared > limit {
+        return None;
+    }
+    let by_code = match agrees {
+        None => 0.0,
+        Some(true) => -CODE_BONUS,
+        Some(false) => CODE_BONUS * f64::from(1 + track.codes.contrary()),
+    };
+    let rest = innovation.distance_squared - if continued { CONTINUITY_BONUS } else { 0.0 }
+        + by_code
+        + if track.is_tentative() { TENTATIVE_COST } else { 0.0 };
+    Some((Cost { ratio: innovation.determinant / noise_det, rest }, innovation))
+}
+
+/// Numbers the groups of sightings and tracks that share pairs, by their lowest sighting.
+fn group(sightings: usize, tracks: usize, scratch: &mut Scratch) {
+    scratch.group_of_sighting.clear();
+    scratch.group_of_sighting.extend(0..sightings);
+    scratch.group_of_track.clear();
+    scratch.group_of_track.resize(tracks, usize::MAX);
+    // Few rounds: a group's lowest number travels one pair a round, forward in one.
+    let mut changed = true;
+    while changed {
+        changed = false;
+        for pair in &scratch.pairs {
+            let of_sighting = scratch.group_of_sighting[pair.sighting];
+            let of_track = scratch.group_of_track[pair.track];
+            let lowest = of_sighting.min(of_track);
+            changed |= of_sighting != lowest || (of_track != lowest && of_track != usize::MAX);
+            scratch.group_of_sighting[pair.sighting] = lowest;
+            scratch.group_of_track[pair.track] = lowest;
+        }
+    }
+}
+
+fn solve(decisions: &mut [Decision], scratch: &mut Scratch) {
+    let groups = &scratch.group_of_sighting;
+    // A stable sort: within a group, pairs stay ordered by sighting, then track.
+    scratch.pairs.sort_by_key(|pair| groups[pair.sighting]);
+    for pairs in scratch.pairs.chunk_by(|a, b| groups[a.sighting] == groups[b.sighting]) {
+        if let [only] = pairs {
+            if only.cost.is_below(UNASSIGNED_COST) {
+                decisions[only.sighting] = Some((only.track, only.innovation));
+            }
+            continue;
+        }
+        let mut rows: Vec<usize> = pairs.iter().map(|pair| pair.sighting).collect();
+        rows.dedup();
+        let mut columns: Vec<usize> = pairs.iter().map(|pair| pair.track).collect();
+        columns.sort_unstable();
+        columns.dedup();
+        // Behind the tracks, each sighting has a column of its own for staying alone.
+        let width = columns.len() + rows.len();
+        let mut costs = vec![FORBIDDEN; rows.len() * width];
+        for row in 0..rows.len() {
+            costs[row * width + columns.len() + row] = UNASSIGNED_COST;
+        }
+        let place = |list: &[usize], value: usize| list.binary_search(&value).unwrap_or(0);
+        for pair in pairs {
+            let (row, column) = (place(&rows, pair.sighting), place(&columns, pair.track));
+            costs[row * width + column] = pair.cost.whole();
+        }
+        for (row, column) in assign(&costs, rows.len(), width).into_iter().enumerate() {
+            let Some(&track) = columns.get(column) else { continue };
+            let chosen =
+                pairs.iter().find(|pair| pair.sighting == rows[row] && pair.track == track);
+            decisions[rows[row]] = chosen.map(|pair| (track, pair.innovation));
+        }
+    }
+}

@@ -1,0 +1,237 @@
+//! The pose of an object that fits the roundels of one frame best.
+//!
+//! The sum to be minimized stands in the page above. The first orientation comes from a roundel with a yaw; from
+//! plain ones alone by their normals and the directions from one to another, so that Gauss and Newton
+//! need few steps from there.
+
+use std::f64::consts::PI;
+
+use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
+
+use super::{Expected, LOOSE};
+use crate::{track::smallest_turn, world::body::SeenPart};
+use roundel_vision::rigid::Rigid;
+
+/// Up to so many roundels all choices of normals are tried.
+const MOST_CHOICES: usize = 4;
+/// Steps of Gauss and Newton at most, and the step below which there is no more to gain.
+const STEPS: usize = 6;
+const LEAST_STEP: f64 = 1e-7;
+
+/// One of a roundel's two normals.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::world) struct Normal {
+    pub(in crate::world) orientation: UnitQuaternion<f64>,
+    pub(in crate::world) information: Matrix3<f64>,
+    /// -2 ln of its likelihood.
+    pub(in crate::world) cost: f64,
+}
+
+/// A roundel of the object, at the frame's time.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::world) struct Piece {
+    pub(in crate::world) mount: Rigid,
+    pub(in crate::world) position_m: Vector3<f64>,
+    pub(in crate::world) information: Matrix3<f64>,
+    pub(in crate::world) normals: [Normal; 2],
+    pub(in crate::world) yaw_symmetry: Option<u32>,
+}
+
+impl Piece {
+    pub(in crate::world) fn of(
+        seen: &SeenPart,
+        dt: f64,
+        expected: Option<&Expected>,
+    ) -> Option<Self> {
+        let SeenPart { body_from_roundel: mount, measurement, .. } = *seen;
+        let attitude = &measurement.attitude;
+        let first = attitude.likelihood.clamp(1e-3, 1.0 - 1e-3);
+        let normal = |index: usize| {
+            let orientation = attitude.candidates[index];
+            let mut information = attitude.noise_of(index).total.try_inverse()?;
+            if attitude.yaw_symmetry.is_none() {
+                let normal = orientation * Vector3::z();
+                let across = Matrix3::identity() - normal * normal.transpose();
+                information = across * information * across;
+            }
+            let likelihood = if index == 0 { first } else { 1.0 - first };
+            Some(Normal { orientation, information, cost: -2.0 * likelihood.ln() })
+        };
+        let moved_m = expected.map_or_else(Vector3::zeros, |expected| {
+            let arm_m = expected.orientation * mount.translation.vector;
+            (expected.velocity_m_s + expected.angular_velocity_rad_s.cross(&arm_m)) * dt
+        });
+        Some(Self {
+            mount,
+            position_m: measurement.position_m + moved_m,
+            information: measurement.position_noise.total.try_inverse()?,
+            normals: [normal(0)?, normal(1)?],
+            yaw_symmetry: attitude.yaw_symmetry,
+        })
+    }
+
+    /// What there is to fit.
+    pub(in crate::world) fn numbers(&self) -> f64 {
+        if self.yaw_symmetry.is_some() { 6.0 } else { 5.0 }
+    }
+
+    /// The rotation from where the object puts it to where it is seen.
+    fn turn(&self, normal: &Normal, object: &UnitQuaternion<f64>) -> Vector3<f64> {
+        let mounted = object * self.mount.rotation;
+        let Some(symmetry) = self.yaw_symmetry else {
+            return smallest_turn(&(mounted * Vector3::z()), &(normal.orientation * Vector3::z()));
+        };
+        let yaw = |step: u32| {
+            let angle = 2.0 * PI * f64::from(step) / f64::from(symmetry);
+            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle)
+        };
+        let turns = (0..symmetry)
+            .map(|step| (normal.orientation * yaw(step) * mounted.inverse()).scaled_axis());
+        turns.min_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared())).unwrap_or_default()
+    }
+}
+
+/// The pose that fits one choice of normals.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::world) struct Fit {
+    pub(in crate::world) position_m: Vector3<f64>,
+    pub(in crate::world) orientation: UnitQuaternion<f64>,
+    /// Over (position, rotation).
+    pub(in crate::world) information: Matrix6<f64>,
+    /// Squared residuals …
+    pub(in crate::world) misfit: f64,
+    /// … and -2 ln of the likelihood of its normals.
+    pub(in crate::world) cost: f64,
+}
+
+/// The best choice of normals and the second best.
+pub(in crate::world) fn fits(
+    pieces: &[Piece],
+    expected: Option<&Expected>,
+) -> Option<(Fit, Option<Fit>)> {
+    let count = pieces.len();
+    if count > MOST_CHOICES {
+        return greedy(pieces, expected).map(|fit| (fit, None));
+    }
+    let mut all: Vec<Fit> = (0..1u64 << count).filter_map(|c| fit(pieces, c, expected)).collect();
+    all.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    Some((*all.first()?, all.get(1).copied()))
+}
+
+/// The likelier normals, each turned to the other one as long as that fits better.
+fn greedy(pieces: &[Piece], expected: Option<&Expected>) -> Option<Fit> {
+    let count = pieces.len().min(u64::BITS as usize);
+    let mut choice = 0;
+    let mut best = fit(pieces, choice, expected)?;
+    for _ in 0..count {
+        let turned = (0..count).map(|index| choice ^ 1 << index);
+        let fits = turned.filter_map(|choice| Some((choice, fit(pieces, choice, expected)?)));
+        match fits.min_by(|a, b| a.1.cost.total_cmp(&b.1.cost)) {
+            Some((better, fit)) if fit.cost < best.cost => (choice, best) = (better, fit),
+            _ => break,
+        }
+    }
+    Some(best)
+}
+
+/// The pose for one choice of normals: bit i says which one of piece i.
+fn fit(pieces: &[Piece], choice: u64, expected: Option<&Expected>) -> Option<Fit> {
+    let chosen = |index: usize| -> &Normal {
+        let bit = if index < u64::BITS as usize { choice >> index & 1 } else { 0 };
+        &pieces[index].normals[bit as usize]
+    };
+    let orientation = start(pieces, chosen, expected);
+    let position_m = pieces[0].position_m - orientation * pieces[0].mount.translation.vector;
+    let mut fit =
+        Fit { position_m, orientation, information: Matrix6::zeros(), misfit: 0.0, cost: 0.0 };
+    for _ in 0..STEPS {
+        let gradient = fit.measure(pieces, chosen);
+        let mut damped = fit.information;
+        (3..6).for_each(|axis| damped[(axis, axis)] += LOOSE);
+        let step = damped.cholesky()?.solve(&gradient);
+        fit.position_m += step.fixed_rows::<3>(0);
+        let turn = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(3).into_owned());
+        fit.orientation = turn * fit.orientation;
+        if step.norm() < LEAST_STEP {
+            break;
+        }
+    }
+    fit.measure(pieces, chosen);
+    fit.cost.is_finite().then_some(fit)
+}
+
+impl Fit {
+    /// Sums up what the pieces say here; gives the direction that the residuals pull to.
+    fn measure<'a>(
+        &mut self,
+        pieces: &[Piece],
+        chosen: impl Fn(usize) -> &'a Normal,
+    ) -> Vector6<f64> {
+        let mut gradient = Vector6::zeros();
+        self.information = Matrix6::zeros();
+        (self.misfit, self.cost) = (0.0, 0.0);
+        for (index, piece) in pieces.iter().enumerate() {
+            let normal = chosen(index);
+            let arm_m = self.orientation * piece.mount.translation.vector;
+            let off_m = piece.position_m - self.position_m - arm_m;
+            let turn = piece.turn(normal, &self.orientation);
+            let lever = -arm_m.cross_matrix();
+            let (place, rotation) = (piece.information, normal.information);
+            let pull = place * off_m;
+            let mut rows = gradient.fixed_rows_mut::<3>(0);
+            rows += pull;
+            let mut rows = gradient.fixed_rows_mut::<3>(3);
+            rows += lever.transpose() * pull + rotation * turn;
+            add(&mut self.information, (0, 0), &place);
+            add(&mut self.information, (0, 3), &(place * lever));
+            add(&mut self.information, (3, 0), &(lever.transpose() * place));
+            add(&mut self.information, (3, 3), &(lever.transpose() * place * lever + rotation));
+            self.misfit += off_m.dot(&pull) + turn.dot(&(rotation * turn));
+            self.cost += normal.cost;
+        }
+        self.cost += self.misfit;
+        gradient
+    }
+}
+
+pub(in crate::world) fn add(whole: &mut Matrix6<f64>, at: (usize, usize), part: &Matrix3<f64>) {
+    let mut block = whole.fixed_view_mut::<3, 3>(at.0, at.1);
+    block += part;
+}
+
+pub(in crate::world) fn block(whole: &Matrix6<f64>, from: usize) -> Matrix3<f64> {
+    whole.fixed_view::<3, 3>(from, from).into_owned()
+}
+
+/// An orientation to begin with: that of a roundel with a yaw; else the expected one (or any), turned by
+/// least onto the first normal, and about it until the roundels lie in the right direction of each other.
+fn start<'a>(
+    pieces: &[Piece],
+    chosen: impl Fn(usize) -> &'a Normal,
+    expected: Option<&Expected>,
+) -> UnitQuaternion<f64> {
+    let own = |index: usize| chosen(index).orientation * pieces[index].mount.rotation.inverse();
+    if let Some(index) = pieces.iter().position(|piece| piece.yaw_symmetry == Some(1)) {
+        return own(index);
+    }
+    let normal = chosen(0).orientation * Vector3::z();
+    let orientation = match expected {
+        Some(expected) => {
+            let mounted = expected.orientation * pieces[0].mount.rotation * Vector3::z();
+            let turn = smallest_turn(&mounted, &normal);
+            UnitQuaternion::from_scaled_axis(turn) * expected.orientation
+        }
+        None => own(0),
+    };
+    let across = |vector: Vector3<f64>| vector - normal * normal.dot(&vector);
+    let apart = |index: usize| {
+        let mounts = [index, 0].map(|index| pieces[index].mount.translation.vector);
+        across(orientation * (mounts[0] - mounts[1]))
+    };
+    let far = (1..pieces.len())
+        .max_by(|a, b| apart(*a).norm_squared().total_cmp(&apart(*b).norm_squared()));
+    let Some(far) = far.filter(|far| apart(*far).norm() > 1e-3) else { return orientation };
+    let (mounted, seen) = (apart(far), across(pieces[far].position_m - pieces[0].position_m));
+    let angle = normal.dot(&mounted.cross(&seen)).atan2(mounted.dot(&seen));
+    UnitQuaternion::from_scaled_axis(normal * angle) * orientation
+}

@@ -1,0 +1,299 @@
+//! Objects that carry several roundels at known places, or one of known code.
+//!
+//! What a detection is part of follows from its kind, if a plain kind belongs to an object, or from its
+//! code. A camera's tracker keeps its number while it follows a roundel, so a vote over what it has read
+//! says which one it is where the teeth cannot be read, or are misread once. `assembly` makes one
+//! measurement of all parts that a frame shows. A body without any roundel is seen by its own camera alone
+//! (`localize`).
+//!
+//! A body is filtered by the middle of its roundels, where errors of place and of orientation have least
+//! to do with one another, and shown by its origin.
+
+pub(super) mod joint_measurement;
+
+use std::collections::BTreeMap;
+
+use nalgebra::Vector3;
+use thiserror::Error;
+
+use super::{FusionParams, MotionClass, identity::code_vote::CodeVote};
+use crate::track::{Measurement, MotionModel};
+use roundel_vision::{
+    id::{BodyId, CameraId, KindId, TrackNumber},
+    marker::Code,
+    pose::Detection,
+    rigid::Rigid,
+    time::Timestamp,
+};
+
+/// Numbers of cameras' tracks count up from 1; those of bodies, of which a camera has one each, down from
+/// here, below that of a camera's carrier.
+const BODY_NUMBERS: u64 = super::mobile_camera::localize::OWN_NUMBER.0 - 1;
+
+/// A roundel on an object.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mount {
+    /// Its kind.
+    pub kind: KindId,
+    /// Its code; `None`: all roundels of the kind are this one.
+    pub code: Option<Code>,
+    /// Where its centre is on the object, and how it is turned.
+    pub object_from_roundel: Rigid,
+}
+
+/// An object by its roundels. Its frame is the caller's choice; z should look up where that means anything.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Body {
+    /// How it moves; heights are those of its origin.
+    pub motion: MotionClass,
+    /// What it carries; none, and only a camera on it that localizes says where it is.
+    pub mounts: Vec<Mount>,
+}
+
+/// Why an object cannot be followed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum BodyError {
+    /// A number that is none.
+    #[error("expected finite places of roundels on the object, found others at roundel {mount}")]
+    NotFinite {
+        /// Its place in the list, from 0.
+        mount: usize,
+    },
+    /// A roundel can be on one object only, and there once.
+    #[error("roundel {mount} of the object is taken already, or its whole kind is")]
+    Taken {
+        /// Its place in the list, from 0.
+        mount: usize,
+    },
+}
+
+/// Which roundel of which body.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Part {
+    pub(super) body: BodyId,
+    mount: usize,
+}
+
+/// What one of a camera's tracks was read as.
+#[derive(Clone, Copy, Debug)]
+struct Reading {
+    vote: CodeVote,
+    newest: Timestamp,
+}
+
+/// A part as a frame shows it, its camera's place taken as exact.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SeenPart {
+    part: Part,
+    /// From the middle of the roundels.
+    pub(super) body_from_roundel: Rigid,
+    pub(super) measurement: Measurement,
+}
+
+/// All bodies, what cameras know of their roundels, and the parts that the present frame shows.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Bodies {
+    bodies: Vec<Body>,
+    /// Middles of their roundels, object frame.
+    middles_m: Vec<Vector3<f64>>,
+    by_roundel: BTreeMap<(KindId, Option<Code>), Part>,
+    readings: BTreeMap<(CameraId, TrackNumber), Reading>,
+    seen: Vec<SeenPart>,
+}
+
+impl Bodies {
+    pub(super) fn add(&mut self, body: Body) -> Result<BodyId, BodyError> {
+        let id = BodyId(self.bodies.len() as u32);
+        self.replace(&[(id, body)])?;
+        Ok(id)
+    }
+
+    /// Says of bodies, known ones and others, what they carry from now on, all at once, so that they may exchange
+    /// roundels. With an error, nothing is changed.
+    pub(super) fn replace(&mut self, fresh: &[(BodyId, Body)]) -> Result<(), BodyError> {
+        let mut by_roundel = self.by_roundel.clone();
+        by_roundel.retain(|_, part| fresh.iter().all(|(id, _)| *id != part.body));
+        for (id, body) in fresh {
+            let claims = claims(*id, body, &by_roundel)?;
+            by_roundel.extend(claims);
+        }
+        self.by_roundel = by_roundel;
+        for (id, body) in fresh {
+            let index = id.0 as usize;
+            if index >= self.bodies.len() {
+                let nothing = Body { motion: MotionClass::default(), mounts: Vec::new() };
+                self.bodies.resize(index + 1, nothing);
+                self.middles_m.resize(index + 1, Vector3::zeros());
+            }
+            let places = body.mounts.iter().map(|it| it.object_from_roundel.translation.vector);
+            let count = body.mounts.len().max(1) as f64;
+            self.middles_m[index] = places.sum::<Vector3<f64>>() / count;
+            self.bodies[index].clone_from(body);
+        }
+        Ok(())
+    }
+
+    /// What tracks of a body hang on: its roundels as seen from their middle, and how that moves.
+    pub(super) fn shape(&self, body: BodyId) -> Option<Body> {
+        let (mut shape, middle_m) =
+            (self.bodies.get(body.0 as usize)?.clone(), self.middles_m[body.0 as usize]);
+        for mount in &mut shape.mounts {
+            mount.object_from_roundel.translation.vector -= middle_m;
+        }
+        if let MotionClass::Ground { height_m: Some(height_m) } = &mut shape.motion {
+            *height_m += middle_m.z;
+        }
+        Some(shape)
+    }
+
+    /// Has cameras know that they follow the one roundel of a body under these numbers.
+    pub(super) fn know(
+        &mut self,
+        code: Code,
+        views: impl Iterator<Item = (CameraId, TrackNumber, Timestamp)>,
+    ) {
+        for (camera, number, newest) in views {
+            let mut vote = CodeVote::default();
+            vote.settle(code);
+            self.readings.insert((camera, number), Reading { vote, newest });
+        }
+    }
+
+    /// As which a camera knows the roundel with this code.
+    pub(super) fn number_at(&self, camera: CameraId, code: Code) -> Option<TrackNumber> {
+        let of_camera =
+            self.readings.range((camera, TrackNumber(0))..=(camera, TrackNumber(u64::MAX)));
+        let reads = of_camera.filter(|(_, reading)| reading.vote.leader() == Some(code));
+        reads.max_by_key(|(_, reading)| reading.newest).map(|((_, number), _)| *number)
+    }
+
+    /// Its origin from the middle of its roundels.
+    pub(super) fn origin_m(&self, body: BodyId) -> Vector3<f64> {
+        -self.middles_m[body.0 as usize]
+    }
+
+    /// The kind that it is shown as: that of its first roundel.
+    pub(super) fn kind(&self, body: BodyId) -> Option<KindId> {
+        self.bodies[body.0 as usize].mounts.first().map(|mount| mount.kind)
+    }
+
+    /// The body with this roundel, and how it is mounted there.
+    pub(super) fn with(&self, kind: KindId, code: Code) -> Option<(BodyId, Rigid)> {
+        let part = self.by_roundel.get(&(kind, Some(code)))?;
+        let mount = &self.bodies[part.body.0 as usize].mounts[part.mount];
+        Some((part.body, mount.object_from_roundel))
+    }
+
+    /// The code of a body that carries one roundel.
+    pub(super) fn code(&self, body: BodyId) -> Option<Code> {
+        let [only] = &self.bodies[body.0 as usize].mounts[..] else { return None };
+        only.code
+    }
+
+    /// How the middle of its roundels moves.
+    pub(super) fn model(&self, body: BodyId, params: &FusionParams) -> MotionModel {
+        let mut class = self.bodies[body.0 as usize].motion;
+        if let MotionClass::Ground { height_m: Some(height_m) } = &mut class {
+            *height_m += self.middles_m[body.0 as usize].z;
+        }
+        MotionModel { learns_turning: false, ..params.motion_model(&class) }
+    }
+
+    /// The height that it is held at by the middle of its roundels, and what was said of its origin.
+    pub(super) fn held_m(&self, body: BodyId) -> Option<(f64, f64)> {
+        match self.bodies[body.0 as usize].motion {
+            MotionClass::Ground { height_m: Some(said_m) } => {
+                Some((said_m + self.middles_m[body.0 as usize].z, said_m))
+            }
+            MotionClass::Ground { height_m: None } | MotionClass::Free => None,
+        }
+    }
+
+    /// What a camera's detection is part of, and whether this camera's track was not known as that before.
+    pub(super) fn part_of(
+        &mut self,
+        seen: &Detection,
+        camera: CameraId,
+        now: Timestamp,
+    ) -> Option<(Part, bool)> {
+        let kind = seen.ring.kind.filter(|_| !self.bodies.is_empty())?;
+        let (&(first, code), &part) = self.by_roundel.range((kind, None)..).next()?;
+        if first != kind || code.is_none() {
+            return (first == kind).then_some((part, false));
+        }
+        let fresh = Reading { vote: CodeVote::default(), newest: now };
+        let reading = self.readings.entry((camera, seen.track)).or_insert(fresh);
+        reading.newest = now;
+        let part = |reading: &Reading| {
+            let code = reading.vote.leader();
+            code.and_then(|code| self.by_roundel.get(&(kind, Some(code))).copied())
+        };
+        let known = part(reading);
+        if let Some(read) = seen.ring.code {
+            reading.vote.add(read.code);
+        }
+        part(reading).map(|part| (part, known != Some(part)))
+    }
+
+    /// Lets go of what cameras have not seen since then.
+    pub(super) fn forget(&mut self, since: Timestamp) {
+        self.readings.retain(|_, reading| reading.newest >= since);
+    }
+
+    /// Takes a part that the present frame shows.
+    pub(super) fn see(&mut self, part: Part, measurement: Measurement) {
+        let body = part.body.0 as usize;
+        let mut body_from_roundel = self.bodies[body].mounts[part.mount].object_from_roundel;
+        body_from_roundel.translation.vector -= self.middles_m[body];
+        self.seen.push(SeenPart { part, body_from_roundel, measurement });
+    }
+
+    /// Whether the present frame shows it under this number already.
+    pub(super) fn has_seen(&self, number: TrackNumber) -> bool {
+        self.seen.iter().any(|seen| seen.measurement.number == number)
+    }
+
+    /// Gives the parts that the frame shows, body by body, and forgets them.
+    pub(super) fn take_seen(&mut self) -> Vec<SeenPart> {
+        let mut seen = std::mem::take(&mut self.seen);
+        seen.sort_by_key(|seen| (seen.part, seen.measurement.number));
+        seen
+    }
+}
+
+impl SeenPart {
+    pub(super) fn body(&self) -> BodyId {
+        self.part.body
+    }
+}
+
+/// A roundel, and which part of what it is.
+type Claim = ((KindId, Option<Code>), Part);
+
+/// The roundels of a body, if nobody else has them.
+fn claims(
+    id: BodyId,
+    body: &Body,
+    taken: &BTreeMap<(KindId, Option<Code>), Part>,
+) -> Result<Vec<Claim>, BodyError> {
+    let mut claims = Vec::new();
+    for (mount, it) in body.mounts.iter().enumerate() {
+        if !it.object_from_roundel.to_homogeneous().iter().all(|number| number.is_finite()) {
+            return Err(BodyError::NotFinite { mount });
+        }
+        let known = taken.keys().copied();
+        let overlaps = |(kind, code): (KindId, Option<Code>)| {
+            kind == it.kind && (code == it.code || code.is_none() || it.code.is_none())
+        };
+        if known.chain(claims.iter().map(|(claim, _)| *claim)).any(overlaps) {
+            return Err(BodyError::Taken { mount });
+        }
+        claims.push(((it.kind, it.code), Part { body: id, mount }));
+    }
+    Ok(claims)
+}
+
+/// The number by which all cameras' measurements of a body go.
+pub(super) fn number_of(body: BodyId) -> TrackNumber {
+    TrackNumber(BODY_NUMBERS - u64::from(body.0))
+}

@@ -1,0 +1,222 @@
+//! What several cameras saw of one object, held against one another for what it says of their clocks.
+//!
+//! Over a window each camera's positions are fitted by a parabola of their own, by the times that the
+//! clocks are believed to have shown, and taken in its middle: m_c = p - v ε_c + b_c + n_c, with v the
+//! object's velocity there, ε_c the error of what is believed of the clock, b_c the camera's systematic
+//! error and n_c noise. With R_c the covariance of b_c + n_c, A_c = R_c⁻¹ and A = Σ A_c, the unknown place
+//! p falls out, and of ε remain
+//!
+//! information Λ_cj = vᵀ A_c v [c = j] - vᵀ A_c A⁻¹ A_j v, score η_c = -vᵀ A_c (m_c - p̂),
+//! p̂ = A⁻¹ Σ A_c m_c
+//!
+//! Nothing is extrapolated, so that what the object may do next does not matter, and late frames are
+//! there already. b_c lasts longer than a window, so that windows that follow one another say less than
+//! they seem to: it counts as often as there are windows in twice the time in which it forgets itself. What the
+//! parabola leaves, ½ a ε², counts as error.
+
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+
+use crate::track::{History, MAX_SOURCES, Measurement};
+use crate::world::clock::estimator::Clocks;
+use roundel_vision::{id::CameraId, time::Timestamp};
+
+/// The window's length …
+pub(in crate::world) const WINDOW_NS: i64 = 180_000_000;
+/// … and how far it ends before the newest measurement: frames may be late, and clocks off.
+const DELAY_NS: i64 = 110_000_000;
+/// A camera with fewer positions in it is left out …
+const LEAST_POSITIONS: usize = 4;
+/// … or where these do not reach so far over it on either side, as a share of its half.
+const LEAST_REACH: f64 = 0.5;
+/// A slower object says nothing of time, m/s …
+const LEAST_SPEED_M_S: f64 = 0.05;
+/// … nor one whose speed's square is not so many times its variance.
+const SURE_SQUARED: f64 = 16.0;
+
+/// One camera's view in the middle of the window.
+#[derive(Clone, Copy, Debug)]
+struct View {
+    camera: CameraId,
+    position_m: Vector3<f64>,
+    covariance: Matrix3<f64>,
+}
+
+/// Several cameras' views of one object.
+#[derive(Clone, Debug)]
+pub(in crate::world) struct Comparison {
+    velocity_m_s: Vector3<f64>,
+    views: Vec<View>,
+}
+
+/// What a comparison says of its cameras' clocks.
+#[derive(Clone, Debug)]
+pub(in crate::world) struct Evidence {
+    /// About the ε, 1/s².
+    pub(in crate::world) information: DMatrix<f64>,
+    /// Information times ε, 1/s.
+    pub(in crate::world) score: DVector<f64>,
+    /// Squared Mahalanobis length of the views' differences over their number.
+    pub(in crate::world) distance_squared: f64,
+}
+
+/// Sums over one camera's measurements in the window.
+#[derive(Clone, Copy)]
+struct Sums {
+    camera: CameraId,
+    count: usize,
+    /// Of powers of the time, in half windows from its middle.
+    powers: [f64; 5],
+    positions: [Vector3<f64>; 3],
+    white: Matrix3<f64>,
+    systematic: Matrix3<f64>,
+    reach: (f64, f64),
+}
+
+/// A parabola's value, slope and curvature, with the variances of the first two as shares of that of one
+/// position.
+struct Parabola {
+    terms: [Vector3<f64>; 3],
+    variances: [f64; 2],
+}
+
+impl Comparison {
+    /// Of the measurements of the window before `now`; `None` if they say nothing.
+    pub(in crate::world) fn of(
+        history: &History,
+        now: Timestamp,
+        clocks: &Clocks,
+        systematic_time_s: f64,
+    ) -> Option<Self> {
+        let half_s = 0.5e-9 * WINDOW_NS as f64;
+        // As long as an exponentially correlated error counts in a mean.
+        let repeats = (systematic_time_s / half_s).max(1.0);
+        let middle = now.plus_ns(-DELAY_NS - WINDOW_NS / 2);
+        let mut sums: Vec<Sums> = Vec::with_capacity(MAX_SOURCES);
+        for seen in history.measurements() {
+            let moved_s = seen.late_s - clocks.offset_now_s(seen.camera);
+            let time = (seen.time.seconds_since(middle) + moved_s) / half_s;
+            if time.abs() > 1.0 || !clocks.is_compared(seen.camera, seen.time) {
+                continue;
+            }
+            match sums.iter_mut().find(|sums| sums.camera == seen.camera) {
+                Some(sums) => sums.add(time, seen),
+                None => {
+                    let mut own = Sums::of(seen.camera);
+                    own.add(time, seen);
+                    sums.push(own);
+                }
+            }
+        }
+        let fits: Vec<(Sums, Parabola)> =
+            sums.into_iter().filter_map(|sums| Some((sums, sums.parabola()?))).collect();
+        if fits.len() < 2 {
+            return None;
+        }
+        let (mut slope, mut curvature, mut weight, mut noise) =
+            (Vector3::zeros(), Vector3::zeros(), 0.0, 0.0);
+        for (sums, fit) in &fits {
+            let own = 1.0 / (fit.variances[1] * sums.white.trace());
+            slope += fit.terms[1] * own;
+            curvature += fit.terms[2] * own;
+            weight += own;
+            noise += own;
+        }
+        let velocity_m_s: Vector3<f64> = slope / (weight * half_s);
+        let least = (SURE_SQUARED / (noise * half_s * half_s)).max(LEAST_SPEED_M_S.powi(2));
+        if velocity_m_s.norm_squared() < least {
+            return None;
+        }
+        let acceleration_m_s2 = curvature.norm() * 2.0 / (weight * half_s * half_s);
+        let cameras: Vec<CameraId> = fits.iter().map(|(sums, _)| sums.camera).collect();
+        let views = fits.iter().map(|(sums, fit)| {
+            let apart = cameras.iter().map(|other| clocks.deviation_s(sums.camera, *other));
+            let bent_m = 0.5 * acceleration_m_s2 * apart.fold(0.0, f64::max).powi(2);
+            let per_count = 1.0 / sums.count as f64;
+            let covariance = sums.white * (fit.variances[0] * per_count)
+                + sums.systematic * (repeats * per_count)
+                + Matrix3::from_diagonal_element(bent_m * bent_m);
+            View { camera: sums.camera, position_m: fit.terms[0], covariance }
+        });
+        Some(Self { velocity_m_s, views: views.collect() })
+    }
+
+    /// Whose views these are.
+    pub(in crate::world) fn cameras(&self) -> impl Iterator<Item = CameraId> {
+        self.views.iter().map(|view| view.camera)
+    }
+
+    /// What follows; `None` if a covariance is none.
+    pub(in crate::world) fn evidence(&self) -> Option<Evidence> {
+        let inverses: Option<Vec<Matrix3<f64>>> =
+            self.views.iter().map(|view| Some(view.covariance.cholesky()?.inverse())).collect();
+        let inverses = inverses?;
+        let all = inverses.iter().sum::<Matrix3<f64>>().cholesky()?;
+        let mut pulled = Vector3::zeros();
+        for (view, inverse) in self.views.iter().zip(&inverses) {
+            pulled += inverse * view.position_m;
+        }
+        let place_m = all.solve(&pulled);
+        let weighted: Vec<Vector3<f64>> =
+            inverses.iter().map(|inverse| inverse * self.velocity_m_s).collect();
+        let count = self.views.len();
+        let mut information = DMatrix::zeros(count, count);
+        let mut score = DVector::zeros(count);
+        let mut distance_squared = 0.0;
+        for one in 0..count {
+            let apart_m = self.views[one].position_m - place_m;
+            score[one] = -weighted[one].dot(&apart_m);
+            distance_squared += apart_m.dot(&(inverses[one] * apart_m));
+            let spread = all.solve(&weighted[one]);
+            for other in 0..count {
+                information[(one, other)] = -weighted[other].dot(&spread);
+            }
+            information[(one, one)] += weighted[one].dot(&self.velocity_m_s);
+        }
+        Some(Evidence { information, score, distance_squared: distance_squared / count as f64 })
+    }
+}
+
+impl Sums {
+    fn of(camera: CameraId) -> Self {
+        Self {
+            camera,
+            count: 0,
+            powers: [0.0; 5],
+            positions: [Vector3::zeros(); 3],
+            white: Matrix3::zeros(),
+            systematic: Matrix3::zeros(),
+            reach: (1.0, -1.0),
+        }
+    }
+
+    fn add(&mut self, time: f64, seen: &Measurement) {
+        self.count += 1;
+        self.reach = (self.reach.0.min(time), self.reach.1.max(time));
+        let mut power = 1.0;
+        for index in 0..5 {
+            self.powers[index] += power;
+            if index < 3 {
+                self.positions[index] += seen.position_m * power;
+            }
+            power *= time;
+        }
+        let noise = &seen.position_noise;
+        let systematic = noise.systematic_root * noise.systematic_root.transpose();
+        self.white += noise.total - systematic;
+        self.systematic += systematic;
+    }
+
+    /// The parabola through the positions; `None` if there are too few of them.
+    fn parabola(&self) -> Option<Parabola> {
+        let covers = self.reach.0 <= -LEAST_REACH && self.reach.1 >= LEAST_REACH;
+        if self.count < LEAST_POSITIONS || !covers {
+            return None;
+        }
+        let [p0, p1, p2, p3, p4] = self.powers;
+        let inverse = Matrix3::new(p0, p1, p2, p1, p2, p3, p2, p3, p4).try_inverse()?;
+        let term =
+            |row: usize| (0..3).map(|column| self.positions[column] * inverse[(row, column)]).sum();
+        let terms = [term(0), term(1), term(2)];
+        Some(Parabola { terms, variances: [inverse[(0, 0)], inverse[(1, 1)]] })
+    }
+}

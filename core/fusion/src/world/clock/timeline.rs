@@ -1,0 +1,205 @@
+//! Which frames can be believed by their times.
+//!
+//! The receiving times all come from the server's one monotonic clock; capture times come from
+//! sources, whose clocks may jump. So between two frames the capture times should advance as the
+//! receiving times do:
+//!
+//! - **lead** = (capture - newest capture) - (received - received then). A frame that leads by more
+//!   than `max_lead_ns` is refused: believing it would make all others late. A pause of all cameras
+//!   is no lead, since the receiving times show it too.
+//! - A frame older than the late window is refused as late, by hours or by milliseconds.
+//! - If refused frames agree with one another for [`ADOPT_AFTER_NS`], by their own times and by those at which they were
+//!   received, and none has been accepted meanwhile, it is the timeline that was wrong (its first frame came from the
+//!   future, or the one camera's clock was set): the refused ones are the timeline from then on.
+//!
+//! A frame seen twice (same camera, and same number or same capture time) is a duplicate.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use roundel_vision::{id::CameraId, time::Timestamp};
+
+/// Refused frames that agree for so long become the timeline.
+const ADOPT_AFTER_NS: i64 = 1_000_000_000;
+/// And that many of them at least.
+const ADOPT_FRAMES: u32 = 10;
+/// Frames remembered per camera, to know duplicates by; at 1 kHz they cover the late window.
+const REMEMBERED_FRAMES: usize = 512;
+
+/// What to do with a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::world) enum Verdict {
+    /// Use it.
+    Use,
+    /// Use it, and end what was before: time goes on elsewhere.
+    Restart,
+    /// It was here already.
+    Duplicate,
+    /// Too old.
+    Late,
+    /// From the future.
+    Jumped,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Instant {
+    capture: Timestamp,
+    received: Timestamp,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Candidate {
+    since: Instant,
+    newest: Instant,
+    frames: u32,
+}
+
+/// Memory of the frames' times.
+#[derive(Clone, Debug, Default)]
+pub(in crate::world) struct Timeline {
+    newest: Option<Instant>,
+    candidate: Option<Candidate>,
+    seen: BTreeMap<CameraId, VecDeque<(u64, Timestamp)>>,
+}
+
+impl Timeline {
+    /// Knows none of a camera's frames.
+    pub(in crate::world) fn forget(&mut self, camera: CameraId) {
+        self.seen.remove(&camera);
+    }
+
+    /// Newest capture time that was believed.
+    pub(in crate::world) fn newest(&self) -> Option<Timestamp> {
+        self.newest.map(|newest| newest.capture)
+    }
+
+    /// Judges a frame by its stamp, by the time that is made of it, and by when it was received; remembers
+    /// it.
+    pub(in crate::world) fn judge(
+        &mut self,
+        (camera, frame, stamp): (CameraId, u64, Timestamp),
+        capture: Timestamp,
+        received: Timestamp,
+        (late_window_ns, max_lead_ns): (i64, i64),
+    ) -> Verdict {
+        let frames = self.seen.entry(camera).or_default();
+        if frames.iter().any(|&(number, time)| number == frame || time == stamp) {
+            return Verdict::Duplicate;
+        }
+        if frames.len() == REMEMBERED_FRAMES {
+            frames.pop_front();
+        }
+        frames.push_back((frame, stamp));
+        let now = Instant { capture, received };
+        let Some(newest) = self.newest else {
+            self.newest = Some(now);
+            return Verdict::Use;
+        };
+        let late = newest.capture.ns_since(capture) > late_window_ns;
+        let jumped = lead_ns(&now, &newest) > max_lead_ns;
+        if !late && !jumped {
+            self.candidate = None;
+            if capture > newest.capture {
+                self.newest = Some(now);
+                for frames in self.seen.values_mut() {
+                    while frames.front().is_some_and(|&(_, time)| {
+                        capture.ns_since(time) > late_window_ns.saturating_mul(2)
+                    }) {
+                        frames.pop_front();
+                    }
+                }
+            }
+            return Verdict::Use;
+        }
+        if self.adopt(now, max_lead_ns) {
+            return Verdict::Restart;
+        }
+        if late { Verdict::Late } else { Verdict::Jumped }
+    }
+
+    /// Whether the refused frames, this one the newest of them, have become the timeline.
+    fn adopt(&mut self, now: Instant, max_lead_ns: i64) -> bool {
+        let agrees = |candidate: &Candidate| {
+            lead_ns(&now, &candidate.newest).saturating_abs() <= max_lead_ns
+        };
+        let candidate = match self.candidate.filter(agrees) {
+            Some(candidate) => Candidate {
+                newest: if now.capture > candidate.newest.capture { now } else { candidate.newest },
+                frames: candidate.frames.saturating_add(1),
+                ..candidate
+            },
+            None => Candidate { since: now, newest: now, frames: 1 },
+        };
+        // Frames that a stalled link delivers at once agree as well, but were received while others were accepted.
+        let accepted = self.newest.map_or(candidate.since.received, |newest| newest.received);
+        let span_ns = candidate
+            .newest
+            .capture
+            .ns_since(candidate.since.capture)
+            .min(now.received.ns_since(candidate.since.received.max(accepted)));
+        if candidate.frames < ADOPT_FRAMES || span_ns < ADOPT_AFTER_NS {
+            self.candidate = Some(candidate);
+            return false;
+        }
+        self.candidate = None;
+        self.newest = Some(candidate.newest);
+        true
+    }
+}
+
+fn lead_ns(now: &Instant, then: &Instant) -> i64 {
+    now.capture.ns_since(then.capture).saturating_sub(now.received.ns_since(then.received))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LATE_WINDOW_NS: i64 = 100_000_000;
+    const MAX_LEAD_NS: i64 = 1_000_000_000;
+    const FRAME_NS: i64 = 66_000_000;
+
+    struct Feed(Timeline, u64);
+
+    impl Feed {
+        fn frame(&mut self, camera: u32, capture_ns: i64, received_ns: i64) -> Verdict {
+            self.1 += 1;
+            let [capture, received] = [capture_ns, received_ns].map(Timestamp::from_ns);
+            let source = (CameraId(camera), self.1, capture);
+            self.0.judge(source, capture, received, (LATE_WINDOW_NS, MAX_LEAD_NS))
+        }
+    }
+
+    #[test]
+    fn frames_that_a_stalled_link_delivers_at_once_are_late() {
+        let mut feed = Feed(Timeline::default(), 0);
+        let now_ns = 100 * FRAME_NS;
+        assert_eq!(feed.frame(0, now_ns, now_ns), Verdict::Use);
+        for number in 0..30 {
+            let (capture_ns, received_ns) = (60 * FRAME_NS + number * FRAME_NS, now_ns + number);
+            assert_eq!(feed.frame(1, capture_ns, received_ns), Verdict::Late, "{number}");
+        }
+        assert_eq!(feed.frame(0, now_ns + FRAME_NS, now_ns + FRAME_NS), Verdict::Use);
+    }
+
+    #[test]
+    fn late_frames_that_say_when_their_sender_had_them_are_late() {
+        let mut feed = Feed(Timeline::default(), 0);
+        let now_ns = 100 * FRAME_NS;
+        assert_eq!(feed.frame(0, now_ns, now_ns), Verdict::Use);
+        for number in 60..95 {
+            assert_eq!(feed.frame(1, number * FRAME_NS, number * FRAME_NS), Verdict::Late);
+        }
+        assert_eq!(feed.frame(0, now_ns + FRAME_NS, now_ns + FRAME_NS), Verdict::Use);
+    }
+
+    #[test]
+    fn a_clock_that_was_set_back_is_the_timeline_after_a_second() {
+        let mut feed = Feed(Timeline::default(), 0);
+        assert_eq!(feed.frame(0, 1_000 * FRAME_NS, 0), Verdict::Use);
+        let verdicts: Vec<_> =
+            (1..=30).map(|number| feed.frame(0, number * FRAME_NS, number * FRAME_NS)).collect();
+        let restarts = verdicts.iter().filter(|it| **it == Verdict::Restart).count();
+        assert_eq!(restarts, 1, "{verdicts:?}");
+        assert_eq!(verdicts.last(), Some(&Verdict::Use));
+    }
+}

@@ -1,0 +1,105 @@
+//! How tracks begin, grow old, are found to be the same and end, and the events that tell of it.
+
+use super::{
+    super::{
+        Event, EventKind, LifeStage, association::Sighting, lifecycle::merge,
+        lifecycle::track::Track, mobile_camera::localize::OWN_NUMBER,
+    },
+    Fusion,
+};
+use roundel_vision::{id::ObjectId, time::Timestamp};
+
+/// Events kept for a caller that does not fetch them; the oldest give way.
+const MAX_EVENTS: usize = 10_000;
+
+impl Fusion {
+    pub(super) fn begin(&mut self, sighting: &Sighting) {
+        if self.tracks.len() >= self.params.max_objects {
+            self.counts.over_max_objects += 1;
+            return;
+        }
+        let id = ObjectId(self.next_id);
+        self.next_id += 1;
+        self.counts.used += 1;
+        self.counts.begun += 1;
+        self.newest_used = self.newest_used.max(Some(sighting.measurement.time));
+        let subject = sighting.subject;
+        let class = subject.kind.and_then(|kind| self.classes.get(&kind)).copied();
+        let mut model = match subject.body {
+            Some(body) => self.bodies.model(body, &self.params),
+            None => self.params.motion_model(&class.unwrap_or_default()),
+        };
+        // Where its own camera is its place hangs on its orientation, whose errors last.
+        model.learns_turning &= sighting.measurement.number != OWN_NUMBER;
+        let mut track = Track::begin(id, subject, sighting.measurement, model);
+        sighting.code.into_iter().for_each(|code| track.codes.add(code));
+        self.tracks.push(track);
+    }
+
+    /// Lets time pass for all tracks.
+    pub(super) fn advance(&mut self, now: Timestamp) {
+        let mut index = 0;
+        while index < self.tracks.len() {
+            match self.tracks[index].advance(now, &self.params) {
+                Ok(event) => {
+                    if let Some(event) = event {
+                        self.tell(event);
+                    }
+                    index += 1;
+                }
+                Err(event) => {
+                    let track = self.tracks.remove(index);
+                    self.end(track, event);
+                }
+            }
+        }
+    }
+
+    /// Ends all tracks: time goes on elsewhere.
+    pub(super) fn restart(&mut self) {
+        self.counts.restarts += 1;
+        self.next_merge = None;
+        self.newest_used = None;
+        for mut track in std::mem::take(&mut self.tracks) {
+            let known = !track.is_tentative();
+            let event = track.lose(track.newest);
+            self.end(track, known.then_some(event));
+        }
+    }
+
+    pub(super) fn merge(&mut self, now: Timestamp) {
+        while let Some((stays, goes)) = merge::find(&mut self.tracks, now) {
+            let mut gone = self.tracks[goes].clone();
+            self.tracks[stays].adopt_views(&gone);
+            self.tracks[stays].codes.join(&gone.codes);
+            self.tracks.remove(goes);
+            self.counts.merged += 1;
+            let known = !gone.is_tentative();
+            let event = gone.lose(now);
+            self.end(gone, known.then_some(event));
+        }
+    }
+
+    /// A track's end; one that was known is told and named once more.
+    pub(super) fn end(&mut self, track: Track, event: Option<Event>) {
+        if track.subject.body.is_some() {
+            // Another track of that body, if there is one, may claim the id now.
+            let twins = self.tracks.iter_mut().filter(|other| other.subject == track.subject);
+            twins.for_each(|twin| twin.identified = None);
+        }
+        let Some(event) = event else { return };
+        self.tell(event);
+        if self.lost.len() >= self.params.max_objects {
+            self.lost.remove(0);
+        }
+        debug_assert!(track.stage == LifeStage::Lost && event.kind == EventKind::Lost);
+        self.lost.push(track);
+    }
+
+    pub(super) fn tell(&mut self, event: Event) {
+        if self.events.len() == MAX_EVENTS {
+            self.events.pop_front();
+        }
+        self.events.push_back(event);
+    }
+}

@@ -1,0 +1,402 @@
+//! The fusion machine: frames in, snapshots and events out. How detections become sightings, by cameras
+//! that stand or ride, is in `place`, and those of several roundels of one object one
+//! sighting in `parts`; how tracks begin and end, in `lives`.
+
+mod body_parts;
+mod camera_outlier;
+mod height_check;
+mod leave_one_out;
+mod lifecycle;
+mod reconfigure;
+mod remove_camera;
+mod sightings;
+
+pub use leave_one_out::Compared;
+
+use std::collections::{BTreeMap, VecDeque};
+
+use nalgebra::Vector3;
+
+use super::{
+    Event, EventKind, FrameObservations, FusionParams, MotionClass, ObjectState, Snapshot,
+    association::{Scratch, Sighting, associate},
+    body::Bodies,
+    camera_outlier::Guards,
+    clock::estimator::{ClockEstimate, ClockPrior, Clocks},
+    clock::missing_frames::Gaps,
+    clock::stamp::{Anchors, Stamp},
+    clock::timeline::{Timeline, Verdict},
+    counts::FusionCounts,
+    height_check::Floors,
+    lifecycle::id_registry::{Claim, Identities, Mark, Subject},
+    lifecycle::track::Track,
+    lifecycle::trust::Trust,
+    measurement::Lateness,
+    mobile_camera::landmark::Landmark,
+    mobile_camera::localize::OWN_NUMBER,
+    mobile_camera::mount::Riders,
+    snapshot::state_of,
+};
+use crate::track::{Inserted, Measurement};
+use roundel_vision::{
+    id::{CameraId, KindId, ObjectId, TrackNumber},
+    rigid::{Covariance6, Rigid},
+    time::Timestamp,
+};
+
+/// Pairs of tracks are compared this often.
+const MERGE_EVERY_NS: i64 = 50_000_000;
+
+/// Where a camera stands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CameraPlacement {
+    /// Turns camera coordinates into world coordinates.
+    pub world_from_camera: Rigid,
+    /// Over (position, rotation), world frame, left perturbation; zero when exact.
+    pub covariance: Covariance6,
+}
+
+/// All objects of an installation.
+#[derive(Clone, Debug)]
+pub struct Fusion {
+    params: FusionParams,
+    classes: BTreeMap<KindId, MotionClass>,
+    cameras: BTreeMap<CameraId, CameraPlacement>,
+    riders: Riders,
+    landmarks: Vec<Landmark>,
+    anchors: Anchors,
+    clocks: Clocks,
+    offsets_m: BTreeMap<KindId, Vector3<f64>>,
+    identities: Identities,
+    bodies: Bodies,
+    floors: Floors,
+    timeline: Timeline,
+    gaps: Gaps,
+    guards: Guards,
+    /// Cameras that are never held back, ascending.
+    spared: Vec<CameraId>,
+    trust: Trust,
+    /// In the order in which they began.
+    tracks: Vec<Track>,
+    /// To be named once more.
+    lost: Vec<Track>,
+    next_id: u64,
+    next_merge: Option<Timestamp>,
+    newest_used: Option<Timestamp>,
+    events: VecDeque<Event>,
+    counts: FusionCounts,
+    scratch: Scratch,
+    sightings: Vec<Sighting>,
+    /// As which their camera knows them, but for those of bodies.
+    numbers: Vec<TrackNumber>,
+}
+
+impl Fusion {
+    /// An empty world.
+    pub fn new(params: FusionParams) -> Self {
+        Self {
+            params,
+            classes: BTreeMap::new(),
+            cameras: BTreeMap::new(),
+            riders: Riders::default(),
+            landmarks: Vec::new(),
+            anchors: Anchors::default(),
+            clocks: Clocks::default(),
+            offsets_m: BTreeMap::new(),
+            identities: Identities::default(),
+            bodies: Bodies::default(),
+            floors: Floors::default(),
+            timeline: Timeline::default(),
+            gaps: Gaps::default(),
+            guards: Guards::default(),
+            spared: Vec::new(),
+            trust: Trust::default(),
+            tracks: Vec::new(),
+            lost: Vec::new(),
+            next_id: 1,
+            next_merge: None,
+            newest_used: None,
+            events: VecDeque::new(),
+            counts: FusionCounts::default(),
+            scratch: Scratch::default(),
+            sightings: Vec::new(),
+            numbers: Vec::new(),
+        }
+    }
+
+    /// Says where a camera stands from now on; `None`: not known, its detections are not used.
+    pub fn set_camera(&mut self, camera: CameraId, placement: Option<CameraPlacement>) {
+        match placement {
+            Some(placement) => self.cameras.insert(camera, placement),
+            None => self.cameras.remove(&camera),
+        };
+        self.guards.forget(camera);
+    }
+
+    /// Sets a camera's rank, 1 unless set: detections of a lower rank are not used for objects that cameras of a higher rank
+    /// see.
+    pub fn set_trust(&mut self, camera: CameraId, rank: u8) {
+        self.trust.set(camera, rank);
+    }
+
+    /// Says how far a camera's stamps can be trusted; without it, they are exact.
+    pub fn set_clock(&mut self, camera: CameraId, prior: ClockPrior) {
+        self.clocks.set_prior(camera, prior);
+    }
+
+    /// What is known of a camera's clock; `None` before its first frame.
+    pub fn clock(&self, camera: CameraId) -> Option<ClockEstimate> {
+        self.clocks.estimate(camera)
+    }
+
+    /// Says which point of a kind's objects is tracked: metres, in the roundel's frame.
+    pub fn set_offset(&mut self, kind: KindId, offset_m: Vector3<f64>) {
+        self.offsets_m.insert(kind, offset_m);
+    }
+
+    /// Says how a kind's objects move; without it, they may fly. Holds for tracks that begin from now on.
+    pub fn set_motion(&mut self, kind: KindId, class: MotionClass) {
+        self.classes.insert(kind, class);
+    }
+
+    /// What became of everything so far.
+    pub fn counts(&self) -> FusionCounts {
+        self.counts
+    }
+
+    /// Takes the events since the last call, in the order in which they were found out.
+    pub fn drain_events(&mut self) -> impl Iterator<Item = Event> + '_ {
+        self.events.drain(..)
+    }
+
+    /// Takes in what a camera saw in one frame. Frames may come in any order; nothing in them can
+    /// make this panic or spoil a track: what cannot be used is counted.
+    pub fn observe(&mut self, frame: &FrameObservations) {
+        let detections = frame.detections.len() as u64;
+        self.counts.frames += 1;
+        self.counts.detections += detections;
+        let times = (frame.capture_time, frame.received_time);
+        self.counts.missing_frames += self.gaps.see(frame.camera, frame.frame, times);
+        let limits = (self.params.late_window_ns, self.params.max_lead_ns);
+        let Some(late) = self.lateness(frame) else {
+            self.counts.jumped_frames += 1;
+            self.counts.jumped += detections;
+            return;
+        };
+        let capture_time = late.corrected(frame.capture_time);
+        let source = (frame.camera, frame.frame, frame.capture_time);
+        match self.timeline.judge(source, capture_time, frame.received_time, limits) {
+            Verdict::Use => {}
+            Verdict::Restart => self.restart(),
+            Verdict::Duplicate => {
+                self.counts.duplicate_frames += 1;
+                self.counts.duplicate += detections;
+                return;
+            }
+            Verdict::Late => {
+                self.counts.late_frames += 1;
+                self.counts.late += detections;
+                return;
+            }
+            Verdict::Jumped => {
+                self.counts.jumped_frames += 1;
+                self.counts.jumped += detections;
+                return;
+            }
+        }
+        let Some(now) = self.timeline.newest() else { return };
+        self.clocks.receive(frame.camera, late.based(frame.capture_time), frame.received_time);
+        self.advance(now);
+        self.riders.expose(frame.camera, capture_time);
+        let landmarks = self.localize(frame, late, now);
+        if !self.collect(frame, late, now, &landmarks) {
+            return;
+        }
+        self.apply(frame.camera, Some(capture_time), now);
+        self.clean();
+        if self.next_merge.is_none_or(|time| now >= time) {
+            self.next_merge = Some(now.plus_ns(MERGE_EVERY_NS));
+            self.merge(now);
+            self.bodies.forget(now.plus_ns(-self.params.lost_after_ns));
+        }
+    }
+
+    /// Every track, predicted to `pose_time` by what was measured until then. Time passes with it:
+    /// what was not seen until `pose_time` becomes predicted or lost, the lost named this once.
+    pub fn snapshot(&mut self, pose_time: Timestamp) -> Snapshot {
+        self.advance(self.timeline.newest().map_or(pose_time, |newest| newest.max(pose_time)));
+        // States are large: sorted are the tracks that they are made of.
+        let mut tracks: Vec<_> = self.tracks.iter_mut().chain(&mut self.lost).collect();
+        tracks.sort_unstable_by_key(|track| track.id);
+        let ranks = &self.trust;
+        let objects = tracks
+            .into_iter()
+            .map(|track| {
+                let trust = ranks.of_track(track);
+                let Subject { kind, body } = track.subject;
+                if let Some(body) = body {
+                    let code = self.bodies.code(body);
+                    let state = state_of(track, pose_time, &self.bodies.origin_m(body));
+                    return ObjectState { code, trust, ..state };
+                }
+                let offset = kind.and_then(|kind| self.offsets_m.get(&kind));
+                let offset_m = offset.copied().unwrap_or_else(Vector3::zeros);
+                ObjectState { trust, ..state_of(track, pose_time, &offset_m) }
+            })
+            .collect();
+        self.lost.clear();
+        Snapshot { pose_time, capture_time: self.newest_used, objects }
+    }
+
+    /// By how much the frame's stamps are late; `None` if they cannot be believed at all.
+    fn lateness(&mut self, frame: &FrameObservations) -> Option<Lateness> {
+        let (source, received) = ((frame.camera, frame.frame), frame.received_time);
+        let stamp = frame.capture_time;
+        self.clocks.know(frame.camera);
+        let base_ns = match self.anchors.judge(source, stamp, received, self.params.max_lead_ns) {
+            Stamp::Good(base_ns) => base_ns,
+            Stamp::Stepped(base_ns) => {
+                self.counts.clock_steps += 1;
+                let offset_s = self.clocks.offset_s(frame.camera, received);
+                let late = Lateness { base_ns, offset_s };
+                self.clocks.doubt(frame.camera, late.corrected(stamp));
+                base_ns
+            }
+            Stamp::Refused => return None,
+        };
+        Some(Lateness { base_ns, offset_s: self.clocks.offset_s(frame.camera, received) })
+    }
+
+    /// Gives each sighting to its track, or to a new one. With the frame's time, they are all that its
+    /// camera has seen in it.
+    fn apply(&mut self, camera: CameraId, whole: Option<Timestamp>, now: Timestamp) {
+        let rides = self.riders.has(camera);
+        let decisions = associate(
+            &self.tracks,
+            &self.sightings,
+            (&self.params, &self.clocks),
+            &mut self.scratch,
+        );
+        if let Some(time) = whole.filter(|_| !rides)
+            && !self.lets_in((camera, time), &decisions)
+        {
+            self.counts.held_frames += 1;
+            self.counts.held += self.sightings.len() as u64;
+            return;
+        }
+        self.check_heights();
+        let forgotten = now.plus_ns(-self.params.late_window_ns);
+        let known = self.tracks.len();
+        let mut claims = Vec::new();
+        let mut seen = vec![false; known];
+        // Taken out meanwhile, so that none is copied.
+        let mut sightings = std::mem::take(&mut self.sightings);
+        for (sighting, decision) in sightings.iter_mut().zip(&decisions) {
+            let rides = rides && sighting.measurement.number != OWN_NUMBER;
+            if rides && self.riders.is_carrier(&sighting.subject, sighting.code) {
+                self.counts.of_carriers += 1;
+                decision.iter().for_each(|&(track, _)| seen[track] = true);
+                continue;
+            }
+            let Some((track, innovation)) = *decision else {
+                if !self.is_contradiction(&sighting.measurement, known) {
+                    self.begin(sighting);
+                }
+                continue;
+            };
+            seen[track] = true;
+            let track = &mut self.tracks[track];
+            if self.trust.is_outranked(camera, track, sighting.measurement.time) {
+                self.counts.outranked += 1;
+                continue;
+            }
+            if rides && self.riders.is_carrier(&track.subject, track.codes.leader()) {
+                self.counts.of_carriers += 1;
+                continue;
+            }
+            let timing_s = track.timing_s(&sighting.measurement, &self.clocks);
+            sighting.measurement.set_timing(timing_s);
+            let (inserted, event) = track.observe(&sighting.measurement, &innovation, &self.params);
+            if self.clocks.is_estimating()
+                && let Some(comparison) = track.compare(&self.clocks)
+            {
+                self.clocks.add(&comparison);
+            }
+            track.history.forget(forgotten);
+            if matches!(inserted, Inserted::InOrder | Inserted::OutOfOrder) {
+                sighting.code.into_iter().for_each(|code| track.codes.add(code));
+                self.newest_used = self.newest_used.max(Some(sighting.measurement.time));
+            }
+            match inserted {
+                Inserted::InOrder => self.counts.used += 1,
+                Inserted::OutOfOrder => {
+                    self.counts.used += 1;
+                    self.counts.out_of_order += 1;
+                }
+                Inserted::TooLate => self.counts.late += 1,
+                Inserted::Duplicate => self.counts.duplicate += 1,
+            }
+            if let Some(mark) = track.unheeded_mark() {
+                claims.push((track.id, mark, event));
+            } else if let Some(event) = event {
+                self.tell(event);
+            }
+        }
+        self.sightings = sightings;
+        for (track, seen) in self.tracks[..known].iter_mut().zip(seen) {
+            if let Some(time) = whole.filter(|_| !seen) {
+                track.miss(camera, time);
+            }
+        }
+        for (id, mark, event) in claims {
+            self.identify(id, mark, event, now);
+        }
+    }
+
+    /// Gives a track whose code is settled, or a body's, the id of that object; `event` is what has just happened
+    /// to it.
+    fn identify(&mut self, id: ObjectId, mark: Mark, event: Option<Event>, now: Timestamp) {
+        let Some(index) = self.tracks.iter().position(|track| track.id == id) else { return };
+        self.tracks[index].identified = Some(mark);
+        let fresh = (now, self.params.predicted_after_ns);
+        let (object, kind, elsewhere) =
+            match self.identities.claim(&self.tracks, index, mark, &self.trust, fresh) {
+                Claim::Own => return event.into_iter().for_each(|event| self.tell(event)),
+                Claim::Twice => {
+                    self.counts.ambiguous_codes += 1;
+                    return event.into_iter().for_each(|event| self.tell(event));
+                }
+                Claim::Returned(object) => (object, EventKind::Appeared, None),
+                Claim::Elsewhere(other, object) => (object, EventKind::Recovered, Some(other)),
+            };
+        self.counts.returned += 1;
+        let is_new = event.is_some_and(|event| event.kind == EventKind::Appeared);
+        if !is_new {
+            // It was told under another id, which ends here.
+            let mut gone = self.tracks[index].clone();
+            let event = gone.lose(now);
+            self.end(gone, Some(event));
+        }
+        // Not named as lost any more.
+        self.lost.retain(|lost| lost.id != object);
+        self.tracks[index].id = object;
+        let time = self.tracks[index].newest;
+        if let Some(other) = elsewhere {
+            self.tracks.remove(other);
+        }
+        self.tell(Event { time, object, kind });
+    }
+
+    /// Whether a sighting that fits no track is an error about one of the first `known`: its camera
+    /// takes it for that object, and others see the object where it is expected.
+    fn is_contradiction(&mut self, seen: &Measurement, known: usize) -> bool {
+        let Some(track) = self.tracks[..known].iter().find(|track| track.is_continued_by(seen))
+        else {
+            return false;
+        };
+        self.counts.gated += 1;
+        let contradicted = track.is_witnessed_against(seen, &self.params);
+        self.counts.contradicted += u64::from(contradicted);
+        contradicted
+    }
+}

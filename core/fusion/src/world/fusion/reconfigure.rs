@@ -1,0 +1,166 @@
+//! Objects and parameters that change while everything else goes on.
+//!
+//! A track follows the middle of its object's roundels, so one goes on as if nothing had been where neither these nor
+//! how they move is another: its object has another name, or another of its points is followed. What is known by one
+//! code alone is one track, be it a body or not, so it goes on when it becomes a body and when it is none any more.
+//! Every other track of what changed ends; the object that begins in its place has its id, as far as one body or one
+//! code says that it is the same.
+
+use nalgebra::Vector3;
+
+use super::{Fusion, FusionParams, MotionClass};
+use crate::world::{
+    Body, BodyError, Carrier, Mount,
+    body::{Bodies, number_of},
+    identity::code_vote::CodeVote,
+    lifecycle::id_registry::{Mark, Subject},
+};
+use roundel_vision::{
+    id::{BodyId, KindId},
+    marker::Code,
+};
+
+/// The kind and code of a body that is known by these alone, and turned as they are.
+fn sole(shape: Option<&Body>) -> Option<(KindId, Code)> {
+    let Body { mounts, .. } = shape?;
+    let [Mount { kind, code: Some(code), object_from_roundel }] = mounts[..] else { return None };
+    (object_from_roundel.rotation.angle() < 1e-9).then_some((kind, code))
+}
+
+impl Fusion {
+    /// Says of bodies, those that [`Self::add_body`] gave and others, what they carry from now on, all at once, so that
+    /// they may exchange roundels; without any roundel, one is only seen by its own camera. Tracks of all other objects
+    /// go on. With an error, nothing is changed.
+    pub fn set_bodies(&mut self, fresh: &[(BodyId, Body)]) -> Result<(), BodyError> {
+        let before = self.bodies.clone();
+        self.bodies.replace(fresh)?;
+        for &(id, _) in fresh {
+            self.renew(id, &before);
+        }
+        let mut mounts: Vec<_> = self.riders.mounts_mut().collect();
+        for mount in &mut mounts {
+            let Carrier::Body(body) = mount.carrier else { continue };
+            if fresh.iter().any(|(id, _)| *id == body) {
+                let is_known = before.shape(body).is_some();
+                let origin_m = if is_known { before.origin_m(body) } else { Vector3::zeros() };
+                let moved_m = self.bodies.origin_m(body) - origin_m;
+                mount.object_from_camera.translation.vector += moved_m;
+            }
+        }
+        Ok(())
+    }
+
+    /// Says how a kind's objects move from now on; where that is another way than before, those that are followed as
+    /// such begin anew.
+    pub fn change_motion(&mut self, kind: KindId, class: MotionClass) {
+        let before = self.classes.insert(kind, class).unwrap_or_default();
+        if before != class {
+            let subject = Subject { kind: Some(kind), body: None };
+            self.floors.forget(&subject);
+            self.end_all(&subject);
+        }
+    }
+
+    /// Other parameters from now on. How objects may move holds for tracks that begin from now on.
+    pub fn set_params(&mut self, params: FusionParams) {
+        self.params = params;
+    }
+
+    /// The parameters.
+    pub fn params(&self) -> FusionParams {
+        self.params
+    }
+
+    fn renew(&mut self, id: BodyId, before: &Bodies) {
+        let (old, new) = (before.shape(id), self.bodies.shape(id));
+        let subject = Subject { kind: old.as_ref().and_then(|_| before.kind(id)), body: Some(id) };
+        self.floors.forget(&subject);
+        if old == new {
+            return;
+        }
+        let (was, is) = (sole(old.as_ref()), sole(new.as_ref()));
+        let mark = (subject.kind, Mark::Body(id));
+        match was.filter(|_| new.as_ref().is_some_and(|new| new.mounts.is_empty())) {
+            Some((kind, code)) => {
+                self.identities.remove(Some(kind), Mark::Code(code));
+                self.identities.copy(mark, (Some(kind), Mark::Code(code)));
+                self.identities.remove(mark.0, mark.1);
+                let motion = old.map(|old| old.motion).unwrap_or_default();
+                self.release(id, (kind, code), motion);
+            }
+            None => {
+                let kind = self.bodies.kind(id);
+                self.identities.copy(mark, (kind, Mark::Body(id)));
+                if let Some((kind, code)) = is {
+                    let mark = (Some(kind), Mark::Code(code));
+                    self.identities.copy(mark, (Some(kind), Mark::Body(id)));
+                }
+            }
+        }
+        self.end_all(&subject);
+        if let Some((kind, code)) = is {
+            self.adopt(id, (kind, code), new.map(|new| new.motion).unwrap_or_default());
+        }
+    }
+
+    /// Has the track of a code go on as that of the body that it belongs to.
+    fn adopt(&mut self, id: BodyId, (kind, code): (KindId, Code), motion: MotionClass) {
+        let subject = Subject { kind: Some(kind), body: None };
+        let class = self.classes.get(&kind).copied().unwrap_or_default();
+        let is_it = |track: &&mut super::Track| {
+            track.subject == subject && track.codes.settled() == Some(code)
+        };
+        let Some(track) = self.tracks.iter_mut().filter(is_it).max_by_key(|track| track.newest)
+        else {
+            return;
+        };
+        let views = track.views.iter().map(|view| (view.camera, view.number, view.time));
+        self.bodies.know(code, views);
+        if motion != class {
+            let track = track.id;
+            return self.end_where(|it| it.id == track);
+        }
+        track.subject.body = Some(id);
+        track.model = self.bodies.model(id, &self.params);
+        track.identified = None;
+        track.views.iter_mut().for_each(|view| view.number = number_of(id));
+        track.refresh();
+    }
+
+    /// Has the track of a body go on as that of the code that it was known by.
+    fn release(&mut self, id: BodyId, (kind, code): (KindId, Code), motion: MotionClass) {
+        let subject = Subject { kind: Some(kind), body: Some(id) };
+        let class = self.classes.get(&kind).copied().unwrap_or_default();
+        if motion != class || self.bodies.with(kind, code).is_some() {
+            return;
+        }
+        let Some(track) = self.tracks.iter_mut().find(|track| track.subject == subject) else {
+            return;
+        };
+        track.subject.body = None;
+        track.model = self.params.motion_model(&class);
+        track.codes = CodeVote::default();
+        track.codes.settle(code);
+        track.identified = None;
+        let bodies = &self.bodies;
+        track.views.retain_mut(|view| {
+            let number = bodies.number_at(view.camera, code);
+            number.into_iter().for_each(|number| view.number = number);
+            number.is_some()
+        });
+        track.refresh();
+    }
+
+    fn end_all(&mut self, subject: &Subject) {
+        self.end_where(|track| track.subject == *subject);
+    }
+
+    fn end_where(&mut self, ends: impl Fn(&super::Track) -> bool) {
+        while let Some(index) = self.tracks.iter().position(&ends) {
+            let mut gone = self.tracks.remove(index);
+            let known = !gone.is_tentative();
+            let event = gone.lose(gone.newest);
+            self.end(gone, known.then_some(event));
+        }
+    }
+}

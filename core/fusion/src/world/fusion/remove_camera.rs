@@ -1,0 +1,107 @@
+//! Cameras that leave, or whose frames come from elsewhere, while everything else goes on.
+
+use super::Fusion;
+use crate::world::lifecycle::trust::DEFAULT_TRUST;
+use roundel_vision::id::CameraId;
+
+impl Fusion {
+    /// Forgets a camera. Tracks keep what it saw until that is of no more use; what comes of it later is taken for that
+    /// of a new camera.
+    pub fn remove_camera(&mut self, camera: CameraId) {
+        self.set_camera(camera, None);
+        self.set_mount(camera, None);
+        self.spare(camera, false);
+        self.set_trust(camera, DEFAULT_TRUST);
+        self.forget_source(camera);
+    }
+
+    /// A camera's frames come from elsewhere from now on: what was known of their stamps and numbers says nothing of what
+    /// is to come, so its clock is exact until [`Self::set_clock`] says otherwise. Where it stands is not touched.
+    pub fn forget_source(&mut self, camera: CameraId) {
+        self.clocks.remove(camera);
+        self.anchors.forget(camera);
+        self.gaps.forget(camera);
+        self.timeline.forget(camera);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::world::{CameraPlacement, ClockPrior, FrameObservations, Fusion, FusionParams};
+    use roundel_vision::{
+        id::CameraId,
+        rigid::{Covariance6, Rigid},
+        time::Timestamp,
+    };
+
+    fn frame(camera: u32, number: u64, capture: Timestamp) -> FrameObservations {
+        FrameObservations {
+            camera: CameraId(camera),
+            frame: number,
+            capture_time: capture,
+            received_time: capture,
+            calibration_version: 0,
+            detections: Vec::new(),
+        }
+    }
+
+    fn placement() -> CameraPlacement {
+        let (world_from_camera, covariance) = (Rigid::identity(), Covariance6::zeros());
+        CameraPlacement { world_from_camera, covariance }
+    }
+
+    #[test]
+    fn nothing_is_known_of_one_that_has_left_and_the_others_go_on() {
+        let mut fusion = Fusion::new(FusionParams::default());
+        for (camera, offset_s) in [(0, 0.001), (1, 0.02), (2, 0.003)] {
+            fusion.set_camera(CameraId(camera), Some(placement()));
+            fusion.set_clock(CameraId(camera), ClockPrior { offset_s, skew: 1e-5 });
+        }
+        let start = Timestamp::from_ns(1_700_000_000_000_000_000);
+        for number in 1..50_u32 {
+            let capture = start.plus_seconds(0.033 * f64::from(number));
+            (0..3).for_each(|camera| {
+                fusion.observe(&frame(camera, number.into(), capture.plus_ns(camera.into())));
+            });
+        }
+        let before = [0, 2].map(|camera| fusion.clock(CameraId(camera)).unwrap());
+        fusion.remove_camera(CameraId(1));
+        assert_eq!(fusion.clock(CameraId(1)), None);
+        assert!(fusion.camera_place(CameraId(1), start).is_err());
+        let after = [0, 2].map(|camera| fusion.clock(CameraId(camera)).unwrap());
+        // Of the deviations those remain that tell the two apart.
+        assert_eq!(before.map(|it| it.offset_s), after.map(|it| it.offset_s));
+        assert!(after[0].deviation_s < before[0].deviation_s + 0.02, "{before:?} {after:?}");
+        let counts = fusion.counts();
+        for number in 50..60_u32 {
+            let capture = start.plus_seconds(0.033 * f64::from(number));
+            for camera in [0, 2] {
+                fusion.observe(&frame(camera, number.into(), capture.plus_ns(camera.into())));
+            }
+        }
+        assert_eq!(fusion.counts().frames, counts.frames + 20);
+        assert_eq!(fusion.counts().missing_frames, counts.missing_frames, "nobody waits for it");
+    }
+
+    #[test]
+    fn frames_from_elsewhere_are_no_duplicates_and_no_clock_that_was_set() {
+        let mut fusion = Fusion::new(FusionParams::default());
+        let start = Timestamp::from_ns(1_700_000_000_000_000_000);
+        for number in 1..20_u32 {
+            fusion.observe(&frame(0, number.into(), start.plus_seconds(0.033 * f64::from(number))));
+        }
+        fusion.forget_source(CameraId(0));
+        // Numbered from 1 again, with stamps of another epoch.
+        for number in 1..20_u32 {
+            let received = start.plus_seconds(0.7 + 0.033 * f64::from(number));
+            let stamped = received.plus_seconds(-0.04);
+            fusion.observe(&FrameObservations {
+                received_time: received,
+                ..frame(0, number.into(), stamped)
+            });
+        }
+        let counts = fusion.counts();
+        assert_eq!((counts.duplicate_frames, counts.clock_steps, counts.missing_frames), (0, 0, 0));
+        assert_eq!(counts.frames, 38);
+    }
+}

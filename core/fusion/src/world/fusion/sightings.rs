@@ -1,0 +1,192 @@
+//! Where cameras are while they take a frame, and what that makes of their detections.
+
+use super::{CameraPlacement, Fusion, FusionCounts};
+use crate::world::{
+    FrameObservations,
+    association::Sighting,
+    lifecycle::id_registry::Subject,
+    measurement::{Lateness, measure},
+    mobile_camera::landmark::Landmark,
+    mobile_camera::localize::View,
+    mobile_camera::mount::{CameraMount, Carrier, Ride, Stand, Unplaced},
+};
+use roundel_vision::{
+    id::{CameraId, TrackNumber},
+    rigid::{Covariance6, rotate_covariance},
+    time::Timestamp,
+};
+
+/// A detection's capture time may differ from its frame's by so much (half a slow rolling shutter).
+const MAX_ROW_TIME_NS: i64 = 500_000_000;
+
+impl FusionCounts {
+    fn count_unplaced(&mut self, reason: Unplaced, detections: usize) {
+        let detections = detections as u64;
+        self.no_camera_pose += detections;
+        match reason {
+            Unplaced::Unknown => {}
+            Unplaced::CarrierUnseen => self.carrier_unseen += detections,
+            Unplaced::CarrierWithoutYaw | Unplaced::CarrierUncertain => {
+                self.carrier_unturned += detections;
+            }
+        }
+    }
+}
+
+impl Fusion {
+    /// Says what a camera rides on from now on, of bodies one that was added before; `None`: on nothing, it
+    /// stands where [`Self::set_camera`] says.
+    pub fn set_mount(&mut self, camera: CameraId, mount: Option<CameraMount>) {
+        self.clocks.set_aside(camera, mount.is_some());
+        let mount = mount.map(|mount| self.on_what_is_followed(mount));
+        self.riders.set(camera, mount);
+    }
+
+    /// A mount from the point that is followed; on a body, if that claims the roundel.
+    fn on_what_is_followed(&self, mut mount: CameraMount) -> CameraMount {
+        if let Carrier::Roundel { kind, code } = mount.carrier
+            && let Some((body, object_from_roundel)) = self.bodies.with(kind, code)
+        {
+            mount.carrier = Carrier::Body(body);
+            mount.object_from_camera = object_from_roundel * mount.object_from_camera;
+            mount.covariance = rotate_covariance(&object_from_roundel.rotation, &mount.covariance);
+        }
+        if let Carrier::Body(body) = mount.carrier {
+            mount.object_from_camera.translation.vector += self.bodies.origin_m(body);
+        }
+        mount
+    }
+
+    /// Says which roundels have known places; cameras that localize find theirs by them.
+    pub fn set_landmarks(&mut self, landmarks: Vec<Landmark>) {
+        self.landmarks = landmarks;
+    }
+
+    /// Where a camera is at an instant.
+    pub fn camera_place(
+        &mut self,
+        camera: CameraId,
+        time: Timestamp,
+    ) -> Result<CameraPlacement, Unplaced> {
+        if !self.riders.has(camera) {
+            return self.cameras.get(&camera).copied().ok_or(Unplaced::Unknown);
+        }
+        let (world_from_camera, covariance) =
+            self.riders.ride(camera, &mut self.tracks, (time, 0.0))?.now();
+        Ok(CameraPlacement { world_from_camera, covariance })
+    }
+
+    /// Lets a camera that localizes say where its carrier is; gives the detections that are of landmarks.
+    pub(super) fn localize(
+        &mut self,
+        frame: &FrameObservations,
+        late: Lateness,
+        now: Timestamp,
+    ) -> Vec<TrackNumber> {
+        let (camera, time) = (frame.camera, late.corrected(frame.capture_time));
+        let ride = self.ride(camera, time).ok();
+        let Some(rider) = self.riders.get_mut(camera).filter(|rider| rider.mount.localizes) else {
+            return Vec::new();
+        };
+        let (mount, landmarks, params) = (rider.mount, &self.landmarks[..], &self.params);
+        let (subject, code) = match mount.carrier {
+            Carrier::Roundel { kind, code } => {
+                (Subject { kind: Some(kind), body: None }, Some(code))
+            }
+            Carrier::Body(body) => {
+                (Subject { kind: self.bodies.kind(body), body: Some(body) }, None)
+            }
+        };
+        let view = View { frame, late, mount, subject, code, ride, landmarks, params };
+        let found = rider.localizer.localize(&view);
+        self.counts.of_landmarks += found.landmarks.len() as u64;
+        self.sightings.clear();
+        self.sightings.extend(found.sighting);
+        if found.sighting.is_some() {
+            self.counts.localized += 1;
+            self.apply(camera, None, now);
+        }
+        found.landmarks
+    }
+
+    fn ride(&mut self, camera: CameraId, time: Timestamp) -> Result<Ride, Unplaced> {
+        let clock = self.clocks.estimate(camera);
+        let clock_s = clock.map_or(0.0, |clock| clock.deviation_s);
+        self.riders.ride(camera, &mut self.tracks, (time, clock_s))
+    }
+
+    /// Where the camera is at the time of a frame, and what it rides on.
+    fn place(
+        &mut self,
+        camera: CameraId,
+        time: Timestamp,
+    ) -> Result<(Stand, Option<Ride>), Unplaced> {
+        if self.riders.has(camera) {
+            return self.ride(camera, time).map(|ride| (ride.at(time), Some(ride)));
+        }
+        let placement = self.cameras.get(&camera).ok_or(Unplaced::Unknown)?;
+        let stand = Stand {
+            world_from_camera: placement.world_from_camera,
+            systematic: placement.covariance,
+            fresh: Covariance6::zeros(),
+        };
+        Ok((stand, None))
+    }
+
+    /// Turns the frame's detections into sightings, but for those of landmarks; false if the camera's
+    /// place is not known.
+    pub(super) fn collect(
+        &mut self,
+        frame: &FrameObservations,
+        late: Lateness,
+        now: Timestamp,
+        landmarks: &[TrackNumber],
+    ) -> bool {
+        let (mut stand, ride) = match self.place(frame.camera, late.corrected(frame.capture_time)) {
+            Ok(place) => place,
+            Err(reason) => {
+                self.counts.count_unplaced(reason, frame.detections.len() - landmarks.len());
+                return false;
+            }
+        };
+        self.sightings.clear();
+        self.numbers.clear();
+        for detection in &frame.detections {
+            if landmarks.contains(&detection.track) {
+                continue;
+            }
+            let row_ns = detection.capture_time.ns_since(frame.capture_time);
+            if row_ns.saturating_abs() > MAX_ROW_TIME_NS {
+                self.counts.invalid += 1;
+                continue;
+            }
+            if now.ns_since(late.corrected(detection.capture_time)) > self.params.late_window_ns {
+                self.counts.late += 1;
+                continue;
+            }
+            if self.numbers.contains(&detection.track) || self.bodies.has_seen(detection.track) {
+                self.counts.duplicate += 1;
+                continue;
+            }
+            let source = (frame.camera, frame.frame);
+            let ring = &detection.ring;
+            let code = ring.code.map(|reading| reading.code);
+            if let Some(ride) = &ride {
+                stand = ride.at(late.corrected(detection.capture_time));
+            }
+            if self.take_part(detection, source, &stand, (late, now)) {
+                continue;
+            }
+            match measure(detection, source, &stand, late, &self.params) {
+                Ok(measurement) => {
+                    let subject = Subject { kind: ring.kind, body: None };
+                    self.numbers.push(detection.track);
+                    self.sightings.push(Sighting { subject, code, measurement });
+                }
+                Err(refused) => self.counts.count_refused(refused),
+            }
+        }
+        self.join_parts(&stand);
+        true
+    }
+}

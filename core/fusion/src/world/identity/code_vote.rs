@@ -1,0 +1,127 @@
+//! The code that an object was seen with most: a majority vote that keeps one candidate and its lead
+//! (Boyer, Moore, *MJRTY*, 1981), so it costs the same however many codes are misread.
+//!
+//! The lead is bounded, so that a track which came by a wrong code gets rid of it in about a second.
+//! A settled code also says which track a detection belongs to (`association`) and which object a
+//! track is (`identity`).
+
+use roundel_vision::marker::Code;
+
+/// As many readings of another code, less what speaks for the candidate meanwhile, change it.
+const MOST_LEAD: u32 = 60;
+
+/// Readings, less those of others, after which a code is settled.
+const SETTLED_LEAD: u32 = 3;
+
+/// The vote of one track.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(in crate::world) struct CodeVote {
+    candidate: Option<Code>,
+    lead: u32,
+    /// Readings of others since that of the candidate.
+    contrary: u32,
+}
+
+impl CodeVote {
+    /// Counts a reading.
+    pub(in crate::world) fn add(&mut self, code: Code) {
+        if self.candidate == Some(code) {
+            self.lead = (self.lead + 1).min(MOST_LEAD);
+            self.contrary = 0;
+        } else if self.lead > 0 {
+            self.lead -= 1;
+            self.contrary += 1;
+        } else {
+            *self = Self { candidate: Some(code), lead: 1, contrary: 0 };
+        }
+    }
+
+    /// Takes a code for granted, which others have settled.
+    pub(in crate::world) fn settle(&mut self, code: Code) {
+        *self = Self { candidate: Some(code), lead: SETTLED_LEAD, contrary: 0 };
+    }
+
+    /// Takes over what another track of the same object was seen with.
+    pub(in crate::world) fn join(&mut self, other: &Self) {
+        if self.candidate == other.candidate {
+            self.lead = (self.lead + other.lead).min(MOST_LEAD);
+        } else if self.lead < other.lead {
+            *self = Self { lead: other.lead - self.lead, ..*other };
+        } else {
+            self.lead -= other.lead;
+        }
+    }
+
+    /// Whether a reading is of the same object; `None` if that cannot be said yet.
+    pub(in crate::world) fn agrees(&self, read: Code) -> Option<bool> {
+        if self.candidate == Some(read) {
+            return Some(true);
+        }
+        self.settled().map(|_| false)
+    }
+
+    /// Readings of other codes since its own was read last: one is misread, several are another object.
+    pub(in crate::world) fn contrary(&self) -> u32 {
+        self.contrary
+    }
+
+    /// What was read most, if that is beyond doubt.
+    pub(in crate::world) fn settled(&self) -> Option<Code> {
+        self.candidate.filter(|_| self.lead >= SETTLED_LEAD)
+    }
+
+    /// What was read most; `None` before the first reading.
+    pub(in crate::world) fn leader(&self) -> Option<Code> {
+        self.candidate
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn vote(numbers: impl IntoIterator<Item = u16>) -> CodeVote {
+        let mut vote = CodeVote::default();
+        for number in numbers {
+            vote.add(Code { bits: 8, number });
+        }
+        vote
+    }
+
+    fn leader(vote: &CodeVote) -> Option<u16> {
+        vote.leader().map(|code| code.number)
+    }
+
+    #[test]
+    fn what_is_read_most_leads_and_the_first_is_known_at_once() {
+        assert_eq!(leader(&vote([])), None);
+        assert_eq!(leader(&vote([7])), Some(7));
+        assert_eq!(leader(&vote([9, 7, 7, 3, 7, 7, 9])), Some(7));
+    }
+
+    #[test]
+    fn a_wrong_code_is_given_up_however_long_it_was_right() {
+        let long = [7; 1000].into_iter();
+        assert_eq!(leader(&vote(long.clone().chain([9; 60]))), Some(7));
+        assert_eq!(leader(&vote(long.chain([9; 61]))), Some(9));
+    }
+
+    #[test]
+    fn what_is_read_again_was_misread_meanwhile() {
+        assert_eq!(vote([7, 7, 7, 9, 9]).contrary(), 2);
+        assert_eq!(vote([7, 7, 7, 9, 9, 7]).contrary(), 0);
+    }
+
+    #[test]
+    fn joined_tracks_have_what_most_of_both_have() {
+        let join = |a: &[u16], b: &[u16]| {
+            let mut joined = vote(a.iter().copied());
+            joined.join(&vote(b.iter().copied()));
+            leader(&joined)
+        };
+        assert_eq!(join(&[], &[7]), Some(7));
+        assert_eq!(join(&[7], &[]), Some(7));
+        assert_eq!(join(&[7], &[9, 9, 9]), Some(9));
+        assert_eq!(join(&[7, 7], &[9]), Some(7));
+    }
+}

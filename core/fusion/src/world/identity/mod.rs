@@ -1,0 +1,3 @@
+//! What identifies an object: its code.
+
+pub(super) mod code_vote;

@@ -1,0 +1,54 @@
+//! Enough of a track to tell most sightings (`gate`), and most other tracks, that they are not of it: a
+//! few numbers, where the filters are kilobytes.
+
+use nalgebra::Vector3;
+
+use crate::track::Estimate;
+use roundel_vision::time::Timestamp;
+
+/// Where an object about is, as its agile filter has it.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::world) struct Coarse {
+    time: Timestamp,
+    pub(in crate::world) position_m: Vector3<f64>,
+    pub(in crate::world) velocity_m_s: Vector3<f64>,
+    /// Traces of the covariance's blocks, with what clocks may add: of position, of both, of velocity.
+    pub(in crate::world) spread: (f64, f64, f64),
+    /// Sum of the densities by which they grow, m²/s³.
+    density_m2_s3: f64,
+}
+
+impl Coarse {
+    /// Of an estimate that grows by these densities.
+    pub(in crate::world) fn of(estimate: &Estimate, density_m2_s3: &Vector3<f64>) -> Self {
+        let filter = estimate.motion.agile();
+        Self {
+            time: estimate.time,
+            position_m: filter.position_m,
+            velocity_m_s: filter.kernel.rate,
+            spread: filter.kernel.told_traces(),
+            density_m2_s3: density_m2_s3.sum(),
+        }
+    }
+
+    /// At another instant: the traces are those of the whole covariance, predicted.
+    pub(in crate::world) fn predicted(&self, time: Timestamp) -> Self {
+        let dt = time.seconds_since(self.time);
+        let (value, cross, rate) = self.spread;
+        let (span, grown) = (dt.abs(), self.density_m2_s3);
+        let spread = (
+            value + 2.0 * cross * dt + rate * dt * dt + grown * span * span * span / 3.0,
+            cross + rate * dt + grown * dt * span / 2.0,
+            rate + grown * span,
+        );
+        Self { time, position_m: self.position_m + self.velocity_m_s * dt, spread, ..*self }
+    }
+
+    /// Root of the sum of the position's variances, metres, at most, up to `span_s` before or after.
+    pub(in crate::world) fn most_deviation_m(&self, span_s: f64) -> f64 {
+        let (value, cross, rate) = self.spread;
+        let span = span_s.abs();
+        let grown = self.density_m2_s3 * span * span * span / 3.0;
+        (value + 2.0 * cross.abs() * span + rate * span * span + grown).max(0.0).sqrt()
+    }
+}

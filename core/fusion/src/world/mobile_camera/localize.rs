@@ -1,0 +1,337 @@
+//! A robot's own camera finds where the robot is: what it sees of landmarks in a frame as a measurement
+//! of the object that carries it.
+//!
+//! Detections are brought to the frame's time by the carrier's motion, as far as it is known, since a
+//! rolling shutter exposes its rows one after another; what the motion may be beside that counts as
+//! error. Coded landmarks are known by their codes; plain ones, and codes that were not read, by where they
+//! must be, once the carrier is followed, and plain ones before by their mutual distances ([`super::reference::identify`]). [`solve`] gives the camera's
+//! place; with the mount (R_m, t_m) the carrier is at (R, t) (R_m, t_m)⁻¹. The measurement has a camera, a
+//! frame and a covariance as any other, of which what landmarks and mount err by is systematic, and a
+//! share of the rest, as in `observation`.
+//!
+//! Where what is seen allows two places (one landmark, both normals), the one nearer to where the carrier
+//! is expected is taken. For a carrier that is not followed yet, evidence of both is gathered frame by
+//! frame, and nothing is said until the odds are a hundred to one; if later frames turn the odds round,
+//! the other place is said, and the track begins anew.
+
+use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
+
+use crate::world::{
+    FusionParams,
+    association::Sighting,
+    lifecycle::id_registry::Subject,
+    measurement::{FLOOR_VARIANCE, Lateness, is_sound},
+    mobile_camera::landmark::{Landmark, Pair, Solution, apart, solve},
+    mobile_camera::mount::{CameraMount, Ride, with_arm},
+    reference::{Reference, Sighting as Seen, identify},
+};
+use crate::{
+    track::{AttitudeMeasurement, Measurement, Noise, positive_root},
+    world::FrameObservations,
+};
+use roundel_vision::{
+    id::{KindId, TrackNumber},
+    marker::Code,
+    pose::{Detection, RoundelPose},
+    rigid::{Covariance6, Rigid, mahalanobis_squared, rotate_covariance},
+    time::Timestamp,
+};
+
+/// The carrier itself, among the numbers that its camera gives to what it sees.
+pub(in crate::world) const OWN_NUMBER: TrackNumber = TrackNumber(u64::MAX);
+/// Odds of a place against the other before it is told, as a logarithm …
+const SURE_LOG_ODDS: f64 = 4.6;
+/// … which never exceed this, so that a mistake can be undone.
+const MOST_LOG_ODDS: f64 = 8.0;
+/// Frames that follow one another share most of their error: as much of each counts.
+const EVIDENCE_WEIGHT: f64 = 0.25;
+/// What the expected place may say at most, -2 ln.
+const MOST_EXPECTED: f64 = 30.0;
+/// Evidence older than this says nothing, seconds.
+const FORGOTTEN_S: f64 = 1.0;
+/// A plain landmark is where it must be within this (χ², 3 degrees of freedom, 0.9999).
+const NEAR_SQUARED: f64 = 21.1;
+
+/// The two places that a camera may have, as they were in its last ambiguous frame.
+#[derive(Clone, Copy, Debug)]
+struct Belief {
+    world_from_camera: Rigid,
+    log_odds: f64,
+    time: Timestamp,
+}
+
+/// What one camera remembers.
+#[derive(Clone, Copy, Debug, Default)]
+pub(in crate::world) struct Localizer {
+    belief: Option<Belief>,
+}
+
+/// What came of a frame.
+pub(in crate::world) struct Localized {
+    /// Of the carrier; `None`: nothing can be said.
+    pub(in crate::world) sighting: Option<Sighting>,
+    /// The detections that are of landmarks.
+    pub(in crate::world) landmarks: Vec<TrackNumber>,
+}
+
+/// A frame of a camera that localizes.
+pub(in crate::world) struct View<'a> {
+    pub(in crate::world) frame: &'a FrameObservations,
+    pub(in crate::world) late: Lateness,
+    pub(in crate::world) mount: CameraMount,
+    /// What its carrier is followed as …
+    pub(in crate::world) subject: Subject,
+    /// … and its code.
+    pub(in crate::world) code: Option<Code>,
+    /// Where its carrier is expected, if it is followed.
+    pub(in crate::world) ride: Option<Ride>,
+    pub(in crate::world) landmarks: &'a [Landmark],
+    pub(in crate::world) params: &'a FusionParams,
+}
+
+/// A detection of which only its place can say which landmark it is of.
+struct Nameless {
+    kind: KindId,
+    number: TrackNumber,
+    pose: RoundelPose,
+}
+
+impl Localizer {
+    /// Where the carrier is, by one frame.
+    pub(in crate::world) fn localize(&mut self, view: &View<'_>) -> Localized {
+        let mut pairs = view.pairs();
+        let landmarks = pairs.iter().map(|pair| pair.number).collect();
+        let expected = view.ride.as_ref().map(Ride::now);
+        let solutions = solve(&mut pairs, expected.as_ref().map(|(place, _)| place));
+        let chosen = match solutions[..] {
+            [] => None,
+            [only] => {
+                self.belief = None;
+                Some(only)
+            }
+            [best, other, ..] => self.choose([best, other], expected.as_ref(), view),
+        };
+        let sighting = chosen.and_then(|solution| view.sighting(&solution));
+        Localized { sighting, landmarks }
+    }
+
+    /// One of two places, if that can be said.
+    fn choose(
+        &mut self,
+        solutions: [Solution; 2],
+        expected: Option<&(Rigid, Covariance6)>,
+        view: &View<'_>,
+    ) -> Option<Solution> {
+        let time = view.time();
+        if let Some((place, covariance)) = expected {
+            let [first, second] = solutions.map(|solution| {
+                let apart = apart(place, &solution.world_from_camera);
+                let spread = covariance + solution.covariance();
+                let square = mahalanobis_squared(&apart, &spread).unwrap_or(MOST_EXPECTED);
+                solution.cost + square.min(MOST_EXPECTED)
+            });
+            let near = usize::from(second < first);
+            let odds = self.gather(&solutions, near, time, || MOST_LOG_ODDS);
+            let taken = if odds < -SURE_LOG_ODDS { 1 - near } else { near };
+            return Some(solutions[taken]);
+        }
+        let upright = |index: usize| {
+            let object = solutions[index].world_from_camera.rotation
+                * view.mount.object_from_camera.rotation.inverse();
+            (object * Vector3::z()).z
+        };
+        let prior = view.params.motion_model(&Default::default()).upright_log_odds;
+        let odds = self.gather(&solutions, 0, time, || prior * (upright(0) - upright(1)));
+        let taken = usize::from(odds < 0.0);
+        (odds.abs() >= SURE_LOG_ODDS).then_some(solutions[taken])
+    }
+
+    /// The odds of one of two places by all frames so far; `prior` before the first.
+    fn gather(
+        &mut self,
+        solutions: &[Solution; 2],
+        index: usize,
+        time: Timestamp,
+        prior: impl Fn() -> f64,
+    ) -> f64 {
+        let is_fresh = |belief: &Belief| time.seconds_since(belief.time).abs() < FORGOTTEN_S;
+        let before = self.belief.filter(is_fresh).map_or_else(prior, |belief| {
+            let far = |index: usize| {
+                apart(&belief.world_from_camera, &solutions[index].world_from_camera).norm()
+            };
+            if far(index) <= far(1 - index) { belief.log_odds } else { -belief.log_odds }
+        });
+        let evidence = 0.5 * (solutions[1 - index].cost - solutions[index].cost);
+        let log_odds = (before + EVIDENCE_WEIGHT * evidence).clamp(-MOST_LOG_ODDS, MOST_LOG_ODDS);
+        let world_from_camera = solutions[index].world_from_camera;
+        self.belief = Some(Belief { world_from_camera, log_odds, time });
+        log_odds
+    }
+}
+
+impl View<'_> {
+    fn time(&self) -> Timestamp {
+        self.late.corrected(self.frame.capture_time)
+    }
+
+    /// Every landmark that is seen, once, in the camera's frame at the frame's time.
+    fn pairs(&self) -> Vec<Pair> {
+        let mut pairs: Vec<Pair> = Vec::new();
+        let mut nameless: Vec<Nameless> = Vec::new();
+        for detection in &self.frame.detections {
+            let is_kind = |landmark: &Landmark| Some(landmark.kind) == detection.ring.kind;
+            let (Some(pose), Some(kind)) = (&detection.pose, detection.ring.kind) else { continue };
+            if !is_sound(pose) || !self.landmarks.iter().any(is_kind) {
+                continue;
+            }
+            let (number, pose) = (detection.track, self.at_frame(detection, pose));
+            let Some(code) = detection.ring.code.map(|reading| reading.code) else {
+                nameless.push(Nameless { kind, number, pose });
+                continue;
+            };
+            let is_it = |landmark: &&Landmark| is_kind(landmark) && landmark.code == Some(code);
+            let Some(&landmark) = self.landmarks.iter().find(is_it) else { continue };
+            if !pairs.iter().any(|other| other.landmark == landmark) {
+                pairs.push(Pair { landmark, number, pose });
+            }
+        }
+        match (&self.ride, nameless.is_empty()) {
+            (_, true) => {}
+            (Some(ride), _) => self.match_places(ride, nameless, &mut pairs),
+            (None, _) => self.match_distances(nameless, &mut pairs),
+        }
+        pairs
+    }
+
+    /// Plain landmarks, and those whose code was not read, by where they must be.
+    fn match_places(&self, ride: &Ride, nameless: Vec<Nameless>, pairs: &mut Vec<Pair>) {
+        let (place, covariance) = ride.now();
+        for Nameless { kind, number, pose } in nameless {
+            let arm_m = place.rotation * pose.position_m;
+            let seen = rotate_covariance(&place.rotation, &pose.covariance)
+                + with_arm(&covariance, &arm_m);
+            let block: Matrix3<f64> = seen.fixed_view::<3, 3>(0, 0).into_owned();
+            let square = |landmark: &Landmark| {
+                let error = landmark.position_m - arm_m - place.translation.vector;
+                let variance = landmark.position_deviation_m.powi(2);
+                let block = block + Matrix3::from_diagonal_element(variance);
+                mahalanobis_squared(&error, &block).unwrap_or(f64::INFINITY)
+            };
+            let own = self.landmarks.iter().filter(|landmark| landmark.kind == kind);
+            let nearest = own
+                .map(|landmark| (square(landmark), landmark))
+                .min_by(|one, other| one.0.total_cmp(&other.0));
+            let Some((square, &landmark)) = nearest else { continue };
+            let is_taken = pairs.iter().any(|pair| pair.landmark == landmark);
+            if square < NEAR_SQUARED && !is_taken {
+                pairs.push(Pair { landmark, number, pose });
+            }
+        }
+    }
+
+    /// Plain landmarks by their mutual distances.
+    fn match_distances(&self, nameless: Vec<Nameless>, pairs: &mut Vec<Pair>) {
+        let plain: Vec<&Landmark> =
+            self.landmarks.iter().filter(|landmark| landmark.code.is_none()).collect();
+        let references: Vec<Reference> = plain
+            .iter()
+            .map(|landmark| Reference {
+                position_m: landmark.position_m,
+                normal: landmark.orientation.map(|turn| turn * Vector3::z()),
+            })
+            .collect();
+        let seen: Vec<Seen> = nameless.iter().map(|it| Seen::from(&it.pose)).collect();
+        // What cannot be told apart yet is told by a frame that shows more.
+        let Ok(found) = identify(&references, &seen) else { return };
+        for (&landmark, index) in plain.into_iter().zip(found) {
+            let Some(index) = index else { continue };
+            let Nameless { kind, number, pose } = &nameless[index];
+            if *kind == landmark.kind {
+                pairs.push(Pair { landmark, number: *number, pose: pose.clone() });
+            }
+        }
+    }
+
+    /// A detection as it would have been at the frame's time.
+    fn at_frame(&self, detection: &Detection, pose: &RoundelPose) -> RoundelPose {
+        let row_s = detection.capture_time.seconds_since(self.frame.capture_time);
+        let mut moved = pose.clone();
+        let distance_m = pose.position_m.norm();
+        let (speed_m_s, turning_rad_s) = match &self.ride {
+            Some(ride) => {
+                let time = self.time();
+                let (frame, row) = (ride.at(time), ride.at(time.plus_seconds(row_s)));
+                let change = frame.world_from_camera.inverse() * row.world_from_camera;
+                moved.position_m = change.rotation * pose.position_m + change.translation.vector;
+                moved.normal = change.rotation * pose.normal;
+                moved.other_normal = change.rotation * pose.other_normal;
+                moved.yaw_rad =
+                    pose.yaw_rad.map(|yaw_rad| turned_yaw(&change.rotation, &pose.normal, yaw_rad));
+                moved.covariance = rotate_covariance(&change.rotation, &pose.covariance);
+                ride.rate_deviations()
+            }
+            None => (self.params.speed_m_s, self.params.angular_speed_rad_s),
+        };
+        let slip_m2 = (speed_m_s * row_s).powi(2) + (turning_rad_s * row_s * distance_m).powi(2);
+        let slip_rad2 = (turning_rad_s * row_s).powi(2);
+        for axis in 0..3 {
+            moved.covariance[(axis, axis)] += slip_m2;
+            moved.covariance[(axis + 3, axis + 3)] += slip_rad2;
+        }
+        moved
+    }
+
+    /// The carrier where the camera says that it is.
+    fn sighting(&self, solution: &Solution) -> Option<Sighting> {
+        let mount = &self.mount;
+        let camera_from_object = mount.object_from_camera.inverse();
+        let place = solution.world_from_camera * camera_from_object;
+        let arm_m = solution.world_from_camera.rotation * camera_from_object.translation.vector;
+        let share = self.params.systematic_share.clamp(0.0, 1.0);
+        // The mount's error in the frame of the object moves the object by as much the other way.
+        let mut back = Matrix6::identity();
+        let camera_m = mount.object_from_camera.translation.vector;
+        back.fixed_view_mut::<3, 3>(0, 3).copy_from(&camera_m.cross_matrix());
+        let mounted = back * mount.covariance * back.transpose();
+        let mounted = rotate_covariance(&place.rotation, &mounted);
+        let systematic = with_arm(&(solution.seen * share + solution.placed), &arm_m) + mounted;
+        let total = with_arm(&solution.covariance(), &arm_m) + mounted;
+        let noise = |corner: usize| {
+            let block = |whole: &Covariance6| -> Matrix3<f64> {
+                let block = whole.fixed_view::<3, 3>(corner, corner);
+                (block + block.transpose()) * 0.5
+            };
+            Noise {
+                total: block(&total) + Matrix3::from_diagonal_element(FLOOR_VARIANCE),
+                systematic_root: positive_root(&block(&systematic)).unwrap_or_else(Matrix3::zeros),
+                timing_s: 0.0,
+            }
+        };
+        let (position_noise, rotation_noise) = (noise(0), noise(3));
+        if [&position_noise, &rotation_noise].iter().any(|n| positive_root(&n.total).is_none()) {
+            return None;
+        }
+        let turn: UnitQuaternion<f64> = place.rotation;
+        Some(Sighting {
+            subject: self.subject,
+            code: self.code,
+            measurement: Measurement {
+                time: self.time(),
+                late_s: self.late.offset_s,
+                camera: self.frame.camera,
+                frame: self.frame.frame,
+                number: OWN_NUMBER,
+                position_m: place.translation.vector,
+                position_noise,
+                attitude: AttitudeMeasurement::new([turn; 2], 1.0, Some(1), rotation_noise),
+            },
+        })
+    }
+}
+
+/// The yaw of a roundel that was turned as a whole.
+fn turned_yaw(turn: &UnitQuaternion<f64>, normal: &Vector3<f64>, yaw_rad: f64) -> f64 {
+    let x = turn * crate::world::measurement::orientation(normal, Some(yaw_rad)) * Vector3::x();
+    let level = crate::world::measurement::orientation(&(turn * normal), None).inverse() * x;
+    level.y.atan2(level.x)
+}
