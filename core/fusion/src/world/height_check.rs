@@ -13,7 +13,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{lifecycle::id_registry::Subject, params::FLOOR_M};
+use super::{identity::Subject, params::FLOOR_M};
 use crate::track::Measurement;
 use roundel_vision::{
     id::{BodyId, CameraId, KindId},

@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use super::{
     CameraPlacement, FusionParams,
-    mobile_camera::mount::{Stand, with_arm},
+    camera_pose::{Stand, with_arm},
 };
 use crate::track::{AttitudeMeasurement, Measurement, Noise, positive_root};
 use roundel_vision::{

@@ -15,6 +15,7 @@
 mod association;
 mod body;
 mod camera_outlier;
+mod camera_pose;
 mod clock;
 mod counts;
 mod fusion;
@@ -28,13 +29,13 @@ mod snapshot;
 
 pub use body::{Body, BodyError, Mount};
 pub use camera_outlier::{HeldBack, HeldStep};
-pub use clock::estimator::{ClockEstimate, ClockPrior};
+pub use camera_pose::CameraPlacement;
+pub use clock::{ClockEstimate, ClockPrior};
 pub use counts::FusionCounts;
-pub use fusion::{CameraPlacement, Compared, Fusion};
+pub use fusion::{Compared, Fusion};
 pub use height_check::WrongHeight;
 pub use measurement::seen_in_world;
-pub use mobile_camera::landmark::{Landmark, TURN_SIGMA_RAD};
-pub use mobile_camera::mount::{CameraMount, Carrier, Unplaced};
+pub use mobile_camera::{CameraMount, Carrier, Landmark, TURN_SIGMA_RAD, Unplaced};
 pub use params::{FusionParams, MotionClass};
 
 pub mod reference;

@@ -9,7 +9,7 @@
 
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
-use super::{ObjectState, ProcessNoise, Snapshot, lifecycle::track::Track};
+use super::{ObjectState, ProcessNoise, Snapshot, lifecycle::Track};
 use crate::track::{AttitudeEstimate, Look, Spread, added_by, left_after};
 use roundel_vision::{id::CameraId, rigid::orientation_of_normal, time::Timestamp};
 

@@ -19,7 +19,7 @@ use fearless_simd_macros::simd;
 use nalgebra::Matrix3;
 
 use crate::track::{Noise, invert_positive};
-use crate::world::{lifecycle::coarse::Coarse, lifecycle::track::Track};
+use crate::world::lifecycle::{Coarse, Track};
 use roundel_vision::time::Timestamp;
 
 const LANES: usize = 8;

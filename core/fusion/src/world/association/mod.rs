@@ -12,14 +12,10 @@
 mod assignment;
 mod gate;
 
-use super::{
-    FusionParams,
-    association::assignment::{FORBIDDEN, assign},
-    association::gate::{Field, Probe},
-    clock::estimator::Clocks,
-    lifecycle::id_registry::Subject,
-    lifecycle::track::Track,
-};
+use assignment::{FORBIDDEN, assign};
+use gate::{Field, Probe};
+
+use super::{FusionParams, clock::Clocks, identity::Subject, lifecycle::Track};
 use crate::track::{Innovation, Measurement, Noise};
 use roundel_vision::marker::Code;
 

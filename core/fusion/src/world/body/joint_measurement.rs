@@ -28,10 +28,10 @@ use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
 
 use fit::{Fit, Piece, add, block, fits};
 
+use super::SeenPart;
 use crate::track::{AttitudeMeasurement, Measurement, Noise, positive_root};
 use crate::world::{
-    body::SeenPart,
-    lifecycle::track::{Track, View},
+    lifecycle::{Track, View},
     measurement::FLOOR_VARIANCE,
 };
 use roundel_vision::rigid::mahalanobis_squared;

@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 use thiserror::Error;
 
-use super::{FusionParams, MotionClass, identity::code_vote::CodeVote};
+use super::{FusionParams, MotionClass, identity::CodeVote};
 use crate::track::{Measurement, MotionModel};
 use roundel_vision::{
     id::{BodyId, CameraId, KindId, TrackNumber},
@@ -25,10 +25,6 @@ use roundel_vision::{
     rigid::Rigid,
     time::Timestamp,
 };
-
-/// Numbers of cameras' tracks count up from 1; those of bodies, of which a camera has one each, down from
-/// here, below that of a camera's carrier.
-const BODY_NUMBERS: u64 = super::mobile_camera::localize::OWN_NUMBER.0 - 1;
 
 /// A roundel on an object.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -291,9 +287,4 @@ fn claims(
         claims.push(((it.kind, it.code), Part { body: id, mount }));
     }
     Ok(claims)
-}
-
-/// The number by which all cameras' measurements of a body go.
-pub(super) fn number_of(body: BodyId) -> TrackNumber {
-    TrackNumber(BODY_NUMBERS - u64::from(body.0))
 }

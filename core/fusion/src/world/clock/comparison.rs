@@ -14,10 +14,14 @@
 //! they seem to: it counts as often as there are windows in twice the time in which it forgets itself. What the
 //! parabola leaves, ½ a ε², counts as error.
 
-use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector3};
 
+use super::{
+    estimator::Clocks,
+    evidence::{Comparison, View},
+};
 use crate::track::{History, MAX_SOURCES, Measurement};
-use crate::world::clock::estimator::Clocks;
+
 use roundel_vision::{id::CameraId, time::Timestamp};
 
 /// The window's length …
@@ -32,32 +36,6 @@ const LEAST_REACH: f64 = 0.5;
 const LEAST_SPEED_M_S: f64 = 0.05;
 /// … nor one whose speed's square is not so many times its variance.
 const SURE_SQUARED: f64 = 16.0;
-
-/// One camera's view in the middle of the window.
-#[derive(Clone, Copy, Debug)]
-struct View {
-    camera: CameraId,
-    position_m: Vector3<f64>,
-    covariance: Matrix3<f64>,
-}
-
-/// Several cameras' views of one object.
-#[derive(Clone, Debug)]
-pub(in crate::world) struct Comparison {
-    velocity_m_s: Vector3<f64>,
-    views: Vec<View>,
-}
-
-/// What a comparison says of its cameras' clocks.
-#[derive(Clone, Debug)]
-pub(in crate::world) struct Evidence {
-    /// About the ε, 1/s².
-    pub(in crate::world) information: DMatrix<f64>,
-    /// Information times ε, 1/s.
-    pub(in crate::world) score: DVector<f64>,
-    /// Squared Mahalanobis length of the views' differences over their number.
-    pub(in crate::world) distance_squared: f64,
-}
 
 /// Sums over one camera's measurements in the window.
 #[derive(Clone, Copy)]
@@ -79,101 +57,64 @@ struct Parabola {
     variances: [f64; 2],
 }
 
-impl Comparison {
-    /// Of the measurements of the window before `now`; `None` if they say nothing.
-    pub(in crate::world) fn of(
-        history: &History,
-        now: Timestamp,
-        clocks: &Clocks,
-        systematic_time_s: f64,
-    ) -> Option<Self> {
-        let half_s = 0.5e-9 * WINDOW_NS as f64;
-        // As long as an exponentially correlated error counts in a mean.
-        let repeats = (systematic_time_s / half_s).max(1.0);
-        let middle = now.plus_ns(-DELAY_NS - WINDOW_NS / 2);
-        let mut sums: Vec<Sums> = Vec::with_capacity(MAX_SOURCES);
-        for seen in history.measurements() {
-            let moved_s = seen.late_s - clocks.offset_now_s(seen.camera);
-            let time = (seen.time.seconds_since(middle) + moved_s) / half_s;
-            if time.abs() > 1.0 || !clocks.is_compared(seen.camera, seen.time) {
-                continue;
-            }
-            match sums.iter_mut().find(|sums| sums.camera == seen.camera) {
-                Some(sums) => sums.add(time, seen),
-                None => {
-                    let mut own = Sums::of(seen.camera);
-                    own.add(time, seen);
-                    sums.push(own);
-                }
+/// Of the measurements of the window before `now`; `None` if they say nothing.
+pub(in crate::world) fn compare(
+    history: &History,
+    now: Timestamp,
+    clocks: &Clocks,
+    systematic_time_s: f64,
+) -> Option<Comparison> {
+    let half_s = 0.5e-9 * WINDOW_NS as f64;
+    // As long as an exponentially correlated error counts in a mean.
+    let repeats = (systematic_time_s / half_s).max(1.0);
+    let middle = now.plus_ns(-DELAY_NS - WINDOW_NS / 2);
+    let mut sums: Vec<Sums> = Vec::with_capacity(MAX_SOURCES);
+    for seen in history.measurements() {
+        let moved_s = seen.late_s - clocks.offset_now_s(seen.camera);
+        let time = (seen.time.seconds_since(middle) + moved_s) / half_s;
+        if time.abs() > 1.0 || !clocks.is_compared(seen.camera, seen.time) {
+            continue;
+        }
+        match sums.iter_mut().find(|sums| sums.camera == seen.camera) {
+            Some(sums) => sums.add(time, seen),
+            None => {
+                let mut own = Sums::of(seen.camera);
+                own.add(time, seen);
+                sums.push(own);
             }
         }
-        let fits: Vec<(Sums, Parabola)> =
-            sums.into_iter().filter_map(|sums| Some((sums, sums.parabola()?))).collect();
-        if fits.len() < 2 {
-            return None;
-        }
-        let (mut slope, mut curvature, mut weight, mut noise) =
-            (Vector3::zeros(), Vector3::zeros(), 0.0, 0.0);
-        for (sums, fit) in &fits {
-            let own = 1.0 / (fit.variances[1] * sums.white.trace());
-            slope += fit.terms[1] * own;
-            curvature += fit.terms[2] * own;
-            weight += own;
-            noise += own;
-        }
-        let velocity_m_s: Vector3<f64> = slope / (weight * half_s);
-        let least = (SURE_SQUARED / (noise * half_s * half_s)).max(LEAST_SPEED_M_S.powi(2));
-        if velocity_m_s.norm_squared() < least {
-            return None;
-        }
-        let acceleration_m_s2 = curvature.norm() * 2.0 / (weight * half_s * half_s);
-        let cameras: Vec<CameraId> = fits.iter().map(|(sums, _)| sums.camera).collect();
-        let views = fits.iter().map(|(sums, fit)| {
-            let apart = cameras.iter().map(|other| clocks.deviation_s(sums.camera, *other));
-            let bent_m = 0.5 * acceleration_m_s2 * apart.fold(0.0, f64::max).powi(2);
-            let per_count = 1.0 / sums.count as f64;
-            let covariance = sums.white * (fit.variances[0] * per_count)
-                + sums.systematic * (repeats * per_count)
-                + Matrix3::from_diagonal_element(bent_m * bent_m);
-            View { camera: sums.camera, position_m: fit.terms[0], covariance }
-        });
-        Some(Self { velocity_m_s, views: views.collect() })
     }
-
-    /// Whose views these are.
-    pub(in crate::world) fn cameras(&self) -> impl Iterator<Item = CameraId> {
-        self.views.iter().map(|view| view.camera)
+    let fits: Vec<(Sums, Parabola)> =
+        sums.into_iter().filter_map(|sums| Some((sums, sums.parabola()?))).collect();
+    if fits.len() < 2 {
+        return None;
     }
-
-    /// What follows; `None` if a covariance is none.
-    pub(in crate::world) fn evidence(&self) -> Option<Evidence> {
-        let inverses: Option<Vec<Matrix3<f64>>> =
-            self.views.iter().map(|view| Some(view.covariance.cholesky()?.inverse())).collect();
-        let inverses = inverses?;
-        let all = inverses.iter().sum::<Matrix3<f64>>().cholesky()?;
-        let mut pulled = Vector3::zeros();
-        for (view, inverse) in self.views.iter().zip(&inverses) {
-            pulled += inverse * view.position_m;
-        }
-        let place_m = all.solve(&pulled);
-        let weighted: Vec<Vector3<f64>> =
-            inverses.iter().map(|inverse| inverse * self.velocity_m_s).collect();
-        let count = self.views.len();
-        let mut information = DMatrix::zeros(count, count);
-        let mut score = DVector::zeros(count);
-        let mut distance_squared = 0.0;
-        for one in 0..count {
-            let apart_m = self.views[one].position_m - place_m;
-            score[one] = -weighted[one].dot(&apart_m);
-            distance_squared += apart_m.dot(&(inverses[one] * apart_m));
-            let spread = all.solve(&weighted[one]);
-            for other in 0..count {
-                information[(one, other)] = -weighted[other].dot(&spread);
-            }
-            information[(one, one)] += weighted[one].dot(&self.velocity_m_s);
-        }
-        Some(Evidence { information, score, distance_squared: distance_squared / count as f64 })
+    let (mut slope, mut curvature, mut weight, mut noise) =
+        (Vector3::zeros(), Vector3::zeros(), 0.0, 0.0);
+    for (sums, fit) in &fits {
+        let own = 1.0 / (fit.variances[1] * sums.white.trace());
+        slope += fit.terms[1] * own;
+        curvature += fit.terms[2] * own;
+        weight += own;
+        noise += own;
     }
+    let velocity_m_s: Vector3<f64> = slope / (weight * half_s);
+    let least = (SURE_SQUARED / (noise * half_s * half_s)).max(LEAST_SPEED_M_S.powi(2));
+    if velocity_m_s.norm_squared() < least {
+        return None;
+    }
+    let acceleration_m_s2 = curvature.norm() * 2.0 / (weight * half_s * half_s);
+    let cameras: Vec<CameraId> = fits.iter().map(|(sums, _)| sums.camera).collect();
+    let views = fits.iter().map(|(sums, fit)| {
+        let apart = cameras.iter().map(|other| clocks.deviation_s(sums.camera, *other));
+        let bent_m = 0.5 * acceleration_m_s2 * apart.fold(0.0, f64::max).powi(2);
+        let per_count = 1.0 / sums.count as f64;
+        let covariance = sums.white * (fit.variances[0] * per_count)
+            + sums.systematic * (repeats * per_count)
+            + Matrix3::from_diagonal_element(bent_m * bent_m);
+        View { camera: sums.camera, position_m: fit.terms[0], covariance }
+    });
+    Some(Comparison { velocity_m_s, views: views.collect() })
 }
 
 impl Sums {

@@ -21,7 +21,7 @@ use std::collections::BTreeSet;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::world::clock::comparison::Comparison;
+use super::evidence::Comparison;
 use roundel_vision::{id::CameraId, time::Timestamp};
 
 /// What is known of a clock before anything was seen.

@@ -1,7 +1,16 @@
 //! Capture times: camera stamps, clock offsets, the order of frames, and frames that never arrived.
 
-pub(super) mod comparison;
-pub(super) mod estimator;
-pub(super) mod missing_frames;
-pub(super) mod stamp;
-pub(super) mod timeline;
+mod comparison;
+mod estimator;
+mod evidence;
+mod missing_frames;
+mod stamp;
+mod timeline;
+
+pub(super) use comparison::{WINDOW_NS, compare};
+pub(super) use estimator::Clocks;
+pub use estimator::{ClockEstimate, ClockPrior};
+pub(super) use evidence::Comparison;
+pub(super) use missing_frames::Gaps;
+pub(super) use stamp::{Anchors, Stamp};
+pub(super) use timeline::{Timeline, Verdict};

@@ -6,11 +6,12 @@ use crate::{
     world::{
         association::Sighting,
         body::joint_measurement::{Expected, assemble},
-        body::{Body, BodyError, number_of},
-        lifecycle::id_registry::Subject,
-        lifecycle::track::Track,
+        body::{Body, BodyError},
+        camera_pose::Stand,
+        identity::Subject,
+        identity::body_number,
+        lifecycle::Track,
         measurement::{Lateness, Refused, measure, with_stand},
-        mobile_camera::mount::Stand,
     },
 };
 use roundel_vision::{
@@ -78,7 +79,7 @@ impl Fusion {
             };
             self.counts.left_out += left_out as u64;
             self.counts.joined += (parts.len() - 1 - left_out) as u64;
-            let measurement = Measurement { number: number_of(body), ..measurement };
+            let measurement = Measurement { number: body_number(body), ..measurement };
             let measurement = with_stand(measurement, stand);
             self.sightings.push(Sighting { subject, code: None, measurement });
         }

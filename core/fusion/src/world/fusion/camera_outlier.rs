@@ -9,8 +9,8 @@ use crate::{
         HeldBack,
         association::{Decision, Sighting},
         camera_outlier::{Inquiry, MOST_OTHERS, MOST_SQUARED, Passage, Pull, Surprise},
-        clock::estimator::Clocks,
-        lifecycle::track::Track,
+        clock::Clocks,
+        lifecycle::Track,
     },
 };
 use roundel_vision::{id::CameraId, time::Timestamp};

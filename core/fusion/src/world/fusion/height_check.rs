@@ -1,7 +1,7 @@
 //! Heights that were said of what drives, held against what cameras see.
 
 use super::{Fusion, MotionClass};
-use crate::world::{WrongHeight, lifecycle::id_registry::Subject};
+use crate::world::{WrongHeight, identity::Subject};
 
 impl Fusion {
     /// Takes what was found out since the last call of heights that were said wrong; each is told once, until

@@ -1,11 +1,11 @@
 //! How tracks begin, grow old, are found to be the same and end, and the events that tell of it.
 
-use super::{
-    super::{
-        Event, EventKind, LifeStage, association::Sighting, lifecycle::merge,
-        lifecycle::track::Track, mobile_camera::localize::OWN_NUMBER,
-    },
-    Fusion,
+use super::Fusion;
+use crate::world::{
+    Event, EventKind, LifeStage,
+    association::Sighting,
+    identity::CARRIER_NUMBER,
+    lifecycle::{Track, find},
 };
 use roundel_vision::{id::ObjectId, time::Timestamp};
 
@@ -30,7 +30,7 @@ impl Fusion {
             None => self.params.motion_model(&class.unwrap_or_default()),
         };
         // Where its own camera is its place hangs on its orientation, whose errors last.
-        model.learns_turning &= sighting.measurement.number != OWN_NUMBER;
+        model.learns_turning &= sighting.measurement.number != CARRIER_NUMBER;
         let mut track = Track::begin(id, subject, sighting.measurement, model);
         sighting.code.into_iter().for_each(|code| track.codes.add(code));
         self.tracks.push(track);
@@ -68,7 +68,7 @@ impl Fusion {
     }
 
     pub(super) fn merge(&mut self, now: Timestamp) {
-        while let Some((stays, goes)) = merge::find(&mut self.tracks, now) {
+        while let Some((stays, goes)) = find(&mut self.tracks, now) {
             let mut gone = self.tracks[goes].clone();
             self.tracks[stays].adopt_views(&gone);
             self.tracks[stays].codes.join(&gone.codes);

@@ -18,43 +18,35 @@ use std::collections::{BTreeMap, VecDeque};
 use nalgebra::Vector3;
 
 use super::{
-    Event, EventKind, FrameObservations, FusionParams, MotionClass, ObjectState, Snapshot,
+    CameraPlacement, Event, EventKind, FrameObservations, FusionParams, MotionClass, ObjectState,
+    Snapshot,
     association::{Scratch, Sighting, associate},
     body::Bodies,
     camera_outlier::Guards,
-    clock::estimator::{ClockEstimate, ClockPrior, Clocks},
-    clock::missing_frames::Gaps,
-    clock::stamp::{Anchors, Stamp},
-    clock::timeline::{Timeline, Verdict},
+    clock::Gaps,
+    clock::{Anchors, Stamp},
+    clock::{ClockEstimate, ClockPrior, Clocks},
+    clock::{Timeline, Verdict},
     counts::FusionCounts,
     height_check::Floors,
-    lifecycle::id_registry::{Claim, Identities, Mark, Subject},
-    lifecycle::track::Track,
-    lifecycle::trust::Trust,
+    identity::CARRIER_NUMBER,
+    identity::{Mark, Subject},
+    lifecycle::Track,
+    lifecycle::Trust,
+    lifecycle::{Claim, Identities},
     measurement::Lateness,
-    mobile_camera::landmark::Landmark,
-    mobile_camera::localize::OWN_NUMBER,
-    mobile_camera::mount::Riders,
+    mobile_camera::Landmark,
+    mobile_camera::Riders,
     snapshot::state_of,
 };
 use crate::track::{Inserted, Measurement};
 use roundel_vision::{
     id::{CameraId, KindId, ObjectId, TrackNumber},
-    rigid::{Covariance6, Rigid},
     time::Timestamp,
 };
 
 /// Pairs of tracks are compared this often.
 const MERGE_EVERY_NS: i64 = 50_000_000;
-
-/// Where a camera stands.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CameraPlacement {
-    /// Turns camera coordinates into world coordinates.
-    pub world_from_camera: Rigid,
-    /// Over (position, rotation), world frame, left perturbation; zero when exact.
-    pub covariance: Covariance6,
-}
 
 /// All objects of an installation.
 #[derive(Clone, Debug)]
@@ -292,7 +284,7 @@ impl Fusion {
         // Taken out meanwhile, so that none is copied.
         let mut sightings = std::mem::take(&mut self.sightings);
         for (sighting, decision) in sightings.iter_mut().zip(&decisions) {
-            let rides = rides && sighting.measurement.number != OWN_NUMBER;
+            let rides = rides && sighting.measurement.number != CARRIER_NUMBER;
             if rides && self.riders.is_carrier(&sighting.subject, sighting.code) {
                 self.counts.of_carriers += 1;
                 decision.iter().for_each(|&(track, _)| seen[track] = true);

@@ -11,9 +11,10 @@ use nalgebra::Vector3;
 use super::{Fusion, FusionParams, MotionClass};
 use crate::world::{
     Body, BodyError, Carrier, Mount,
-    body::{Bodies, number_of},
-    identity::code_vote::CodeVote,
-    lifecycle::id_registry::{Mark, Subject},
+    body::Bodies,
+    identity::CodeVote,
+    identity::body_number,
+    identity::{Mark, Subject},
 };
 use roundel_vision::{
     id::{BodyId, KindId},
@@ -123,7 +124,7 @@ impl Fusion {
         track.subject.body = Some(id);
         track.model = self.bodies.model(id, &self.params);
         track.identified = None;
-        track.views.iter_mut().for_each(|view| view.number = number_of(id));
+        track.views.iter_mut().for_each(|view| view.number = body_number(id));
         track.refresh();
     }
 

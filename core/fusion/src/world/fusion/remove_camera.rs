@@ -1,7 +1,7 @@
 //! Cameras that leave, or whose frames come from elsewhere, while everything else goes on.
 
 use super::Fusion;
-use crate::world::lifecycle::trust::DEFAULT_TRUST;
+use crate::world::lifecycle::DEFAULT_TRUST;
 use roundel_vision::id::CameraId;
 
 impl Fusion {

@@ -1,14 +1,15 @@
 //! Where cameras are while they take a frame, and what that makes of their detections.
 
-use super::{CameraPlacement, Fusion, FusionCounts};
+use super::{Fusion, FusionCounts};
 use crate::world::{
-    FrameObservations,
+    CameraPlacement, FrameObservations,
     association::Sighting,
-    lifecycle::id_registry::Subject,
+    camera_pose::Stand,
+    identity::Subject,
     measurement::{Lateness, measure},
-    mobile_camera::landmark::Landmark,
-    mobile_camera::localize::View,
-    mobile_camera::mount::{CameraMount, Carrier, Ride, Stand, Unplaced},
+    mobile_camera::Landmark,
+    mobile_camera::View,
+    mobile_camera::{CameraMount, Carrier, Ride, Unplaced},
 };
 use roundel_vision::{
     id::{CameraId, TrackNumber},

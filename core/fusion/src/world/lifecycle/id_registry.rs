@@ -7,30 +7,12 @@
 
 use std::collections::BTreeMap;
 
-use crate::world::{lifecycle::track::Track, lifecycle::trust::Trust};
+use super::{track::Track, trust::Trust};
+use crate::world::identity::Mark;
 use roundel_vision::{
-    id::{BodyId, KindId, ObjectId},
-    marker::Code,
+    id::{KindId, ObjectId},
     time::Timestamp,
 };
-
-/// What a track or a sighting is of; what differs in it is never the same object.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub(in crate::world) struct Subject {
-    /// Its kind of roundel; of a body that of its first one.
-    pub(in crate::world) kind: Option<KindId>,
-    /// Which body its roundels are of, if they are of one.
-    pub(in crate::world) body: Option<BodyId>,
-}
-
-/// What says which object a track is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(in crate::world) enum Mark {
-    /// A settled code.
-    Code(Code),
-    /// The body.
-    Body(BodyId),
-}
 
 /// The ids of all codes that were ever settled, and of all bodies that were ever seen.
 #[derive(Clone, Debug, Default)]

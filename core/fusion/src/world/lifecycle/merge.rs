@@ -7,7 +7,7 @@
 
 use nalgebra::Vector3;
 
-use crate::world::lifecycle::track::Track;
+use super::track::Track;
 use roundel_vision::time::Timestamp;
 
 /// Squared Mahalanobis distance below which two tracks may be one (χ², 3 degrees of freedom, 0.95).

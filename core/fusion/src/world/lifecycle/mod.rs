@@ -1,7 +1,13 @@
 //! Tracks from the first detection to loss.
 
-pub(super) mod coarse;
-pub(super) mod id_registry;
-pub(super) mod merge;
-pub(super) mod track;
-pub(super) mod trust;
+mod coarse;
+mod id_registry;
+mod merge;
+mod track;
+mod trust;
+
+pub(super) use coarse::Coarse;
+pub(super) use id_registry::{Claim, Identities};
+pub(super) use merge::find;
+pub(super) use track::{Track, View};
+pub(super) use trust::{DEFAULT_TRUST, Trust};

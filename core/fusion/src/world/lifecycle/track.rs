@@ -8,14 +8,14 @@
 //! camera that saw it and sees it no more takes away. Trusted above [`TRUSTED_SCORE`] with enough
 //! hits, dropped below [`DROPPED_SCORE`].
 
+use super::coarse::Coarse;
 use crate::track::{Estimate, History, Innovation, Inserted, Measurement, MotionModel, TakenBack};
 use crate::world::{
     Event, EventKind, FusionParams, LifeStage,
-    clock::comparison::{self, Comparison},
-    clock::estimator::Clocks,
-    identity::code_vote::CodeVote,
-    lifecycle::coarse::Coarse,
-    lifecycle::id_registry::{Mark, Subject},
+    clock::Clocks,
+    clock::{self, Comparison},
+    identity::CodeVote,
+    identity::{Mark, Subject},
 };
 use roundel_vision::{
     id::{CameraId, ObjectId, TrackNumber},
@@ -177,12 +177,12 @@ impl Track {
     /// The cameras' views of this held against one another, from time to time.
     pub(in crate::world) fn compare(&mut self, clocks: &Clocks) -> Option<Comparison> {
         let now = self.history.newest_time();
-        if self.compared.is_some_and(|time| now.ns_since(time) < comparison::WINDOW_NS) {
+        if self.compared.is_some_and(|time| now.ns_since(time) < clock::WINDOW_NS) {
             return None;
         }
         self.compared = Some(now);
         (!self.is_tentative())
-            .then(|| Comparison::of(&self.history, now, clocks, self.model.systematic_time_s))
+            .then(|| clock::compare(&self.history, now, clocks, self.model.systematic_time_s))
             .flatten()
     }
 

@@ -9,7 +9,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::world::lifecycle::track::Track;
+use super::track::Track;
 use roundel_vision::{id::CameraId, time::Timestamp};
 
 /// Rank of cameras without another one.

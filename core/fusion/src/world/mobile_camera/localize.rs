@@ -16,13 +16,16 @@
 
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 
+use super::{
+    landmark::{Landmark, Pair, Solution, apart, solve},
+    mount::{CameraMount, Ride},
+};
 use crate::world::{
     FusionParams,
     association::Sighting,
-    lifecycle::id_registry::Subject,
-    measurement::{FLOOR_VARIANCE, Lateness, is_sound},
-    mobile_camera::landmark::{Landmark, Pair, Solution, apart, solve},
-    mobile_camera::mount::{CameraMount, Ride, with_arm},
+    camera_pose::with_arm,
+    identity::{CARRIER_NUMBER, Subject},
+    measurement::{FLOOR_VARIANCE, Lateness, is_sound, orientation},
     reference::{Reference, Sighting as Seen, identify},
 };
 use crate::{
@@ -37,8 +40,6 @@ use roundel_vision::{
     time::Timestamp,
 };
 
-/// The carrier itself, among the numbers that its camera gives to what it sees.
-pub(in crate::world) const OWN_NUMBER: TrackNumber = TrackNumber(u64::MAX);
 /// Odds of a place against the other before it is told, as a logarithm …
 const SURE_LOG_ODDS: f64 = 4.6;
 /// … which never exceed this, so that a mistake can be undone.
@@ -320,7 +321,7 @@ impl View<'_> {
                 late_s: self.late.offset_s,
                 camera: self.frame.camera,
                 frame: self.frame.frame,
-                number: OWN_NUMBER,
+                number: CARRIER_NUMBER,
                 position_m: place.translation.vector,
                 position_noise,
                 attitude: AttitudeMeasurement::new([turn; 2], 1.0, Some(1), rotation_noise),
@@ -331,7 +332,7 @@ impl View<'_> {
 
 /// The yaw of a roundel that was turned as a whole.
 fn turned_yaw(turn: &UnitQuaternion<f64>, normal: &Vector3<f64>, yaw_rad: f64) -> f64 {
-    let x = turn * crate::world::measurement::orientation(normal, Some(yaw_rad)) * Vector3::x();
-    let level = crate::world::measurement::orientation(&(turn * normal), None).inverse() * x;
+    let x = turn * orientation(normal, Some(yaw_rad)) * Vector3::x();
+    let level = orientation(&(turn * normal), None).inverse() * x;
     level.y.atan2(level.x)
 }

@@ -1,5 +1,12 @@
 //! Cameras fixed to tracked objects.
 
-pub(super) mod landmark;
-pub(super) mod localize;
-pub(super) mod mount;
+mod landmark;
+mod localize;
+mod mount;
+mod riders;
+
+pub use landmark::{Landmark, TURN_SIGMA_RAD};
+pub(super) use localize::View;
+pub(super) use mount::Ride;
+pub use mount::{CameraMount, Carrier, Unplaced};
+pub(super) use riders::Riders;

@@ -27,24 +27,22 @@
 //! each errs; nor that they share a standing camera's error with the carrier. What stamps frames late on
 //! board is not estimated: a doubtful clock widens the camera's place by what the carrier moves meanwhile.
 
-use std::collections::BTreeMap;
-
-use nalgebra::{Matrix3, Matrix6, Vector3};
+use nalgebra::Matrix3;
 
 use crate::track::{Estimate, Look, MotionModel};
 use crate::world::{
-    LifeStage, lifecycle::id_registry::Subject, lifecycle::track::Track,
-    mobile_camera::localize::Localizer,
+    LifeStage,
+    camera_pose::{Stand, with_arm},
+    identity::Subject,
+    lifecycle::Track,
 };
 use roundel_vision::{
-    id::{BodyId, CameraId, KindId},
+    id::{BodyId, KindId},
     marker::Code,
     rigid::{Covariance6, Rigid, rotate_covariance},
     time::Timestamp,
 };
 
-/// A carrier turned by more than this, rms, nobody knows where to, gives no place, radians.
-const MOST_TURN_RAD: f64 = 0.2;
 /// No camera takes frames more often, seconds.
 const LEAST_PERIOD_S: f64 = 1e-3;
 
@@ -88,115 +86,27 @@ pub enum Unplaced {
     CarrierUncertain,
 }
 
-/// Where a camera is during one exposure, with the part of its error that stays and the one that is fresh.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::world) struct Stand {
-    pub(in crate::world) world_from_camera: Rigid,
-    pub(in crate::world) systematic: Covariance6,
-    pub(in crate::world) fresh: Covariance6,
-}
-
 /// A carrier at the time of a frame.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::world) struct Ride {
-    estimate: Estimate,
-    model: MotionModel,
-    mount: CameraMount,
+    pub(super) estimate: Estimate,
+    pub(super) model: MotionModel,
+    pub(super) mount: CameraMount,
     /// To the camera's frame before, seconds.
-    period_s: Option<f64>,
+    pub(super) period_s: Option<f64>,
     /// What its clock may be off by, seconds.
-    clock_s: f64,
-}
-
-/// One camera that rides.
-#[derive(Clone, Debug)]
-pub(in crate::world) struct Rider {
-    pub(in crate::world) mount: CameraMount,
-    pub(in crate::world) localizer: Localizer,
-    before: Option<Timestamp>,
-    period_s: Option<f64>,
-}
-
-/// All cameras that ride.
-#[derive(Clone, Debug, Default)]
-pub(in crate::world) struct Riders {
-    cameras: BTreeMap<CameraId, Rider>,
+    pub(super) clock_s: f64,
 }
 
 impl Carrier {
     /// Whether what is seen as this is it.
-    fn is(&self, subject: &Subject, code: Option<Code>) -> bool {
+    pub(super) fn is(&self, subject: &Subject, code: Option<Code>) -> bool {
         match *self {
             Self::Roundel { kind, code: own } => {
                 subject.body.is_none() && subject.kind == Some(kind) && code == Some(own)
             }
             Self::Body(body) => subject.body == Some(body),
         }
-    }
-}
-
-impl Riders {
-    pub(in crate::world) fn set(&mut self, camera: CameraId, mount: Option<CameraMount>) {
-        match mount {
-            Some(mount) => {
-                let localizer = Localizer::default();
-                let rider = Rider { mount, localizer, before: None, period_s: None };
-                self.cameras.insert(camera, rider);
-            }
-            None => {
-                self.cameras.remove(&camera);
-            }
-        }
-    }
-
-    pub(in crate::world) fn get_mut(&mut self, camera: CameraId) -> Option<&mut Rider> {
-        self.cameras.get_mut(&camera)
-    }
-
-    /// Every mount, to be changed.
-    pub(in crate::world) fn mounts_mut(&mut self) -> impl Iterator<Item = &mut CameraMount> {
-        self.cameras.values_mut().map(|rider| &mut rider.mount)
-    }
-
-    pub(in crate::world) fn has(&self, camera: CameraId) -> bool {
-        self.cameras.contains_key(&camera)
-    }
-
-    /// Whether what is seen as this is something that carries a camera.
-    pub(in crate::world) fn is_carrier(&self, subject: &Subject, code: Option<Code>) -> bool {
-        self.cameras.values().any(|rider| rider.mount.carrier.is(subject, code))
-    }
-
-    /// Notes that a frame was exposed.
-    pub(in crate::world) fn expose(&mut self, camera: CameraId, time: Timestamp) {
-        let Some(rider) = self.cameras.get_mut(&camera) else { return };
-        if let Some(before) = rider.before {
-            rider.period_s = Some(time.seconds_since(before).abs());
-        }
-        rider.before = rider.before.max(Some(time));
-    }
-
-    /// A camera's carrier at `time`.
-    pub(in crate::world) fn ride(
-        &self,
-        camera: CameraId,
-        tracks: &mut [Track],
-        (time, clock_s): (Timestamp, f64),
-    ) -> Result<Ride, Unplaced> {
-        let rider = self.cameras.get(&camera).ok_or(Unplaced::Unknown)?;
-        let index = carried_by(&rider.mount.carrier, tracks).ok_or(Unplaced::CarrierUnseen)?;
-        let track = &mut tracks[index];
-        let model = track.model;
-        let estimate = track.history.at(time, &model);
-        let attitude = estimate.attitude.estimate(0.0, &model);
-        if attitude.yaw_symmetry != Some(1) {
-            return Err(Unplaced::CarrierWithoutYaw);
-        }
-        let turn = attitude.covariance.fixed_view::<3, 3>(0, 0).trace();
-        if turn > MOST_TURN_RAD * MOST_TURN_RAD {
-            return Err(Unplaced::CarrierUncertain);
-        }
-        Ok(Ride { estimate, model, mount: rider.mount, period_s: rider.period_s, clock_s })
     }
 }
 
@@ -263,11 +173,4 @@ impl Ride {
         let memory_s = (rest.trace().max(0.0) / rate.trace().max(f64::MIN_POSITIVE)).sqrt();
         self.period_s.map_or(1.0, |period_s| (memory_s / period_s.max(LEAST_PERIOD_S)).max(1.0))
     }
-}
-
-/// An error of a body's place, as one of a point at the end of an arm fixed to it.
-pub(in crate::world) fn with_arm(covariance: &Covariance6, arm_m: &Vector3<f64>) -> Covariance6 {
-    let mut jacobian = Matrix6::identity();
-    jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&-arm_m.cross_matrix());
-    jacobian * covariance * jacobian.transpose()
 }
