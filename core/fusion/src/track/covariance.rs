@@ -1,21 +1,21 @@
-//! The covariance of a value in three dimensions and its rate.
+//! Covariance of a three-dimensional value and its rate.
 
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
-/// Covariance over (value, rate) in blocks.
+/// Covariance over (value, rate) in 3×3 blocks.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Spread {
-    /// Of the value: A.
+pub struct BlockCovariance {
+    /// Block A of the value.
     pub value: Matrix3<f64>,
-    /// Between value (rows) and rate (columns): B.
+    /// Block B between value (rows) and rate (columns).
     pub cross: Matrix3<f64>,
-    /// Of the rate: D.
+    /// Block D of the rate.
     pub rate: Matrix3<f64>,
 }
 
-impl Spread {
-    /// F P Fᵀ + Q over `dt` seconds (either sign; the noise grows with |dt|), with the noise's
-    /// density along each axis.
+impl BlockCovariance {
+    /// F P Fᵀ + Q over `dt` seconds (either sign; the noise grows with |dt|). `density` is the process noise's
+    /// along each axis.
     pub fn predict(&mut self, dt: f64, density: &Vector3<f64>) {
         let squared = dt * dt;
         for row in 0..3 {
@@ -28,10 +28,10 @@ impl Spread {
             }
         }
         self.cross += self.rate * dt;
-        self.disturb(dt, density);
+        self.add_process_noise(dt, density);
     }
 
-    /// The value's part of that; nothing else is computed.
+    /// Value block after [`Self::predict`].
     pub fn value_after(&self, dt: f64, density: &Vector3<f64>) -> Matrix3<f64> {
         let (squared, span) = (dt * dt, dt.abs());
         let mut value = Matrix3::zeros();
@@ -48,8 +48,8 @@ impl Spread {
         value
     }
 
-    /// What process noise of this density adds over `dt` seconds.
-    pub fn disturb(&mut self, dt: f64, density: &Vector3<f64>) {
+    /// Adds process noise of this density over `dt` seconds.
+    pub fn add_process_noise(&mut self, dt: f64, density: &Vector3<f64>) {
         let span = dt.abs();
         for axis in 0..3 {
             let q = density[axis];
@@ -59,7 +59,7 @@ impl Spread {
         }
     }
 
-    /// The whole 6×6.
+    /// The full 6×6 matrix.
     pub fn matrix(&self) -> Matrix6<f64> {
         let mut whole = Matrix6::zeros();
         whole.fixed_view_mut::<3, 3>(0, 0).copy_from(&self.value);
@@ -69,7 +69,7 @@ impl Spread {
         whole
     }
 
-    /// The blocks of a symmetric 6×6.
+    /// Blocks of a symmetric 6×6 matrix.
     pub fn from_matrix(whole: &Matrix6<f64>) -> Self {
         Self {
             value: whole.fixed_view::<3, 3>(0, 0).into_owned(),

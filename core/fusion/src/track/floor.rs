@@ -1,53 +1,54 @@
-//! What drives keeps to its floor: height and upright normal as measurements of their own.
+//! Floor constraint of objects that drive: height and upright normal as measurements.
 //!
-//! The floor's error (it is uneven, and so are robots) stays where it is, so that it is one of the
-//! systematic kind, and is taken in only while the cameras know less: an object that several cameras
-//! measure better than the floor is even is not held at all.
+//! The error of the floor's height at a place (unevenness of floor and robot) does not average out, so it is a
+//! systematic one. The constraint is applied only while the cameras are less certain than the floor: an object that
+//! several cameras measure better than the floor is even is not constrained.
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{Ground, Kernel, Noise};
+use super::{Ground, Kalman, Noise};
 use roundel_vision::id::CameraId;
 
-/// Whose systematic error the floor's is.
-const FLOOR: CameraId = CameraId(u32::MAX - 1);
-/// It is taken in where the variance is above this share of the floor's.
-const NEEDED: f64 = 0.8;
-/// Of the floor's variance so much is systematic: all but what keeps matrices positive.
-const SYSTEMATIC: f64 = 0.98;
-/// Variance of what the floor says nothing of.
-const OPEN: f64 = 1e4;
+/// Pseudo camera that owns the floor's systematic error.
+const FLOOR_SOURCE: CameraId = CameraId(u32::MAX - 1);
+/// The constraint applies while the variance exceeds this share of the floor's.
+const MIN_VARIANCE_RATIO: f64 = 0.8;
+/// Systematic share of the floor's variance; below 1 to keep matrices positive definite.
+const SYSTEMATIC_SHARE: f64 = 0.98;
+/// Variance along unconstrained axes.
+const UNCONSTRAINED: f64 = 1e4;
 
 impl Ground {
-    /// Holds the height; gives the correction of the position.
-    pub(super) fn hold_height(&self, kernel: &mut Kernel, height_m: f64) -> Vector3<f64> {
-        let Some(held_m) = self.height_m else { return Vector3::zeros() };
-        if kernel.spread.value.m33 < NEEDED * self.deviation_m.powi(2) {
+    /// Constrains the height; returns the correction of the position.
+    pub(super) fn constrain_height(&self, kalman: &mut Kalman, height_m: f64) -> Vector3<f64> {
+        let Some(floor_m) = self.height_m else { return Vector3::zeros() };
+        if kalman.spread.value.m33 < MIN_VARIANCE_RATIO * self.deviation_m.powi(2) {
             return Vector3::zeros();
         }
         let noise = noise(Vector3::z(), self.deviation_m);
-        let off_m = Vector3::new(0.0, 0.0, held_m - height_m);
-        kernel.update(&off_m, &noise, FLOOR, f64::INFINITY).value
+        let error_m = Vector3::new(0.0, 0.0, floor_m - height_m);
+        kalman.update(&error_m, &noise, FLOOR_SOURCE, f64::INFINITY).value
     }
 
-    /// Holds the normal; `turn` would turn it upright. Gives the rotation that corrects it.
-    pub(super) fn hold_upright(&self, kernel: &mut Kernel, turn: &Vector3<f64>) -> Vector3<f64> {
-        let known = kernel.spread.value.m11.max(kernel.spread.value.m22);
-        if known < NEEDED * self.tilt_rad.powi(2) {
+    /// Constrains the normal. `turn` is the rotation vector from the normal to vertical; returns the correction
+    /// as a rotation vector.
+    pub(super) fn constrain_tilt(&self, kalman: &mut Kalman, turn: &Vector3<f64>) -> Vector3<f64> {
+        let variance = kalman.spread.value.m11.max(kalman.spread.value.m22);
+        if variance < MIN_VARIANCE_RATIO * self.tilt_rad.powi(2) {
             return Vector3::zeros();
         }
         let noise = noise(Vector3::new(1.0, 1.0, 0.0), self.tilt_rad);
-        kernel.update(turn, &noise, FLOOR, f64::INFINITY).value
+        kalman.update(turn, &noise, FLOOR_SOURCE, f64::INFINITY).value
     }
 }
 
-/// Of the components where `held` is 1.
+/// Noise of the components where `held` is 1.
 fn noise(held: Vector3<f64>, deviation: f64) -> Noise {
     let variance = deviation * deviation;
-    let total = held.map(|held| if held > 0.0 { variance } else { OPEN });
+    let total = held.map(|held| if held > 0.0 { variance } else { UNCONSTRAINED });
     Noise {
         total: Matrix3::from_diagonal(&total),
-        systematic_root: Matrix3::from_diagonal(&(held * (deviation * SYSTEMATIC.sqrt()))),
+        systematic_root: Matrix3::from_diagonal(&(held * (deviation * SYSTEMATIC_SHARE.sqrt()))),
         timing_s: 0.0,
     }
 }

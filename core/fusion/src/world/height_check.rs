@@ -21,17 +21,17 @@ use roundel_vision::{
 };
 
 /// Frames in a camera's opinion.
-const SAMPLES: usize = 64;
+const FRAMES_PER_VERDICT: usize = 64;
 /// No two of them are closer, seconds.
-const EVERY_S: f64 = 0.1;
+const FRAME_SPACING_S: f64 = 0.1;
 /// So many of them are off, of a camera that doubts.
-const MOST: usize = 58;
+const MIN_OFF_FRAMES: usize = 58;
 /// A sighting further off than this many deviations is off.
-const SIGMAS: f64 = 4.0;
+const MAX_SIGMAS: f64 = 4.0;
 /// Heights as wrong as this do no harm, metres.
-const LEAST_M: f64 = 0.02;
+const MIN_ERROR_M: f64 = 0.02;
 /// Cameras that agree differ by no more than this part of the distance.
-const AGREE: f64 = 0.25;
+const MAX_DISAGREEMENT: f64 = 0.25;
 
 /// Objects that cameras see at another height than was said of them.
 #[derive(Clone, Debug, PartialEq)]
@@ -50,7 +50,7 @@ pub struct WrongHeight {
 
 /// The sightings of a frame.
 #[derive(Clone, Copy, Debug)]
-struct Look {
+struct FrameHeights {
     frame: u64,
     time: Timestamp,
     /// Distances over variances, and these inverted, summed.
@@ -61,150 +61,157 @@ struct Look {
 
 /// What one camera makes of one height.
 #[derive(Clone, Debug)]
-struct Opinion {
-    frame: Option<Look>,
+struct CameraHeights {
+    frame: Option<FrameHeights>,
     /// Distances of frames that are off.
-    off_m: [f64; SAMPLES],
+    off_m: [f64; FRAMES_PER_VERDICT],
     off: usize,
-    samples: usize,
-    voice: Voice,
+    frames: usize,
+    verdict: Verdict,
     /// Doubted so often in a row.
-    rounds: u32,
+    off_verdicts: u32,
 }
 
 /// What it came to, last.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Voice {
+enum Verdict {
     /// Too little seen so far.
-    Silent,
-    Content,
+    Unknown,
+    Consistent,
     /// By the median distance.
-    Doubts(f64),
+    Off(f64),
 }
 
 /// All cameras' opinions of one height.
 #[derive(Clone, Debug, Default)]
-struct Floor {
-    opinions: BTreeMap<CameraId, Opinion>,
-    is_told: bool,
+struct HeightCheck {
+    cameras: BTreeMap<CameraId, CameraHeights>,
+    is_reported: bool,
 }
 
 /// Every height that was said.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Floors {
-    floors: BTreeMap<Subject, Floor>,
-    wrong: Vec<WrongHeight>,
+pub(super) struct HeightChecks {
+    checks: BTreeMap<Subject, HeightCheck>,
+    mismatches: Vec<WrongHeight>,
 }
 
-impl Opinion {
+impl CameraHeights {
     fn new() -> Self {
-        let voice = Voice::Silent;
-        Self { frame: None, off_m: [0.0; SAMPLES], off: 0, samples: 0, voice, rounds: 0 }
+        let verdict = Verdict::Unknown;
+        Self {
+            frame: None,
+            off_m: [0.0; FRAMES_PER_VERDICT],
+            off: 0,
+            frames: 0,
+            verdict,
+            off_verdicts: 0,
+        }
     }
 
     /// Takes one sighting; true when the opinion has been formed anew.
-    fn add(&mut self, look: Look) -> bool {
-        let Some(before) = &mut self.frame else {
-            self.frame = Some(look);
+    fn add(&mut self, heights: FrameHeights) -> bool {
+        let Some(current) = &mut self.frame else {
+            self.frame = Some(heights);
             return false;
         };
-        if before.frame == look.frame {
-            before.sigmas = before.sigmas.min(look.sigmas);
-            before.weighted[0] += look.weighted[0];
-            before.weighted[1] += look.weighted[1];
+        if current.frame == heights.frame {
+            current.sigmas = current.sigmas.min(heights.sigmas);
+            current.weighted[0] += heights.weighted[0];
+            current.weighted[1] += heights.weighted[1];
             return false;
         }
-        if look.time.seconds_since(before.time) < EVERY_S {
+        if heights.time.seconds_since(current.time) < FRAME_SPACING_S {
             return false;
         }
-        let whole = std::mem::replace(before, look);
-        if whole.sigmas > SIGMAS {
-            self.off_m[self.off] = whole.weighted[0] / whole.weighted[1];
+        let complete = std::mem::replace(current, heights);
+        if complete.sigmas > MAX_SIGMAS {
+            self.off_m[self.off] = complete.weighted[0] / complete.weighted[1];
             self.off += 1;
         }
-        self.samples += 1;
-        if self.samples < SAMPLES {
+        self.frames += 1;
+        if self.frames < FRAMES_PER_VERDICT {
             return false;
         }
         self.off_m[..self.off].sort_unstable_by(f64::total_cmp);
         let median_m = self.off_m[self.off / 2];
-        let doubts = self.off >= MOST && median_m.abs() > LEAST_M;
-        self.voice = if doubts { Voice::Doubts(median_m) } else { Voice::Content };
-        self.rounds = if doubts { self.rounds.saturating_add(1) } else { 0 };
-        (self.off, self.samples) = (0, 0);
+        let is_off = self.off >= MIN_OFF_FRAMES && median_m.abs() > MIN_ERROR_M;
+        self.verdict = if is_off { Verdict::Off(median_m) } else { Verdict::Consistent };
+        self.off_verdicts = if is_off { self.off_verdicts.saturating_add(1) } else { 0 };
+        (self.off, self.frames) = (0, 0);
         true
     }
 }
 
-impl Floor {
+impl HeightCheck {
     /// The mean distance of all who have an opinion, if they all doubt and agree.
     fn agreed_m(&self) -> Option<f64> {
         let (mut sum_m, mut count) = (0.0, 0.0);
-        let (mut least_m, mut most_m) = (f64::INFINITY, f64::NEG_INFINITY);
-        for opinion in self.opinions.values() {
-            match opinion.voice {
-                Voice::Silent => continue,
-                Voice::Content => return None,
-                Voice::Doubts(off_m) => {
-                    (least_m, most_m) = (least_m.min(off_m), most_m.max(off_m));
+        let (mut min_m, mut max_m) = (f64::INFINITY, f64::NEG_INFINITY);
+        for camera in self.cameras.values() {
+            match camera.verdict {
+                Verdict::Unknown => continue,
+                Verdict::Consistent => return None,
+                Verdict::Off(off_m) => {
+                    (min_m, max_m) = (min_m.min(off_m), max_m.max(off_m));
                     sum_m += off_m;
                     count += 1.0;
                 }
             }
         }
         let mean_m: f64 = sum_m / count;
-        (count > 0.0 && most_m - least_m <= AGREE * mean_m.abs()).then_some(mean_m)
+        (count > 0.0 && max_m - min_m <= MAX_DISAGREEMENT * mean_m.abs()).then_some(mean_m)
     }
 }
 
-impl Floors {
+impl HeightChecks {
     /// Forgets what cameras made of a height that is another now.
     pub(super) fn forget(&mut self, subject: &Subject) {
-        self.floors.remove(subject);
+        self.checks.remove(subject);
     }
 
     /// Takes a sighting of what is held at `held_m`, which was told as `said_m`.
-    pub(super) fn note(
+    pub(super) fn observe(
         &mut self,
         subject: Subject,
         seen: &Measurement,
         (held_m, said_m): (f64, f64),
     ) {
-        let floor = self.floors.entry(subject).or_default();
-        let opinion = floor.opinions.entry(seen.camera).or_insert_with(Opinion::new);
+        let check = self.checks.entry(subject).or_default();
+        let camera = check.cameras.entry(seen.camera).or_insert_with(CameraHeights::new);
         let off_m = seen.position_m.z - held_m;
         let variance = seen.position_noise.total[(2, 2)] + FLOOR_M * FLOOR_M;
-        let look = Look {
+        let heights = FrameHeights {
             frame: seen.frame,
             time: seen.time,
             weighted: [off_m / variance, 1.0 / variance],
             sigmas: off_m.abs() / variance.sqrt(),
         };
-        if !opinion.add(look) {
+        if !camera.add(heights) {
             return;
         }
-        let is_sure = opinion.rounds >= 2;
-        let Some(agreed_m) = floor.agreed_m() else {
-            floor.is_told = false;
+        let is_certain = camera.off_verdicts >= 2;
+        let Some(agreed_m) = check.agreed_m() else {
+            check.is_reported = false;
             return;
         };
-        if is_sure && !floor.is_told {
-            floor.is_told = true;
-            let doubting = |(&camera, opinion): (&CameraId, &Opinion)| {
-                matches!(opinion.voice, Voice::Doubts(_)).then_some(camera)
+        if is_certain && !check.is_reported {
+            check.is_reported = true;
+            let disagreeing = |(&camera, heights): (&CameraId, &CameraHeights)| {
+                matches!(heights.verdict, Verdict::Off(_)).then_some(camera)
             };
-            self.wrong.push(WrongHeight {
+            self.mismatches.push(WrongHeight {
                 kind: subject.kind,
                 body: subject.body,
                 said_m,
                 seen_m: said_m + agreed_m,
-                cameras: floor.opinions.iter().filter_map(doubting).collect(),
+                cameras: check.cameras.iter().filter_map(disagreeing).collect(),
             });
         }
     }
 
     /// What was found out since the last call.
     pub(super) fn drain(&mut self) -> impl Iterator<Item = WrongHeight> + '_ {
-        self.wrong.drain(..)
+        self.mismatches.drain(..)
     }
 }

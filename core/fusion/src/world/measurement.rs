@@ -10,9 +10,9 @@ use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use super::{
     CameraPlacement, FusionParams,
-    camera_pose::{Stand, with_arm},
+    camera_pose::{ExposurePose, with_lever_arm},
 };
-use crate::track::{AttitudeMeasurement, Measurement, Noise, positive_root};
+use crate::track::{AttitudeMeasurement, Measurement, Noise, cholesky_lower};
 use roundel_vision::{
     id::CameraId,
     pose::{Detection, RoundelPose},
@@ -33,14 +33,14 @@ const UNIT_TOLERANCE: f64 = 1e-3;
 
 /// By how much a camera's stamps are late.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Lateness {
+pub(super) struct StampCorrection {
     /// Of its clock's epoch, nanoseconds …
     pub(super) base_ns: i64,
     /// … and what its clock is off beside.
     pub(super) offset_s: f64,
 }
 
-impl Lateness {
+impl StampCorrection {
     /// On the server's time, but for the clock's offset.
     pub(super) fn based(&self, stamp: Timestamp) -> Timestamp {
         stamp.plus_ns(self.base_ns.saturating_neg())
@@ -54,7 +54,7 @@ impl Lateness {
 
 /// Why a detection is no measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Refused {
+pub(super) enum MeasurementReject {
     /// It has no pose.
     NoPose,
     /// Something is not finite, a normal is no unit vector, or the covariance is not positive
@@ -66,33 +66,33 @@ pub(super) enum Refused {
 pub(super) fn measure(
     detection: &Detection,
     (camera, frame): (CameraId, u64),
-    stand: &Stand,
-    late: Lateness,
+    camera_pose: &ExposurePose,
+    correction: StampCorrection,
     params: &FusionParams,
-) -> Result<Measurement, Refused> {
-    let pose = detection.pose.as_ref().ok_or(Refused::NoPose)?;
-    if !is_sound(pose) {
-        return Err(Refused::Invalid);
+) -> Result<Measurement, MeasurementReject> {
+    let pose = detection.pose.as_ref().ok_or(MeasurementReject::NoPose)?;
+    if !is_valid_pose(pose) {
+        return Err(MeasurementReject::Invalid);
     }
-    let place = &stand.world_from_camera;
+    let place = &camera_pose.world_from_camera;
     let turn = place.rotation.to_rotation_matrix().into_inner();
     let arm_m = place.rotation * pose.position_m;
-    let seen = |corner: usize| {
+    let measurement = |corner: usize| {
         let own = pose.covariance.fixed_view::<3, 3>(corner, corner).into_owned();
         turned_covariance(&turn, &own)
     };
-    let (mut position_total, mut rotation_total) = (seen(0), seen(3));
+    let (mut position_total, mut rotation_total) = (measurement(0), measurement(3));
     // Of the whole error, and of what stays.
     let share = params.systematic_share.clamp(0.0, 1.0);
     let mut position_systematic = position_total * share;
     let mut rotation_systematic = rotation_total * share;
-    if let Some([position, rotation]) = placed(&stand.systematic, &arm_m) {
+    if let Some([position, rotation]) = camera_pose_error(&camera_pose.systematic, &arm_m) {
         position_total += position;
         position_systematic += position;
         rotation_total += rotation;
         rotation_systematic += rotation;
     }
-    if let Some([position, rotation]) = placed(&stand.fresh, &arm_m) {
+    if let Some([position, rotation]) = camera_pose_error(&camera_pose.fresh, &arm_m) {
         position_total += position;
         rotation_total += rotation;
     }
@@ -101,17 +101,17 @@ pub(super) fn measure(
         rotation_total[(axis, axis)] += FLOOR_VARIANCE;
     }
     if !is_positive_definite(&position_total) || !is_positive_definite(&rotation_total) {
-        return Err(Refused::Invalid);
+        return Err(MeasurementReject::Invalid);
     }
     Ok(Measurement {
-        time: late.corrected(detection.capture_time),
-        late_s: late.offset_s,
+        time: correction.corrected(detection.capture_time),
+        late_s: correction.offset_s,
         camera,
         frame,
         number: detection.track,
         position_m: arm_m + place.translation.vector,
-        position_noise: Noise::of(position_total, &position_systematic),
-        attitude: AttitudeMeasurement::of_covariances(
+        position_noise: Noise::from_covariances(position_total, &position_systematic),
+        attitude: AttitudeMeasurement::from_covariances(
             orientations(pose).map(|turned| place.rotation * turned),
             pose.normal_likelihood,
             pose.yaw_rad.map(|_| pose.yaw_symmetry),
@@ -127,28 +127,34 @@ pub fn seen_in_world(
     place: &CameraPlacement,
     params: &FusionParams,
 ) -> Option<(Vector3<f64>, Matrix3<f64>)> {
-    let stand = Stand {
+    let camera_pose = ExposurePose {
         world_from_camera: place.world_from_camera,
         systematic: place.covariance,
         fresh: Covariance6::zeros(),
     };
-    let seen = measure(detection, (CameraId(0), 0), &stand, Lateness::default(), params).ok()?;
-    Some((seen.position_m, seen.position_noise.total))
+    let measurement =
+        measure(detection, (CameraId(0), 0), &camera_pose, StampCorrection::default(), params)
+            .ok()?;
+    Some((measurement.position_m, measurement.position_noise.total))
 }
 
 /// A measurement that took its camera's place as exact, with the errors of that.
-pub(super) fn with_stand(mut seen: Measurement, stand: &Stand) -> Measurement {
-    let arm_m = seen.position_m - stand.world_from_camera.translation.vector;
-    let [stays, fresh] = [&stand.systematic, &stand.fresh]
-        .map(|part| placed(part, &arm_m).unwrap_or_else(|| [Matrix3::zeros(); 2]));
+pub(super) fn add_camera_pose_error(
+    mut measurement: Measurement,
+    camera_pose: &ExposurePose,
+) -> Measurement {
+    let arm_m = measurement.position_m - camera_pose.world_from_camera.translation.vector;
+    let [systematic, fresh] = [&camera_pose.systematic, &camera_pose.fresh]
+        .map(|part| camera_pose_error(part, &arm_m).unwrap_or_else(|| [Matrix3::zeros(); 2]));
     let widen = |noise: &mut Noise, block: usize| {
-        let systematic = noise.systematic_root * noise.systematic_root.transpose() + stays[block];
-        noise.total += stays[block] + fresh[block];
-        noise.systematic_root = positive_root(&systematic).unwrap_or_else(Matrix3::zeros);
+        let root = &noise.systematic_root;
+        let covariance = root * root.transpose() + systematic[block];
+        noise.total += systematic[block] + fresh[block];
+        noise.systematic_root = cholesky_lower(&covariance).unwrap_or_else(Matrix3::zeros);
     };
-    widen(&mut seen.position_noise, 0);
-    seen.attitude.change_noises(|noise| widen(noise, 1));
-    seen
+    widen(&mut measurement.position_noise, 0);
+    measurement.attitude.map_noises(|noise| widen(noise, 1));
+    measurement
 }
 
 /// The roundel's orientations in the camera frame by both normals; the print's x points the same way in the
@@ -172,19 +178,23 @@ pub(super) fn orientation(normal: &Vector3<f64>, yaw_rad: Option<f64>) -> UnitQu
 }
 
 /// What the camera's place adds to position and rotation; `None` where it is exact.
-fn placed(covariance: &Covariance6, arm_m: &Vector3<f64>) -> Option<[Matrix3<f64>; 2]> {
+fn camera_pose_error(covariance: &Covariance6, arm_m: &Vector3<f64>) -> Option<[Matrix3<f64>; 2]> {
     if (0..6).all(|axis| covariance[(axis, axis)] == 0.0) {
         return None;
     }
-    let placed = with_arm(covariance, arm_m);
-    Some([0, 3].map(|corner| symmetric(placed.fixed_view::<3, 3>(corner, corner).into_owned())))
+    let camera_pose_error = with_lever_arm(covariance, arm_m);
+    Some(
+        [0, 3].map(|corner| {
+            symmetric(camera_pose_error.fixed_view::<3, 3>(corner, corner).into_owned())
+        }),
+    )
 }
 
 fn symmetric(matrix: Matrix3<f64>) -> Matrix3<f64> {
     (matrix + matrix.transpose()) * 0.5
 }
 
-pub(super) fn is_sound(pose: &RoundelPose) -> bool {
+pub(super) fn is_valid_pose(pose: &RoundelPose) -> bool {
     let is_unit = |vector: &Vector3<f64>| (vector.norm() - 1.0).abs() < UNIT_TOLERANCE;
     let variances = pose.covariance.diagonal();
     // All of them, without a branch for each.

@@ -117,7 +117,7 @@ impl FusionParams {
             systematic_time_s: self.systematic_time_s,
             robust_distance_squared: ROBUST_DISTANCE_SQUARED,
             upright_log_odds: UPRIGHT_LOG_ODDS,
-            learns_turning: true,
+            learns_rotation_density: true,
             ground: None,
         };
         match *class {

@@ -10,7 +10,9 @@
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
 use super::{ObjectState, ProcessNoise, Snapshot, lifecycle::Track};
-use crate::track::{AttitudeEstimate, Look, Spread, added_by, left_after};
+use crate::track::{
+    AttitudeEstimate, BlockCovariance, Estimate, decay_acceleration, integrate_acceleration,
+};
 use roundel_vision::{id::CameraId, rigid::orientation_of_normal, time::Timestamp};
 
 /// Cameras that contributed within this time are named.
@@ -33,16 +35,16 @@ impl Snapshot {
 
 impl ObjectState {
     fn predict(&mut self, seconds: f64) {
-        let (further_m, faster_m_s) = added_by(&self.acceleration_m_s2, seconds);
-        self.position_m += self.velocity_m_s * seconds + further_m;
-        self.velocity_m_s += faster_m_s;
-        self.acceleration_m_s2 = left_after(&self.acceleration_m_s2, seconds);
+        let (moved_m, gained_m_s) = integrate_acceleration(&self.acceleration_m_s2, seconds);
+        self.position_m += self.velocity_m_s * seconds + moved_m;
+        self.velocity_m_s += gained_m_s;
+        self.acceleration_m_s2 = decay_acceleration(&self.acceleration_m_s2, seconds);
         let turn =
             nalgebra::UnitQuaternion::from_scaled_axis(self.angular_velocity_rad_s * seconds);
         self.orientation = turn * self.orientation;
-        let mut motion = Spread::from_matrix(&self.motion_covariance);
+        let mut motion = BlockCovariance::from_matrix(&self.motion_covariance);
         motion.predict(seconds, &self.process_noise.acceleration_density_m2_s3);
-        let mut rotation = Spread::from_matrix(&self.rotation_covariance);
+        let mut rotation = BlockCovariance::from_matrix(&self.rotation_covariance);
         rotation.predict(seconds, &self.process_noise.angular_density_rad2_s3);
         if !self.yaw_observed {
             let normal = self.orientation * Vector3::z();
@@ -57,9 +59,13 @@ impl ObjectState {
 }
 
 /// A track's state at `time`; `offset_m` is the tracked point in the roundel's frame.
-pub(super) fn state_of(track: &mut Track, time: Timestamp, offset_m: &Vector3<f64>) -> ObjectState {
+pub(super) fn object_state(
+    track: &mut Track,
+    time: Timestamp,
+    offset_m: &Vector3<f64>,
+) -> ObjectState {
     let model = track.model;
-    let Look { motion, attitude, residual } = track.history.look(time, &model);
+    let Estimate { motion, attitude, residual } = track.history.estimate(time, &model);
     track.refresh();
     let mut state = ObjectState {
         id: track.id,
@@ -81,14 +87,14 @@ pub(super) fn state_of(track: &mut Track, time: Timestamp, offset_m: &Vector3<f6
             acceleration_density_m2_s3: motion.density_m2_s3,
             angular_density_rad2_s3: attitude.density_rad2_s3,
         },
-        cameras: contributing(track, time),
+        cameras: contributing_cameras(track, time),
         trust: 0,
         newest_observation: track.newest,
         residual,
         first_observation: track.first,
         observations: track.observations,
     };
-    let cross = move_to(&mut state, &attitude, offset_m);
+    let cross = shift_to_tracked_point(&mut state, &attitude, offset_m);
     let (moved, turned) = (&state.motion_covariance, &attitude.covariance);
     state.covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&moved.fixed_view::<3, 3>(0, 0));
     state.covariance.fixed_view_mut::<3, 3>(3, 3).copy_from(&turned.fixed_view::<3, 3>(0, 0));
@@ -99,7 +105,7 @@ pub(super) fn state_of(track: &mut Track, time: Timestamp, offset_m: &Vector3<f6
 
 /// Moves position, velocity and their covariance from the roundel's centre to the tracked point;
 /// gives the covariance of position and rotation.
-fn move_to(
+fn shift_to_tracked_point(
     state: &mut ObjectState,
     attitude: &AttitudeEstimate,
     offset_m: &Vector3<f64>,
@@ -135,7 +141,7 @@ fn move_to(
     arm * attitude.covariance.fixed_view::<3, 3>(0, 0)
 }
 
-fn contributing(track: &Track, time: Timestamp) -> Vec<CameraId> {
+fn contributing_cameras(track: &Track, time: Timestamp) -> Vec<CameraId> {
     track
         .views
         .iter()

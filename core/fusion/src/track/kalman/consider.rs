@@ -1,35 +1,35 @@
-//! What the cameras' errors have to do with the state's, all cameras side by side.
+//! Considered errors of the cameras: their correlation with the state, all cameras in parallel.
 //!
-//! Of each camera 24 numbers are carried: E[x̃ βᵀ], six rows by three columns, and q = ∂x̃/∂ε. A gain
-//! K takes K u from all of them, u the same three rows for every camera but the measurement's own; so each
-//! number lies beside that of the other cameras, and all cameras' are one vector of AVX-512, two of AVX2,
-//! four of NEON. Places without a camera hold zeros, which stay zeros.
+//! Each camera has 24 numbers: E[x̃ βᵀ], six rows by three columns, and q = ∂x̃/∂ε. A gain K subtracts K u from all of
+//! them, with u the same three rows for every camera except the measurement's own. Each number is therefore stored
+//! beside that of the other cameras: one vector of AVX-512, two of AVX2, four of NEON. Unused places hold zeros and
+//! stay zero.
 //!
 //! The plain reference is the filter over all errors in `super::tests`.
 //!
-//! PERF: a filter's step with eight cameras, `cargo bench -p roundel-core --bench fusion`.
+//! PERF: a filter step with eight cameras, `cargo bench -p roundel-core --bench fusion`.
 
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat, SimdMask, dispatch, f64x8};
 use fearless_simd_macros::simd;
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
-    super::covariance::Spread,
+    super::covariance::BlockCovariance,
     MAX_SOURCES,
-    block::{Block, Numbers},
+    block::{Block, Columns},
 };
 use roundel_vision::id::CameraId;
 
-/// Sources whose correlation has decayed below exp(-this) are let go.
-const FORGOTTEN_TIMES: f64 = 6.0;
-/// Nobody's.
+/// Cameras whose correlation has decayed below exp(-this) are removed.
+const MAX_AGE_DECAYS: f64 = 6.0;
+/// Marks an unused place.
 const NO_CAMERA: CameraId = CameraId(u32::MAX);
 
 /// One number of each camera.
 type Row = [f64; MAX_SOURCES];
 const ZEROS: Row = [0.0; MAX_SOURCES];
-/// What one camera of all is, as numbers.
-const ONLY: [Row; MAX_SOURCES] = {
+/// Row i is the unit vector of camera i.
+const UNIT: [Row; MAX_SOURCES] = {
     let mut only = [ZEROS; MAX_SOURCES];
     let mut index = 0;
     while index < MAX_SOURCES {
@@ -39,64 +39,64 @@ const ONLY: [Row; MAX_SOURCES] = {
     only
 };
 
-/// The cameras' systematic errors and the state, E[x̃ βᵀ], and their clocks' errors and the state, q.
+/// Correlations E[x̃ βᵀ] with the systematic errors, and sensitivities q to the clock errors.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Sources {
+pub(super) struct ConsideredErrors {
     cameras: [CameraId; MAX_SOURCES],
     ages_s: Row,
     /// σ.
     timings_s: Row,
     len: usize,
-    /// Whether a clock is considered; until then nothing is computed for it.
+    /// Whether any clock error is considered; without one its terms are skipped.
     is_timed: bool,
     /// By component of β, then of the state: value, rate.
     systematic: [[Row; 6]; 3],
-    by_clock: [Row; 6],
+    clock_sensitivity: [Row; 6],
 }
 
-/// What clocks add to the covariances of the errors of value and rate with an innovation, and to that of the
+/// Terms that clock errors add to the covariances of value and rate with an innovation, and to that of the
 /// innovation.
-pub(super) struct ByClocks {
+pub(super) struct ClockTerms {
     pub(super) value: Matrix3<f64>,
     pub(super) rate: Matrix3<f64>,
     pub(super) innovation: Matrix3<f64>,
 }
 
-impl Sources {
-    /// Of one camera, after one measurement of the value: the estimate is the measurement, p̂ = p + L β + w, so that
-    /// E[(p - p̂) βᵀ] = -L.
+impl ConsideredErrors {
+    /// After one measurement of the value by one camera. The estimate is the measurement, p̂ = p + L β + w, so
+    /// that E[(p - p̂) βᵀ] = -L.
     pub(super) fn begin(camera: CameraId, systematic_root: &Matrix3<f64>, is_timed: bool) -> Self {
-        let mut sources = Self {
+        let mut considered = Self {
             cameras: [NO_CAMERA; MAX_SOURCES],
             ages_s: ZEROS,
             timings_s: ZEROS,
             len: 1,
             is_timed,
             systematic: [[ZEROS; 6]; 3],
-            by_clock: [ZEROS; 6],
+            clock_sensitivity: [ZEROS; 6],
         };
-        sources.cameras[0] = camera;
+        considered.cameras[0] = camera;
         for component in 0..3 {
             for axis in 0..3 {
-                sources.systematic[component][axis][0] = -systematic_root[(axis, component)];
+                considered.systematic[component][axis][0] = -systematic_root[(axis, component)];
             }
         }
-        sources
+        considered
     }
 
-    /// `dt` seconds later, when the systematic errors have kept this share.
+    /// Predicts by `dt` seconds; systematic errors keep the share `kept`.
     pub(super) fn predict(&mut self, dt: f64, kept: f64, systematic_time_s: f64) {
-        let most_s = FORGOTTEN_TIMES * systematic_time_s;
-        let is_any_old =
-            dispatch!(Level::new(), simd => self.predict_with(simd, (dt, kept), most_s));
-        if is_any_old {
-            self.forget(most_s);
+        let max_age_s = MAX_AGE_DECAYS * systematic_time_s;
+        let is_any_expired =
+            dispatch!(Level::new(), simd => self.predict_with(simd, (dt, kept), max_age_s));
+        if is_any_expired {
+            self.remove_old(max_age_s);
         }
     }
 
-    /// True if a camera was not heard of for longer than so many seconds.
+    /// Returns whether a camera's newest measurement is older than `max_age_s`.
     #[simd]
-    fn predict_with<S: Simd>(&mut self, simd: S, (dt, kept): (f64, f64), most_s: f64) -> bool {
+    fn predict_with<S: Simd>(&mut self, simd: S, (dt, kept): (f64, f64), max_age_s: f64) -> bool {
         for rows in &mut self.systematic {
             for axis in 0..3 {
                 let rate = load(simd, &rows[axis + 3]) * kept;
@@ -105,74 +105,77 @@ impl Sources {
             }
         }
         if self.is_timed {
-            self.by_clock = moved(simd, &self.by_clock, dt);
+            self.clock_sensitivity = predicted(simd, &self.clock_sensitivity, dt);
         }
         let ages_s = load(simd, &self.ages_s) + dt.abs();
         ages_s.store_array(&mut self.ages_s);
-        ages_s.simd_gt(most_s).any_true()
+        ages_s.simd_gt(max_age_s).any_true()
     }
 
-    /// Lets go of cameras that were not heard of for longer than so many seconds.
-    fn forget(&mut self, most_s: f64) {
+    /// Removes cameras whose newest measurement is older than `max_age_s`.
+    fn remove_old(&mut self, max_age_s: f64) {
         for index in (0..self.len).rev() {
-            if self.ages_s[index] > most_s {
+            if self.ages_s[index] > max_age_s {
                 self.remove(index);
             }
         }
-        // Nobody's age.
+        // Ages of unused places.
         self.ages_s[self.len..].fill(0.0);
     }
 
-    /// The correlations with a camera's systematic error, value and rate.
+    /// Correlations of value and rate with a camera's systematic error.
     #[inline(always)]
     pub(super) fn with<S: Simd>(&self, simd: S, index: usize) -> (Block<S>, Block<S>) {
         let [x, y, z] = &self.systematic;
         let value = [at(x, 0, index), at(y, 0, index), at(z, 0, index)];
         let rate = [at(x, 3, index), at(y, 3, index), at(z, 3, index)];
-        (Block::of_columns(simd, value), Block::of_columns(simd, rate))
+        (Block::from_columns(simd, value), Block::from_columns(simd, rate))
     }
 
-    /// After a correction with a gain of which this is the negative, value and rate, by a measurement of the camera `own`, whose systematic error has
-    /// this root; `rate` is the state's before it.
+    /// Update by a measurement of the camera `own`. `gain` is the negative gain of value and rate, `rate` the
+    /// state's before the update.
     #[inline(always)]
     pub(super) fn correct<S: Simd>(
         &mut self,
         simd: S,
         own: usize,
-        gain: &(Numbers, Numbers),
+        gain: &(Columns, Columns),
         systematic_root: &Matrix3<f64>,
         rate: &Vector3<f64>,
     ) {
         self.ages_s[own] = 0.0;
-        let only = load(simd, &ONLY[own]);
+        let only = load(simd, &UNIT[own]);
         for (component, rows) in self.systematic.iter_mut().enumerate() {
             let x = only.mul_add(systematic_root[(0, component)], load(simd, &rows[0]));
             let y = only.mul_add(systematic_root[(1, component)], load(simd, &rows[1]));
             let z = only.mul_add(systematic_root[(2, component)], load(simd, &rows[2]));
-            shrink(simd, rows, gain, [x, y, z]);
+            subtract_gain(simd, rows, gain, [x, y, z]);
         }
         if self.is_timed {
-            let u = innovation_by(simd, &self.by_clock, own, rate);
-            shrink(simd, &mut self.by_clock, gain, u);
+            let u = innovation_sensitivity(simd, &self.clock_sensitivity, own, rate);
+            subtract_gain(simd, &mut self.clock_sensitivity, gain, u);
         }
     }
 
-    /// What all clocks may add; that of the camera `own` by this deviation.
+    /// Terms of all clock errors; that of the camera `own` has the standard deviation `timing_s`.
     #[inline(always)]
     pub(super) fn clocks<S: Simd>(
         &self,
         simd: S,
         (own, timing_s): (usize, f64),
         rate: &Vector3<f64>,
-    ) -> ByClocks {
+    ) -> ClockTerms {
         let mut timings_s = self.timings_s;
         timings_s[own] = timing_s;
-        let u = innovation_by(simd, &self.by_clock, own, rate);
+        let u = innovation_sensitivity(simd, &self.clock_sensitivity, own, rate);
         let weighted = weighted(simd, u, &timings_s);
         let mut sums = [Matrix3::zeros(); 3];
         for row in 0..3 {
-            let lines =
-                [load(simd, &self.by_clock[row]), load(simd, &self.by_clock[row + 3]), u[row]];
+            let lines = [
+                load(simd, &self.clock_sensitivity[row]),
+                load(simd, &self.clock_sensitivity[row + 3]),
+                u[row],
+            ];
             for column in 0..3 {
                 for part in 0..3 {
                     sums[part][(row, column)] = (lines[part] * weighted[column]).reduce_sum();
@@ -180,12 +183,12 @@ impl Sources {
             }
         }
         let [value, rate, innovation] = sums;
-        ByClocks { value, rate, innovation }
+        ClockTerms { value, rate, innovation }
     }
 
-    /// What they may add to the covariance of an innovation `dt` seconds from now; a camera that is not among
-    /// them is on its own.
-    pub(super) fn clocks_of_innovation(
+    /// Covariance that clock errors add to an innovation `dt` seconds from now. The error of a new camera's clock
+    /// is independent of the state.
+    pub(super) fn innovation_clock_covariance(
         &self,
         dt: f64,
         (own, timing_s): (Option<usize>, f64),
@@ -194,26 +197,27 @@ impl Sources {
         let mut timings_s = self.timings_s;
         let Some(own) = own else {
             let all = dispatch!(Level::new(), simd => {
-                self.innovation_clocks(simd, dt, (0, &timings_s), &Vector3::zeros())
+                self.clock_covariance(simd, dt, (0, &timings_s), &Vector3::zeros())
             });
             return all + rate * rate.transpose() * (timing_s * timing_s);
         };
         timings_s[own] = timing_s;
         dispatch!(Level::new(), simd => {
-            self.innovation_clocks(simd, dt, (own, &timings_s), rate)
+            self.clock_covariance(simd, dt, (own, &timings_s), rate)
         })
     }
 
     /// Σ σ² u uᵀ.
     #[simd]
-    fn innovation_clocks<S: Simd>(
+    fn clock_covariance<S: Simd>(
         &self,
         simd: S,
         dt: f64,
         (own, timings_s): (usize, &Row),
         rate: &Vector3<f64>,
     ) -> Matrix3<f64> {
-        let u = innovation_by(simd, &moved(simd, &self.by_clock, dt), own, rate);
+        let u =
+            innovation_sensitivity(simd, &predicted(simd, &self.clock_sensitivity, dt), own, rate);
         let weighted = weighted(simd, u, timings_s);
         let mut sums = Matrix3::zeros();
         for row in 0..3 {
@@ -226,8 +230,8 @@ impl Sources {
         sums
     }
 
-    /// Adds to a covariance what all clocks may.
-    pub(super) fn add_told(&self, spread: &mut Spread) {
+    /// Adds the covariance by clock errors, Σ σ² q qᵀ.
+    pub(super) fn add_clock_covariance(&self, spread: &mut BlockCovariance) {
         if !self.is_timed {
             return;
         }
@@ -240,8 +244,8 @@ impl Sources {
         }
     }
 
-    /// The traces of what [`Self::add_told`] adds.
-    pub(super) fn told_traces(&self) -> [f64; 3] {
+    /// Traces of the blocks that [`Self::add_clock_covariance`] adds.
+    pub(super) fn reported_traces(&self) -> [f64; 3] {
         let mut traces = [0.0; 3];
         if self.is_timed {
             for index in 0..self.len {
@@ -256,27 +260,26 @@ impl Sources {
     }
 
     /// Σ Cp Cpᵀ.
-    pub(super) fn systematic(&self) -> Matrix3<f64> {
+    pub(super) fn systematic_covariance(&self) -> Matrix3<f64> {
         let own = |index: usize| {
             Matrix3::from_fn(|row, component| self.systematic[component][row][index])
         };
         (0..self.len).map(|index| own(index) * own(index).transpose()).sum()
     }
 
-    /// Says how far a camera's clock may be off.
+    /// Sets the standard deviation of a camera's clock.
     pub(super) fn set_timing(&mut self, index: usize, timing_s: f64) {
         self.timings_s[index] = timing_s;
         self.is_timed |= timing_s > 0.0;
     }
 
-    /// A camera's place.
     pub(super) fn find(&self, camera: CameraId) -> Option<usize> {
         self.cameras[..self.len].iter().position(|known| *known == camera)
     }
 
-    /// A camera's place; of a new one nothing is correlated. Where there is none left, that of the camera not
-    /// heard of longest.
-    pub(super) fn find_or_new(&mut self, camera: CameraId) -> usize {
+    /// Place of a camera. A new one starts uncorrelated; if there is no free place, it replaces the camera
+    /// without a measurement for longest.
+    pub(super) fn find_or_insert(&mut self, camera: CameraId) -> usize {
         if let Some(index) = self.find(camera) {
             return index;
         }
@@ -296,7 +299,7 @@ impl Sources {
         self.len - 1
     }
 
-    /// Lets go of a camera; those behind it move up.
+    /// Removes a camera and closes the gap.
     fn remove(&mut self, index: usize) {
         self.cameras[index..self.len].rotate_left(1);
         for place in index..self.len {
@@ -309,14 +312,14 @@ impl Sources {
 
     /// Writes all numbers of one camera.
     fn replace(&mut self, index: usize, number: impl Fn(&Row) -> f64) {
-        let rows = self.systematic.iter_mut().flatten().chain(&mut self.by_clock);
+        let rows = self.systematic.iter_mut().flatten().chain(&mut self.clock_sensitivity);
         for row in rows.chain([&mut self.ages_s, &mut self.timings_s]) {
             row[index] = number(row);
         }
     }
 
     fn clock(&self, index: usize) -> [Vector3<f64>; 2] {
-        [0, 3].map(|from| Vector3::from_fn(|axis, _| self.by_clock[from + axis][index]))
+        [0, 3].map(|from| Vector3::from_fn(|axis, _| self.clock_sensitivity[from + axis][index]))
     }
 }
 
@@ -327,28 +330,28 @@ fn load<S: Simd>(simd: S, row: &Row) -> f64x8<S> {
 
 /// q, `dt` seconds later.
 #[inline(always)]
-fn moved<S: Simd>(simd: S, by_clock: &[Row; 6], dt: f64) -> [Row; 6] {
-    let mut moved = *by_clock;
+fn predicted<S: Simd>(simd: S, clock_sensitivity: &[Row; 6], dt: f64) -> [Row; 6] {
+    let mut predicted = *clock_sensitivity;
     for axis in 0..3 {
-        let rate = load(simd, &by_clock[axis + 3]);
-        (load(simd, &by_clock[axis]) + rate * dt).store_array(&mut moved[axis]);
+        let rate = load(simd, &clock_sensitivity[axis + 3]);
+        (load(simd, &clock_sensitivity[axis]) + rate * dt).store_array(&mut predicted[axis]);
     }
-    moved
+    predicted
 }
 
-/// u: what each clock's error adds to an innovation, each second.
+/// u, the sensitivity of an innovation to each clock error.
 #[inline(always)]
-fn innovation_by<S: Simd>(
+fn innovation_sensitivity<S: Simd>(
     simd: S,
-    by_clock: &[Row; 6],
+    clock_sensitivity: &[Row; 6],
     own: usize,
     rate: &Vector3<f64>,
 ) -> [f64x8<S>; 3] {
-    let only = load(simd, &ONLY[own]);
+    let only = load(simd, &UNIT[own]);
     [
-        load(simd, &by_clock[0]) - only * rate.x,
-        load(simd, &by_clock[1]) - only * rate.y,
-        load(simd, &by_clock[2]) - only * rate.z,
+        load(simd, &clock_sensitivity[0]) - only * rate.x,
+        load(simd, &clock_sensitivity[1]) - only * rate.y,
+        load(simd, &clock_sensitivity[2]) - only * rate.z,
     ]
 }
 
@@ -362,10 +365,10 @@ fn weighted<S: Simd>(simd: S, u: [f64x8<S>; 3], timings_s: &Row) -> [f64x8<S>; 3
 
 /// Adds -K u to the rows.
 #[inline(always)]
-fn shrink<S: Simd>(
+fn subtract_gain<S: Simd>(
     simd: S,
     rows: &mut [Row; 6],
-    (value, rate): &(Numbers, Numbers),
+    (value, rate): &(Columns, Columns),
     [x, y, z]: [f64x8<S>; 3],
 ) {
     for axis in 0..3 {
@@ -380,7 +383,7 @@ fn shrink<S: Simd>(
     }
 }
 
-/// Three rows' numbers of one camera.
+/// Three consecutive rows' numbers of one camera.
 #[inline(always)]
 fn at(rows: &[Row; 6], from: usize, index: usize) -> [f64; 3] {
     [rows[from][index], rows[from + 1][index], rows[from + 2][index]]

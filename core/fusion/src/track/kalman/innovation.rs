@@ -1,29 +1,29 @@
-//! How a measurement errs, and how far it lies from what was predicted.
+//! Measurement noise and innovations.
 
 use nalgebra::{Matrix3, Vector3};
 
-/// A measurement's error: everything, and the root of the part that stays.
+/// Error of a measurement: its whole covariance, and a root of the systematic part.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Noise {
     /// Covariance R of the whole error.
     pub total: Matrix3<f64>,
-    /// L with L Lᵀ the covariance of the systematic part; zero where nothing is systematic.
+    /// L with L Lᵀ the covariance of the systematic part; zero if there is none.
     pub systematic_root: Matrix3<f64>,
-    /// Deviation of the camera's clock from the others', seconds; comes on top of `total`.
+    /// Standard deviation of the camera's clock against the others', seconds; not contained in `total`.
     pub timing_s: f64,
 }
 
 impl Noise {
-    /// By the covariances of the whole error and of the part that stays, of a camera whose clock is right.
-    pub fn of(total: Matrix3<f64>, systematic: &Matrix3<f64>) -> Self {
-        // Nothing systematic: no root, and none is needed.
-        let systematic_root = positive_root(systematic).unwrap_or_else(Matrix3::zeros);
+    /// From the covariances of the whole error and of its systematic part, for an exact clock.
+    pub fn from_covariances(total: Matrix3<f64>, systematic: &Matrix3<f64>) -> Self {
+        // A zero matrix has no Cholesky root and needs none.
+        let systematic_root = cholesky_lower(systematic).unwrap_or_else(Matrix3::zeros);
         Self { total, systematic_root, timing_s: 0.0 }
     }
 }
 
-/// How far a measurement lies from what was predicted. No logarithms here: who compares two takes
-/// one of their ratio.
+/// Size of an innovation and of its covariance. Comparing two takes one logarithm of their ratio instead of one
+/// each.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Innovation {
     /// Squared Mahalanobis length.
@@ -33,15 +33,14 @@ pub struct Innovation {
 }
 
 impl Innovation {
-    /// `None` if the covariance is not positive definite.
     #[inline(always)]
-    pub(super) fn of(residual: &Vector3<f64>, covariance: &Matrix3<f64>) -> Option<Self> {
+    pub(super) fn new(residual: &Vector3<f64>, covariance: &Matrix3<f64>) -> Option<Self> {
         let (inverse, determinant) = invert_positive(covariance)?;
         Some(Self { distance_squared: residual.dot(&(inverse * residual)), determinant })
     }
 
-    /// Of a covariance that is none.
-    pub(super) fn none() -> Self {
+    /// For a covariance that is not positive definite.
+    pub(super) fn invalid() -> Self {
         Self { distance_squared: f64::INFINITY, determinant: 1.0 }
     }
 
@@ -51,8 +50,8 @@ impl Innovation {
     }
 }
 
-/// Lower Cholesky factor; `None` if the matrix is not positive definite (or not finite).
-pub(crate) fn positive_root(matrix: &Matrix3<f64>) -> Option<Matrix3<f64>> {
+/// Lower Cholesky factor; `None` if the matrix is not positive definite or not finite.
+pub(crate) fn cholesky_lower(matrix: &Matrix3<f64>) -> Option<Matrix3<f64>> {
     let positive = |value: f64| (value.is_finite() && value > 0.0).then(|| value.sqrt());
     let l00 = positive(matrix[(0, 0)])?;
     let l10 = matrix[(1, 0)] / l00;
@@ -63,7 +62,7 @@ pub(crate) fn positive_root(matrix: &Matrix3<f64>) -> Option<Matrix3<f64>> {
     Some(Matrix3::new(l00, 0., 0., l10, l11, 0., l20, l21, l22))
 }
 
-/// Inverse and determinant of a symmetric positive definite matrix, by its factors L D Lᵀ: as stable as
+/// Inverse and determinant of a symmetric positive definite matrix by its factors L D Lᵀ; as stable as
 /// Cholesky's, without roots.
 #[inline(always)]
 pub fn invert_positive(matrix: &Matrix3<f64>) -> Option<(Matrix3<f64>, f64)> {
@@ -77,7 +76,7 @@ pub fn invert_positive(matrix: &Matrix3<f64>) -> Option<(Matrix3<f64>, f64)> {
     let l21 = rest * p1;
     let d2 = matrix.m33 - l20 * matrix.m31 - l21 * rest;
     let p2 = per(d2)?;
-    // The inverse of L, and from it that of the whole.
+    // The inverse of L, and from it that of the matrix.
     let i20 = l21 * l10 - l20;
     let (m02, m12) = (i20 * p2, -l21 * p2);
     let m01 = -l10 * p1 - l21 * m02;

@@ -1,4 +1,4 @@
-//! The kernel against a plain filter, at extremes, and with systematic errors.
+//! The filter against a plain reference, at extreme noise, and with systematic errors.
 
 use super::*;
 use nalgebra::{DMatrix, DVector};
@@ -6,11 +6,10 @@ use proptest::prelude::*;
 
 const CAMERAS: usize = 3;
 const SIZE: usize = 6 + 4 * CAMERAS;
-/// Where the clocks' errors are.
+/// First row of the clock errors.
 const CLOCKS: usize = 6 + 3 * CAMERAS;
 
-/// The same filter over (p, v, β and ε of every camera) as one plain matrix; the gain of β and ε is left
-/// out.
+/// The same filter over (p, v, β and ε of every camera) as one matrix, with zero gain for β and ε.
 struct Plain {
     state: DVector<f64>,
     covariance: DMatrix<f64>,
@@ -52,7 +51,7 @@ impl Plain {
         }
     }
 
-    /// The rate's covariance if the clocks were known.
+    /// Covariance of the rate for known clocks.
     fn rate_of_known_clocks(&self) -> Matrix3<f64> {
         let mut rate: Matrix3<f64> = self.covariance.fixed_view::<3, 3>(3, 3).into_owned();
         for clock in CLOCKS..SIZE {
@@ -65,7 +64,7 @@ impl Plain {
         rate
     }
 
-    /// Joseph's form: true for any gain.
+    /// Joseph's form, valid for any gain.
     fn update(&mut self, seen: &Vector3<f64>, noise: &Noise, camera: usize) {
         let mut looks = DMatrix::zeros(3, SIZE);
         looks.view_mut((0, 0), (3, 3)).fill_with_identity();
@@ -86,11 +85,11 @@ impl Plain {
     }
 }
 
-/// Tight across and loose along some direction, with a systematic share.
+/// Tight across a direction and loose along it, with a systematic share.
 fn noise(across_m: f64, along_m: f64, direction: &Vector3<f64>, share: f64) -> Noise {
     let along = direction * direction.transpose();
     let total = (Matrix3::identity() - along) * across_m.powi(2) + along * along_m.powi(2);
-    let systematic_root = positive_root(&(total * share)).unwrap_or_else(Matrix3::zeros);
+    let systematic_root = cholesky_lower(&(total * share)).unwrap_or_else(Matrix3::zeros);
     Noise { total, systematic_root, timing_s: 0.0 }
 }
 
@@ -112,25 +111,25 @@ proptest! {
         clocks_s in prop::sample::select(vec![[0.0; CAMERAS], [0.02, 0.002, 0.005]]),
     ) {
         let first = Noise { timing_s: clocks_s[0], ..noise(0.001, 0.02, &steps[0].2, share) };
-        let mut kernel = Kernel::begin(&first, CameraId(0), &Vector3::repeat(9.0));
+        let mut kalman = Kalman::begin(&first, CameraId(0), &Vector3::repeat(9.0));
         let mut value = Vector3::zeros();
         let mut plain = Plain::begin(&first, 0, 9.0, &clocks_s);
         for (camera, timing_s) in clocks_s.iter().enumerate() {
-            let index = kernel.sources.find_or_new(CameraId(camera as u32));
-            kernel.sources.set_timing(index, *timing_s);
+            let index = kalman.considered.find_or_insert(CameraId(camera as u32));
+            kalman.considered.set_timing(index, *timing_s);
         }
         for (camera, dt, direction, seen) in &steps {
             let timing_s = clocks_s[*camera];
             let noise = Noise { timing_s, ..noise(0.001, 0.02, direction, share) };
-            value += kernel.rate * *dt;
-            kernel.predict(*dt, &Vector3::repeat(0.2), 1.0);
+            value += kalman.rate * *dt;
+            kalman.predict(*dt, &Vector3::repeat(0.2), 1.0);
             plain.predict(*dt, 0.2, 1.0);
             let camera_id = CameraId(*camera as u32);
-            value += kernel.update(&(seen - value), &noise, camera_id, f64::INFINITY).value;
+            value += kalman.update(&(seen - value), &noise, camera_id, f64::INFINITY).value;
             plain.update(seen, &noise, *camera);
         }
         let expected = plain.covariance.view((0, 0), (6, 6)).clone_owned();
-        let found = kernel.told().matrix();
+        let found = kalman.reported().matrix();
         for row in 0..6 {
             for column in 0..6 {
                 let scale = (expected[(row, row)] * expected[(column, column)]).sqrt();
@@ -144,23 +143,23 @@ proptest! {
         }
     }
 
-    /// From 10 µm to 100 m, whatever comes after whatever.
+    /// Any order of noise from 10 µm to 100 m.
     #[test]
     fn stays_positive_definite(
         steps in prop::collection::vec((step(), -5.0..2.0f64, -5.0..2.0f64), 1..60),
         share in 0.0..1.0f64,
     ) {
         let first = noise(1.0, 1.0, &Vector3::z(), share);
-        let mut kernel = Kernel::begin(&first, CameraId(0), &Vector3::repeat(9.0));
+        let mut kalman = Kalman::begin(&first, CameraId(0), &Vector3::repeat(9.0));
         for ((camera, dt, direction, seen), across, along) in &steps {
             let timing_s = if *camera == 1 { 0.05 } else { 0.0 };
             let noise = noise(10f64.powf(*across), 10f64.powf(*along), direction, share);
             let noise = Noise { timing_s, ..noise };
-            kernel.predict(*dt * 20.0, &Vector3::new(0.2, 0.2, 1e-6), 1.0);
+            kalman.predict(*dt * 20.0, &Vector3::new(0.2, 0.2, 1e-6), 1.0);
             let camera = CameraId(*camera as u32);
-            let Correction { innovation, .. } = kernel.update(seen, &noise, camera, 16.3);
+            let Correction { innovation, .. } = kalman.update(seen, &noise, camera, 16.3);
             prop_assert!(innovation.distance_squared.is_finite());
-            prop_assert!(kernel.spread.matrix().cholesky().is_some(), "{:?}", kernel.spread);
+            prop_assert!(kalman.spread.matrix().cholesky().is_some(), "{:?}", kalman.spread);
         }
     }
 }
@@ -169,40 +168,40 @@ proptest! {
 #[test]
 fn the_first_measurement_errs_as_the_second_does() {
     let seen = noise(0.01, 0.01, &Vector3::z(), 0.5);
-    let mut kernel = Kernel::begin(&seen, CameraId(0), &Vector3::zeros());
-    kernel.update(&Vector3::zeros(), &seen, CameraId(0), 16.3);
-    let left = kernel.spread.value[(0, 0)] / 1e-4;
+    let mut kalman = Kalman::begin(&seen, CameraId(0), &Vector3::zeros());
+    kalman.update(&Vector3::zeros(), &seen, CameraId(0), 16.3);
+    let left = kalman.spread.value[(0, 0)] / 1e-4;
     assert!((left - 0.75).abs() < 1e-6, "{left}");
 }
 
 #[test]
 fn one_camera_never_averages_its_systematic_error_away() {
     let seen = noise(0.001, 0.001, &Vector3::z(), 0.5);
-    let mut kernel = Kernel::begin(&seen, CameraId(0), &Vector3::repeat(9.0));
+    let mut kalman = Kalman::begin(&seen, CameraId(0), &Vector3::repeat(9.0));
     let still = Vector3::repeat(1e-12);
     for _ in 0..1000 {
-        kernel.predict(0.01, &still, 1e6);
-        kernel.update(&Vector3::zeros(), &seen, CameraId(0), 16.3);
+        kalman.predict(0.01, &still, 1e6);
+        kalman.update(&Vector3::zeros(), &seen, CameraId(0), 16.3);
     }
-    let one = kernel.spread.value[(0, 0)];
+    let one = kalman.spread.value[(0, 0)];
     assert!((one / 0.5e-6 - 1.0).abs() < 0.1, "{one:e}");
-    // A second camera has an error of its own: the mean of both is twice as good.
+    // A second camera has an independent error: the mean of both is twice as good.
     for frame in 0..2000 {
-        kernel.predict(0.005, &still, 1e6);
-        kernel.update(&Vector3::zeros(), &seen, CameraId(frame % 2), 16.3);
+        kalman.predict(0.005, &still, 1e6);
+        kalman.update(&Vector3::zeros(), &seen, CameraId(frame % 2), 16.3);
     }
-    let two = kernel.spread.value[(0, 0)];
+    let two = kalman.spread.value[(0, 0)];
     assert!(two < 0.6 * one, "{two:e} of {one:e}");
 }
 
 #[test]
 fn the_camera_heard_of_longest_ago_gives_way() {
     let seen = noise(0.001, 0.001, &Vector3::z(), 0.5);
-    let mut kernel = Kernel::begin(&seen, CameraId(0), &Vector3::repeat(9.0));
+    let mut kalman = Kalman::begin(&seen, CameraId(0), &Vector3::repeat(9.0));
     for camera in 1..=MAX_SOURCES as u32 {
-        kernel.predict(0.01, &Vector3::repeat(0.2), 1.0);
-        kernel.update(&Vector3::zeros(), &seen, CameraId(camera), 16.3);
+        kalman.predict(0.01, &Vector3::repeat(0.2), 1.0);
+        kalman.update(&Vector3::zeros(), &seen, CameraId(camera), 16.3);
     }
-    assert_eq!(kernel.sources.find(CameraId(0)), None);
-    assert!(kernel.sources.find(CameraId(1)).is_some());
+    assert_eq!(kalman.considered.find(CameraId(0)), None);
+    assert!(kalman.considered.find(CameraId(1)).is_some());
 }

@@ -28,30 +28,30 @@ const CLOCK_SHARE: f64 = 2.0;
 
 /// Where all tracks are at one time, eight by eight.
 #[derive(Clone, Debug, Default)]
-pub(in crate::world) struct Field {
+pub(in crate::world) struct TrackBatches {
     tracks: usize,
-    eights: Vec<Eight>,
+    batches: Vec<TrackBatch>,
 }
 
 /// Eight tracks, number by number.
 #[derive(Clone, Debug)]
-struct Eight {
+struct TrackBatch {
     places_m: [[f64; LANES]; 3],
     velocities_m_s: [[f64; LANES]; 3],
     /// tr P, with what clocks may add.
-    spreads_m2: [f64; LANES],
+    traces_m2: [f64; LANES],
 }
 
 /// Nothing is near what is not there.
-const NOBODY: Eight = Eight {
+const EMPTY: TrackBatch = TrackBatch {
     places_m: [[f64::INFINITY; LANES]; 3],
     velocities_m_s: [[0.0; LANES]; 3],
-    spreads_m2: [0.0; LANES],
+    traces_m2: [0.0; LANES],
 };
 
 /// What of a sighting meets the field.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::world) struct Probe {
+pub(in crate::world) struct GateProbe {
     place_m: [f64; 3],
     /// So much later than the field.
     offset_s: f64,
@@ -63,7 +63,7 @@ pub(in crate::world) struct Probe {
     pub(in crate::world) determinant: f64,
 }
 
-impl Field {
+impl TrackBatches {
     /// Of these tracks, for sightings up to `span_s` before or after `time` by a camera whose clock may be
     /// off by `timing_s`.
     pub(in crate::world) fn fill(
@@ -74,7 +74,7 @@ impl Field {
         timing_s: f64,
     ) {
         self.tracks = 0;
-        self.eights.clear();
+        self.batches.clear();
         for track in tracks {
             self.push(&track.coarse.predicted(time), span_s, timing_s);
         }
@@ -83,68 +83,79 @@ impl Field {
     fn push(&mut self, coarse: &Coarse, span_s: f64, timing_s: f64) {
         let lane = self.tracks % LANES;
         if lane == 0 {
-            self.eights.push(NOBODY);
+            self.batches.push(EMPTY);
         }
-        let eight = &mut self.eights[self.tracks / LANES];
+        let batch = &mut self.batches[self.tracks / LANES];
         self.tracks += 1;
         for axis in 0..3 {
-            eight.places_m[axis][lane] = coarse.position_m[axis];
-            eight.velocities_m_s[axis][lane] = coarse.velocity_m_s[axis];
+            batch.places_m[axis][lane] = coarse.position_m[axis];
+            batch.velocities_m_s[axis][lane] = coarse.velocity_m_s[axis];
         }
-        let mut deviation_m = coarse.most_deviation_m(span_s);
+        let mut deviation_m = coarse.max_deviation_m(span_s);
         if timing_s > 0.0 {
             let speed_m_s = coarse.velocity_m_s.norm() + coarse.spread.2.max(0.0).sqrt();
             deviation_m += CLOCK_SHARE * timing_s * speed_m_s;
         }
-        eight.spreads_m2[lane] = deviation_m * deviation_m;
+        batch.traces_m2[lane] = deviation_m * deviation_m;
     }
 
     /// Tracks that the sighting may be of, none that is within this squared Mahalanobis length left out;
     /// ascending.
-    pub(in crate::world) fn near(&self, probe: &Probe, limit: f64, near: &mut Vec<usize>) {
-        near.clear();
-        dispatch!(Level::new(), simd => self.near_with(simd, probe, limit, near));
+    pub(in crate::world) fn candidates(
+        &self,
+        probe: &GateProbe,
+        limit: f64,
+        candidates: &mut Vec<usize>,
+    ) {
+        candidates.clear();
+        dispatch!(Level::new(), simd => self.candidates_with(simd, probe, limit, candidates));
     }
 
     #[simd]
-    fn near_with<S: Simd>(&self, simd: S, probe: &Probe, limit: f64, near: &mut Vec<usize>) {
+    fn candidates_with<S: Simd>(
+        &self,
+        simd: S,
+        probe: &GateProbe,
+        limit: f64,
+        candidates: &mut Vec<usize>,
+    ) {
         let [r11, r12, r13, r22, r23, r33] = probe.precision;
-        for (place, eight) in self.eights.iter().enumerate() {
-            let x = eight.apart(simd, 0, probe);
-            let y = eight.apart(simd, 1, probe);
-            let z = eight.apart(simd, 2, probe);
-            let spread_m2 = f64x8::load_array_ref(simd, &eight.spreads_m2);
+        for (place, batch) in self.batches.iter().enumerate() {
+            let x = batch.residuals(simd, 0, probe);
+            let y = batch.residuals(simd, 1, probe);
+            let z = batch.residuals(simd, 2, probe);
+            let trace_m2 = f64x8::load_array_ref(simd, &batch.traces_m2);
             let apart_m2 = x * x + y * y + z * z;
-            if apart_m2.simd_gt((spread_m2 + probe.trace_m2) * (2.0 * limit)).all_true() {
+            if apart_m2.simd_gt((trace_m2 + probe.trace_m2) * (2.0 * limit)).all_true() {
                 continue;
             }
             let u = x * r11 + y * r12 + z * r13;
             let v = x * r12 + y * r22 + z * r23;
             let w = x * r13 + y * r23 + z * r33;
             let misfit = x * u + y * v + z * w;
-            let spread = (u * u + v * v + w * w) * spread_m2;
+            let spread = (u * u + v * v + w * w) * trace_m2;
             let inside = (misfit * misfit).simd_le((spread + misfit) * (2.0 * limit));
             let mut left = inside.to_bitmask();
             while left != 0 {
-                near.push(LANES * place + left.trailing_zeros() as usize);
+                candidates.push(LANES * place + left.trailing_zeros() as usize);
                 left &= left - 1;
             }
         }
     }
 }
 
-impl Eight {
+impl TrackBatch {
     /// The residuals along one axis. No closure: it would not be part of the function that has the vector
     /// instructions.
     #[inline(always)]
-    fn apart<S: Simd>(&self, simd: S, axis: usize, probe: &Probe) -> f64x8<S> {
+    fn residuals<S: Simd>(&self, simd: S, axis: usize, probe: &GateProbe) -> f64x8<S> {
         let place_m = f64x8::load_array_ref(simd, &self.places_m[axis]);
         let velocity_m_s = f64x8::load_array_ref(simd, &self.velocities_m_s[axis]);
         velocity_m_s.mul_add(-probe.offset_s, probe.place_m[axis] - place_m)
     }
 }
 
-impl Probe {
+impl GateProbe {
     /// So many seconds later than the field.
     pub(in crate::world) fn new(place_m: [f64; 3], noise: &Noise, offset_s: f64) -> Self {
         // What has no inverse excludes nothing.
@@ -165,7 +176,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        track::{AttitudeMeasurement, Estimate, Measurement},
+        track::{AttitudeMeasurement, FilterState, Measurement},
         world::{FusionParams, MotionClass},
     };
     use roundel_vision::id::{CameraId, TrackNumber};
@@ -210,7 +221,7 @@ mod tests {
             prop_assume!(sight.norm() > 0.1 && steps.iter().all(|step| step.2.norm() > 0.1));
             let mut time_s = 1.0;
             let first = seen(time_s, Vector3::zeros(), steps[0].2, timing_s);
-            let mut estimate = Estimate::begin(&first, &model);
+            let mut estimate = FilterState::begin(&first, &model);
             for (dt, error_m, sight) in &steps {
                 time_s += dt;
                 let moving_m = Vector3::new(2.0, 1.0, 0.0) * (time_s - 1.0);
@@ -218,26 +229,26 @@ mod tests {
             }
             let agile = estimate.motion.agile();
             let dt = later_s + offset_s;
-            let place_m = agile.position_m + agile.kernel.rate * dt + off_m;
+            let place_m = agile.position_m + agile.kalman.rate * dt + off_m;
             let sighting = seen(time_s + dt, place_m, sight, timing_s);
             let noise = &sighting.position_noise;
             let innovation = agile
-                .kernel
+                .kalman
                 .innovation_after(dt, &model, &off_m, (noise, sighting.camera))
                 .unwrap();
-            let mut field = Field::default();
+            let mut batches = TrackBatches::default();
             let coarse = Coarse::of(&estimate, &model.acceleration_density_m2_s3);
             let time = estimate.time.plus_seconds(later_s);
-            field.push(&coarse.predicted(time), offset_s.abs(), timing_s);
-            let probe = Probe::new(place_m.into(), noise, offset_s);
-            let mut near = Vec::new();
-            field.near(&probe, LIMIT, &mut near);
-            prop_assert!(innovation.distance_squared > LIMIT || near == [0]);
+            batches.push(&coarse.predicted(time), offset_s.abs(), timing_s);
+            let probe = GateProbe::new(place_m.into(), noise, offset_s);
+            let mut candidates = Vec::new();
+            batches.candidates(&probe, LIMIT, &mut candidates);
+            prop_assert!(innovation.distance_squared > LIMIT || candidates == [0]);
             // And who is far off is: nothing is near at a hundred deviations of everything.
-            let deviation_m = coarse.most_deviation_m(0.05) + noise.total.trace().sqrt();
+            let deviation_m = coarse.max_deviation_m(0.05) + noise.total.trace().sqrt();
             let far_m = place_m + off_m.normalize() * (100.0 * (deviation_m + 4.0 * timing_s));
-            field.near(&Probe::new(far_m.into(), noise, offset_s), LIMIT, &mut near);
-            prop_assert!(near.is_empty());
+            batches.candidates(&GateProbe::new(far_m.into(), noise, offset_s), LIMIT, &mut candidates);
+            prop_assert!(candidates.is_empty());
         }
     }
 }

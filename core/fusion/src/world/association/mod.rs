@@ -13,7 +13,7 @@ mod assignment;
 mod gate;
 
 use assignment::{FORBIDDEN, assign};
-use gate::{Field, Probe};
+use gate::{GateProbe, TrackBatches};
 
 use super::{FusionParams, clock::Clocks, identity::Subject, lifecycle::Track};
 use crate::track::{Innovation, Measurement, Noise};
@@ -73,8 +73,8 @@ impl Cost {
 /// Working memory, kept from frame to frame.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Scratch {
-    field: Field,
-    near: Vec<usize>,
+    batches: TrackBatches,
+    candidates: Vec<usize>,
     pairs: Vec<Pair>,
     group_of_sighting: Vec<usize>,
     group_of_track: Vec<usize>,
@@ -92,33 +92,30 @@ pub(super) fn associate(
     let time = first.measurement.time;
     let offset_s = |sighting: &Sighting| sighting.measurement.time.seconds_since(time);
     let span_s = sightings.iter().map(|sighting| offset_s(sighting).abs()).fold(0.0, f64::max);
-    let timing_s = if clocks.is_estimating() {
-        clocks.most_deviation_s(first.measurement.camera)
-    } else {
-        0.0
-    };
-    scratch.field.fill(tracks, time, span_s, timing_s);
+    let timing_s =
+        if clocks.is_estimating() { clocks.max_deviation_s(first.measurement.camera) } else { 0.0 };
+    scratch.batches.fill(tracks, time, span_s, timing_s);
     scratch.pairs.clear();
     for (index, sighting) in sightings.iter().enumerate() {
-        let seen = &sighting.measurement;
-        let place_m = seen.position_m.into();
-        let probe = Probe::new(place_m, &seen.position_noise, offset_s(sighting));
+        let measurement = &sighting.measurement;
+        let place_m = measurement.position_m.into();
+        let probe = GateProbe::new(place_m, &measurement.position_noise, offset_s(sighting));
         let gate = params.gate_distance_squared;
-        scratch.field.near(&probe, gate * CONTINUITY_GATE, &mut scratch.near);
+        scratch.batches.candidates(&probe, gate * CONTINUITY_GATE, &mut scratch.candidates);
         let noise_det = probe.determinant.max(f64::MIN_POSITIVE);
-        for &number in &scratch.near {
-            let found = possible(sighting, &tracks[number], (params, noise_det), clocks);
+        for &number in &scratch.candidates {
+            let found = pair_cost(sighting, &tracks[number], (params, noise_det), clocks);
             let Some((cost, innovation)) = found else { continue };
             scratch.pairs.push(Pair { sighting: index, track: number, cost, innovation });
         }
     }
-    group(sightings.len(), tracks.len(), scratch);
+    label_groups(sightings.len(), tracks.len(), scratch);
     solve(&mut decisions, scratch);
     decisions
 }
 
 /// What it costs that a sighting is a track's, if it can be.
-fn possible(
+fn pair_cost(
     sighting: &Sighting,
     track: &Track,
     (params, noise_det): (&FusionParams, f64),
@@ -127,41 +124,46 @@ fn possible(
     if track.subject != sighting.subject {
         return None;
     }
-    let seen = &sighting.measurement;
+    let measurement = &sighting.measurement;
     // There is one of each body.
     let is_body = sighting.subject.body.map(|_| true);
-    let agrees = is_body.or(sighting.code.and_then(|read| track.codes.agrees(read)));
-    let unseen_ns = seen.time.ns_since(track.newest);
-    if agrees == Some(false) && unseen_ns > params.predicted_after_ns {
+    let code_agrees = is_body.or(sighting.code.and_then(|read| track.codes.agrees(read)));
+    let unseen_ns = measurement.time.ns_since(track.newest);
+    if code_agrees == Some(false) && unseen_ns > params.predicted_after_ns {
         return None;
     }
     let newest = track.history.newest();
-    let dt = seen.time.seconds_since(newest.time);
+    let dt = measurement.time.seconds_since(newest.time);
     let agile = newest.motion.agile();
-    let residual_m = seen.position_m - agile.position_m - agile.kernel.rate * dt;
-    let noise = Noise { timing_s: track.timing_s(seen, clocks), ..seen.position_noise };
-    let innovation =
-        agile.kernel.innovation_after(dt, &track.model, &residual_m, (&noise, seen.camera))?;
-    let continued = track.is_continued_by(seen);
-    let is_known = agrees.unwrap_or(continued);
+    let residual_m = measurement.position_m - agile.position_m - agile.kalman.rate * dt;
+    let noise =
+        Noise { timing_s: track.timing_s(measurement, clocks), ..measurement.position_noise };
+    let innovation = agile.kalman.innovation_after(
+        dt,
+        &track.model,
+        &residual_m,
+        (&noise, measurement.camera),
+    )?;
+    let is_continued = track.is_continued_by(measurement);
+    let is_expected = code_agrees.unwrap_or(is_continued);
     let gate = params.gate_distance_squared;
-    let limit = if is_known { gate * CONTINUITY_GATE } else { gate };
+    let limit = if is_expected { gate * CONTINUITY_GATE } else { gate };
     if innovation.distance_squared > limit {
         return None;
     }
-    let by_code = match agrees {
+    let code_cost = match code_agrees {
         None => 0.0,
         Some(true) => -CODE_BONUS,
-        Some(false) => CODE_BONUS * f64::from(1 + track.codes.contrary()),
+        Some(false) => CODE_BONUS * f64::from(1 + track.codes.contradictions()),
     };
-    let rest = innovation.distance_squared - if continued { CONTINUITY_BONUS } else { 0.0 }
-        + by_code
+    let rest = innovation.distance_squared - if is_continued { CONTINUITY_BONUS } else { 0.0 }
+        + code_cost
         + if track.is_tentative() { TENTATIVE_COST } else { 0.0 };
     Some((Cost { ratio: innovation.determinant / noise_det, rest }, innovation))
 }
 
 /// Numbers the groups of sightings and tracks that share pairs, by their lowest sighting.
-fn group(sightings: usize, tracks: usize, scratch: &mut Scratch) {
+fn label_groups(sightings: usize, tracks: usize, scratch: &mut Scratch) {
     scratch.group_of_sighting.clear();
     scratch.group_of_sighting.extend(0..sightings);
     scratch.group_of_track.clear();

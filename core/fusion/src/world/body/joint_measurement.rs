@@ -26,45 +26,45 @@ mod fit;
 
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
 
-use fit::{Fit, Piece, add, block, fits};
+use fit::{Fit, RoundelTerm, add, best_fits, block};
 
-use super::SeenPart;
-use crate::track::{AttitudeMeasurement, Measurement, Noise, positive_root};
+use super::PartMeasurement;
+use crate::track::{AttitudeMeasurement, Measurement, Noise, cholesky_lower};
 use crate::world::{
-    lifecycle::{Track, View},
+    lifecycle::{CameraView, Track},
     measurement::FLOOR_VARIANCE,
 };
 use roundel_vision::rigid::mahalanobis_squared;
 
 /// Information about a rotation of which nothing is known, rad⁻²: next to none.
-const LOOSE: f64 = 1e-3;
+const WEAK_INFORMATION: f64 = 1e-3;
 /// An angle with a variance above this is not known, rad².
 const UNKNOWN_RAD2: f64 = 1.0;
 /// Squared residuals above so many times their number contradict each other: five deviations each.
-const CONTRADICTION: f64 = 25.0;
+const MAX_MISFIT: f64 = 25.0;
 /// The second choice is no candidate below this probability.
-const LEAST_RIVAL: f64 = 1e-4;
+const MIN_SECOND_PROBABILITY: f64 = 1e-4;
 
 /// What is expected of the object at the frame's time.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::world) struct Expected {
+pub(in crate::world) struct PredictedPose {
     position_m: Vector3<f64>,
     velocity_m_s: Vector3<f64>,
-    place: Matrix3<f64>,
+    position: Matrix3<f64>,
     orientation: UnitQuaternion<f64>,
     angular_velocity_rad_s: Vector3<f64>,
     rotation: Matrix3<f64>,
-    knows_yaw: bool,
+    has_yaw: bool,
     /// That see it now, the frame's own included.
     cameras: f64,
 }
 
-impl Expected {
+impl PredictedPose {
     /// By its track, predicted to the frame.
     pub(in crate::world) fn of(track: &Track, seen: &Measurement, fresh_ns: i64) -> Self {
         let mut estimate = *track.history.newest();
         estimate.predict(seen.time, &track.model);
-        let is_other = |view: &&View| {
+        let is_other = |view: &&CameraView| {
             view.camera != seen.camera && seen.time.ns_since(view.time).saturating_abs() < fresh_ns
         };
         let others = track.views.iter().filter(is_other).count();
@@ -72,18 +72,18 @@ impl Expected {
         let attitude = estimate.attitude.estimate(0.0, &track.model);
         Self {
             position_m: filter.position_m,
-            velocity_m_s: filter.kernel.rate,
-            place: filter.kernel.told().value,
+            velocity_m_s: filter.kalman.rate,
+            position: filter.kalman.reported().value,
             orientation: attitude.orientation,
             angular_velocity_rad_s: attitude.angular_velocity_rad_s,
             rotation: attitude.covariance.fixed_view::<3, 3>(0, 0).into_owned(),
-            knows_yaw: attitude.yaw_symmetry.is_some(),
+            has_yaw: attitude.yaw_symmetry.is_some(),
             cameras: 1.0 + others as f64,
         }
     }
 
-    fn is_turned_known(&self) -> bool {
-        self.knows_yaw && self.rotation.trace() < UNKNOWN_RAD2
+    fn is_orientation_known(&self) -> bool {
+        self.has_yaw && self.rotation.trace() < UNKNOWN_RAD2
     }
 
     fn information(&self) -> Matrix3<f64> {
@@ -93,24 +93,24 @@ impl Expected {
 
 /// One measurement of parts of one body, not empty and of one frame, with `share` of the errors
 /// systematic, and how many of them were left out; `None` if nothing fits.
-pub(in crate::world) fn assemble(
-    parts: &[SeenPart],
-    expected: Option<&Expected>,
+pub(in crate::world) fn joint_measurement(
+    parts: &[PartMeasurement],
+    expected: Option<&PredictedPose>,
     share: f64,
 ) -> Option<(Measurement, usize)> {
     let first = &parts[0].measurement;
-    let since_s = |seen: &SeenPart| seen.measurement.time.seconds_since(first.time);
+    let since_s = |seen: &PartMeasurement| seen.measurement.time.seconds_since(first.time);
     let mean_s = parts.iter().map(since_s).sum::<f64>() / parts.len() as f64;
-    let mut pieces = Vec::with_capacity(parts.len());
+    let mut terms = Vec::with_capacity(parts.len());
     for seen in parts {
-        pieces.push(Piece::of(seen, mean_s - since_s(seen), expected)?);
+        terms.push(RoundelTerm::of(seen, mean_s - since_s(seen), expected)?);
     }
-    let (mut best, mut second) = fits(&pieces, expected)?;
-    while pieces.len() > 1 && best.misfit > CONTRADICTION * freedom(&pieces) {
-        (pieces, best, second) = without_worst(&pieces, expected)?;
+    let (mut best, mut second) = best_fits(&terms, expected)?;
+    while terms.len() > 1 && best.misfit > MAX_MISFIT * degrees_of_freedom(&terms) {
+        (terms, best, second) = without_worst(&terms, expected)?;
     }
-    let attitude = attitude(&pieces, (&best, second.as_ref()), expected, share)?;
-    let (position_m, position_noise) = place(&pieces, (best, second), expected, share)?;
+    let attitude = attitude(&terms, (&best, second.as_ref()), expected, share)?;
+    let (position_m, position_noise) = position(&terms, (best, second), expected, share)?;
     let measurement = Measurement {
         time: first.time.plus_seconds(mean_s),
         position_m,
@@ -118,101 +118,103 @@ pub(in crate::world) fn assemble(
         attitude,
         ..*first
     };
-    Some((measurement, parts.len() - pieces.len()))
+    Some((measurement, parts.len() - terms.len()))
 }
 
 /// Numbers that are measured beyond those that are asked for.
-fn freedom(pieces: &[Piece]) -> f64 {
-    (pieces.iter().map(Piece::numbers).sum::<f64>() - 6.0).max(1.0)
+fn degrees_of_freedom(terms: &[RoundelTerm]) -> f64 {
+    (terms.iter().map(RoundelTerm::residual_count).sum::<f64>() - 6.0).max(1.0)
 }
 
 /// All roundels but the one whose absence leaves the best fit, nearest to what is expected.
 fn without_worst(
-    pieces: &[Piece],
-    expected: Option<&Expected>,
-) -> Option<(Vec<Piece>, Fit, Option<Fit>)> {
+    terms: &[RoundelTerm],
+    expected: Option<&PredictedPose>,
+) -> Option<(Vec<RoundelTerm>, Fit, Option<Fit>)> {
     let without = |index: usize| {
-        let mut others = pieces.to_vec();
+        let mut others = terms.to_vec();
         others.remove(index);
-        let (best, second) = fits(&others, expected)?;
-        let surprise = expected.map_or(0.0, |expected| {
+        let (best, second) = best_fits(&others, expected)?;
+        let prior_cost = expected.map_or(0.0, |expected| {
             let off_m = best.position_m - expected.position_m;
-            mahalanobis_squared(&off_m, &(expected.place + Matrix3::from_diagonal_element(1e-4)))
+            mahalanobis_squared(&off_m, &(expected.position + Matrix3::from_diagonal_element(1e-4)))
                 .unwrap_or(0.0)
         });
-        Some((best.cost + surprise, (others, best, second)))
+        Some((best.cost + prior_cost, (others, best, second)))
     };
     // The last one first, so that of equals the first one stays.
-    let all = (0..pieces.len()).rev().filter_map(without);
+    let all = (0..terms.len()).rev().filter_map(without);
     all.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, left)| left)
 }
 
 /// By how much residuals beyond their deviations widen the variances.
-fn excess(pieces: &[Piece], fit: &Fit) -> f64 {
-    let freedom = freedom(pieces);
-    (fit.misfit / (freedom + 3.0 * (2.0 * freedom).sqrt())).max(1.0)
+fn inflation(terms: &[RoundelTerm], fit: &Fit) -> f64 {
+    let degrees_of_freedom = degrees_of_freedom(terms);
+    (fit.misfit / (degrees_of_freedom + 3.0 * (2.0 * degrees_of_freedom).sqrt())).max(1.0)
 }
 
 /// Probability of the second choice.
-fn rival(best: f64, second: f64) -> f64 {
+fn second_probability(best: f64, second: f64) -> f64 {
     1.0 / (1.0 + (0.5 * (second - best)).exp())
 }
 
 /// How the frame alone says that the object is turned.
 fn attitude(
-    pieces: &[Piece],
+    terms: &[RoundelTerm],
     (best, second): (&Fit, Option<&Fit>),
-    expected: Option<&Expected>,
+    expected: Option<&PredictedPose>,
     share: f64,
 ) -> Option<AttitudeMeasurement> {
-    let known = expected.filter(|expected| expected.is_turned_known());
+    let known = expected.filter(|expected| expected.is_orientation_known());
     // Far less than the track knows itself, and not so little that a rival normal, which begins with
     // this, would blur it.
-    let loose =
-        known.map_or(Matrix3::from_diagonal_element(LOOSE), |known| known.information() * LOOSE);
+    let weak = known.map_or(Matrix3::from_diagonal_element(WEAK_INFORMATION), |known| {
+        known.information() * WEAK_INFORMATION
+    });
     let noise = |fit: &Fit| {
         let mut information = fit.information;
-        add(&mut information, (3, 3), &loose);
+        add(&mut information, (3, 3), &weak);
         let covariance = information.cholesky()?.inverse();
-        let excess = excess(pieces, fit);
-        let total = symmetric(&block(&covariance, 3)) * excess;
-        let systematic =
-            symmetric(&block(&(covariance * fit.information * covariance), 3)) * (excess * share);
+        let inflation = inflation(terms, fit);
+        let total = symmetric(&block(&covariance, 3)) * inflation;
+        let systematic = symmetric(&block(&(covariance * fit.information * covariance), 3))
+            * (inflation * share);
         Some(Noise {
             total: total + Matrix3::from_diagonal_element(FLOOR_VARIANCE),
-            systematic_root: positive_root(&systematic).unwrap_or_else(Matrix3::zeros),
+            systematic_root: cholesky_lower(&systematic).unwrap_or_else(Matrix3::zeros),
             timing_s: 0.0,
         })
     };
-    let of_best = noise(best)?;
-    let is_whole = of_best.total.trace() < UNKNOWN_RAD2;
-    let second = second.filter(|second| rival(best.cost, second.cost) > LEAST_RIVAL);
-    let (other, of_other) = match second {
+    let best_noise = noise(best)?;
+    let is_whole = best_noise.total.trace() < UNKNOWN_RAD2;
+    let second =
+        second.filter(|second| second_probability(best.cost, second.cost) > MIN_SECOND_PROBABILITY);
+    let (other, other_noise) = match second {
         Some(second) => (second, noise(second)?),
-        None => (best, of_best),
+        None => (best, best_noise),
     };
     // One roundel alone, flat on the object, whose opposite looks the same: so does the object.
-    let symmetry = match pieces {
+    let symmetry = match terms {
         [only] if (only.mount.rotation * Vector3::z()).z.abs() > 1.0 - 1e-6 => only.yaw_symmetry,
         _ => None,
     };
     Some(AttitudeMeasurement {
         candidates: [best.orientation, other.orientation],
-        likelihood: 1.0 - second.map_or(0.0, |second| rival(best.cost, second.cost)),
+        likelihood: 1.0 - second.map_or(0.0, |second| second_probability(best.cost, second.cost)),
         yaw_symmetry: (is_whole || known.is_some()).then_some(symmetry.unwrap_or(1)),
-        noise: of_best,
-        other_noise: Some(of_other),
+        noise: best_noise,
+        other_noise: Some(other_noise),
     })
 }
 
 /// Where the object is, by the frame and the orientation that is expected.
-fn place(
-    pieces: &[Piece],
+fn position(
+    terms: &[RoundelTerm],
     (best, second): (Fit, Option<Fit>),
-    expected: Option<&Expected>,
+    expected: Option<&PredictedPose>,
     share: f64,
 ) -> Option<(Vector3<f64>, Noise)> {
-    let surprise = |fit: &Fit| {
+    let prior_cost = |fit: &Fit| {
         let Some(expected) = expected else { return 0.0 };
         let off = (expected.orientation * fit.orientation.inverse()).scaled_axis();
         let spread = expected.rotation + Matrix3::from_diagonal_element(1e-4);
@@ -220,64 +222,64 @@ fn place(
     };
     let (mut first, mut other) = (best, second);
     let (mut cost, mut other_cost) =
-        (best.cost + surprise(&best), second.map(|fit| fit.cost + surprise(&fit)));
+        (best.cost + prior_cost(&best), second.map(|fit| fit.cost + prior_cost(&fit)));
     if let (Some(fit), Some(lower)) = (other, other_cost.filter(|other| *other < cost)) {
         (first, other) = (fit, Some(first));
         (cost, other_cost) = (lower, Some(cost));
     }
-    let (position_m, mut total, mut systematic) = placed(pieces, &first, expected, share)?;
+    let (position_m, mut total, mut systematic) = position_for(terms, &first, expected, share)?;
     if let (Some(fit), Some(other_cost)) = (other, other_cost) {
-        let weight = rival(cost, other_cost);
-        if weight > LEAST_RIVAL {
-            let apart_m = placed(pieces, &fit, expected, share)?.0 - position_m;
+        let weight = second_probability(cost, other_cost);
+        if weight > MIN_SECOND_PROBABILITY {
+            let apart_m = position_for(terms, &fit, expected, share)?.0 - position_m;
             let between = apart_m * apart_m.transpose() * weight;
             total += between;
             systematic += between;
         }
     }
-    let excess = excess(pieces, &first);
+    let inflation = inflation(terms, &first);
     let noise = Noise {
-        total: total * excess + Matrix3::from_diagonal_element(FLOOR_VARIANCE),
-        systematic_root: positive_root(&(systematic * excess)).unwrap_or_else(Matrix3::zeros),
+        total: total * inflation + Matrix3::from_diagonal_element(FLOOR_VARIANCE),
+        systematic_root: cholesky_lower(&(systematic * inflation)).unwrap_or_else(Matrix3::zeros),
         timing_s: 0.0,
     };
-    positive_root(&noise.total).map(|_| (position_m, noise))
+    cholesky_lower(&noise.total).map(|_| (position_m, noise))
 }
 
 /// The same for one choice of normals: place, covariance and the part of it that stays.
-fn placed(
-    pieces: &[Piece],
+fn position_for(
+    terms: &[RoundelTerm],
     fit: &Fit,
-    expected: Option<&Expected>,
+    expected: Option<&PredictedPose>,
     share: f64,
 ) -> Option<(Vector3<f64>, Matrix3<f64>, Matrix3<f64>)> {
     let mut prior = Matrix6::zeros();
     let mut pull = Vector6::zeros();
     let mut alone = fit.information;
-    (3..6).for_each(|axis| alone[(axis, axis)] += LOOSE);
-    let knows = alone.cholesky()?.inverse().fixed_view::<3, 3>(3, 3).trace() < UNKNOWN_RAD2;
-    if let Some(expected) = expected.filter(|_| !knows) {
+    (3..6).for_each(|axis| alone[(axis, axis)] += WEAK_INFORMATION);
+    let is_determined = alone.cholesky()?.inverse().fixed_view::<3, 3>(3, 3).trace() < UNKNOWN_RAD2;
+    if let Some(expected) = expected.filter(|_| !is_determined) {
         let information = expected.information();
         let off = (expected.orientation * fit.orientation.inverse()).scaled_axis();
         add(&mut prior, (3, 3), &information);
         pull.fixed_rows_mut::<3>(3).copy_from(&(information * off));
     }
     let mut whole = fit.information + prior;
-    (3..6).for_each(|axis| whole[(axis, axis)] += LOOSE);
+    (3..6).for_each(|axis| whole[(axis, axis)] += WEAK_INFORMATION);
     let mut covariance = whole.cholesky()?.inverse();
     let rotation = symmetric(&block(&covariance, 3));
-    let mut around = Matrix3::zeros();
+    let mut circle = Matrix3::zeros();
     let mut position_m = fit.position_m;
     if rotation.trace() > UNKNOWN_RAD2 {
         // About this axis it may be turned in any way.
         let eigen = rotation.symmetric_eigen();
         let axis = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned();
         let across = Matrix3::identity() - axis * axis.transpose();
-        let level_m = across * (position_m - pieces[0].position_m);
+        let level_m = across * (position_m - terms[0].position_m);
         position_m -= level_m;
-        around = across * (0.5 * level_m.norm_squared());
-        let firm = axis * axis.transpose() / FLOOR_VARIANCE;
-        add(&mut whole, (3, 3), &firm);
+        circle = across * (0.5 * level_m.norm_squared());
+        let axis_information = axis * axis.transpose() / FLOOR_VARIANCE;
+        add(&mut whole, (3, 3), &axis_information);
         covariance = whole.cholesky()?.inverse();
     }
     position_m += (covariance * pull).fixed_rows::<3>(0);
@@ -286,9 +288,9 @@ fn placed(
     // own: so much larger, their mean errs as it should. And at the origin the error of the orientation
     // adds to it, from which it stems, while both are taken for independent.
     let shared = expected.map_or(1.0, |expected| 2.0 * expected.cameras);
-    let foreseen = block(&(covariance * prior * covariance), 0) * shared;
-    let total = symmetric(&(block(&covariance, 0) + foreseen * (1.0 - 1.0 / shared))) + around;
-    Some((position_m, total, symmetric(&(seen * share + foreseen)) + around))
+    let predicted = block(&(covariance * prior * covariance), 0) * shared;
+    let total = symmetric(&(block(&covariance, 0) + predicted * (1.0 - 1.0 / shared))) + circle;
+    Some((position_m, total, symmetric(&(seen * share + predicted)) + circle))
 }
 
 fn symmetric(matrix: &Matrix3<f64>) -> Matrix3<f64> {

@@ -65,22 +65,22 @@ pub enum BodyError {
 
 /// Which roundel of which body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct Part {
+pub(super) struct MountRef {
     pub(super) body: BodyId,
     mount: usize,
 }
 
 /// What one of a camera's tracks was read as.
 #[derive(Clone, Copy, Debug)]
-struct Reading {
+struct CodeReading {
     vote: CodeVote,
     newest: Timestamp,
 }
 
 /// A part as a frame shows it, its camera's place taken as exact.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct SeenPart {
-    part: Part,
+pub(super) struct PartMeasurement {
+    part: MountRef,
     /// From the middle of the roundels.
     pub(super) body_from_roundel: Rigid,
     pub(super) measurement: Measurement,
@@ -91,10 +91,10 @@ pub(super) struct SeenPart {
 pub(super) struct Bodies {
     bodies: Vec<Body>,
     /// Middles of their roundels, object frame.
-    middles_m: Vec<Vector3<f64>>,
-    by_roundel: BTreeMap<(KindId, Option<Code>), Part>,
-    readings: BTreeMap<(CameraId, TrackNumber), Reading>,
-    seen: Vec<SeenPart>,
+    centroids_m: Vec<Vector3<f64>>,
+    by_roundel: BTreeMap<(KindId, Option<Code>), MountRef>,
+    readings: BTreeMap<(CameraId, TrackNumber), CodeReading>,
+    parts: Vec<PartMeasurement>,
 }
 
 impl Bodies {
@@ -106,52 +106,52 @@ impl Bodies {
 
     /// Says of bodies, known ones and others, what they carry from now on, all at once, so that they may exchange
     /// roundels. With an error, nothing is changed.
-    pub(super) fn replace(&mut self, fresh: &[(BodyId, Body)]) -> Result<(), BodyError> {
+    pub(super) fn replace(&mut self, changed: &[(BodyId, Body)]) -> Result<(), BodyError> {
         let mut by_roundel = self.by_roundel.clone();
-        by_roundel.retain(|_, part| fresh.iter().all(|(id, _)| *id != part.body));
-        for (id, body) in fresh {
-            let claims = claims(*id, body, &by_roundel)?;
+        by_roundel.retain(|_, part| changed.iter().all(|(id, _)| *id != part.body));
+        for (id, body) in changed {
+            let claims = checked_claims(*id, body, &by_roundel)?;
             by_roundel.extend(claims);
         }
         self.by_roundel = by_roundel;
-        for (id, body) in fresh {
+        for (id, body) in changed {
             let index = id.0 as usize;
             if index >= self.bodies.len() {
                 let nothing = Body { motion: MotionClass::default(), mounts: Vec::new() };
                 self.bodies.resize(index + 1, nothing);
-                self.middles_m.resize(index + 1, Vector3::zeros());
+                self.centroids_m.resize(index + 1, Vector3::zeros());
             }
             let places = body.mounts.iter().map(|it| it.object_from_roundel.translation.vector);
             let count = body.mounts.len().max(1) as f64;
-            self.middles_m[index] = places.sum::<Vector3<f64>>() / count;
+            self.centroids_m[index] = places.sum::<Vector3<f64>>() / count;
             self.bodies[index].clone_from(body);
         }
         Ok(())
     }
 
     /// What tracks of a body hang on: its roundels as seen from their middle, and how that moves.
-    pub(super) fn shape(&self, body: BodyId) -> Option<Body> {
-        let (mut shape, middle_m) =
-            (self.bodies.get(body.0 as usize)?.clone(), self.middles_m[body.0 as usize]);
-        for mount in &mut shape.mounts {
-            mount.object_from_roundel.translation.vector -= middle_m;
+    pub(super) fn centred(&self, body: BodyId) -> Option<Body> {
+        let (mut centred, centroid_m) =
+            (self.bodies.get(body.0 as usize)?.clone(), self.centroids_m[body.0 as usize]);
+        for mount in &mut centred.mounts {
+            mount.object_from_roundel.translation.vector -= centroid_m;
         }
-        if let MotionClass::Ground { height_m: Some(height_m) } = &mut shape.motion {
-            *height_m += middle_m.z;
+        if let MotionClass::Ground { height_m: Some(height_m) } = &mut centred.motion {
+            *height_m += centroid_m.z;
         }
-        Some(shape)
+        Some(centred)
     }
 
     /// Has cameras know that they follow the one roundel of a body under these numbers.
-    pub(super) fn know(
+    pub(super) fn set_readings(
         &mut self,
         code: Code,
         views: impl Iterator<Item = (CameraId, TrackNumber, Timestamp)>,
     ) {
         for (camera, number, newest) in views {
             let mut vote = CodeVote::default();
-            vote.settle(code);
-            self.readings.insert((camera, number), Reading { vote, newest });
+            vote.set(code);
+            self.readings.insert((camera, number), CodeReading { vote, newest });
         }
     }
 
@@ -165,7 +165,7 @@ impl Bodies {
 
     /// Its origin from the middle of its roundels.
     pub(super) fn origin_m(&self, body: BodyId) -> Vector3<f64> {
-        -self.middles_m[body.0 as usize]
+        -self.centroids_m[body.0 as usize]
     }
 
     /// The kind that it is shown as: that of its first roundel.
@@ -174,7 +174,7 @@ impl Bodies {
     }
 
     /// The body with this roundel, and how it is mounted there.
-    pub(super) fn with(&self, kind: KindId, code: Code) -> Option<(BodyId, Rigid)> {
+    pub(super) fn find_roundel(&self, kind: KindId, code: Code) -> Option<(BodyId, Rigid)> {
         let part = self.by_roundel.get(&(kind, Some(code)))?;
         let mount = &self.bodies[part.body.0 as usize].mounts[part.mount];
         Some((part.body, mount.object_from_roundel))
@@ -190,16 +190,16 @@ impl Bodies {
     pub(super) fn model(&self, body: BodyId, params: &FusionParams) -> MotionModel {
         let mut class = self.bodies[body.0 as usize].motion;
         if let MotionClass::Ground { height_m: Some(height_m) } = &mut class {
-            *height_m += self.middles_m[body.0 as usize].z;
+            *height_m += self.centroids_m[body.0 as usize].z;
         }
-        MotionModel { learns_turning: false, ..params.motion_model(&class) }
+        MotionModel { learns_rotation_density: false, ..params.motion_model(&class) }
     }
 
     /// The height that it is held at by the middle of its roundels, and what was said of its origin.
-    pub(super) fn held_m(&self, body: BodyId) -> Option<(f64, f64)> {
+    pub(super) fn heights_m(&self, body: BodyId) -> Option<(f64, f64)> {
         match self.bodies[body.0 as usize].motion {
             MotionClass::Ground { height_m: Some(said_m) } => {
-                Some((said_m + self.middles_m[body.0 as usize].z, said_m))
+                Some((said_m + self.centroids_m[body.0 as usize].z, said_m))
             }
             MotionClass::Ground { height_m: None } | MotionClass::Free => None,
         }
@@ -208,24 +208,24 @@ impl Bodies {
     /// What a camera's detection is part of, and whether this camera's track was not known as that before.
     pub(super) fn part_of(
         &mut self,
-        seen: &Detection,
+        detection: &Detection,
         camera: CameraId,
         now: Timestamp,
-    ) -> Option<(Part, bool)> {
-        let kind = seen.ring.kind.filter(|_| !self.bodies.is_empty())?;
+    ) -> Option<(MountRef, bool)> {
+        let kind = detection.ring.kind.filter(|_| !self.bodies.is_empty())?;
         let (&(first, code), &part) = self.by_roundel.range((kind, None)..).next()?;
         if first != kind || code.is_none() {
             return (first == kind).then_some((part, false));
         }
-        let fresh = Reading { vote: CodeVote::default(), newest: now };
-        let reading = self.readings.entry((camera, seen.track)).or_insert(fresh);
+        let changed = CodeReading { vote: CodeVote::default(), newest: now };
+        let reading = self.readings.entry((camera, detection.track)).or_insert(changed);
         reading.newest = now;
-        let part = |reading: &Reading| {
+        let part = |reading: &CodeReading| {
             let code = reading.vote.leader();
             code.and_then(|code| self.by_roundel.get(&(kind, Some(code))).copied())
         };
         let known = part(reading);
-        if let Some(read) = seen.ring.code {
+        if let Some(read) = detection.ring.code {
             reading.vote.add(read.code);
         }
         part(reading).map(|part| (part, known != Some(part)))
@@ -237,40 +237,40 @@ impl Bodies {
     }
 
     /// Takes a part that the present frame shows.
-    pub(super) fn see(&mut self, part: Part, measurement: Measurement) {
+    pub(super) fn add_part(&mut self, part: MountRef, measurement: Measurement) {
         let body = part.body.0 as usize;
         let mut body_from_roundel = self.bodies[body].mounts[part.mount].object_from_roundel;
-        body_from_roundel.translation.vector -= self.middles_m[body];
-        self.seen.push(SeenPart { part, body_from_roundel, measurement });
+        body_from_roundel.translation.vector -= self.centroids_m[body];
+        self.parts.push(PartMeasurement { part, body_from_roundel, measurement });
     }
 
     /// Whether the present frame shows it under this number already.
-    pub(super) fn has_seen(&self, number: TrackNumber) -> bool {
-        self.seen.iter().any(|seen| seen.measurement.number == number)
+    pub(super) fn has_part(&self, number: TrackNumber) -> bool {
+        self.parts.iter().any(|seen| seen.measurement.number == number)
     }
 
     /// Gives the parts that the frame shows, body by body, and forgets them.
-    pub(super) fn take_seen(&mut self) -> Vec<SeenPart> {
-        let mut seen = std::mem::take(&mut self.seen);
-        seen.sort_by_key(|seen| (seen.part, seen.measurement.number));
-        seen
+    pub(super) fn take_parts(&mut self) -> Vec<PartMeasurement> {
+        let mut parts = std::mem::take(&mut self.parts);
+        parts.sort_by_key(|seen| (seen.part, seen.measurement.number));
+        parts
     }
 }
 
-impl SeenPart {
+impl PartMeasurement {
     pub(super) fn body(&self) -> BodyId {
         self.part.body
     }
 }
 
 /// A roundel, and which part of what it is.
-type Claim = ((KindId, Option<Code>), Part);
+type Claim = ((KindId, Option<Code>), MountRef);
 
 /// The roundels of a body, if nobody else has them.
-fn claims(
+fn checked_claims(
     id: BodyId,
     body: &Body,
-    taken: &BTreeMap<(KindId, Option<Code>), Part>,
+    taken: &BTreeMap<(KindId, Option<Code>), MountRef>,
 ) -> Result<Vec<Claim>, BodyError> {
     let mut claims = Vec::new();
     for (mount, it) in body.mounts.iter().enumerate() {
@@ -284,7 +284,7 @@ fn claims(
         if known.chain(claims.iter().map(|(claim, _)| *claim)).any(overlaps) {
             return Err(BodyError::Taken { mount });
         }
-        claims.push(((it.kind, it.code), Part { body: id, mount }));
+        claims.push(((it.kind, it.code), MountRef { body: id, mount }));
     }
     Ok(claims)
 }

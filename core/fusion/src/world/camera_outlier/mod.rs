@@ -29,28 +29,28 @@
 mod query;
 mod shift;
 
-pub(super) use query::{Inquiry, MOST_SQUARED, Surprise};
+pub(super) use query::{InnovationSum, MAX_SQUARED, Query};
 use roundel_vision::{id::CameraId, time::Timestamp};
 use shift::{Baseline, Shift, fit};
-pub(super) use shift::{MOST_OTHERS, Pull};
+pub(super) use shift::{MAX_OTHERS, ObjectResidual};
 
 /// Fewer objects that others see, too, say nothing.
-const LEAST_SHARED: usize = 3;
+const MIN_SHARED: usize = 3;
 /// A gain below this is chance: χ² of 6 beyond 1 - 10⁻¹⁰.
-const SURE_GAIN: f64 = 60.0;
+const MIN_GAIN: f64 = 60.0;
 /// Most of the other cameras, each by itself, gain more than this, and none loses as much: else it is one of those
 /// that moved.
-const SINGLE_GAIN: f64 = 10.0;
+const MIN_SINGLE_GAIN: f64 = 10.0;
 /// Where one alone gains all, and the rest together less than this, that one has moved.
-const REST_GAIN: f64 = 5.0;
+const MAX_REST_GAIN: f64 = 5.0;
 /// Cameras that are asked for that.
-const MOST_SEEING: usize = 8;
+const MAX_QUERIED: usize = 8;
 /// Motions that move less of what is seen, rms, spoil nothing.
-const LEAST_MOVE_M: f64 = 0.0015;
+const MIN_MOVE_M: f64 = 0.0015;
 /// Frames whose sum of these exceeds what is usual by less are not looked at.
 const UNUSUAL: f64 = 25.0;
 /// After a motion with a gain of more than this nothing is taken for usual …
-const ALARMING_GAIN: f64 = 20.0;
+const ALARM_GAIN: f64 = 20.0;
 /// … for so long: a filter that follows a camera that moves finds it usual soon.
 const ALARM_NS: i64 = 60_000_000;
 /// Share of a frame in what is usual.
@@ -60,18 +60,18 @@ const BASELINE_S: f64 = 2.0;
 /// … and how often something is added to it.
 const LEARN_NS: i64 = 100_000_000;
 /// So much has to be known of a camera, from its first frame or its release on.
-const WARM_NS: i64 = 500_000_000;
+const WARM_UP_NS: i64 = 500_000_000;
 /// Without a witness within this, nobody is held back.
-const WITNESS_NS: i64 = 120_000_000;
+const CONFIRMATION_NS: i64 = 120_000_000;
 /// What a camera saw so long before it was held back is not used either.
-const BEFORE_NS: i64 = 100_000_000;
+const RETRACTED_NS: i64 = 100_000_000;
 /// Frames in a row that agree end it.
 const AGREED_FRAMES: u32 = 6;
 /// A camera that was held back in vain is not again for so long.
-const SPARED_NS: i64 = 30_000_000_000;
+const EXEMPT_NS: i64 = 30_000_000_000;
 
 /// Steps kept for a caller that does not fetch them.
-const MOST_TOLD: usize = 64;
+const MAX_EVENTS: usize = 64;
 
 /// A camera's being held back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -98,13 +98,13 @@ pub enum HeldStep {
 #[derive(Clone, Copy, Debug)]
 struct Hold {
     since: Timestamp,
-    is_witnessed: bool,
+    is_confirmed: bool,
     agreed: u32,
 }
 
 /// What is known of one camera.
 #[derive(Clone, Debug)]
-struct Member {
+struct CameraRecord {
     camera: CameraId,
     /// Squared length of an innovation, usually.
     usual: f64,
@@ -117,83 +117,90 @@ struct Member {
 
 /// All cameras.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Guards {
-    members: Vec<Member>,
-    told: Vec<HeldBack>,
-    pulls: Vec<Pull>,
+pub(super) struct CameraOutliers {
+    cameras: Vec<CameraRecord>,
+    events: Vec<HeldBack>,
+    residuals: Vec<ObjectResidual>,
     /// When some camera seemed to move last.
     alarm: Option<Timestamp>,
     /// Cameras whose measurements are to be taken back, and from when on.
-    spoiled: Vec<(CameraId, Timestamp)>,
+    retractions: Vec<(CameraId, Timestamp)>,
 }
 
 /// Whether a frame is to be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Passage {
+pub(super) enum Admission {
     /// It is, and it says that things are where they are expected.
-    Calm,
+    Consistent,
     /// It is.
-    Open,
+    Admitted,
     /// It is not.
-    Closed,
+    Rejected,
 }
 
 /// Who has moved.
-enum Accused {
+enum Culprit {
     Nobody,
     Itself,
     Other(CameraId),
 }
 
-impl Guards {
+impl CameraOutliers {
     /// Forgets a camera: it stands elsewhere. What is usual of the others was against where it stood.
     pub(super) fn forget(&mut self, camera: CameraId) {
-        self.members.retain(|member| member.camera != camera);
-        self.spoiled.retain(|(spoiled, _)| *spoiled != camera);
-        for member in self.members.iter_mut().filter(|member| member.hold.is_none()) {
-            member.baseline = Baseline::default();
-            let warm = member.learned.map(|learned| learned.plus_ns(WARM_NS));
-            member.from = warm.map_or(member.from, |warm| warm.max(member.from));
+        self.cameras.retain(|camera_record| camera_record.camera != camera);
+        self.retractions.retain(|(retractions, _)| *retractions != camera);
+        for camera_record in
+            self.cameras.iter_mut().filter(|camera_record| camera_record.hold.is_none())
+        {
+            camera_record.baseline = Baseline::default();
+            let warm = camera_record.learned.map(|learned| learned.plus_ns(WARM_UP_NS));
+            camera_record.from =
+                warm.map_or(camera_record.from, |warm| warm.max(camera_record.from));
         }
     }
 
     /// From when on a camera is held back.
     pub(super) fn held_since(&self, camera: CameraId) -> Option<Timestamp> {
-        let member = self.members.iter().find(|member| member.camera == camera)?;
-        member.hold.map(|hold| hold.since)
+        let camera_record =
+            self.cameras.iter().find(|camera_record| camera_record.camera == camera)?;
+        camera_record.hold.map(|hold| hold.since)
     }
 
     /// Cameras held back without a witness yet, with the time from which on they may have seen what others see.
-    pub(super) fn unwitnessed(&self) -> impl Iterator<Item = (CameraId, Timestamp)> {
-        let lonely = |member: &Member| {
-            let hold = member.hold.filter(|hold| !hold.is_witnessed)?;
-            Some((member.camera, hold.since.plus_ns(-BEFORE_NS)))
+    pub(super) fn unconfirmed(&self) -> impl Iterator<Item = (CameraId, Timestamp)> {
+        let unconfirmed_count = |camera_record: &CameraRecord| {
+            let hold = camera_record.hold.filter(|hold| !hold.is_confirmed)?;
+            Some((camera_record.camera, hold.since.plus_ns(-RETRACTED_NS)))
         };
-        self.members.iter().filter_map(lonely)
+        self.cameras.iter().filter_map(unconfirmed_count)
     }
 
     /// Another camera sees where they are expected what this one saw.
-    pub(super) fn witness(&mut self, camera: CameraId) {
-        let member = self.members.iter_mut().find(|member| member.camera == camera);
-        let Some(hold) = member.and_then(|member| member.hold.as_mut()) else { return };
-        hold.is_witnessed = true;
+    pub(super) fn confirm(&mut self, camera: CameraId) {
+        let camera_record =
+            self.cameras.iter_mut().find(|camera_record| camera_record.camera == camera);
+        let Some(hold) = camera_record.and_then(|camera_record| camera_record.hold.as_mut()) else {
+            return;
+        };
+        hold.is_confirmed = true;
         let since = hold.since;
-        self.tell(HeldBack { camera, since, step: HeldStep::Begun });
+        self.push_event(HeldBack { camera, since, step: HeldStep::Begun });
     }
 
     /// A camera whose measurements are to be taken back.
-    pub(super) fn take_spoiled(&mut self) -> Option<(CameraId, Timestamp)> {
-        self.spoiled.pop()
+    pub(super) fn next_retraction(&mut self) -> Option<(CameraId, Timestamp)> {
+        self.retractions.pop()
     }
 
     /// What became known.
     pub(super) fn drain(&mut self) -> impl Iterator<Item = HeldBack> + '_ {
-        self.told.drain(..)
+        self.events.drain(..)
     }
 
-    fn tell(&mut self, step: HeldBack) {
-        if self.told.len() < MOST_TOLD {
-            self.told.push(step);
+    fn push_event(&mut self, step: HeldBack) {
+        if self.events.len() < MAX_EVENTS {
+            self.events.push(step);
         }
     }
 
@@ -202,47 +209,47 @@ impl Guards {
     pub(super) fn judge(
         &mut self,
         (camera, time): (CameraId, Timestamp),
-        surprise: Surprise,
-        most_held_ns: i64,
-        gather: impl Fn(Inquiry, &mut Vec<Pull>),
-    ) -> Passage {
+        innovations: InnovationSum,
+        max_held_ns: i64,
+        gather: impl Fn(Query, &mut Vec<ObjectResidual>),
+    ) -> Admission {
         let index = self.index(camera, time);
-        let member = &self.members[index];
-        let is_usual = surprise.sum <= member.usual * surprise.count as f64 + UNUSUAL;
+        let camera_record = &self.cameras[index];
+        let is_usual = innovations.sum <= camera_record.usual * innovations.count as f64 + UNUSUAL;
         let is_usual = is_usual && self.alarm.is_none_or(|alarm| time.ns_since(alarm) > ALARM_NS);
-        let is_due = member.learned.is_none_or(|learned| time.ns_since(learned) >= LEARN_NS);
-        if member.hold.is_none() && is_usual && !is_due {
-            self.members[index].grow_used_to(surprise);
-            return Passage::Calm;
+        let is_due = camera_record.learned.is_none_or(|learned| time.ns_since(learned) >= LEARN_NS);
+        if camera_record.hold.is_none() && is_usual && !is_due {
+            self.cameras[index].update_usual(innovations);
+            return Admission::Consistent;
         }
-        let is_quiet = member.hold.is_none() && is_usual;
-        let mut pulls = std::mem::take(&mut self.pulls);
-        let mut fitted = |inquiry: Inquiry| {
-            gather(inquiry, &mut pulls);
-            shift_of(&pulls, &member.baseline)
+        let is_quiet = camera_record.hold.is_none() && is_usual;
+        let mut residuals = std::mem::take(&mut self.residuals);
+        let mut fitted = |query: Query| {
+            gather(query, &mut residuals);
+            shift_of(&residuals, &camera_record.baseline)
         };
-        let is_alarming = |it: &Shift| it.gain > ALARMING_GAIN && it.moved_m > LEAST_MOVE_M;
+        let is_alarming = |it: &Shift| it.gain > ALARM_GAIN && it.moved_m > MIN_MOVE_M;
         let turn = (time.as_ns() / LEARN_NS).unsigned_abs();
-        let part = Inquiry::part(surprise.count, turn).filter(|_| is_quiet);
+        let part = Query::part(innovations.count, turn).filter(|_| is_quiet);
         let of_part = part.and_then(&mut fitted).filter(|it| !is_alarming(it));
-        let shift = of_part.or_else(|| fitted(Inquiry::whole(None)));
+        let shift = of_part.or_else(|| fitted(Query::whole(None)));
         if shift.as_ref().is_some_and(is_alarming) {
             self.alarm = self.alarm.max(Some(time));
         }
-        let moved = shift.filter(|it| it.gain > SURE_GAIN && it.moved_m > LEAST_MOVE_M);
-        let passage = if self.members[index].hold.is_some() {
-            self.judge_held(index, time, most_held_ns, shift.map(|_| moved.is_some()))
-        } else if let Some(shift) = moved.as_ref().filter(|_| time >= self.members[index].from) {
-            self.suspect(index, time, (shift, &mut pulls), gather)
+        let moved = shift.filter(|it| it.gain > MIN_GAIN && it.moved_m > MIN_MOVE_M);
+        let admission = if self.cameras[index].hold.is_some() {
+            self.judge_held(index, time, max_held_ns, shift.map(|_| moved.is_some()))
+        } else if let Some(shift) = moved.as_ref().filter(|_| time >= self.cameras[index].from) {
+            self.suspect(index, time, (shift, &mut residuals), gather)
         } else {
-            self.members[index].grow_used_to(surprise);
-            if moved.is_some() { Passage::Open } else { Passage::Calm }
+            self.cameras[index].update_usual(innovations);
+            if moved.is_some() { Admission::Admitted } else { Admission::Consistent }
         };
-        if is_due && passage != Passage::Closed {
-            self.members[index].learn(shift.as_ref(), time);
+        if is_due && admission != Admission::Rejected {
+            self.cameras[index].update_baseline(shift.as_ref(), time);
         }
-        self.pulls = pulls;
-        passage
+        self.residuals = residuals;
+        admission
     }
 
     /// What becomes of a frame whose camera seems to have moved.
@@ -250,45 +257,50 @@ impl Guards {
         &mut self,
         index: usize,
         time: Timestamp,
-        (shift, pulls): (&Shift, &mut Vec<Pull>),
-        gather: impl Fn(Inquiry, &mut Vec<Pull>),
-    ) -> Passage {
-        let sees = |member: &&Member| pulls.iter().any(|pull| pull.is_by(member.camera));
-        let (mut others, mut lonely) = ([None; MOST_SEEING], 1);
-        let seeing = self.members.iter().filter(sees);
-        for (member, other) in seeing.zip(&mut others) {
-            *other = Some(member.camera);
-            lonely += usize::from(member.hold.is_some_and(|hold| !hold.is_witnessed));
+        (shift, residuals): (&Shift, &mut Vec<ObjectResidual>),
+        gather: impl Fn(Query, &mut Vec<ObjectResidual>),
+    ) -> Admission {
+        let sees = |camera_record: &&CameraRecord| {
+            residuals.iter().any(|weighted_sum| weighted_sum.is_by(camera_record.camera))
+        };
+        let (mut others, mut unconfirmed_count) = ([None; MAX_QUERIED], 1);
+        let seeing = self.cameras.iter().filter(sees);
+        for (camera_record, other) in seeing.zip(&mut others) {
+            *other = Some(camera_record.camera);
+            unconfirmed_count +=
+                usize::from(camera_record.hold.is_some_and(|hold| !hold.is_confirmed));
         }
         let count = others.iter().flatten().count();
-        if 2 * lonely > count + 1 {
+        if 2 * unconfirmed_count > count + 1 {
             // It is the objects that moved.
-            for member in &mut self.members {
-                member.hold = member.hold.filter(|hold| hold.is_witnessed);
+            for camera_record in &mut self.cameras {
+                camera_record.hold = camera_record.hold.filter(|hold| hold.is_confirmed);
             }
-            return Passage::Open;
+            return Admission::Admitted;
         }
-        match accused(shift, others.into_iter().flatten(), pulls, gather) {
-            Accused::Nobody => Passage::Open,
-            Accused::Itself => {
+        match find_culprit(shift, others.into_iter().flatten(), residuals, gather) {
+            Culprit::Nobody => Admission::Admitted,
+            Culprit::Itself => {
                 self.hold(index, time);
-                Passage::Closed
+                Admission::Rejected
             }
-            Accused::Other(camera) => {
-                let of = |member: &Member| member.camera == camera && member.hold.is_none();
-                let other = self.members.iter().position(of);
-                if let Some(other) = other.filter(|other| time >= self.members[*other].from) {
+            Culprit::Other(camera) => {
+                let of = |camera_record: &CameraRecord| {
+                    camera_record.camera == camera && camera_record.hold.is_none()
+                };
+                let other = self.cameras.iter().position(of);
+                if let Some(other) = other.filter(|other| time >= self.cameras[*other].from) {
                     self.hold(other, time);
                 }
-                Passage::Open
+                Admission::Admitted
             }
         }
     }
 
     fn hold(&mut self, index: usize, time: Timestamp) {
-        let member = &mut self.members[index];
-        member.hold = Some(Hold { since: time, is_witnessed: false, agreed: 0 });
-        self.spoiled.push((member.camera, time.plus_ns(-BEFORE_NS)));
+        let camera_record = &mut self.cameras[index];
+        camera_record.hold = Some(Hold { since: time, is_confirmed: false, agreed: 0 });
+        self.retractions.push((camera_record.camera, time.plus_ns(-RETRACTED_NS)));
     }
 
     /// The same for a camera that is held back; whether it seems to have moved, if that can be told.
@@ -296,99 +308,100 @@ impl Guards {
         &mut self,
         index: usize,
         time: Timestamp,
-        most_held_ns: i64,
+        max_held_ns: i64,
         has_moved: Option<bool>,
-    ) -> Passage {
-        let member = &mut self.members[index];
-        let Some(hold) = &mut member.hold else { return Passage::Open };
+    ) -> Admission {
+        let camera_record = &mut self.cameras[index];
+        let Some(hold) = &mut camera_record.hold else { return Admission::Admitted };
         hold.agreed = match has_moved {
             Some(false) => hold.agreed + 1,
             Some(true) => 0,
             None => hold.agreed,
         };
-        let (since, is_witnessed) = (hold.since, hold.is_witnessed);
+        let (since, is_confirmed) = (hold.since, hold.is_confirmed);
         let held_ns = time.ns_since(since);
         let step = if hold.agreed >= AGREED_FRAMES {
             HeldStep::Agreed
-        } else if held_ns > most_held_ns || !is_witnessed && held_ns > WITNESS_NS {
+        } else if held_ns > max_held_ns || !is_confirmed && held_ns > CONFIRMATION_NS {
             HeldStep::InVain
         } else {
-            return Passage::Closed;
+            return Admission::Rejected;
         };
-        member.hold = None;
-        if step == HeldStep::InVain && is_witnessed {
-            member.baseline = Baseline::default();
-            member.from = time.plus_ns(SPARED_NS);
+        camera_record.hold = None;
+        if step == HeldStep::InVain && is_confirmed {
+            camera_record.baseline = Baseline::default();
+            camera_record.from = time.plus_ns(EXEMPT_NS);
         }
-        let camera = member.camera;
-        if is_witnessed {
-            self.tell(HeldBack { camera, since, step });
+        let camera = camera_record.camera;
+        if is_confirmed {
+            self.push_event(HeldBack { camera, since, step });
         }
-        Passage::Open
+        Admission::Admitted
     }
 
     fn index(&mut self, camera: CameraId, time: Timestamp) -> usize {
-        let known = self.members.iter().position(|member| member.camera == camera);
-        known.unwrap_or_else(|| {
-            self.members.push(Member {
+        let kalman_rate =
+            self.cameras.iter().position(|camera_record| camera_record.camera == camera);
+        kalman_rate.unwrap_or_else(|| {
+            self.cameras.push(CameraRecord {
                 camera,
                 usual: 0.0,
                 baseline: Baseline::default(),
                 learned: None,
-                from: time.plus_ns(WARM_NS),
+                from: time.plus_ns(WARM_UP_NS),
                 hold: None,
             });
-            self.members.len() - 1
+            self.cameras.len() - 1
         })
     }
 }
 
 /// Who has moved, a camera with this shift or one of the others, each asked by itself.
-fn accused(
+fn find_culprit(
     shift: &Shift,
     others: impl Iterator<Item = CameraId>,
-    pulls: &mut Vec<Pull>,
-    gather: impl Fn(Inquiry, &mut Vec<Pull>),
-) -> Accused {
-    let (mut asked, mut is_denied) = (0, false);
-    let mut gains = [(0.0, CameraId(0)); MOST_SEEING];
+    residuals: &mut Vec<ObjectResidual>,
+    gather: impl Fn(Query, &mut Vec<ObjectResidual>),
+) -> Culprit {
+    let (mut queried, mut is_contradicted) = (0, false);
+    let mut gains = [(0.0, CameraId(0)); MAX_QUERIED];
     for other in others {
-        gather(Inquiry::whole(Some(other)), pulls);
-        let gain = shift.gain_of(pulls);
-        is_denied |= gain < -SINGLE_GAIN;
-        if pulls.len() >= LEAST_SHARED {
-            gains[asked] = (gain, other);
-            asked += 1;
+        gather(Query::whole(Some(other)), residuals);
+        let gain = shift.gain_of(residuals);
+        is_contradicted |= gain < -MIN_SINGLE_GAIN;
+        if residuals.len() >= MIN_SHARED {
+            gains[queried] = (gain, other);
+            queried += 1;
         }
     }
-    let gains = &gains[..asked];
+    let gains = &gains[..queried];
     let Some(&(best, other)) = gains.iter().max_by(|one, two| one.0.total_cmp(&two.0)) else {
-        return Accused::Nobody;
+        return Culprit::Nobody;
     };
-    let sure = gains.iter().filter(|(gain, _)| *gain > SINGLE_GAIN).count();
+    let supporting = gains.iter().filter(|(gain, _)| *gain > MIN_SINGLE_GAIN).count();
     let rest = gains.iter().map(|(gain, _)| gain).sum::<f64>() - best;
-    if 2 * sure > asked && !is_denied {
-        Accused::Itself
-    } else if asked > 1 && best > SURE_GAIN && rest < REST_GAIN {
-        Accused::Other(other)
+    if 2 * supporting > queried && !is_contradicted {
+        Culprit::Itself
+    } else if queried > 1 && best > MIN_GAIN && rest < MAX_REST_GAIN {
+        Culprit::Other(other)
     } else {
-        Accused::Nobody
+        Culprit::Nobody
     }
 }
 
-fn shift_of(pulls: &[Pull], baseline: &Baseline) -> Option<Shift> {
-    if pulls.len() < LEAST_SHARED { None } else { fit(pulls, baseline) }
+fn shift_of(residuals: &[ObjectResidual], baseline: &Baseline) -> Option<Shift> {
+    if residuals.len() < MIN_SHARED { None } else { fit(residuals, baseline) }
 }
 
-impl Member {
-    fn grow_used_to(&mut self, surprise: Surprise) {
-        if surprise.count > 0 {
-            let each = surprise.sum / surprise.count as f64;
+impl CameraRecord {
+    fn update_usual(&mut self, innovations: InnovationSum) {
+        if innovations.count > 0 {
+            let each = innovations.sum / innovations.count as f64;
             self.usual += (each - self.usual) * USUAL_SHARE;
         }
     }
 
-    fn learn(&mut self, shift: Option<&Shift>, time: Timestamp) {
+    fn update_baseline(&mut self, shift: Option<&Shift>, time: Timestamp) {
         let since = self.learned.unwrap_or(time);
         if let Some(shift) = shift {
             self.baseline.add(shift, time.seconds_since(since), BASELINE_S);

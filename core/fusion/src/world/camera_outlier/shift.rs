@@ -14,7 +14,7 @@ use roundel_vision::id::CameraId;
 /// √e beyond which an object's cost grows linearly.
 const ROBUST: f64 = 4.0;
 /// Other cameras that an object is held against.
-pub(crate) const MOST_OTHERS: usize = 4;
+pub(crate) const MAX_OTHERS: usize = 4;
 /// Times that weights are computed anew.
 const STEPS: usize = 3;
 /// Deviations of place and rotation before anything is seen, metres and radians.
@@ -24,7 +24,7 @@ const NUMBERS: usize = 6;
 
 /// What one object says.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Pull {
+pub(crate) struct ObjectResidual {
     /// From the camera to the object, world frame.
     pub(crate) arm_m: Vector3<f64>,
     /// Seen less foreseen.
@@ -32,14 +32,14 @@ pub(crate) struct Pull {
     /// Of that, inverse covariance.
     pub(crate) weight: Matrix3<f64>,
     /// Cameras that saw it of late.
-    pub(crate) others: [Option<CameraId>; MOST_OTHERS],
+    pub(crate) others: [Option<CameraId>; MAX_OTHERS],
 }
 
 /// A motion and what speaks for it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Shift {
     information: Matrix6<f64>,
-    usual: Vector6<f64>,
+    baseline: Vector6<f64>,
     change: Vector6<f64>,
     pub(super) gain: f64,
     /// Of what is seen against the baseline, rms, metres.
@@ -53,20 +53,20 @@ pub(super) struct Baseline {
     score: Vector6<f64>,
 }
 
-impl Pull {
+impl ObjectResidual {
     pub(super) fn is_by(&self, camera: CameraId) -> bool {
         self.others.contains(&Some(camera))
     }
 
     /// J δ.
-    fn by(&self, change: &Vector6<f64>) -> Vector3<f64> {
+    fn displacement(&self, change: &Vector6<f64>) -> Vector3<f64> {
         change.fixed_rows::<3>(0) + change.fixed_rows::<3>(3).cross(&self.arm_m)
     }
 
     /// e and eᵀ W e.
-    fn left(&self, change: &Vector6<f64>) -> (Vector3<f64>, f64) {
-        let left_m = self.residual_m + self.by(change);
-        (left_m, left_m.dot(&(self.weight * left_m)))
+    fn remaining(&self, change: &Vector6<f64>) -> (Vector3<f64>, f64) {
+        let remaining_m = self.residual_m + self.displacement(change);
+        (remaining_m, remaining_m.dot(&(self.weight * remaining_m)))
     }
 }
 
@@ -86,8 +86,8 @@ impl Baseline {
 
 impl Shift {
     /// What other pulls gain by the same motion.
-    pub(super) fn gain_of(&self, pulls: &[Pull]) -> f64 {
-        cost(pulls, &self.usual).0 - cost(pulls, &self.change).0
+    pub(super) fn gain_of(&self, residuals: &[ObjectResidual]) -> f64 {
+        cost(residuals, &self.baseline).0 - cost(residuals, &self.change).0
     }
 }
 
@@ -95,30 +95,33 @@ impl Shift {
 ///
 /// PERF: where no object's cost is beyond [`ROBUST`], before a step and after it, all is linear, and that step was the
 /// last one there is.
-pub(super) fn fit(pulls: &[Pull], baseline: &Baseline) -> Option<Shift> {
-    let usual = baseline.change();
-    let mut step = Step::at(pulls, &usual);
+pub(super) fn fit(residuals: &[ObjectResidual], baseline: &Baseline) -> Option<Shift> {
+    let baseline = baseline.change();
+    let mut step = Step::at(residuals, &baseline);
     let before = step.cost;
-    let mut change = usual;
-    let mut left = before;
+    let mut change = baseline;
+    let mut remaining = before;
     for number in 1..=STEPS {
         change += step.information.cholesky()?.solve(&(step.score - prior() * change));
-        let (cost, is_linear) = cost(pulls, &change);
-        left = cost;
+        let (cost, is_linear) = cost(residuals, &change);
+        remaining = cost;
         if step.is_linear && is_linear || number == STEPS {
             break;
         }
-        step = Step::at(pulls, &change);
+        step = Step::at(residuals, &change);
     }
-    let freedom = (3 * pulls.len()).saturating_sub(NUMBERS).max(1) as f64;
-    let apart = change - usual;
-    let moved = pulls.iter().map(|pull| pull.by(&apart).norm_squared()).sum::<f64>();
+    let freedom = (3 * residuals.len()).saturating_sub(NUMBERS).max(1) as f64;
+    let beyond_baseline = change - baseline;
+    let moved = residuals
+        .iter()
+        .map(|weighted_sum| weighted_sum.displacement(&beyond_baseline).norm_squared())
+        .sum::<f64>();
     Some(Shift {
         information: step.information - prior(),
-        usual,
+        baseline,
         change,
-        gain: (before - left) / (left / freedom).max(1.0),
-        moved_m: (moved / pulls.len() as f64).sqrt(),
+        gain: (before - remaining) / (remaining / freedom).max(1.0),
+        moved_m: (moved / residuals.len() as f64).sqrt(),
     })
 }
 
@@ -132,18 +135,18 @@ struct Step {
 }
 
 impl Step {
-    fn at(pulls: &[Pull], change: &Vector6<f64>) -> Self {
+    fn at(residuals: &[ObjectResidual], change: &Vector6<f64>) -> Self {
         let mut step =
             Self { information: prior(), score: Vector6::zeros(), cost: 0.0, is_linear: true };
-        for pull in pulls {
-            let (left_m, squared) = pull.left(change);
-            let weight = pull.weight * (ROBUST / squared.sqrt()).min(1.0);
-            let force = weight * left_m;
+        for weighted_sum in residuals {
+            let (remaining_m, squared) = weighted_sum.remaining(change);
+            let weight = weighted_sum.weight * (ROBUST / squared.sqrt()).min(1.0);
+            let weighted = weight * remaining_m;
             let mut rows = step.score.fixed_rows_mut::<3>(0);
-            rows -= force;
+            rows -= weighted;
             let mut rows = step.score.fixed_rows_mut::<3>(3);
-            rows -= pull.arm_m.cross(&force);
-            add_information(&mut step.information, &weight, &pull.arm_m);
+            rows -= weighted_sum.arm_m.cross(&weighted);
+            add_information(&mut step.information, &weight, &weighted_sum.arm_m);
             step.cost += robust(squared);
             step.is_linear &= squared <= ROBUST * ROBUST;
         }
@@ -152,9 +155,9 @@ impl Step {
 }
 
 /// And whether no object's is beyond [`ROBUST`].
-fn cost(pulls: &[Pull], change: &Vector6<f64>) -> (f64, bool) {
-    pulls.iter().fold((0.0, true), |(cost, is_linear), pull| {
-        let squared = pull.left(change).1;
+fn cost(residuals: &[ObjectResidual], change: &Vector6<f64>) -> (f64, bool) {
+    residuals.iter().fold((0.0, true), |(cost, is_linear), weighted_sum| {
+        let squared = weighted_sum.remaining(change).1;
         (cost + robust(squared), is_linear && squared <= ROBUST * ROBUST)
     })
 }
@@ -192,42 +195,43 @@ mod tests {
     use super::*;
 
     /// Objects in a row, known to a millimetre, seen where a motion of the camera puts them.
-    fn pulls(count: usize, change: &Vector6<f64>) -> Vec<Pull> {
-        let pull = |index: usize| {
+    fn residuals(count: usize, change: &Vector6<f64>) -> Vec<ObjectResidual> {
+        let weighted_sum = |index: usize| {
             let arm_m = Vector3::new(index as f64 - 2.0, (index * index % 5) as f64, -4.0);
             let weight = Matrix3::from_diagonal_element(1e6);
-            let pull = Pull { arm_m, residual_m: Vector3::zeros(), weight, others: [None; 4] };
-            Pull { residual_m: -pull.by(change), ..pull }
+            let weighted_sum =
+                ObjectResidual { arm_m, residual_m: Vector3::zeros(), weight, others: [None; 4] };
+            ObjectResidual { residual_m: -weighted_sum.displacement(change), ..weighted_sum }
         };
-        (0..count).map(pull).collect()
+        (0..count).map(weighted_sum).collect()
     }
 
     #[test]
     fn a_motion_is_found() {
         let change = Vector6::new(0.01, -0.02, 0.005, 0.001, 0.002, -0.003);
-        let shift = fit(&pulls(8, &change), &Baseline::default()).unwrap();
+        let shift = fit(&residuals(8, &change), &Baseline::default()).unwrap();
         assert!((shift.change - change).amax() < 1e-4, "{}", shift.change);
         assert!(shift.gain > 1000.0 && shift.moved_m > 0.01, "{shift:?}");
     }
 
     #[test]
     fn one_object_that_jumps_is_no_motion() {
-        let mut pulls = pulls(8, &Vector6::zeros());
-        pulls[3].residual_m = Vector3::new(0.1, 0.0, 0.0);
-        let shift = fit(&pulls, &Baseline::default()).unwrap();
+        let mut residuals = residuals(8, &Vector6::zeros());
+        residuals[3].residual_m = Vector3::new(0.1, 0.0, 0.0);
+        let shift = fit(&residuals, &Baseline::default()).unwrap();
         assert!(shift.moved_m < 2e-3, "{shift:?}");
     }
 
     #[test]
     fn what_is_so_all_the_time_is_no_motion() {
         let change = Vector6::new(0.01, 0.0, 0.0, 0.0, 0.001, 0.0);
-        let pulls = pulls(8, &change);
+        let residuals = residuals(8, &change);
         let mut baseline = Baseline::default();
         for _ in 0..20 {
-            let shift = fit(&pulls, &baseline).unwrap();
+            let shift = fit(&residuals, &baseline).unwrap();
             baseline.add(&shift, 0.1, 2.0);
         }
-        let shift = fit(&pulls, &baseline).unwrap();
+        let shift = fit(&residuals, &baseline).unwrap();
         assert!(shift.gain < 1.0 && shift.moved_m < 1e-4, "{shift:?}");
     }
 }

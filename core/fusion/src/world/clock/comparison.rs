@@ -18,7 +18,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::{
     estimator::Clocks,
-    evidence::{Comparison, View},
+    evidence::{Comparison, FittedView},
 };
 use crate::track::{History, MAX_SOURCES, Measurement};
 
@@ -29,13 +29,13 @@ pub(in crate::world) const WINDOW_NS: i64 = 180_000_000;
 /// … and how far it ends before the newest measurement: frames may be late, and clocks off.
 const DELAY_NS: i64 = 110_000_000;
 /// A camera with fewer positions in it is left out …
-const LEAST_POSITIONS: usize = 4;
+const MIN_POSITIONS: usize = 4;
 /// … or where these do not reach so far over it on either side, as a share of its half.
-const LEAST_REACH: f64 = 0.5;
+const MIN_REACH: f64 = 0.5;
 /// A slower object says nothing of time, m/s …
-const LEAST_SPEED_M_S: f64 = 0.05;
+const MIN_SPEED_M_S: f64 = 0.05;
 /// … nor one whose speed's square is not so many times its variance.
-const SURE_SQUARED: f64 = 16.0;
+const MIN_SPEED_RATIO_SQUARED: f64 = 16.0;
 
 /// Sums over one camera's measurements in the window.
 #[derive(Clone, Copy)]
@@ -69,17 +69,17 @@ pub(in crate::world) fn compare(
     let repeats = (systematic_time_s / half_s).max(1.0);
     let middle = now.plus_ns(-DELAY_NS - WINDOW_NS / 2);
     let mut sums: Vec<Sums> = Vec::with_capacity(MAX_SOURCES);
-    for seen in history.measurements() {
-        let moved_s = seen.late_s - clocks.offset_now_s(seen.camera);
-        let time = (seen.time.seconds_since(middle) + moved_s) / half_s;
-        if time.abs() > 1.0 || !clocks.is_compared(seen.camera, seen.time) {
+    for measurement in history.measurements() {
+        let moved_s = measurement.late_s - clocks.offset_now_s(measurement.camera);
+        let time = (measurement.time.seconds_since(middle) + moved_s) / half_s;
+        if time.abs() > 1.0 || !clocks.is_compared(measurement.camera, measurement.time) {
             continue;
         }
-        match sums.iter_mut().find(|sums| sums.camera == seen.camera) {
-            Some(sums) => sums.add(time, seen),
+        match sums.iter_mut().find(|sums| sums.camera == measurement.camera) {
+            Some(sums) => sums.add(time, measurement),
             None => {
-                let mut own = Sums::of(seen.camera);
-                own.add(time, seen);
+                let mut own = Sums::new(measurement.camera);
+                own.add(time, measurement);
                 sums.push(own);
             }
         }
@@ -99,26 +99,27 @@ pub(in crate::world) fn compare(
         noise += own;
     }
     let velocity_m_s: Vector3<f64> = slope / (weight * half_s);
-    let least = (SURE_SQUARED / (noise * half_s * half_s)).max(LEAST_SPEED_M_S.powi(2));
-    if velocity_m_s.norm_squared() < least {
+    let min_squared =
+        (MIN_SPEED_RATIO_SQUARED / (noise * half_s * half_s)).max(MIN_SPEED_M_S.powi(2));
+    if velocity_m_s.norm_squared() < min_squared {
         return None;
     }
     let acceleration_m_s2 = curvature.norm() * 2.0 / (weight * half_s * half_s);
     let cameras: Vec<CameraId> = fits.iter().map(|(sums, _)| sums.camera).collect();
     let views = fits.iter().map(|(sums, fit)| {
         let apart = cameras.iter().map(|other| clocks.deviation_s(sums.camera, *other));
-        let bent_m = 0.5 * acceleration_m_s2 * apart.fold(0.0, f64::max).powi(2);
+        let curvature_error_m = 0.5 * acceleration_m_s2 * apart.fold(0.0, f64::max).powi(2);
         let per_count = 1.0 / sums.count as f64;
         let covariance = sums.white * (fit.variances[0] * per_count)
             + sums.systematic * (repeats * per_count)
-            + Matrix3::from_diagonal_element(bent_m * bent_m);
-        View { camera: sums.camera, position_m: fit.terms[0], covariance }
+            + Matrix3::from_diagonal_element(curvature_error_m * curvature_error_m);
+        FittedView { camera: sums.camera, position_m: fit.terms[0], covariance }
     });
     Some(Comparison { velocity_m_s, views: views.collect() })
 }
 
 impl Sums {
-    fn of(camera: CameraId) -> Self {
+    fn new(camera: CameraId) -> Self {
         Self {
             camera,
             count: 0,
@@ -130,18 +131,18 @@ impl Sums {
         }
     }
 
-    fn add(&mut self, time: f64, seen: &Measurement) {
+    fn add(&mut self, time: f64, measurement: &Measurement) {
         self.count += 1;
         self.reach = (self.reach.0.min(time), self.reach.1.max(time));
         let mut power = 1.0;
         for index in 0..5 {
             self.powers[index] += power;
             if index < 3 {
-                self.positions[index] += seen.position_m * power;
+                self.positions[index] += measurement.position_m * power;
             }
             power *= time;
         }
-        let noise = &seen.position_noise;
+        let noise = &measurement.position_noise;
         let systematic = noise.systematic_root * noise.systematic_root.transpose();
         self.white += noise.total - systematic;
         self.systematic += systematic;
@@ -149,8 +150,8 @@ impl Sums {
 
     /// The parabola through the positions; `None` if there are too few of them.
     fn parabola(&self) -> Option<Parabola> {
-        let covers = self.reach.0 <= -LEAST_REACH && self.reach.1 >= LEAST_REACH;
-        if self.count < LEAST_POSITIONS || !covers {
+        let covers = self.reach.0 <= -MIN_REACH && self.reach.1 >= MIN_REACH;
+        if self.count < MIN_POSITIONS || !covers {
             return None;
         }
         let [p0, p1, p2, p3, p4] = self.powers;

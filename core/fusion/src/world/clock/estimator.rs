@@ -64,43 +64,43 @@ const LATENCY_WALK: f64 = 4e-10;
 /// not offsets.
 const LATENCY: (f64, f64) = (0.03, 1.0);
 /// The receiving times' jitter is this at least, seconds.
-const LEAST_JITTER_S: f64 = 1e-3;
+const MIN_JITTER_S: f64 = 1e-3;
 /// Stamp less receiving time has stepped if it is so many deviations away from what was expected.
-const LATENCY_STEP: f64 = 3.0;
+const STEP_SIGMAS: f64 = 3.0;
 
 /// What a clock that was set may be off by after its stamps were brought back.
-const STEPPED: ClockPrior = ClockPrior { offset_s: 0.03, skew: 1e-4 };
+const STEP_PRIOR: ClockPrior = ClockPrior { offset_s: 0.03, skew: 1e-4 };
 
 /// A clock is doubtful beside another if its doubts are so many times as large. (Of clocks that are all known but
 /// one, its doubts are as many times theirs as there are of them.)
-const DOUBTFUL: f64 = 1.5;
+const LESS_CERTAIN_RATIO: f64 = 1.5;
 
-const NUMBERS: usize = 3;
+const STATES: usize = 3;
 
 /// One camera's part.
 #[derive(Clone, Debug)]
-struct Member {
+struct Clock {
     camera: CameraId,
     prior: ClockPrior,
     /// Of stamp less receiving time in this batch: count, sum and sum of squares.
     delay: (u32, f64, f64),
     /// When it was set last.
-    set: Option<Timestamp>,
+    stepped_at: Option<Timestamp>,
 }
 
 /// All clocks of an installation.
 #[derive(Clone, Debug, Default)]
 pub struct Clocks {
-    members: Vec<Member>,
+    clocks: Vec<Clock>,
     /// Cameras that move: what they see says nothing of clocks.
-    aside: BTreeSet<CameraId>,
+    moving: BTreeSet<CameraId>,
     /// Offset, skew, latency of each.
     mean: DVector<f64>,
     covariance: DMatrix<f64>,
     /// Variances of the differences of any two offsets.
-    apart: DMatrix<f64>,
+    difference_variances: DMatrix<f64>,
     /// Of each clock, the variances of its differences from all others, and its own, summed up.
-    doubts_s2: Vec<f64>,
+    uncertainties_s2: Vec<f64>,
     /// What the offsets are valid for.
     time: Option<Timestamp>,
     /// Σ uᵀ W u and Σ uᵀ W ν of this batch.
@@ -114,70 +114,70 @@ pub struct Clocks {
 impl Clocks {
     /// Says what is known of a clock beforehand; a camera known already begins anew.
     pub fn set_prior(&mut self, camera: CameraId, prior: ClockPrior) {
-        let index = self.know(camera);
-        self.members[index].prior = prior;
-        self.is_estimating = self.members.iter().any(|member| member.prior != ClockPrior::EXACT);
-        let base = index * NUMBERS;
-        for number in base..base + NUMBERS {
-            self.covariance.row_mut(number).fill(0.0);
-            self.covariance.column_mut(number).fill(0.0);
+        let index = self.find_or_insert(camera);
+        self.clocks[index].prior = prior;
+        self.is_estimating = self.clocks.iter().any(|clock| clock.prior != ClockPrior::EXACT);
+        let base = index * STATES;
+        for state in base..base + STATES {
+            self.covariance.row_mut(state).fill(0.0);
+            self.covariance.column_mut(state).fill(0.0);
         }
         let latency = if prior == ClockPrior::EXACT { 0.0 } else { LATENCY.1 };
-        for (number, deviation) in [prior.offset_s, prior.skew, latency].into_iter().enumerate() {
-            self.covariance[(base + number, base + number)] = deviation * deviation;
+        for (state, deviation) in [prior.offset_s, prior.skew, latency].into_iter().enumerate() {
+            self.covariance[(base + state, base + state)] = deviation * deviation;
         }
         self.mean[base] = 0.0;
         self.mean[base + 1] = 0.0;
         self.mean[base + 2] = LATENCY.0;
-        self.compare();
+        self.update_differences();
     }
 
     /// Knows nothing of a camera's clock; what is known of the others by it stays.
     pub(in crate::world) fn remove(&mut self, camera: CameraId) {
         let Some(index) = self.index(camera) else { return };
         self.fix_mean();
-        self.members.remove(index);
-        let base = index * NUMBERS;
+        self.clocks.remove(index);
+        let base = index * STATES;
         let (mean, covariance) =
             (std::mem::take(&mut self.mean), std::mem::take(&mut self.covariance));
-        self.mean = mean.remove_rows(base, NUMBERS);
-        self.covariance = covariance.remove_rows(base, NUMBERS).remove_columns(base, NUMBERS);
-        let size = self.members.len();
+        self.mean = mean.remove_rows(base, STATES);
+        self.covariance = covariance.remove_rows(base, STATES).remove_columns(base, STATES);
+        let size = self.clocks.len();
         self.information = DMatrix::zeros(size, size);
         self.score = DVector::zeros(size);
-        self.is_estimating = self.members.iter().any(|member| member.prior != ClockPrior::EXACT);
-        self.compare();
+        self.is_estimating = self.clocks.iter().any(|clock| clock.prior != ClockPrior::EXACT);
+        self.update_differences();
     }
 
     /// Says whether a camera moves: what it sees is late by its own motion as well, and not compared.
-    pub(in crate::world) fn set_aside(&mut self, camera: CameraId, aside: bool) {
-        if aside {
-            self.aside.insert(camera);
+    pub(in crate::world) fn set_moving(&mut self, camera: CameraId, moving: bool) {
+        if moving {
+            self.moving.insert(camera);
         } else {
-            self.aside.remove(&camera);
+            self.moving.remove(&camera);
         }
     }
 
     /// Whether what a camera saw at `time` may be compared.
     pub(in crate::world) fn is_compared(&self, camera: CameraId, time: Timestamp) -> bool {
-        let set = self.index(camera).and_then(|index| self.members[index].set);
-        !self.aside.contains(&camera) && set.is_none_or(|set| time > set)
+        let stepped_at = self.index(camera).and_then(|index| self.clocks[index].stepped_at);
+        !self.moving.contains(&camera) && stepped_at.is_none_or(|stepped_at| time > stepped_at)
     }
 
     /// Says that a camera's clock was set before the frame of this time: what is known of its offset holds to
     /// a step's error only, and what was seen before says nothing of what it is now.
-    pub(in crate::world) fn doubt(&mut self, camera: CameraId, frame: Timestamp) {
-        let index = self.know(camera);
+    pub(in crate::world) fn note_clock_step(&mut self, camera: CameraId, frame: Timestamp) {
+        let index = self.find_or_insert(camera);
         self.information.fill(0.0);
         self.score.fill(0.0);
-        let member = &mut self.members[index];
-        member.set = Some(frame.plus_seconds(-STEPPED.offset_s));
-        if member.prior == ClockPrior::EXACT {
-            return self.set_prior(camera, STEPPED);
+        let clock = &mut self.clocks[index];
+        clock.stepped_at = Some(frame.plus_seconds(-STEP_PRIOR.offset_s));
+        if clock.prior == ClockPrior::EXACT {
+            return self.set_prior(camera, STEP_PRIOR);
         }
-        member.delay = (0, 0.0, 0.0);
-        self.covariance[(index * NUMBERS, index * NUMBERS)] += STEPPED.offset_s.powi(2);
-        self.compare();
+        clock.delay = (0, 0.0, 0.0);
+        self.covariance[(index * STATES, index * STATES)] += STEP_PRIOR.offset_s.powi(2);
+        self.update_differences();
     }
 
     /// Whether there is anything to be estimated.
@@ -187,50 +187,56 @@ impl Clocks {
 
     /// By how much a camera's stamps are late at `time`, seconds.
     pub fn offset_s(&self, camera: CameraId, time: Timestamp) -> f64 {
-        let (Some(index), Some(known)) = (self.index(camera), self.time) else { return 0.0 };
-        let base = index * NUMBERS;
-        self.mean[base] + self.mean[base + 1] * time.seconds_since(known)
+        let (Some(index), Some(reference)) = (self.index(camera), self.time) else { return 0.0 };
+        let base = index * STATES;
+        self.mean[base] + self.mean[base + 1] * time.seconds_since(reference)
     }
 
     /// The same at the newest update.
     pub(in crate::world) fn offset_now_s(&self, camera: CameraId) -> f64 {
-        self.index(camera).map_or(0.0, |index| self.mean[index * NUMBERS])
+        self.index(camera).map_or(0.0, |index| self.mean[index * STATES])
     }
 
     /// Deviation of the difference of two cameras' clocks, seconds.
     pub fn deviation_s(&self, one: CameraId, other: CameraId) -> f64 {
         match (self.index(one), self.index(other)) {
-            (Some(one), Some(other)) => self.apart[(one, other)].sqrt(),
+            (Some(one), Some(other)) => self.difference_variances[(one, other)].sqrt(),
             _ => 0.0,
         }
     }
 
     /// Whether a clock is far less sure than another: what they differ by is then its error.
-    pub(in crate::world) fn is_doubtful(&self, one: CameraId, other: CameraId) -> bool {
+    pub(in crate::world) fn is_less_certain(&self, one: CameraId, other: CameraId) -> bool {
         match (self.index(one), self.index(other)) {
-            (Some(one), Some(other)) => self.doubts_s2[one] > DOUBTFUL * self.doubts_s2[other],
+            (Some(one), Some(other)) => {
+                self.uncertainties_s2[one] > LESS_CERTAIN_RATIO * self.uncertainties_s2[other]
+            }
             _ => false,
         }
     }
 
     /// The largest such deviation of a camera's, seconds.
-    pub(in crate::world) fn most_deviation_s(&self, camera: CameraId) -> f64 {
-        let of =
-            |index: usize| self.apart.row(index).iter().fold(0.0, |most: f64, it| most.max(*it));
+    pub(in crate::world) fn max_deviation_s(&self, camera: CameraId) -> f64 {
+        let of = |index: usize| {
+            self.difference_variances
+                .row(index)
+                .iter()
+                .fold(0.0, |largest: f64, it| largest.max(*it))
+        };
         self.index(camera).map_or(0.0, |index| of(index).sqrt())
     }
 
     /// What is known of a camera's clock; `None` if nothing was said of it.
     pub fn estimate(&self, camera: CameraId) -> Option<ClockEstimate> {
         let index = self.index(camera)?;
-        let base = index * NUMBERS;
-        let deviation = |number: usize| {
-            let others = (0..self.members.len()).filter(|other| *other != index);
-            let least = others
-                .map(|other| self.difference(index, other, number))
+        let base = index * STATES;
+        let deviation = |state: usize| {
+            let others = (0..self.clocks.len()).filter(|other| *other != index);
+            let smallest = others
+                .map(|other| self.difference(index, other, state))
                 .reduce(f64::min)
-                .unwrap_or(self.covariance[(base + number, base + number)]);
-            least.sqrt()
+                .unwrap_or(self.covariance[(base + state, base + state)]);
+            smallest.sqrt()
         };
         Some(ClockEstimate {
             offset_s: self.mean[base],
@@ -241,29 +247,30 @@ impl Clocks {
     }
 
     /// Takes in what several cameras' views of one object say.
-    pub(in crate::world) fn add(&mut self, comparison: &Comparison) {
+    pub(in crate::world) fn add_comparison(&mut self, comparison: &Comparison) {
         let Some(evidence) = comparison.evidence() else { return };
         let distance_squared = evidence.distance_squared;
-        let trust =
+        let robust_weight =
             (ROBUST_DISTANCE_SQUARED / distance_squared.max(ROBUST_DISTANCE_SQUARED)).sqrt();
         for (one, camera) in comparison.cameras().enumerate() {
             let Some(row) = self.index(camera) else { continue };
-            self.score[row] += trust * evidence.score[one];
+            self.score[row] += robust_weight * evidence.score[one];
             for (other, camera) in comparison.cameras().enumerate() {
                 let Some(column) = self.index(camera) else { continue };
-                self.information[(row, column)] += trust * evidence.information[(one, other)];
+                self.information[(row, column)] +=
+                    robust_weight * evidence.information[(one, other)];
             }
         }
     }
 
     /// Takes in when a frame was stamped and received, and lets time pass.
-    pub fn receive(&mut self, camera: CameraId, stamp: Timestamp, received: Timestamp) {
+    pub fn note_delay(&mut self, camera: CameraId, stamp: Timestamp, received: Timestamp) {
         let Some(index) = self.index(camera) else { return };
         if !self.is_estimating() {
             return;
         }
         let delay_s = stamp.seconds_since(received);
-        let (count, sum, squares) = &mut self.members[index].delay;
+        let (count, sum, squares) = &mut self.clocks[index].delay;
         *count += 1;
         *sum += delay_s;
         *squares += delay_s * delay_s;
@@ -272,48 +279,49 @@ impl Clocks {
         if received.seconds_since(since) >= BATCH_S && received > time {
             self.batch_since = Some(received);
             self.predict(received);
-            self.follow_delays();
-            self.take_evidence();
-            self.compare();
+            self.update_from_delays();
+            self.update_from_comparisons();
+            self.update_differences();
         }
     }
 
     fn index(&self, camera: CameraId) -> Option<usize> {
-        self.members.iter().position(|member| member.camera == camera)
+        self.clocks.iter().position(|clock| clock.camera == camera)
     }
 
     /// A camera's place; of a new one the clock is exact until other is said.
-    pub(in crate::world) fn know(&mut self, camera: CameraId) -> usize {
+    pub(in crate::world) fn find_or_insert(&mut self, camera: CameraId) -> usize {
         if let Some(index) = self.index(camera) {
             return index;
         }
         self.fix_mean();
-        let index = self.members.len();
-        let member = Member { camera, prior: ClockPrior::EXACT, delay: (0, 0.0, 0.0), set: None };
-        self.members.push(member);
-        let size = self.members.len();
+        let index = self.clocks.len();
+        let clock =
+            Clock { camera, prior: ClockPrior::EXACT, delay: (0, 0.0, 0.0), stepped_at: None };
+        self.clocks.push(clock);
+        let size = self.clocks.len();
         let old = std::mem::take(&mut self.covariance);
-        self.covariance = old.resize(size * NUMBERS, size * NUMBERS, 0.0);
+        self.covariance = old.resize(size * STATES, size * STATES, 0.0);
         let old = std::mem::take(&mut self.mean);
-        self.mean = old.resize_vertically(size * NUMBERS, 0.0);
+        self.mean = old.resize_vertically(size * STATES, 0.0);
         self.information = DMatrix::zeros(size, size);
         self.score = DVector::zeros(size);
-        self.compare();
+        self.update_differences();
         index
     }
 
     /// Declares the mean of all offsets exact: it is what times are stated by. Where a clock is exact, it is
     /// that.
     fn fix_mean(&mut self) {
-        if self.members.iter().any(|member| member.prior == ClockPrior::EXACT) {
+        if self.clocks.iter().any(|clock| clock.prior == ClockPrior::EXACT) {
             return;
         }
-        let mut looks = DVector::zeros(self.mean.len());
-        for index in 0..self.members.len() {
-            looks[index * NUMBERS] = 1.0;
+        let mut observed = DVector::zeros(self.mean.len());
+        for index in 0..self.clocks.len() {
+            observed[index * STATES] = 1.0;
         }
-        let with_mean = &self.covariance * &looks;
-        let variance = looks.dot(&with_mean);
+        let with_mean = &self.covariance * &observed;
+        let variance = observed.dot(&with_mean);
         if self.time.is_some() && variance > 0.0 {
             self.covariance -= &with_mean * with_mean.transpose() / variance;
         }
@@ -323,8 +331,8 @@ impl Clocks {
         let Some(time) = self.time else { return };
         let dt = to.seconds_since(time);
         self.time = Some(to);
-        for (index, member) in self.members.iter().enumerate() {
-            let base = index * NUMBERS;
+        for (index, clock) in self.clocks.iter().enumerate() {
+            let base = index * STATES;
             self.mean[base] += self.mean[base + 1] * dt;
             // F P Fᵀ, a row and a column at a time.
             let skew = self.covariance.row(base + 1).clone_owned();
@@ -333,7 +341,7 @@ impl Clocks {
             let skew = self.covariance.column(base + 1).clone_owned();
             let mut offset = self.covariance.column_mut(base);
             offset += skew * dt;
-            if member.prior != ClockPrior::EXACT {
+            if clock.prior != ClockPrior::EXACT {
                 self.covariance[(base, base)] += OFFSET_WALK * dt;
                 self.covariance[(base + 1, base + 1)] += SKEW_WALK * dt;
                 self.covariance[(base + 2, base + 2)] += LATENCY_WALK * dt;
@@ -342,65 +350,67 @@ impl Clocks {
     }
 
     /// Each camera's stamps against the receiving times.
-    fn follow_delays(&mut self) {
-        for index in 0..self.members.len() {
-            let (count, sum, squares) = std::mem::take(&mut self.members[index].delay);
-            if count == 0 || self.members[index].prior == ClockPrior::EXACT {
+    fn update_from_delays(&mut self) {
+        for index in 0..self.clocks.len() {
+            let (count, sum, squares) = std::mem::take(&mut self.clocks[index].delay);
+            if count == 0 || self.clocks[index].prior == ClockPrior::EXACT {
                 continue;
             }
-            let base = index * NUMBERS;
+            let base = index * STATES;
             let delay_s = sum / f64::from(count);
             let jitter = squares / f64::from(count) - delay_s * delay_s;
-            let noise = jitter.max(LEAST_JITTER_S * LEAST_JITTER_S);
+            let noise = jitter.max(MIN_JITTER_S * MIN_JITTER_S);
             let residual = delay_s - (self.mean[base] - self.mean[base + 2]);
-            let mut looks = DVector::zeros(self.mean.len());
-            (looks[base], looks[base + 2]) = (1.0, -1.0);
-            let variance = looks.dot(&(&self.covariance * &looks)) + noise;
-            if residual * residual > LATENCY_STEP * LATENCY_STEP * variance {
+            let mut observed = DVector::zeros(self.mean.len());
+            (observed[base], observed[base + 2]) = (1.0, -1.0);
+            let variance = observed.dot(&(&self.covariance * &observed)) + noise;
+            if residual * residual > STEP_SIGMAS * STEP_SIGMAS * variance {
                 self.covariance[(base, base)] += residual * residual;
                 self.covariance[(base + 2, base + 2)] += residual * residual;
             }
-            let with_delay = &self.covariance * &looks;
-            let variance = looks.dot(&with_delay) + noise;
+            let with_delay = &self.covariance * &observed;
+            let variance = observed.dot(&with_delay) + noise;
             self.mean += &with_delay * (residual / variance);
             self.covariance -= &with_delay * with_delay.transpose() / variance;
         }
     }
 
     /// The batch's evidence.
-    fn take_evidence(&mut self) {
-        let size = self.members.len();
+    fn update_from_comparisons(&mut self) {
+        let size = self.clocks.len();
         let information = std::mem::replace(&mut self.information, DMatrix::zeros(size, size));
         let score = std::mem::replace(&mut self.score, DVector::zeros(size));
         let all = DMatrix::from_fn(self.mean.len(), size, |row, index| {
-            self.covariance[(row, index * NUMBERS)]
+            self.covariance[(row, index * STATES)]
         });
-        let offsets = DMatrix::from_fn(size, size, |row, column| all[(row * NUMBERS, column)]);
+        let offsets = DMatrix::from_fn(size, size, |row, column| all[(row * STATES, column)]);
         // (I + Λ P)⁻¹ Λ and (I + Λ P)⁻¹ η, which need no inverse of P or Λ.
         let system = (DMatrix::identity(size, size) + &information * offsets).lu();
-        let (Some(gained), Some(pulled)) = (system.solve(&information), system.solve(&score))
+        let (Some(gain), Some(weighted_score)) = (system.solve(&information), system.solve(&score))
         else {
             return;
         };
-        let change = &all * pulled;
+        let change = &all * weighted_score;
         self.mean += &change;
-        self.covariance -= &all * gained * all.transpose();
+        self.covariance -= &all * gain * all.transpose();
         self.covariance = (&self.covariance + self.covariance.transpose()) * 0.5;
     }
 
     /// The differences' variances.
-    fn compare(&mut self) {
-        let size = self.members.len();
-        self.apart = DMatrix::from_fn(size, size, |one, other| self.difference(one, other, 0));
-        self.doubts_s2.clear();
-        for (index, row) in self.apart.row_iter().enumerate() {
-            self.doubts_s2.push(row.sum() + self.covariance[(index * NUMBERS, index * NUMBERS)]);
+    fn update_differences(&mut self) {
+        let size = self.clocks.len();
+        self.difference_variances =
+            DMatrix::from_fn(size, size, |one, other| self.difference(one, other, 0));
+        self.uncertainties_s2.clear();
+        for (index, row) in self.difference_variances.row_iter().enumerate() {
+            self.uncertainties_s2
+                .push(row.sum() + self.covariance[(index * STATES, index * STATES)]);
         }
     }
 
-    fn difference(&self, one: usize, other: usize, number: usize) -> f64 {
+    fn difference(&self, one: usize, other: usize, state: usize) -> f64 {
         let at = |one: usize, other: usize| {
-            self.covariance[(one * NUMBERS + number, other * NUMBERS + number)]
+            self.covariance[(one * STATES + state, other * STATES + state)]
         };
         (at(one, one) + at(other, other) - 2.0 * at(one, other)).max(0.0)
     }

@@ -6,7 +6,7 @@ use roundel_vision::id::CameraId;
 
 /// One camera's view in the middle of the window.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct View {
+pub(super) struct FittedView {
     pub(super) camera: CameraId,
     pub(super) position_m: Vector3<f64>,
     pub(super) covariance: Matrix3<f64>,
@@ -16,7 +16,7 @@ pub(super) struct View {
 #[derive(Clone, Debug)]
 pub(in crate::world) struct Comparison {
     pub(super) velocity_m_s: Vector3<f64>,
-    pub(super) views: Vec<View>,
+    pub(super) views: Vec<FittedView>,
 }
 
 /// What a comparison says of its cameras' clocks.

@@ -14,40 +14,40 @@ use std::collections::{BTreeMap, VecDeque};
 use roundel_vision::{id::CameraId, time::Timestamp};
 
 /// A number that has not come for so long after a higher one is that of a missing frame.
-const GIVEN_UP_NS: i64 = 1_000_000_000;
+const WAIT_NS: i64 = 1_000_000_000;
 /// More numbers than this at once are not left out: the source counts anew.
-const MOST_NUMBERS: u64 = 1000;
+const MAX_NUMBER_STEP: u64 = 1000;
 /// Gaps that are waited for; of more, the oldest are given up.
-const MOST_GAPS: usize = 64;
+const MAX_GAPS: usize = 64;
 /// Intervals of which the median is taken …
 const INTERVALS: usize = 9;
 /// … and how many of them must be as long, …
-const REGULAR: usize = 7;
+const MIN_REGULAR: usize = 7;
 /// … give or take this share.
 const TOLERANCE: f64 = 0.15;
 /// A longer pause is no frame left out but a source that rests.
-const LONGEST_PAUSE_NS: i64 = 1_000_000_000;
+const MAX_PAUSE_NS: i64 = 1_000_000_000;
 /// Frames are on their way for about as long; where stamps say otherwise, the clock was set.
-const UNSTEADY_NS: i64 = 250_000_000;
+const MAX_DELAY_CHANGE_NS: i64 = 250_000_000;
 
 /// What all cameras left out.
 #[derive(Clone, Debug, Default)]
-pub(in crate::world) struct Gaps {
+pub(in crate::world) struct MissingFrames {
     cameras: BTreeMap<CameraId, Camera>,
 }
 
 #[derive(Clone, Debug)]
 struct Camera {
     /// Of the highest number.
-    newest: Seen,
+    newest: FrameTimes,
     /// From one number to the next, oldest first.
     intervals_ns: VecDeque<i64>,
     /// Numbers left out that may come still, the longest known first.
-    gaps: VecDeque<Gap>,
+    missing_frames: VecDeque<Gap>,
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Seen {
+struct FrameTimes {
     frame: u64,
     stamp: Timestamp,
     received: Timestamp,
@@ -61,24 +61,24 @@ struct Gap {
     since: Timestamp,
 }
 
-impl Gaps {
+impl MissingFrames {
     /// Waits for nothing of a camera any more.
     pub(in crate::world) fn forget(&mut self, camera: CameraId) {
         self.cameras.remove(&camera);
     }
 
     /// Takes note of a frame, whatever becomes of it; gives how many of its camera are found missing.
-    pub(in crate::world) fn see(
+    pub(in crate::world) fn observe(
         &mut self,
         camera: CameraId,
         frame: u64,
         (stamp, received): (Timestamp, Timestamp),
     ) -> u64 {
-        let seen = Seen { frame, stamp, received };
+        let frame_times = FrameTimes { frame, stamp, received };
         match self.cameras.get_mut(&camera) {
-            Some(camera) => camera.see(seen),
+            Some(camera) => camera.observe(frame_times),
             None => {
-                self.cameras.insert(camera, Camera::new(seen));
+                self.cameras.insert(camera, Camera::new(frame_times));
                 0
             }
         }
@@ -86,63 +86,68 @@ impl Gaps {
 }
 
 impl Camera {
-    fn new(newest: Seen) -> Self {
+    fn new(newest: FrameTimes) -> Self {
         let intervals_ns = VecDeque::with_capacity(INTERVALS);
-        Self { newest, intervals_ns, gaps: VecDeque::new() }
+        Self { newest, intervals_ns, missing_frames: VecDeque::new() }
     }
 
-    fn see(&mut self, seen: Seen) -> u64 {
+    fn observe(&mut self, frame_times: FrameTimes) -> u64 {
         let mut missing = 0;
-        while let Some(gap) = self.gaps.front()
-            && (seen.received.ns_since(gap.since) > GIVEN_UP_NS || self.gaps.len() > MOST_GAPS)
+        while let Some(gap) = self.missing_frames.front()
+            && (frame_times.received.ns_since(gap.since) > WAIT_NS
+                || self.missing_frames.len() > MAX_GAPS)
         {
             missing += gap.end - gap.first;
-            self.gaps.pop_front();
+            self.missing_frames.pop_front();
         }
-        let steps = seen.frame.saturating_sub(self.newest.frame);
+        let steps = frame_times.frame.saturating_sub(self.newest.frame);
         if steps == 0 {
-            let is_old = seen.frame == self.newest.frame || self.fill(seen.frame);
-            if !is_old && self.span_ns(&seen).is_some_and(|span_ns| span_ns > 0) {
-                missing += self.begin_anew(seen);
+            let is_old = frame_times.frame == self.newest.frame || self.fill(frame_times.frame);
+            if !is_old && self.span_ns(&frame_times).is_some_and(|span_ns| span_ns > 0) {
+                missing += self.restart(frame_times);
             }
             return missing;
         }
-        if steps > MOST_NUMBERS {
-            return missing + self.begin_anew(seen);
+        if steps > MAX_NUMBER_STEP {
+            return missing + self.restart(frame_times);
         }
         if steps > 1 {
             let first = self.newest.frame + 1;
-            self.gaps.push_back(Gap { first, end: seen.frame, since: seen.received });
+            self.missing_frames.push_back(Gap {
+                first,
+                end: frame_times.frame,
+                since: frame_times.received,
+            });
         }
-        missing += self.left_out(&seen, steps);
-        self.newest = seen;
+        missing += self.missing_by_interval(&frame_times, steps);
+        self.newest = frame_times;
         missing
     }
 
     /// Numbers are told from the start again; what was waited for is missing.
-    fn begin_anew(&mut self, seen: Seen) -> u64 {
-        let missing = self.gaps.iter().map(|gap| gap.end - gap.first).sum();
-        *self = Self::new(seen);
+    fn restart(&mut self, frame_times: FrameTimes) -> u64 {
+        let missing = self.missing_frames.iter().map(|gap| gap.end - gap.first).sum();
+        *self = Self::new(frame_times);
         missing
     }
 
     /// A number that was waited for; false if it was not.
     fn fill(&mut self, frame: u64) -> bool {
         let holds = |gap: &Gap| (gap.first..gap.end).contains(&frame);
-        let Some(index) = self.gaps.iter().position(holds) else { return false };
-        let gap = self.gaps[index];
-        self.gaps[index].end = frame;
+        let Some(index) = self.missing_frames.iter().position(holds) else { return false };
+        let gap = self.missing_frames[index];
+        self.missing_frames[index].end = frame;
         if frame + 1 < gap.end {
-            self.gaps.insert(index + 1, Gap { first: frame + 1, ..gap });
+            self.missing_frames.insert(index + 1, Gap { first: frame + 1, ..gap });
         }
-        self.gaps.retain(|gap| gap.first < gap.end);
+        self.missing_frames.retain(|gap| gap.first < gap.end);
         true
     }
 
     /// How many the time since the last one wants that have no number.
-    fn left_out(&mut self, seen: &Seen, steps: u64) -> u64 {
-        let is_usual = |span_ns: &i64| (1..=LONGEST_PAUSE_NS).contains(span_ns);
-        let Some(span_ns) = self.span_ns(seen).filter(is_usual) else { return 0 };
+    fn missing_by_interval(&mut self, frame_times: &FrameTimes, steps: u64) -> u64 {
+        let is_plausible = |span_ns: &i64| (1..=MAX_PAUSE_NS).contains(span_ns);
+        let Some(span_ns) = self.span_ns(frame_times).filter(is_plausible) else { return 0 };
         let regular_ns = self.regular_ns();
         if self.intervals_ns.len() == INTERVALS {
             self.intervals_ns.pop_front();
@@ -158,10 +163,10 @@ impl Camera {
     }
 
     /// How much later than the newest one by its stamp; `None` if the clock was set between.
-    fn span_ns(&self, seen: &Seen) -> Option<i64> {
-        let span_ns = seen.stamp.ns_since(self.newest.stamp);
-        let received_ns = seen.received.ns_since(self.newest.received);
-        let is_steady = span_ns.saturating_sub(received_ns).saturating_abs() < UNSTEADY_NS;
+    fn span_ns(&self, frame_times: &FrameTimes) -> Option<i64> {
+        let span_ns = frame_times.stamp.ns_since(self.newest.stamp);
+        let received_ns = frame_times.received.ns_since(self.newest.received);
+        let is_steady = span_ns.saturating_sub(received_ns).saturating_abs() < MAX_DELAY_CHANGE_NS;
         is_steady.then_some(span_ns)
     }
 
@@ -178,7 +183,7 @@ impl Camera {
         let median_ns = sorted[INTERVALS / 2] as f64;
         let is_regular =
             |interval_ns: &&i64| (**interval_ns as f64 / median_ns - 1.0).abs() < TOLERANCE;
-        (sorted.iter().filter(is_regular).count() >= REGULAR).then_some(median_ns)
+        (sorted.iter().filter(is_regular).count() >= MIN_REGULAR).then_some(median_ns)
     }
 }
 
@@ -191,16 +196,16 @@ mod tests {
 
     /// Frames of these numbers, taken at these times in intervals and received in this order.
     fn missing(frames: impl IntoIterator<Item = (u64, i64)>) -> u64 {
-        let mut gaps = Gaps::default();
+        let mut missing_frames = MissingFrames::default();
         let mut last_ns = 0;
-        let see = |(frame, time): (u64, i64)| {
+        let observe = |(frame, time): (u64, i64)| {
             let stamp_ns = time * INTERVAL_NS;
             // What is late comes right after those before it.
             last_ns = (stamp_ns + 5_000_000).max(last_ns + 1);
             let received = Timestamp::from_ns(last_ns);
-            gaps.see(CAMERA, frame, (Timestamp::from_ns(stamp_ns), received))
+            missing_frames.observe(CAMERA, frame, (Timestamp::from_ns(stamp_ns), received))
         };
-        frames.into_iter().map(see).sum()
+        frames.into_iter().map(observe).sum()
     }
 
     fn regular(frames: std::ops::Range<u64>) -> impl Iterator<Item = (u64, i64)> {
@@ -236,16 +241,16 @@ mod tests {
 
     #[test]
     fn a_clock_that_is_set_and_numbers_that_begin_anew_miss_nothing() {
-        let anew = (1..300).map(|frame| (frame, 50 + frame as i64));
-        assert_eq!(missing(regular(1..50).chain(anew)), 0);
+        let restarted = (1..300).map(|frame| (frame, 50 + frame as i64));
+        assert_eq!(missing(regular(1..50).chain(restarted)), 0);
         assert_eq!(missing(regular(1..50).chain([(u64::MAX, 50)])), 0);
-        let mut gaps = Gaps::default();
+        let mut missing_frames = MissingFrames::default();
         let mut count = 0;
         for frame in 1..300 {
             let received_ns = frame as i64 * INTERVAL_NS;
             let set_ns = if (100..200).contains(&frame) { 3_600_000_000_000 } else { 0 };
             let times = (Timestamp::from_ns(received_ns + set_ns), Timestamp::from_ns(received_ns));
-            count += gaps.see(CAMERA, frame, times);
+            count += missing_frames.observe(CAMERA, frame, times);
         }
         assert_eq!(count, 0);
     }

@@ -11,6 +11,6 @@ pub(super) use comparison::{WINDOW_NS, compare};
 pub(super) use estimator::Clocks;
 pub use estimator::{ClockEstimate, ClockPrior};
 pub(super) use evidence::Comparison;
-pub(super) use missing_frames::Gaps;
-pub(super) use stamp::{Anchors, Stamp};
+pub(super) use missing_frames::MissingFrames;
+pub(super) use stamp::{StampCorrector, StampVerdict};
 pub(super) use timeline::{Timeline, Verdict};

@@ -20,7 +20,7 @@ const STEP_NS: i64 = 150_000_000;
 /// … within this.
 const AGREEMENT_NS: i64 = 50_000_000;
 /// A clock set back by less is left to [`super::clock`].
-const LEAST_STEP_NS: i64 = 100_000_000;
+const MIN_STEP_NS: i64 = 100_000_000;
 /// A first stamp this far before its receipt is of another epoch.
 const EPOCH_NS: i64 = 60_000_000_000;
 /// Latency of a camera of which only a stamp of another epoch is known.
@@ -28,17 +28,17 @@ const LATENCY_NS: i64 = 30_000_000;
 
 /// What a frame's stamp is worth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::world) enum Stamp {
+pub(in crate::world) enum StampVerdict {
     /// Later than it should be by so many nanoseconds.
-    Good(i64),
+    Valid(i64),
     /// The same, and the first one after the clock was set, or of another epoch.
     Stepped(i64),
     /// Not to be used.
-    Refused,
+    MeasurementReject,
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Seen {
+struct LastStamp {
     frame: u64,
     stamp: Timestamp,
     /// Stamp, less the base, less receipt.
@@ -55,17 +55,17 @@ struct Step {
 #[derive(Clone, Copy, Debug)]
 struct Camera {
     base_ns: i64,
-    newest: Seen,
+    newest: LastStamp,
     step: Option<Step>,
 }
 
 /// What is remembered of all cameras' stamps.
 #[derive(Clone, Debug, Default)]
-pub(in crate::world) struct Anchors {
+pub(in crate::world) struct StampCorrector {
     cameras: BTreeMap<CameraId, Camera>,
 }
 
-impl Anchors {
+impl StampCorrector {
     /// Knows nothing of a camera.
     pub(in crate::world) fn forget(&mut self, camera: CameraId) {
         self.cameras.remove(&camera);
@@ -78,42 +78,46 @@ impl Anchors {
         stamp: Timestamp,
         received: Timestamp,
         max_lead_ns: i64,
-    ) -> Stamp {
+    ) -> StampVerdict {
         let raw_ns = stamp.ns_since(received);
         let Some(camera) = self.cameras.get_mut(&id) else {
             let is_foreign = raw_ns > max_lead_ns || raw_ns < -EPOCH_NS;
             let base_ns = if is_foreign { raw_ns.saturating_add(LATENCY_NS) } else { 0 };
-            let newest = Seen { frame, stamp, ahead_ns: raw_ns.saturating_sub(base_ns) };
+            let newest = LastStamp { frame, stamp, ahead_ns: raw_ns.saturating_sub(base_ns) };
             self.cameras.insert(id, Camera { base_ns, newest, step: None });
-            return if is_foreign { Stamp::Stepped(base_ns) } else { Stamp::Good(base_ns) };
+            return if is_foreign {
+                StampVerdict::Stepped(base_ns)
+            } else {
+                StampVerdict::Valid(base_ns)
+            };
         };
         let ahead_ns = raw_ns.saturating_sub(camera.base_ns);
         let newest = camera.newest;
         let is_next = frame > newest.frame;
         let went_back = is_next
             && stamp < newest.stamp
-            && newest.ahead_ns.saturating_sub(ahead_ns) > LEAST_STEP_NS;
-        let goes_on =
+            && newest.ahead_ns.saturating_sub(ahead_ns) > MIN_STEP_NS;
+        let agrees =
             camera.step.is_some_and(|step| ahead_ns.abs_diff(step.ahead_ns) <= AGREEMENT_NS as u64);
-        if ahead_ns <= max_lead_ns && !went_back && !goes_on {
+        if ahead_ns <= max_lead_ns && !went_back && !agrees {
             camera.step = None;
             if is_next {
-                camera.newest = Seen { frame, stamp, ahead_ns };
+                camera.newest = LastStamp { frame, stamp, ahead_ns };
             }
-            return Stamp::Good(camera.base_ns);
+            return StampVerdict::Valid(camera.base_ns);
         }
         let step = match camera.step {
-            Some(step) if goes_on => Step { frames: step.frames + 1, ..step },
+            Some(step) if agrees => Step { frames: step.frames + 1, ..step },
             _ => Step { ahead_ns, since: received, frames: 1 },
         };
         if step.frames < STEP_FRAMES || received.ns_since(step.since) < STEP_NS {
             camera.step = Some(step);
-            return Stamp::Refused;
+            return StampVerdict::MeasurementReject;
         }
         let moved_ns = step.ahead_ns.saturating_sub(newest.ahead_ns);
         camera.base_ns = camera.base_ns.saturating_add(moved_ns);
         camera.step = None;
-        camera.newest = Seen { frame, stamp, ahead_ns: ahead_ns.saturating_sub(moved_ns) };
-        Stamp::Stepped(camera.base_ns)
+        camera.newest = LastStamp { frame, stamp, ahead_ns: ahead_ns.saturating_sub(moved_ns) };
+        StampVerdict::Stepped(camera.base_ns)
     }
 }

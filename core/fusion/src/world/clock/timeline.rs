@@ -41,30 +41,30 @@ pub(in crate::world) enum Verdict {
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Instant {
+struct FrameInstant {
     capture: Timestamp,
     received: Timestamp,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Candidate {
-    since: Instant,
-    newest: Instant,
+    since: FrameInstant,
+    newest: FrameInstant,
     frames: u32,
 }
 
 /// Memory of the frames' times.
 #[derive(Clone, Debug, Default)]
 pub(in crate::world) struct Timeline {
-    newest: Option<Instant>,
+    newest: Option<FrameInstant>,
     candidate: Option<Candidate>,
-    seen: BTreeMap<CameraId, VecDeque<(u64, Timestamp)>>,
+    recent_frames: BTreeMap<CameraId, VecDeque<(u64, Timestamp)>>,
 }
 
 impl Timeline {
     /// Knows none of a camera's frames.
     pub(in crate::world) fn forget(&mut self, camera: CameraId) {
-        self.seen.remove(&camera);
+        self.recent_frames.remove(&camera);
     }
 
     /// Newest capture time that was believed.
@@ -81,7 +81,7 @@ impl Timeline {
         received: Timestamp,
         (late_window_ns, max_lead_ns): (i64, i64),
     ) -> Verdict {
-        let frames = self.seen.entry(camera).or_default();
+        let frames = self.recent_frames.entry(camera).or_default();
         if frames.iter().any(|&(number, time)| number == frame || time == stamp) {
             return Verdict::Duplicate;
         }
@@ -89,7 +89,7 @@ impl Timeline {
             frames.pop_front();
         }
         frames.push_back((frame, stamp));
-        let now = Instant { capture, received };
+        let now = FrameInstant { capture, received };
         let Some(newest) = self.newest else {
             self.newest = Some(now);
             return Verdict::Use;
@@ -100,7 +100,7 @@ impl Timeline {
             self.candidate = None;
             if capture > newest.capture {
                 self.newest = Some(now);
-                for frames in self.seen.values_mut() {
+                for frames in self.recent_frames.values_mut() {
                     while frames.front().is_some_and(|&(_, time)| {
                         capture.ns_since(time) > late_window_ns.saturating_mul(2)
                     }) {
@@ -117,7 +117,7 @@ impl Timeline {
     }
 
     /// Whether the refused frames, this one the newest of them, have become the timeline.
-    fn adopt(&mut self, now: Instant, max_lead_ns: i64) -> bool {
+    fn adopt(&mut self, now: FrameInstant, max_lead_ns: i64) -> bool {
         let agrees = |candidate: &Candidate| {
             lead_ns(&now, &candidate.newest).saturating_abs() <= max_lead_ns
         };
@@ -146,7 +146,7 @@ impl Timeline {
     }
 }
 
-fn lead_ns(now: &Instant, then: &Instant) -> i64 {
+fn lead_ns(now: &FrameInstant, then: &FrameInstant) -> i64 {
     now.capture.ns_since(then.capture).saturating_sub(now.received.ns_since(then.received))
 }
 

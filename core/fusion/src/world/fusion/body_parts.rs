@@ -5,13 +5,13 @@ use crate::{
     track::Measurement,
     world::{
         association::Sighting,
-        body::joint_measurement::{Expected, assemble},
+        body::joint_measurement::{PredictedPose, joint_measurement},
         body::{Body, BodyError},
-        camera_pose::Stand,
+        camera_pose::ExposurePose,
         identity::Subject,
         identity::body_number,
         lifecycle::Track,
-        measurement::{Lateness, Refused, measure, with_stand},
+        measurement::{MeasurementReject, StampCorrection, add_camera_pose_error, measure},
     },
 };
 use roundel_vision::{
@@ -22,10 +22,10 @@ use roundel_vision::{
 };
 
 impl FusionCounts {
-    pub(super) fn count_refused(&mut self, refused: Refused) {
-        match refused {
-            Refused::NoPose => self.no_pose += 1,
-            Refused::Invalid => self.invalid += 1,
+    pub(super) fn count_refused(&mut self, reject: MeasurementReject) {
+        match reject {
+            MeasurementReject::NoPose => self.no_pose += 1,
+            MeasurementReject::Invalid => self.invalid += 1,
         }
     }
 }
@@ -42,18 +42,18 @@ impl Fusion {
         &mut self,
         detection: &Detection,
         (camera, frame): (CameraId, u64),
-        stand: &Stand,
-        (late, now): (Lateness, Timestamp),
+        camera_pose: &ExposurePose,
+        (correction, now): (StampCorrection, Timestamp),
     ) -> bool {
         let Some((part, is_new)) = self.bodies.part_of(detection, camera, now) else {
             return false;
         };
         // Errors of the camera's place are common to all parts: they come last.
         let zero = Covariance6::zeros();
-        let exact = Stand { systematic: zero, fresh: zero, ..*stand };
-        match measure(detection, (camera, frame), &exact, late, &self.params) {
-            Ok(measurement) => self.bodies.see(part, measurement),
-            Err(refused) => self.counts.count_refused(refused),
+        let exact = ExposurePose { systematic: zero, fresh: zero, ..*camera_pose };
+        match measure(detection, (camera, frame), &exact, correction, &self.params) {
+            Ok(measurement) => self.bodies.add_part(part, measurement),
+            Err(reject) => self.counts.count_refused(reject),
         }
         if is_new {
             self.absorb(camera, detection.track, now);
@@ -62,25 +62,26 @@ impl Fusion {
     }
 
     /// Makes one sighting of all parts of each body that the frame shows.
-    pub(super) fn join_parts(&mut self, stand: &Stand) {
-        let seen = self.bodies.take_seen();
+    pub(super) fn join_parts(&mut self, camera_pose: &ExposurePose) {
+        let seen = self.bodies.take_parts();
         for parts in seen.chunk_by(|a, b| a.body() == b.body()) {
             let body = parts[0].body();
             let subject = Subject { kind: self.bodies.kind(body), body: Some(body) };
             let of_body = self.tracks.iter().filter(|track| track.subject == subject);
             let track = of_body.max_by_key(|track| (!track.is_tentative(), track.newest));
             let expected = track.map(|track| {
-                Expected::of(track, &parts[0].measurement, self.params.predicted_after_ns)
+                PredictedPose::of(track, &parts[0].measurement, self.params.predicted_after_ns)
             });
             let share = self.params.systematic_share.clamp(0.0, 1.0);
-            let Some((measurement, left_out)) = assemble(parts, expected.as_ref(), share) else {
+            let Some((measurement, left_out)) = joint_measurement(parts, expected.as_ref(), share)
+            else {
                 self.counts.invalid += parts.len() as u64;
                 continue;
             };
             self.counts.left_out += left_out as u64;
             self.counts.joined += (parts.len() - 1 - left_out) as u64;
             let measurement = Measurement { number: body_number(body), ..measurement };
-            let measurement = with_stand(measurement, stand);
+            let measurement = add_camera_pose_error(measurement, camera_pose);
             self.sightings.push(Sighting { subject, code: None, measurement });
         }
     }
@@ -93,7 +94,7 @@ impl Fusion {
         let mut gone = self.tracks.remove(index);
         self.counts.merged += 1;
         let known = !gone.is_tentative();
-        let event = gone.lose(now);
+        let event = gone.mark_lost(now);
         self.end(gone, known.then_some(event));
     }
 }

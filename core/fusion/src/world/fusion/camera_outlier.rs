@@ -4,11 +4,13 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::Fusion;
 use crate::{
-    track::{Kernel, Measurement, TakenBack, invert_positive},
+    track::{Kalman, Measurement, Retraction, invert_positive},
     world::{
         HeldBack,
         association::{Decision, Sighting},
-        camera_outlier::{Inquiry, MOST_OTHERS, MOST_SQUARED, Passage, Pull, Surprise},
+        camera_outlier::{
+            Admission, InnovationSum, MAX_OTHERS, MAX_SQUARED, ObjectResidual, Query,
+        },
         clock::Clocks,
         lifecycle::Track,
     },
@@ -16,40 +18,40 @@ use crate::{
 use roundel_vision::{id::CameraId, time::Timestamp};
 
 /// Of a camera that was bumped, what it saw within this time is not used.
-const SPOILED_NS: i64 = 1_000_000_000;
+const QUARANTINE_RETRACTED_NS: i64 = 1_000_000_000;
 /// An object counts that another camera saw within this time.
-const CONFIRMED_S: f64 = 0.1;
+const MAX_VIEW_AGE_S: f64 = 0.1;
 /// Measurements of an object that are looked at for that at most.
-const MOST_LOOKED_AT: usize = 24;
+const MAX_MEASUREMENTS: usize = 24;
 /// Two views of a camera that follow each other within this tell a velocity.
-const STEP_S: f64 = 0.06;
+const MAX_STEP_S: f64 = 0.06;
 /// a² over the density that the model has of it.
 const ACCELERATION_RATE_HZ: f64 = 10.0;
 /// Objects that a witness sees.
-const LEAST_WITNESSED: usize = 2;
+const MIN_CONFIRMED: usize = 2;
 
 impl Fusion {
     /// A camera has moved: it is not used any more until [`Self::set_camera`] says where it stands, and what it saw within
     /// the last second is taken back.
     pub fn quarantine(&mut self, camera: CameraId) {
         // Held back since then, it spoiled nothing.
-        let is_held = self.guards.held_since(camera).is_some();
+        let is_held = self.camera_outliers.held_since(camera).is_some();
         self.set_camera(camera, None);
         if let Some(now) = self.timeline.newest().filter(|_| !is_held) {
-            self.take_back(camera, now.plus_ns(-SPOILED_NS));
+            self.retract(camera, now.plus_ns(-QUARANTINE_RETRACTED_NS));
         }
     }
 
     /// Says whether a camera is never held back, nor asked about others: its place may be rough, so that it disagrees
     /// with them though it stands still.
     pub fn spare(&mut self, camera: CameraId, is_spared: bool) {
-        match self.spared.binary_search(&camera) {
+        match self.exempt.binary_search(&camera) {
             Err(index) if is_spared => {
-                self.spared.insert(index, camera);
-                self.guards.forget(camera);
+                self.exempt.insert(index, camera);
+                self.camera_outliers.forget(camera);
             }
             Ok(index) if !is_spared => {
-                self.spared.remove(index);
+                self.exempt.remove(index);
             }
             _ => {}
         }
@@ -57,92 +59,97 @@ impl Fusion {
 
     /// Takes what became known since the last call of cameras that are held back.
     pub fn drain_held_back(&mut self) -> impl Iterator<Item = HeldBack> + '_ {
-        self.guards.drain()
+        self.camera_outliers.drain()
     }
 
     /// Whether the frame with these sightings is to be used.
-    pub(super) fn lets_in(
+    pub(super) fn admits(
         &mut self,
         (camera, time): (CameraId, Timestamp),
         decisions: &[Decision],
     ) -> bool {
-        let most_held_ns = self.params.held_back_ns;
-        let is_guarded = most_held_ns > 0 && self.spared.binary_search(&camera).is_err();
+        let max_held_ns = self.params.held_back_ns;
+        let is_guarded = max_held_ns > 0 && self.exempt.binary_search(&camera).is_err();
         let Some(place) = self.cameras.get(&camera).filter(|_| is_guarded) else {
             return true;
         };
-        let mut surprise = Surprise::default();
+        let mut innovations = InnovationSum::default();
         for (sighting, decision) in self.sightings.iter().zip(decisions) {
             let squared = match decision {
-                Some((_, innovation)) => innovation.distance_squared.min(MOST_SQUARED),
-                None if follows(&self.tracks, sighting).is_some() => MOST_SQUARED,
+                Some((_, innovation)) => innovation.distance_squared.min(MAX_SQUARED),
+                None if claimed_track(&self.tracks, sighting).is_some() => MAX_SQUARED,
                 None => continue,
             };
-            surprise.sum += squared;
-            surprise.count += 1;
+            innovations.sum += squared;
+            innovations.count += 1;
         }
         let origin_m = place.world_from_camera.translation.vector;
         let (tracks, sightings) = (&self.tracks, &self.sightings);
-        let (clocks, spared) = (&self.clocks, self.spared.as_slice());
+        let (clocks, exempt) = (&self.clocks, self.exempt.as_slice());
         let (trust, rank) = (&self.trust, self.trust.rank(camera));
-        let gather = |Inquiry { by, every, skipped }: Inquiry, pulls: &mut Vec<Pull>| {
-            let asked = |other: CameraId| {
+        let gather = |Query { by, every, skipped }: Query, residuals: &mut Vec<ObjectResidual>| {
+            let queried = |other: CameraId| {
                 other != camera
                     && by.is_none_or(|by| by == other)
-                    && spared.binary_search(&other).is_err()
+                    && exempt.binary_search(&other).is_err()
                     && trust.rank(other) >= rank
             };
             let inquired = sightings.iter().zip(decisions).skip(skipped).step_by(every);
             let each = inquired.filter_map(|(sighting, decision)| {
                 let index = decision.map(|(track, _)| track);
-                let track = &tracks[index.or_else(|| follows(tracks, sighting))?];
-                let pull = pull(track, sighting, asked, clocks)?;
-                Some(Pull { arm_m: sighting.measurement.position_m - origin_m, ..pull })
+                let track = &tracks[index.or_else(|| claimed_track(tracks, sighting))?];
+                let weighted_sum = weighted_sum(track, sighting, queried, clocks)?;
+                Some(ObjectResidual {
+                    arm_m: sighting.measurement.position_m - origin_m,
+                    ..weighted_sum
+                })
             });
-            pulls.clear();
-            pulls.extend(each);
+            residuals.clear();
+            residuals.extend(each);
         };
-        let passage = self.guards.judge((camera, time), surprise, most_held_ns, gather);
-        if passage == Passage::Calm {
-            self.witness(decisions);
+        let admission =
+            self.camera_outliers.judge((camera, time), innovations, max_held_ns, gather);
+        if admission == Admission::Consistent {
+            self.confirm(decisions);
         }
-        passage != Passage::Closed
+        admission != Admission::Rejected
     }
 
     /// Lets a frame that is as expected be witness against cameras that are held back.
-    fn witness(&mut self, decisions: &[Decision]) {
+    fn confirm(&mut self, decisions: &[Decision]) {
         let sees = |camera: CameraId, since: Timestamp| {
             let is_shared =
                 |index: usize| self.tracks[index].seen_by(camera).is_some_and(|time| time >= since);
             let shared = decisions.iter().flatten().filter(|(track, _)| is_shared(*track));
-            shared.count() >= LEAST_WITNESSED
+            shared.count() >= MIN_CONFIRMED
         };
-        let sure = self.guards.unwitnessed().find(|(camera, since)| sees(*camera, *since));
-        if let Some((camera, _)) = sure {
-            self.guards.witness(camera);
+        let supporting =
+            self.camera_outliers.unconfirmed().find(|(camera, since)| sees(*camera, *since));
+        if let Some((camera, _)) = supporting {
+            self.camera_outliers.confirm(camera);
         }
     }
 
     /// Takes back what cameras saw shortly before they were held back.
-    pub(super) fn clean(&mut self) {
-        while let Some((camera, since)) = self.guards.take_spoiled() {
-            self.take_back(camera, since);
+    pub(super) fn retract_held_back(&mut self) {
+        while let Some((camera, since)) = self.camera_outliers.next_retraction() {
+            self.retract(camera, since);
         }
     }
 
-    fn take_back(&mut self, camera: CameraId, since: Timestamp) {
+    fn retract(&mut self, camera: CameraId, since: Timestamp) {
         let mut index = 0;
         while index < self.tracks.len() {
             let track = &mut self.tracks[index];
-            match track.take_back(camera, since) {
-                TakenBack::All(count) => {
+            match track.retract(camera, since) {
+                Retraction::Removed(count) => {
                     self.counts.taken_back += count as u64;
                     index += 1;
                 }
-                TakenBack::NothingElse => {
+                Retraction::NothingLeft => {
                     let mut gone = self.tracks.remove(index);
                     let is_known = !gone.is_tentative();
-                    let event = gone.lose(gone.newest);
+                    let event = gone.mark_lost(gone.newest);
                     self.end(gone, is_known.then_some(event));
                 }
             }
@@ -151,7 +158,7 @@ impl Fusion {
 }
 
 /// The track that a sighting that lies nowhere near it is said to be of, by its camera or by its code.
-fn follows(tracks: &[Track], sighting: &Sighting) -> Option<usize> {
+fn claimed_track(tracks: &[Track], sighting: &Sighting) -> Option<usize> {
     let is_it = |track: &Track| {
         let agrees = sighting.code.and_then(|code| track.codes.agrees(code));
         track.subject == sighting.subject
@@ -164,53 +171,54 @@ fn follows(tracks: &[Track], sighting: &Sighting) -> Option<usize> {
 /// What a sighting says of its camera's motion: how far it lies from where those that are asked saw the object a moment
 /// ago, which is known the worse the less is known of both cameras' clocks. The track's own place is
 /// not asked, since the camera may have led it astray already.
-fn pull(
+fn weighted_sum(
     track: &Track,
     sighting: &Sighting,
-    is_asked: impl Fn(CameraId) -> bool,
+    is_queried: impl Fn(CameraId) -> bool,
     clocks: &Clocks,
-) -> Option<Pull> {
+) -> Option<ObjectResidual> {
     let seen = &sighting.measurement;
     if track.is_tentative() {
         return None;
     }
     // PERF: a measurement is most of a kilobyte away from the next, so who is not there is not looked for.
-    let since = seen.time.plus_seconds(-CONFIRMED_S);
-    let expected = track.seen_since(since).filter(|&camera| is_asked(camera)).count();
-    let expected = expected.min(MOST_OTHERS);
-    let kernel = &track.history.newest().motion.agile().kernel;
-    let mut others = [None; MOST_OTHERS];
-    let (mut count, mut precision, mut pull) = (0, Matrix3::zeros(), Vector3::zeros());
-    let known = (kernel, invert_positive(&kernel.spread.rate).map(|(weight, _)| weight));
-    let most_m2_s4 = track.model.acceleration_density_m2_s3 * ACCELERATION_RATE_HZ;
-    let mut views = track.history.measurements().rev().take(2 * MOST_LOOKED_AT);
-    for _ in 0..MOST_LOOKED_AT {
+    let since = seen.time.plus_seconds(-MAX_VIEW_AGE_S);
+    let expected = track.seen_since(since).filter(|&camera| is_queried(camera)).count();
+    let expected = expected.min(MAX_OTHERS);
+    let kalman = &track.history.newest().motion.agile().kalman;
+    let mut others = [None; MAX_OTHERS];
+    let (mut count, mut precision, mut weighted_sum) = (0, Matrix3::zeros(), Vector3::zeros());
+    let kalman_rate = (kalman, invert_positive(&kalman.spread.rate).map(|(weight, _)| weight));
+    let acceleration_m2_s4 = track.model.acceleration_density_m2_s3 * ACCELERATION_RATE_HZ;
+    let mut views = track.history.measurements().rev().take(2 * MAX_MEASUREMENTS);
+    for _ in 0..MAX_MEASUREMENTS {
         let Some(view) = views.next().filter(|_| count < expected) else { break };
         let dt = seen.time.seconds_since(view.time);
-        if dt > CONFIRMED_S {
+        if dt > MAX_VIEW_AGE_S {
             break;
         }
-        let is_new = is_asked(view.camera) && !others.contains(&Some(view.camera));
-        if !is_new || dt < -CONFIRMED_S {
+        let is_new = is_queried(view.camera) && !others.contains(&Some(view.camera));
+        if !is_new || dt < -MAX_VIEW_AGE_S {
             continue;
         }
-        let bent = most_m2_s4 * (0.25 * dt.powi(4));
-        let (rate, rate_covariance) = velocity(view, views.clone(), &known, &most_m2_s4);
+        let curvature = acceleration_m2_s4 * (0.25 * dt.powi(4));
+        let (rate, rate_covariance) =
+            velocity(view, views.clone(), &kalman_rate, &acceleration_m2_s4);
         let timing_s = clocks.deviation_s(seen.camera, view.camera);
         let covariance = view.position_noise.total
             + rate_covariance * (dt * dt)
-            + kernel.rate * kernel.rate.transpose() * (timing_s * timing_s)
-            + Matrix3::from_diagonal(&bent);
+            + kalman.rate * kalman.rate.transpose() * (timing_s * timing_s)
+            + Matrix3::from_diagonal(&curvature);
         let Some((weight, _)) = invert_positive(&covariance) else { continue };
         precision += weight;
-        pull += weight * (view.position_m + rate * dt);
+        weighted_sum += weight * (view.position_m + rate * dt);
         others[count] = Some(view.camera);
         count += 1;
     }
     let (covariance, _) = invert_positive(&precision)?;
     let (weight, _) = invert_positive(&(covariance + seen.position_noise.total))?;
-    let residual_m = seen.position_m - covariance * pull;
-    Some(Pull { arm_m: seen.position_m, residual_m, weight, others })
+    let residual_m = seen.position_m - covariance * weighted_sum;
+    Some(ObjectResidual { arm_m: seen.position_m, residual_m, weight, others })
 }
 
 /// How fast the object of a view was, and the covariance of that: from the same camera's view just before, joined with
@@ -219,14 +227,14 @@ fn pull(
 fn velocity<'a>(
     view: &Measurement,
     mut earlier: impl Iterator<Item = &'a Measurement>,
-    (kernel, known_weight): &(&Kernel, Option<Matrix3<f64>>),
-    most_m2_s4: &Vector3<f64>,
+    (kalman, known_weight): &(&Kalman, Option<Matrix3<f64>>),
+    acceleration_m2_s4: &Vector3<f64>,
 ) -> (Vector3<f64>, Matrix3<f64>) {
-    let (known_m_s, known) = (kernel.rate, kernel.spread.rate);
+    let (known_m_s, kalman_rate) = (kalman.rate, kalman.spread.rate);
     let is_before = |it: &&Measurement| it.camera == view.camera && it.time < view.time;
     let before = earlier.find(is_before);
-    let Some(before) = before.filter(|it| view.time.seconds_since(it.time) < STEP_S) else {
-        return (known_m_s, known);
+    let Some(before) = before.filter(|it| view.time.seconds_since(it.time) < MAX_STEP_S) else {
+        return (known_m_s, kalman_rate);
     };
     let step_s = view.time.seconds_since(before.time);
     let fresh = |it: &Measurement| {
@@ -234,13 +242,13 @@ fn velocity<'a>(
         noise.total - noise.systematic_root * noise.systematic_root.transpose()
     };
     // It is the velocity half a step ago.
-    let bent = Matrix3::from_diagonal(&(most_m2_s4 * (0.25 * step_s * step_s)));
-    let own = (fresh(view) + fresh(before)) / (step_s * step_s) + bent;
+    let curvature = Matrix3::from_diagonal(&(acceleration_m2_s4 * (0.25 * step_s * step_s)));
+    let own = (fresh(view) + fresh(before)) / (step_s * step_s) + curvature;
     let own_m_s = (view.position_m - before.position_m) / step_s;
     let joined = invert_positive(&own).zip(*known_weight).and_then(|((own_weight, _), weight)| {
         let (covariance, _) = invert_positive(&(own_weight + weight))?;
         Some((covariance * (own_weight * own_m_s + weight * known_m_s), covariance))
     });
     // Its error goes with the view's.
-    joined.map_or((known_m_s, known), |(rate_m_s, covariance)| (rate_m_s, covariance * 2.0))
+    joined.map_or((known_m_s, kalman_rate), |(rate_m_s, covariance)| (rate_m_s, covariance * 2.0))
 }

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::Fusion;
-use crate::track::{Measurement, TakenBack};
+use crate::track::{Measurement, Retraction};
 use roundel_vision::{id::CameraId, time::Timestamp};
 
 /// What others measured longer before says too little of where an object is, nanoseconds.
@@ -52,10 +52,10 @@ impl Fusion {
                 return None;
             }
             let mut others = track.history.clone();
-            if others.take_back(camera, since, &track.model) == TakenBack::NothingElse {
+            if others.retract(camera, since, &track.model) == Retraction::NothingLeft {
                 return None;
             }
-            let others_m = others.look(time, &track.model).motion.position_m;
+            let others_m = others.estimate(time, &track.model).motion.position_m;
             Some(Compared { time, seen_m, others_m })
         });
         compared.take(most).collect()
@@ -140,7 +140,7 @@ mod tests {
         let [first, second, third] = [0, 1, 2].map(off_m);
         assert!((-0.005..-0.001).contains(&first), "between two of whom one is off: {first}");
         assert!((-0.005..-0.001).contains(&second), "{second}");
-        assert!((0.005..0.007).contains(&third), "both others are elsewhere: {third}");
+        assert!((0.005..0.007).contains(&third), "both others are replaced: {third}");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use crate::world::{
     Event, EventKind, LifeStage,
     association::Sighting,
     identity::CARRIER_NUMBER,
-    lifecycle::{Track, find},
+    lifecycle::{Track, find_duplicates},
 };
 use roundel_vision::{id::ObjectId, time::Timestamp};
 
@@ -30,7 +30,7 @@ impl Fusion {
             None => self.params.motion_model(&class.unwrap_or_default()),
         };
         // Where its own camera is its place hangs on its orientation, whose errors last.
-        model.learns_turning &= sighting.measurement.number != CARRIER_NUMBER;
+        model.learns_rotation_density &= sighting.measurement.number != CARRIER_NUMBER;
         let mut track = Track::begin(id, subject, sighting.measurement, model);
         sighting.code.into_iter().for_each(|code| track.codes.add(code));
         self.tracks.push(track);
@@ -43,7 +43,7 @@ impl Fusion {
             match self.tracks[index].advance(now, &self.params) {
                 Ok(event) => {
                     if let Some(event) = event {
-                        self.tell(event);
+                        self.push_event(event);
                     }
                     index += 1;
                 }
@@ -62,20 +62,20 @@ impl Fusion {
         self.newest_used = None;
         for mut track in std::mem::take(&mut self.tracks) {
             let known = !track.is_tentative();
-            let event = track.lose(track.newest);
+            let event = track.mark_lost(track.newest);
             self.end(track, known.then_some(event));
         }
     }
 
     pub(super) fn merge(&mut self, now: Timestamp) {
-        while let Some((stays, goes)) = find(&mut self.tracks, now) {
+        while let Some((stays, goes)) = find_duplicates(&mut self.tracks, now) {
             let mut gone = self.tracks[goes].clone();
             self.tracks[stays].adopt_views(&gone);
-            self.tracks[stays].codes.join(&gone.codes);
+            self.tracks[stays].codes.merge(&gone.codes);
             self.tracks.remove(goes);
             self.counts.merged += 1;
             let known = !gone.is_tentative();
-            let event = gone.lose(now);
+            let event = gone.mark_lost(now);
             self.end(gone, known.then_some(event));
         }
     }
@@ -85,10 +85,10 @@ impl Fusion {
         if track.subject.body.is_some() {
             // Another track of that body, if there is one, may claim the id now.
             let twins = self.tracks.iter_mut().filter(|other| other.subject == track.subject);
-            twins.for_each(|twin| twin.identified = None);
+            twins.for_each(|twin| twin.claimed_mark = None);
         }
         let Some(event) = event else { return };
-        self.tell(event);
+        self.push_event(event);
         if self.lost.len() >= self.params.max_objects {
             self.lost.remove(0);
         }
@@ -96,7 +96,7 @@ impl Fusion {
         self.lost.push(track);
     }
 
-    pub(super) fn tell(&mut self, event: Event) {
+    pub(super) fn push_event(&mut self, event: Event) {
         if self.events.len() == MAX_EVENTS {
             self.events.pop_front();
         }

@@ -22,22 +22,22 @@ use super::{
     Snapshot,
     association::{Scratch, Sighting, associate},
     body::Bodies,
-    camera_outlier::Guards,
-    clock::Gaps,
-    clock::{Anchors, Stamp},
+    camera_outlier::CameraOutliers,
+    clock::MissingFrames,
     clock::{ClockEstimate, ClockPrior, Clocks},
+    clock::{StampCorrector, StampVerdict},
     clock::{Timeline, Verdict},
     counts::FusionCounts,
-    height_check::Floors,
+    height_check::HeightChecks,
     identity::CARRIER_NUMBER,
     identity::{Mark, Subject},
     lifecycle::Track,
     lifecycle::Trust,
-    lifecycle::{Claim, Identities},
-    measurement::Lateness,
+    lifecycle::{Claim, IdRegistry},
+    measurement::StampCorrection,
     mobile_camera::Landmark,
-    mobile_camera::Riders,
-    snapshot::state_of,
+    mobile_camera::MobileCameras,
+    snapshot::object_state,
 };
 use crate::track::{Inserted, Measurement};
 use roundel_vision::{
@@ -54,19 +54,19 @@ pub struct Fusion {
     params: FusionParams,
     classes: BTreeMap<KindId, MotionClass>,
     cameras: BTreeMap<CameraId, CameraPlacement>,
-    riders: Riders,
+    mobile_cameras: MobileCameras,
     landmarks: Vec<Landmark>,
-    anchors: Anchors,
+    stamp_corrector: StampCorrector,
     clocks: Clocks,
     offsets_m: BTreeMap<KindId, Vector3<f64>>,
-    identities: Identities,
+    id_registry: IdRegistry,
     bodies: Bodies,
-    floors: Floors,
+    height_checks: HeightChecks,
     timeline: Timeline,
-    gaps: Gaps,
-    guards: Guards,
+    missing_frames: MissingFrames,
+    camera_outliers: CameraOutliers,
     /// Cameras that are never held back, ascending.
-    spared: Vec<CameraId>,
+    exempt: Vec<CameraId>,
     trust: Trust,
     /// In the order in which they began.
     tracks: Vec<Track>,
@@ -90,18 +90,18 @@ impl Fusion {
             params,
             classes: BTreeMap::new(),
             cameras: BTreeMap::new(),
-            riders: Riders::default(),
+            mobile_cameras: MobileCameras::default(),
             landmarks: Vec::new(),
-            anchors: Anchors::default(),
+            stamp_corrector: StampCorrector::default(),
             clocks: Clocks::default(),
             offsets_m: BTreeMap::new(),
-            identities: Identities::default(),
+            id_registry: IdRegistry::default(),
             bodies: Bodies::default(),
-            floors: Floors::default(),
+            height_checks: HeightChecks::default(),
             timeline: Timeline::default(),
-            gaps: Gaps::default(),
-            guards: Guards::default(),
-            spared: Vec::new(),
+            missing_frames: MissingFrames::default(),
+            camera_outliers: CameraOutliers::default(),
+            exempt: Vec::new(),
             trust: Trust::default(),
             tracks: Vec::new(),
             lost: Vec::new(),
@@ -122,7 +122,7 @@ impl Fusion {
             Some(placement) => self.cameras.insert(camera, placement),
             None => self.cameras.remove(&camera),
         };
-        self.guards.forget(camera);
+        self.camera_outliers.forget(camera);
     }
 
     /// Sets a camera's rank, 1 unless set: detections of a lower rank are not used for objects that cameras of a higher rank
@@ -168,14 +168,14 @@ impl Fusion {
         self.counts.frames += 1;
         self.counts.detections += detections;
         let times = (frame.capture_time, frame.received_time);
-        self.counts.missing_frames += self.gaps.see(frame.camera, frame.frame, times);
+        self.counts.missing_frames += self.missing_frames.observe(frame.camera, frame.frame, times);
         let limits = (self.params.late_window_ns, self.params.max_lead_ns);
-        let Some(late) = self.lateness(frame) else {
+        let Some(correction) = self.stamp_correction(frame) else {
             self.counts.jumped_frames += 1;
             self.counts.jumped += detections;
             return;
         };
-        let capture_time = late.corrected(frame.capture_time);
+        let capture_time = correction.corrected(frame.capture_time);
         let source = (frame.camera, frame.frame, frame.capture_time);
         match self.timeline.judge(source, capture_time, frame.received_time, limits) {
             Verdict::Use => {}
@@ -197,15 +197,19 @@ impl Fusion {
             }
         }
         let Some(now) = self.timeline.newest() else { return };
-        self.clocks.receive(frame.camera, late.based(frame.capture_time), frame.received_time);
+        self.clocks.note_delay(
+            frame.camera,
+            correction.based(frame.capture_time),
+            frame.received_time,
+        );
         self.advance(now);
-        self.riders.expose(frame.camera, capture_time);
-        let landmarks = self.localize(frame, late, now);
-        if !self.collect(frame, late, now, &landmarks) {
+        self.mobile_cameras.note_exposure(frame.camera, capture_time);
+        let landmarks = self.localize(frame, correction, now);
+        if !self.collect(frame, correction, now, &landmarks) {
             return;
         }
-        self.apply(frame.camera, Some(capture_time), now);
-        self.clean();
+        self.assign(frame.camera, Some(capture_time), now);
+        self.retract_held_back();
         if self.next_merge.is_none_or(|time| now >= time) {
             self.next_merge = Some(now.plus_ns(MERGE_EVERY_NS));
             self.merge(now);
@@ -228,12 +232,12 @@ impl Fusion {
                 let Subject { kind, body } = track.subject;
                 if let Some(body) = body {
                     let code = self.bodies.code(body);
-                    let state = state_of(track, pose_time, &self.bodies.origin_m(body));
+                    let state = object_state(track, pose_time, &self.bodies.origin_m(body));
                     return ObjectState { code, trust, ..state };
                 }
                 let offset = kind.and_then(|kind| self.offsets_m.get(&kind));
                 let offset_m = offset.copied().unwrap_or_else(Vector3::zeros);
-                ObjectState { trust, ..state_of(track, pose_time, &offset_m) }
+                ObjectState { trust, ..object_state(track, pose_time, &offset_m) }
             })
             .collect();
         self.lost.clear();
@@ -241,36 +245,37 @@ impl Fusion {
     }
 
     /// By how much the frame's stamps are late; `None` if they cannot be believed at all.
-    fn lateness(&mut self, frame: &FrameObservations) -> Option<Lateness> {
+    fn stamp_correction(&mut self, frame: &FrameObservations) -> Option<StampCorrection> {
         let (source, received) = ((frame.camera, frame.frame), frame.received_time);
         let stamp = frame.capture_time;
-        self.clocks.know(frame.camera);
-        let base_ns = match self.anchors.judge(source, stamp, received, self.params.max_lead_ns) {
-            Stamp::Good(base_ns) => base_ns,
-            Stamp::Stepped(base_ns) => {
-                self.counts.clock_steps += 1;
-                let offset_s = self.clocks.offset_s(frame.camera, received);
-                let late = Lateness { base_ns, offset_s };
-                self.clocks.doubt(frame.camera, late.corrected(stamp));
-                base_ns
-            }
-            Stamp::Refused => return None,
-        };
-        Some(Lateness { base_ns, offset_s: self.clocks.offset_s(frame.camera, received) })
+        self.clocks.find_or_insert(frame.camera);
+        let base_ns =
+            match self.stamp_corrector.judge(source, stamp, received, self.params.max_lead_ns) {
+                StampVerdict::Valid(base_ns) => base_ns,
+                StampVerdict::Stepped(base_ns) => {
+                    self.counts.clock_steps += 1;
+                    let offset_s = self.clocks.offset_s(frame.camera, received);
+                    let correction = StampCorrection { base_ns, offset_s };
+                    self.clocks.note_clock_step(frame.camera, correction.corrected(stamp));
+                    base_ns
+                }
+                StampVerdict::MeasurementReject => return None,
+            };
+        Some(StampCorrection { base_ns, offset_s: self.clocks.offset_s(frame.camera, received) })
     }
 
     /// Gives each sighting to its track, or to a new one. With the frame's time, they are all that its
     /// camera has seen in it.
-    fn apply(&mut self, camera: CameraId, whole: Option<Timestamp>, now: Timestamp) {
-        let rides = self.riders.has(camera);
+    fn assign(&mut self, camera: CameraId, complete_at: Option<Timestamp>, now: Timestamp) {
+        let is_mobile = self.mobile_cameras.contains(camera);
         let decisions = associate(
             &self.tracks,
             &self.sightings,
             (&self.params, &self.clocks),
             &mut self.scratch,
         );
-        if let Some(time) = whole.filter(|_| !rides)
-            && !self.lets_in((camera, time), &decisions)
+        if let Some(time) = complete_at.filter(|_| !is_mobile)
+            && !self.admits((camera, time), &decisions)
         {
             self.counts.held_frames += 1;
             self.counts.held += self.sightings.len() as u64;
@@ -280,14 +285,14 @@ impl Fusion {
         let forgotten = now.plus_ns(-self.params.late_window_ns);
         let known = self.tracks.len();
         let mut claims = Vec::new();
-        let mut seen = vec![false; known];
+        let mut measurement = vec![false; known];
         // Taken out meanwhile, so that none is copied.
         let mut sightings = std::mem::take(&mut self.sightings);
         for (sighting, decision) in sightings.iter_mut().zip(&decisions) {
-            let rides = rides && sighting.measurement.number != CARRIER_NUMBER;
-            if rides && self.riders.is_carrier(&sighting.subject, sighting.code) {
+            let is_mobile = is_mobile && sighting.measurement.number != CARRIER_NUMBER;
+            if is_mobile && self.mobile_cameras.is_carrier(&sighting.subject, sighting.code) {
                 self.counts.of_carriers += 1;
-                decision.iter().for_each(|&(track, _)| seen[track] = true);
+                decision.iter().for_each(|&(track, _)| measurement[track] = true);
                 continue;
             }
             let Some((track, innovation)) = *decision else {
@@ -296,13 +301,13 @@ impl Fusion {
                 }
                 continue;
             };
-            seen[track] = true;
+            measurement[track] = true;
             let track = &mut self.tracks[track];
             if self.trust.is_outranked(camera, track, sighting.measurement.time) {
                 self.counts.outranked += 1;
                 continue;
             }
-            if rides && self.riders.is_carrier(&track.subject, track.codes.leader()) {
+            if is_mobile && self.mobile_cameras.is_carrier(&track.subject, track.codes.leader()) {
                 self.counts.of_carriers += 1;
                 continue;
             }
@@ -312,9 +317,9 @@ impl Fusion {
             if self.clocks.is_estimating()
                 && let Some(comparison) = track.compare(&self.clocks)
             {
-                self.clocks.add(&comparison);
+                self.clocks.add_comparison(&comparison);
             }
-            track.history.forget(forgotten);
+            track.history.discard_before(forgotten);
             if matches!(inserted, Inserted::InOrder | Inserted::OutOfOrder) {
                 sighting.code.into_iter().for_each(|code| track.codes.add(code));
                 self.newest_used = self.newest_used.max(Some(sighting.measurement.time));
@@ -328,15 +333,15 @@ impl Fusion {
                 Inserted::TooLate => self.counts.late += 1,
                 Inserted::Duplicate => self.counts.duplicate += 1,
             }
-            if let Some(mark) = track.unheeded_mark() {
+            if let Some(mark) = track.unclaimed_mark() {
                 claims.push((track.id, mark, event));
             } else if let Some(event) = event {
-                self.tell(event);
+                self.push_event(event);
             }
         }
         self.sightings = sightings;
-        for (track, seen) in self.tracks[..known].iter_mut().zip(seen) {
-            if let Some(time) = whole.filter(|_| !seen) {
+        for (track, measurement) in self.tracks[..known].iter_mut().zip(measurement) {
+            if let Some(time) = complete_at.filter(|_| !measurement) {
                 track.miss(camera, time);
             }
         }
@@ -349,45 +354,46 @@ impl Fusion {
     /// to it.
     fn identify(&mut self, id: ObjectId, mark: Mark, event: Option<Event>, now: Timestamp) {
         let Some(index) = self.tracks.iter().position(|track| track.id == id) else { return };
-        self.tracks[index].identified = Some(mark);
+        self.tracks[index].claimed_mark = Some(mark);
         let fresh = (now, self.params.predicted_after_ns);
-        let (object, kind, elsewhere) =
-            match self.identities.claim(&self.tracks, index, mark, &self.trust, fresh) {
-                Claim::Own => return event.into_iter().for_each(|event| self.tell(event)),
-                Claim::Twice => {
+        let (object, kind, replaced) =
+            match self.id_registry.claim(&self.tracks, index, mark, &self.trust, fresh) {
+                Claim::Own => return event.into_iter().for_each(|event| self.push_event(event)),
+                Claim::Ambiguous => {
                     self.counts.ambiguous_codes += 1;
-                    return event.into_iter().for_each(|event| self.tell(event));
+                    return event.into_iter().for_each(|event| self.push_event(event));
                 }
-                Claim::Returned(object) => (object, EventKind::Appeared, None),
-                Claim::Elsewhere(other, object) => (object, EventKind::Recovered, Some(other)),
+                Claim::Reappeared(object) => (object, EventKind::Appeared, None),
+                Claim::Moved(other, object) => (object, EventKind::Recovered, Some(other)),
             };
         self.counts.returned += 1;
         let is_new = event.is_some_and(|event| event.kind == EventKind::Appeared);
         if !is_new {
             // It was told under another id, which ends here.
             let mut gone = self.tracks[index].clone();
-            let event = gone.lose(now);
+            let event = gone.mark_lost(now);
             self.end(gone, Some(event));
         }
         // Not named as lost any more.
         self.lost.retain(|lost| lost.id != object);
         self.tracks[index].id = object;
         let time = self.tracks[index].newest;
-        if let Some(other) = elsewhere {
+        if let Some(other) = replaced {
             self.tracks.remove(other);
         }
-        self.tell(Event { time, object, kind });
+        self.push_event(Event { time, object, kind });
     }
 
     /// Whether a sighting that fits no track is an error about one of the first `known`: its camera
     /// takes it for that object, and others see the object where it is expected.
-    fn is_contradiction(&mut self, seen: &Measurement, known: usize) -> bool {
-        let Some(track) = self.tracks[..known].iter().find(|track| track.is_continued_by(seen))
+    fn is_contradiction(&mut self, measurement: &Measurement, known: usize) -> bool {
+        let Some(track) =
+            self.tracks[..known].iter().find(|track| track.is_continued_by(measurement))
         else {
             return false;
         };
         self.counts.gated += 1;
-        let contradicted = track.is_witnessed_against(seen, &self.params);
+        let contradicted = track.is_contradicted(measurement, &self.params);
         self.counts.contradicted += u64::from(contradicted);
         contradicted
     }

@@ -22,7 +22,7 @@ use roundel_vision::{
 };
 
 /// The kind and code of a body that is known by these alone, and turned as they are.
-fn sole(shape: Option<&Body>) -> Option<(KindId, Code)> {
+fn single_roundel(shape: Option<&Body>) -> Option<(KindId, Code)> {
     let Body { mounts, .. } = shape?;
     let [Mount { kind, code: Some(code), object_from_roundel }] = mounts[..] else { return None };
     (object_from_roundel.rotation.angle() < 1e-9).then_some((kind, code))
@@ -32,17 +32,17 @@ impl Fusion {
     /// Says of bodies, those that [`Self::add_body`] gave and others, what they carry from now on, all at once, so that
     /// they may exchange roundels; without any roundel, one is only seen by its own camera. Tracks of all other objects
     /// go on. With an error, nothing is changed.
-    pub fn set_bodies(&mut self, fresh: &[(BodyId, Body)]) -> Result<(), BodyError> {
+    pub fn set_bodies(&mut self, changed: &[(BodyId, Body)]) -> Result<(), BodyError> {
         let before = self.bodies.clone();
-        self.bodies.replace(fresh)?;
-        for &(id, _) in fresh {
-            self.renew(id, &before);
+        self.bodies.replace(changed)?;
+        for &(id, _) in changed {
+            self.replace_body(id, &before);
         }
-        let mut mounts: Vec<_> = self.riders.mounts_mut().collect();
+        let mut mounts: Vec<_> = self.mobile_cameras.mounts_mut().collect();
         for mount in &mut mounts {
             let Carrier::Body(body) = mount.carrier else { continue };
-            if fresh.iter().any(|(id, _)| *id == body) {
-                let is_known = before.shape(body).is_some();
+            if changed.iter().any(|(id, _)| *id == body) {
+                let is_known = before.centred(body).is_some();
                 let origin_m = if is_known { before.origin_m(body) } else { Vector3::zeros() };
                 let moved_m = self.bodies.origin_m(body) - origin_m;
                 mount.object_from_camera.translation.vector += moved_m;
@@ -57,7 +57,7 @@ impl Fusion {
         let before = self.classes.insert(kind, class).unwrap_or_default();
         if before != class {
             let subject = Subject { kind: Some(kind), body: None };
-            self.floors.forget(&subject);
+            self.height_checks.forget(&subject);
             self.end_all(&subject);
         }
     }
@@ -72,67 +72,68 @@ impl Fusion {
         self.params
     }
 
-    fn renew(&mut self, id: BodyId, before: &Bodies) {
-        let (old, new) = (before.shape(id), self.bodies.shape(id));
+    fn replace_body(&mut self, id: BodyId, before: &Bodies) {
+        let (old, new) = (before.centred(id), self.bodies.centred(id));
         let subject = Subject { kind: old.as_ref().and_then(|_| before.kind(id)), body: Some(id) };
-        self.floors.forget(&subject);
+        self.height_checks.forget(&subject);
         if old == new {
             return;
         }
-        let (was, is) = (sole(old.as_ref()), sole(new.as_ref()));
+        let (old_single, new_single) = (single_roundel(old.as_ref()), single_roundel(new.as_ref()));
         let mark = (subject.kind, Mark::Body(id));
-        match was.filter(|_| new.as_ref().is_some_and(|new| new.mounts.is_empty())) {
+        match old_single.filter(|_| new.as_ref().is_some_and(|new| new.mounts.is_empty())) {
             Some((kind, code)) => {
-                self.identities.remove(Some(kind), Mark::Code(code));
-                self.identities.copy(mark, (Some(kind), Mark::Code(code)));
-                self.identities.remove(mark.0, mark.1);
+                self.id_registry.remove(Some(kind), Mark::Code(code));
+                self.id_registry.alias(mark, (Some(kind), Mark::Code(code)));
+                self.id_registry.remove(mark.0, mark.1);
                 let motion = old.map(|old| old.motion).unwrap_or_default();
-                self.release(id, (kind, code), motion);
+                self.follow_as_code(id, (kind, code), motion);
             }
             None => {
                 let kind = self.bodies.kind(id);
-                self.identities.copy(mark, (kind, Mark::Body(id)));
-                if let Some((kind, code)) = is {
+                self.id_registry.alias(mark, (kind, Mark::Body(id)));
+                if let Some((kind, code)) = new_single {
                     let mark = (Some(kind), Mark::Code(code));
-                    self.identities.copy(mark, (Some(kind), Mark::Body(id)));
+                    self.id_registry.alias(mark, (Some(kind), Mark::Body(id)));
                 }
             }
         }
         self.end_all(&subject);
-        if let Some((kind, code)) = is {
-            self.adopt(id, (kind, code), new.map(|new| new.motion).unwrap_or_default());
+        if let Some((kind, code)) = new_single {
+            self.follow_as_body(id, (kind, code), new.map(|new| new.motion).unwrap_or_default());
         }
     }
 
     /// Has the track of a code go on as that of the body that it belongs to.
-    fn adopt(&mut self, id: BodyId, (kind, code): (KindId, Code), motion: MotionClass) {
+    fn follow_as_body(&mut self, id: BodyId, (kind, code): (KindId, Code), motion: MotionClass) {
         let subject = Subject { kind: Some(kind), body: None };
         let class = self.classes.get(&kind).copied().unwrap_or_default();
-        let is_it = |track: &&mut super::Track| {
+        let is_followed = |track: &&mut super::Track| {
             track.subject == subject && track.codes.settled() == Some(code)
         };
-        let Some(track) = self.tracks.iter_mut().filter(is_it).max_by_key(|track| track.newest)
+        let Some(track) =
+            self.tracks.iter_mut().filter(is_followed).max_by_key(|track| track.newest)
         else {
             return;
         };
         let views = track.views.iter().map(|view| (view.camera, view.number, view.time));
-        self.bodies.know(code, views);
+        self.bodies.set_readings(code, views);
         if motion != class {
             let track = track.id;
             return self.end_where(|it| it.id == track);
         }
         track.subject.body = Some(id);
         track.model = self.bodies.model(id, &self.params);
-        track.identified = None;
+        track.claimed_mark = None;
         track.views.iter_mut().for_each(|view| view.number = body_number(id));
         track.refresh();
     }
 
     /// Has the track of a body go on as that of the code that it was known by.
-    fn release(&mut self, id: BodyId, (kind, code): (KindId, Code), motion: MotionClass) {
+    fn follow_as_code(&mut self, id: BodyId, (kind, code): (KindId, Code), motion: MotionClass) {
         let subject = Subject { kind: Some(kind), body: Some(id) };
         let class = self.classes.get(&kind).copied().unwrap_or_default();
-        if motion != class || self.bodies.with(kind, code).is_some() {
+        if motion != class || self.bodies.find_roundel(kind, code).is_some() {
             return;
         }
         let Some(track) = self.tracks.iter_mut().find(|track| track.subject == subject) else {
@@ -141,8 +142,8 @@ impl Fusion {
         track.subject.body = None;
         track.model = self.params.motion_model(&class);
         track.codes = CodeVote::default();
-        track.codes.settle(code);
-        track.identified = None;
+        track.codes.set(code);
+        track.claimed_mark = None;
         let bodies = &self.bodies;
         track.views.retain_mut(|view| {
             let number = bodies.number_at(view.camera, code);
@@ -160,7 +161,7 @@ impl Fusion {
         while let Some(index) = self.tracks.iter().position(&ends) {
             let mut gone = self.tracks.remove(index);
             let known = !gone.is_tentative();
-            let event = gone.lose(gone.newest);
+            let event = gone.mark_lost(gone.newest);
             self.end(gone, known.then_some(event));
         }
     }

@@ -19,8 +19,8 @@ impl Fusion {
     /// is to come, so its clock is exact until [`Self::set_clock`] says otherwise. Where it stands is not touched.
     pub fn forget_source(&mut self, camera: CameraId) {
         self.clocks.remove(camera);
-        self.anchors.forget(camera);
-        self.gaps.forget(camera);
+        self.stamp_corrector.forget(camera);
+        self.missing_frames.forget(camera);
         self.timeline.forget(camera);
     }
 }

@@ -4,12 +4,12 @@ use super::{Fusion, FusionCounts};
 use crate::world::{
     CameraPlacement, FrameObservations,
     association::Sighting,
-    camera_pose::Stand,
+    camera_pose::ExposurePose,
     identity::Subject,
-    measurement::{Lateness, measure},
+    measurement::{StampCorrection, measure},
     mobile_camera::Landmark,
-    mobile_camera::View,
-    mobile_camera::{CameraMount, Carrier, Ride, Unplaced},
+    mobile_camera::LocalizationInput,
+    mobile_camera::{CameraMount, Carrier, CarrierState, Unplaced},
 };
 use roundel_vision::{
     id::{CameraId, TrackNumber},
@@ -38,15 +38,15 @@ impl Fusion {
     /// Says what a camera rides on from now on, of bodies one that was added before; `None`: on nothing, it
     /// stands where [`Self::set_camera`] says.
     pub fn set_mount(&mut self, camera: CameraId, mount: Option<CameraMount>) {
-        self.clocks.set_aside(camera, mount.is_some());
+        self.clocks.set_moving(camera, mount.is_some());
         let mount = mount.map(|mount| self.on_what_is_followed(mount));
-        self.riders.set(camera, mount);
+        self.mobile_cameras.set(camera, mount);
     }
 
     /// A mount from the point that is followed; on a body, if that claims the roundel.
     fn on_what_is_followed(&self, mut mount: CameraMount) -> CameraMount {
         if let Carrier::Roundel { kind, code } = mount.carrier
-            && let Some((body, object_from_roundel)) = self.bodies.with(kind, code)
+            && let Some((body, object_from_roundel)) = self.bodies.find_roundel(kind, code)
         {
             mount.carrier = Carrier::Body(body);
             mount.object_from_camera = object_from_roundel * mount.object_from_camera;
@@ -69,11 +69,11 @@ impl Fusion {
         camera: CameraId,
         time: Timestamp,
     ) -> Result<CameraPlacement, Unplaced> {
-        if !self.riders.has(camera) {
+        if !self.mobile_cameras.contains(camera) {
             return self.cameras.get(&camera).copied().ok_or(Unplaced::Unknown);
         }
         let (world_from_camera, covariance) =
-            self.riders.ride(camera, &mut self.tracks, (time, 0.0))?.now();
+            self.mobile_cameras.carrier_state(camera, &mut self.tracks, (time, 0.0))?.mean_pose();
         Ok(CameraPlacement { world_from_camera, covariance })
     }
 
@@ -81,15 +81,17 @@ impl Fusion {
     pub(super) fn localize(
         &mut self,
         frame: &FrameObservations,
-        late: Lateness,
+        correction: StampCorrection,
         now: Timestamp,
     ) -> Vec<TrackNumber> {
-        let (camera, time) = (frame.camera, late.corrected(frame.capture_time));
-        let ride = self.ride(camera, time).ok();
-        let Some(rider) = self.riders.get_mut(camera).filter(|rider| rider.mount.localizes) else {
+        let (camera, time) = (frame.camera, correction.corrected(frame.capture_time));
+        let carrier = self.carrier_state(camera, time).ok();
+        let Some(mobile) =
+            self.mobile_cameras.get_mut(camera).filter(|mobile| mobile.mount.localizes)
+        else {
             return Vec::new();
         };
-        let (mount, landmarks, params) = (rider.mount, &self.landmarks[..], &self.params);
+        let (mount, landmarks, params) = (mobile.mount, &self.landmarks[..], &self.params);
         let (subject, code) = match mount.carrier {
             Carrier::Roundel { kind, code } => {
                 (Subject { kind: Some(kind), body: None }, Some(code))
@@ -98,22 +100,35 @@ impl Fusion {
                 (Subject { kind: self.bodies.kind(body), body: Some(body) }, None)
             }
         };
-        let view = View { frame, late, mount, subject, code, ride, landmarks, params };
-        let found = rider.localizer.localize(&view);
+        let view = LocalizationInput {
+            frame,
+            correction,
+            mount,
+            subject,
+            code,
+            carrier,
+            landmarks,
+            params,
+        };
+        let found = mobile.localizer.localize(&view);
         self.counts.of_landmarks += found.landmarks.len() as u64;
         self.sightings.clear();
         self.sightings.extend(found.sighting);
         if found.sighting.is_some() {
             self.counts.localized += 1;
-            self.apply(camera, None, now);
+            self.assign(camera, None, now);
         }
         found.landmarks
     }
 
-    fn ride(&mut self, camera: CameraId, time: Timestamp) -> Result<Ride, Unplaced> {
+    fn carrier_state(
+        &mut self,
+        camera: CameraId,
+        time: Timestamp,
+    ) -> Result<CarrierState, Unplaced> {
         let clock = self.clocks.estimate(camera);
         let clock_s = clock.map_or(0.0, |clock| clock.deviation_s);
-        self.riders.ride(camera, &mut self.tracks, (time, clock_s))
+        self.mobile_cameras.carrier_state(camera, &mut self.tracks, (time, clock_s))
     }
 
     /// Where the camera is at the time of a frame, and what it rides on.
@@ -121,17 +136,19 @@ impl Fusion {
         &mut self,
         camera: CameraId,
         time: Timestamp,
-    ) -> Result<(Stand, Option<Ride>), Unplaced> {
-        if self.riders.has(camera) {
-            return self.ride(camera, time).map(|ride| (ride.at(time), Some(ride)));
+    ) -> Result<(ExposurePose, Option<CarrierState>), Unplaced> {
+        if self.mobile_cameras.contains(camera) {
+            return self
+                .carrier_state(camera, time)
+                .map(|carrier| (carrier.pose_at(time), Some(carrier)));
         }
         let placement = self.cameras.get(&camera).ok_or(Unplaced::Unknown)?;
-        let stand = Stand {
+        let camera_pose = ExposurePose {
             world_from_camera: placement.world_from_camera,
             systematic: placement.covariance,
             fresh: Covariance6::zeros(),
         };
-        Ok((stand, None))
+        Ok((camera_pose, None))
     }
 
     /// Turns the frame's detections into sightings, but for those of landmarks; false if the camera's
@@ -139,17 +156,18 @@ impl Fusion {
     pub(super) fn collect(
         &mut self,
         frame: &FrameObservations,
-        late: Lateness,
+        correction: StampCorrection,
         now: Timestamp,
         landmarks: &[TrackNumber],
     ) -> bool {
-        let (mut stand, ride) = match self.place(frame.camera, late.corrected(frame.capture_time)) {
-            Ok(place) => place,
-            Err(reason) => {
-                self.counts.count_unplaced(reason, frame.detections.len() - landmarks.len());
-                return false;
-            }
-        };
+        let (mut camera_pose, carrier) =
+            match self.place(frame.camera, correction.corrected(frame.capture_time)) {
+                Ok(place) => place,
+                Err(reason) => {
+                    self.counts.count_unplaced(reason, frame.detections.len() - landmarks.len());
+                    return false;
+                }
+            };
         self.sightings.clear();
         self.numbers.clear();
         for detection in &frame.detections {
@@ -161,33 +179,35 @@ impl Fusion {
                 self.counts.invalid += 1;
                 continue;
             }
-            if now.ns_since(late.corrected(detection.capture_time)) > self.params.late_window_ns {
+            if now.ns_since(correction.corrected(detection.capture_time))
+                > self.params.late_window_ns
+            {
                 self.counts.late += 1;
                 continue;
             }
-            if self.numbers.contains(&detection.track) || self.bodies.has_seen(detection.track) {
+            if self.numbers.contains(&detection.track) || self.bodies.has_part(detection.track) {
                 self.counts.duplicate += 1;
                 continue;
             }
             let source = (frame.camera, frame.frame);
             let ring = &detection.ring;
             let code = ring.code.map(|reading| reading.code);
-            if let Some(ride) = &ride {
-                stand = ride.at(late.corrected(detection.capture_time));
+            if let Some(carrier) = &carrier {
+                camera_pose = carrier.pose_at(correction.corrected(detection.capture_time));
             }
-            if self.take_part(detection, source, &stand, (late, now)) {
+            if self.take_part(detection, source, &camera_pose, (correction, now)) {
                 continue;
             }
-            match measure(detection, source, &stand, late, &self.params) {
+            match measure(detection, source, &camera_pose, correction, &self.params) {
                 Ok(measurement) => {
                     let subject = Subject { kind: ring.kind, body: None };
                     self.numbers.push(detection.track);
                     self.sightings.push(Sighting { subject, code, measurement });
                 }
-                Err(refused) => self.counts.count_refused(refused),
+                Err(reject) => self.counts.count_refused(reject),
             }
         }
-        self.join_parts(&stand);
+        self.join_parts(&camera_pose);
         true
     }
 }

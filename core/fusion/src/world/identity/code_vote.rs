@@ -8,7 +8,7 @@
 use roundel_vision::marker::Code;
 
 /// As many readings of another code, less what speaks for the candidate meanwhile, change it.
-const MOST_LEAD: u32 = 60;
+const MAX_LEAD: u32 = 60;
 
 /// Readings, less those of others, after which a code is settled.
 const SETTLED_LEAD: u32 = 3;
@@ -19,32 +19,32 @@ pub(in crate::world) struct CodeVote {
     candidate: Option<Code>,
     lead: u32,
     /// Readings of others since that of the candidate.
-    contrary: u32,
+    contradictions: u32,
 }
 
 impl CodeVote {
     /// Counts a reading.
     pub(in crate::world) fn add(&mut self, code: Code) {
         if self.candidate == Some(code) {
-            self.lead = (self.lead + 1).min(MOST_LEAD);
-            self.contrary = 0;
+            self.lead = (self.lead + 1).min(MAX_LEAD);
+            self.contradictions = 0;
         } else if self.lead > 0 {
             self.lead -= 1;
-            self.contrary += 1;
+            self.contradictions += 1;
         } else {
-            *self = Self { candidate: Some(code), lead: 1, contrary: 0 };
+            *self = Self { candidate: Some(code), lead: 1, contradictions: 0 };
         }
     }
 
     /// Takes a code for granted, which others have settled.
-    pub(in crate::world) fn settle(&mut self, code: Code) {
-        *self = Self { candidate: Some(code), lead: SETTLED_LEAD, contrary: 0 };
+    pub(in crate::world) fn set(&mut self, code: Code) {
+        *self = Self { candidate: Some(code), lead: SETTLED_LEAD, contradictions: 0 };
     }
 
     /// Takes over what another track of the same object was seen with.
-    pub(in crate::world) fn join(&mut self, other: &Self) {
+    pub(in crate::world) fn merge(&mut self, other: &Self) {
         if self.candidate == other.candidate {
-            self.lead = (self.lead + other.lead).min(MOST_LEAD);
+            self.lead = (self.lead + other.lead).min(MAX_LEAD);
         } else if self.lead < other.lead {
             *self = Self { lead: other.lead - self.lead, ..*other };
         } else {
@@ -61,8 +61,8 @@ impl CodeVote {
     }
 
     /// Readings of other codes since its own was read last: one is misread, several are another object.
-    pub(in crate::world) fn contrary(&self) -> u32 {
-        self.contrary
+    pub(in crate::world) fn contradictions(&self) -> u32 {
+        self.contradictions
     }
 
     /// What was read most, if that is beyond doubt.
@@ -108,20 +108,20 @@ mod tests {
 
     #[test]
     fn what_is_read_again_was_misread_meanwhile() {
-        assert_eq!(vote([7, 7, 7, 9, 9]).contrary(), 2);
-        assert_eq!(vote([7, 7, 7, 9, 9, 7]).contrary(), 0);
+        assert_eq!(vote([7, 7, 7, 9, 9]).contradictions(), 2);
+        assert_eq!(vote([7, 7, 7, 9, 9, 7]).contradictions(), 0);
     }
 
     #[test]
     fn joined_tracks_have_what_most_of_both_have() {
-        let join = |a: &[u16], b: &[u16]| {
+        let merge = |a: &[u16], b: &[u16]| {
             let mut joined = vote(a.iter().copied());
-            joined.join(&vote(b.iter().copied()));
+            joined.merge(&vote(b.iter().copied()));
             leader(&joined)
         };
-        assert_eq!(join(&[], &[7]), Some(7));
-        assert_eq!(join(&[7], &[]), Some(7));
-        assert_eq!(join(&[7], &[9, 9, 9]), Some(9));
-        assert_eq!(join(&[7, 7], &[9]), Some(7));
+        assert_eq!(merge(&[], &[7]), Some(7));
+        assert_eq!(merge(&[7], &[]), Some(7));
+        assert_eq!(merge(&[7], &[9, 9, 9]), Some(9));
+        assert_eq!(merge(&[7, 7], &[9]), Some(7));
     }
 }

@@ -3,7 +3,7 @@
 
 use nalgebra::Vector3;
 
-use crate::track::Estimate;
+use crate::track::FilterState;
 use roundel_vision::time::Timestamp;
 
 /// Where an object about is, as its agile filter has it.
@@ -20,13 +20,13 @@ pub(in crate::world) struct Coarse {
 
 impl Coarse {
     /// Of an estimate that grows by these densities.
-    pub(in crate::world) fn of(estimate: &Estimate, density_m2_s3: &Vector3<f64>) -> Self {
+    pub(in crate::world) fn of(estimate: &FilterState, density_m2_s3: &Vector3<f64>) -> Self {
         let filter = estimate.motion.agile();
         Self {
             time: estimate.time,
             position_m: filter.position_m,
-            velocity_m_s: filter.kernel.rate,
-            spread: filter.kernel.told_traces(),
+            velocity_m_s: filter.kalman.rate,
+            spread: filter.kalman.reported_traces(),
             density_m2_s3: density_m2_s3.sum(),
         }
     }
@@ -45,7 +45,7 @@ impl Coarse {
     }
 
     /// Root of the sum of the position's variances, metres, at most, up to `span_s` before or after.
-    pub(in crate::world) fn most_deviation_m(&self, span_s: f64) -> f64 {
+    pub(in crate::world) fn max_deviation_m(&self, span_s: f64) -> f64 {
         let (value, cross, rate) = self.spread;
         let span = span_s.abs();
         let grown = self.density_m2_s3 * span * span * span / 3.0;

@@ -16,7 +16,7 @@ use roundel_vision::{
 
 /// The ids of all codes that were ever settled, and of all bodies that were ever seen.
 #[derive(Clone, Debug, Default)]
-pub(in crate::world) struct Identities {
+pub(in crate::world) struct IdRegistry {
     by_mark: BTreeMap<(Option<KindId>, Mark), ObjectId>,
 }
 
@@ -26,26 +26,26 @@ pub(in crate::world) enum Claim {
     /// It is its own.
     Own,
     /// It is that of an object that no track carries.
-    Returned(ObjectId),
+    Reappeared(ObjectId),
     /// It is that of the track with this index, which is not seen now.
-    Elsewhere(usize, ObjectId),
+    Moved(usize, ObjectId),
     /// It is that of another track that is seen as well.
-    Twice,
+    Ambiguous,
 }
 
-impl Identities {
+impl IdRegistry {
     /// The object that goes by a mark.
-    pub(in crate::world) fn of(&self, kind: Option<KindId>, mark: Mark) -> Option<ObjectId> {
+    pub(in crate::world) fn id_of(&self, kind: Option<KindId>, mark: Mark) -> Option<ObjectId> {
         self.by_mark.get(&(kind, mark)).copied()
     }
 
     /// Has an object go by another mark, unless that is another object's.
-    pub(in crate::world) fn copy(
+    pub(in crate::world) fn alias(
         &mut self,
         from: (Option<KindId>, Mark),
         to: (Option<KindId>, Mark),
     ) {
-        if let Some(id) = self.of(from.0, from.1) {
+        if let Some(id) = self.id_of(from.0, from.1) {
             self.by_mark.entry(to).or_insert(id);
         }
     }
@@ -71,15 +71,15 @@ impl Identities {
             return Claim::Own;
         }
         match tracks.iter().position(|other| other.id == id) {
-            None => Claim::Returned(id),
+            None => Claim::Reappeared(id),
             Some(other) => {
                 let newest = tracks[other].newest;
-                let is_moved = track.subject.body.is_some() && newest < track.first;
+                let is_other_track_old = track.subject.body.is_some() && newest < track.first;
                 let is_outranked = trust.of_track(&tracks[other]) < trust.of_track(track);
-                if is_moved || is_outranked || now.ns_since(newest) > fresh_ns {
-                    Claim::Elsewhere(other, id)
+                if is_other_track_old || is_outranked || now.ns_since(newest) > fresh_ns {
+                    Claim::Moved(other, id)
                 } else {
-                    Claim::Twice
+                    Claim::Ambiguous
                 }
             }
         }

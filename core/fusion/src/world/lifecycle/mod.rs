@@ -7,7 +7,7 @@ mod track;
 mod trust;
 
 pub(super) use coarse::Coarse;
-pub(super) use id_registry::{Claim, Identities};
-pub(super) use merge::find;
-pub(super) use track::{Track, View};
+pub(super) use id_registry::{Claim, IdRegistry};
+pub(super) use merge::find_duplicates;
+pub(super) use track::{CameraView, Track};
 pub(super) use trust::{DEFAULT_TRUST, Trust};

@@ -9,7 +9,9 @@
 //! hits, dropped below [`DROPPED_SCORE`].
 
 use super::coarse::Coarse;
-use crate::track::{Estimate, History, Innovation, Inserted, Measurement, MotionModel, TakenBack};
+use crate::track::{
+    FilterState, History, Innovation, Inserted, Measurement, MotionModel, Retraction,
+};
 use crate::world::{
     Event, EventKind, FusionParams, LifeStage,
     clock::Clocks,
@@ -30,15 +32,15 @@ const MISS_SCORE: f64 = -2.0;
 /// -ln λ: one false detection a frame in 100 m³.
 const CLUTTER_SCORE: f64 = 4.6;
 /// A camera that contradicts all others for longer than this is believed to see something else.
-const CONTRADICTION_NS: i64 = 1_000_000_000;
+const MAX_CONTRADICTION_NS: i64 = 1_000_000_000;
 /// Cameras that saw it within this time are those that a time is compared with.
-const COMPARED_NS: i64 = 1_000_000_000;
+const SEEN_TOGETHER_NS: i64 = 1_000_000_000;
 /// ln 2π · 3 / 2.
 const GAUSS_CONSTANT: f64 = 2.756_815_6;
 
 /// A camera's last sight of a track.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::world) struct View {
+pub(in crate::world) struct CameraView {
     pub(in crate::world) camera: CameraId,
     pub(in crate::world) number: TrackNumber,
     pub(in crate::world) frame: u64,
@@ -60,13 +62,13 @@ pub(in crate::world) struct Track {
     pub(in crate::world) newest: Timestamp,
     pub(in crate::world) observations: u64,
     /// By camera.
-    pub(in crate::world) views: Vec<View>,
+    pub(in crate::world) views: Vec<CameraView>,
     /// Tracks that a camera saw beside this one.
-    pub(in crate::world) apart: Vec<ObjectId>,
+    pub(in crate::world) distinct_from: Vec<ObjectId>,
     /// What has said whose id it has.
-    pub(in crate::world) identified: Option<Mark>,
+    pub(in crate::world) claimed_mark: Option<Mark>,
     /// When its cameras' views were compared last.
-    compared: Option<Timestamp>,
+    last_comparison: Option<Timestamp>,
     score: f64,
 }
 
@@ -84,7 +86,7 @@ impl Track {
             codes: CodeVote::default(),
             stage: LifeStage::Tentative,
             coarse: Coarse::of(
-                &Estimate::begin(&measurement, &model),
+                &FilterState::begin(&measurement, &model),
                 &model.acceleration_density_m2_s3,
             ),
             history: History::begin(measurement, &model),
@@ -92,10 +94,10 @@ impl Track {
             first: measurement.time,
             newest: measurement.time,
             observations: 1,
-            views: vec![view(&measurement)],
-            apart: Vec::new(),
-            identified: None,
-            compared: None,
+            views: vec![camera_view(&measurement)],
+            distinct_from: Vec::new(),
+            claimed_mark: None,
+            last_comparison: None,
             score: 0.0,
         }
     }
@@ -105,27 +107,27 @@ impl Track {
     }
 
     /// A settled code of a trusted track, or its body, that nothing has followed from yet.
-    pub(in crate::world) fn unheeded_mark(&self) -> Option<Mark> {
+    pub(in crate::world) fn unclaimed_mark(&self) -> Option<Mark> {
         let settled = match self.subject.body {
             Some(body) => Some(Mark::Body(body)),
             None => self.codes.settled().map(Mark::Code),
         };
-        settled.filter(|_| !self.is_tentative() && self.identified != settled)
+        settled.filter(|_| !self.is_tentative() && self.claimed_mark != settled)
     }
 
     /// Whether the camera's tracker says that this is the roundel it saw as this track before.
-    pub(in crate::world) fn is_continued_by(&self, seen: &Measurement) -> bool {
-        self.is_known_as(seen.camera, seen.number)
+    pub(in crate::world) fn is_continued_by(&self, measurement: &Measurement) -> bool {
+        self.is_known_as(measurement.camera, measurement.number)
     }
 
     /// Whether the camera saw it under this number last.
     pub(in crate::world) fn is_known_as(&self, camera: CameraId, number: TrackNumber) -> bool {
-        self.view(camera).is_ok_and(|index| self.views[index].number == number)
+        self.view_index(camera).is_ok_and(|index| self.views[index].number == number)
     }
 
     /// When a camera saw it last.
     pub(in crate::world) fn seen_by(&self, camera: CameraId) -> Option<Timestamp> {
-        self.view(camera).ok().map(|index| self.views[index].time)
+        self.view_index(camera).ok().map(|index| self.views[index].time)
     }
 
     /// Cameras that saw it at or after `since`; whoever measured it then is among them.
@@ -134,9 +136,9 @@ impl Track {
     }
 
     /// Takes back what a camera measured from `since` on.
-    pub(in crate::world) fn take_back(&mut self, camera: CameraId, since: Timestamp) -> TakenBack {
-        let taken = self.history.take_back(camera, since, &self.model);
-        if matches!(taken, TakenBack::All(count) if count > 0) {
+    pub(in crate::world) fn retract(&mut self, camera: CameraId, since: Timestamp) -> Retraction {
+        let taken = self.history.retract(camera, since, &self.model);
+        if matches!(taken, Retraction::Removed(count) if count > 0) {
             self.newest = self.history.newest_time();
             self.refresh();
         }
@@ -146,41 +148,44 @@ impl Track {
     /// Whether a measurement that its camera takes for this object, but that does not fit, is the
     /// camera's error (a ring half covered, the other normal): another camera sees the object now, and
     /// not long ago this one agreed with it.
-    pub(in crate::world) fn is_witnessed_against(
+    pub(in crate::world) fn is_contradicted(
         &self,
-        seen: &Measurement,
+        measurement: &Measurement,
         params: &FusionParams,
     ) -> bool {
-        let within = |view: &View, span_ns: i64| seen.time.ns_since(view.time) <= span_ns;
-        let agreed =
-            self.view(seen.camera).is_ok_and(|index| within(&self.views[index], CONTRADICTION_NS));
-        let is_witness =
-            |view: &View| view.camera != seen.camera && within(view, params.predicted_after_ns);
+        let within =
+            |view: &CameraView, span_ns: i64| measurement.time.ns_since(view.time) <= span_ns;
+        let agreed = self
+            .view_index(measurement.camera)
+            .is_ok_and(|index| within(&self.views[index], MAX_CONTRADICTION_NS));
+        let is_witness = |view: &CameraView| {
+            view.camera != measurement.camera && within(view, params.predicted_after_ns)
+        };
         agreed && !self.is_tentative() && self.views.iter().any(is_witness)
     }
 
     /// How far the measurement's time may be off from those of the other cameras that see this, seconds. A
     /// clock that was just set makes its own camera's times uncertain, not those of the others.
-    pub(in crate::world) fn timing_s(&self, seen: &Measurement, clocks: &Clocks) -> f64 {
+    pub(in crate::world) fn timing_s(&self, measurement: &Measurement, clocks: &Clocks) -> f64 {
         if !clocks.is_estimating() {
             return 0.0;
         }
-        let is_other = |view: &&View| {
-            view.camera != seen.camera
-                && seen.time.ns_since(view.time).saturating_abs() < COMPARED_NS
-                && !clocks.is_doubtful(view.camera, seen.camera)
+        let is_other = |view: &&CameraView| {
+            view.camera != measurement.camera
+                && measurement.time.ns_since(view.time).saturating_abs() < SEEN_TOGETHER_NS
+                && !clocks.is_less_certain(view.camera, measurement.camera)
         };
         let others = self.views.iter().filter(is_other);
-        others.map(|view| clocks.deviation_s(seen.camera, view.camera)).fold(0.0, f64::max)
+        others.map(|view| clocks.deviation_s(measurement.camera, view.camera)).fold(0.0, f64::max)
     }
 
     /// The cameras' views of this held against one another, from time to time.
     pub(in crate::world) fn compare(&mut self, clocks: &Clocks) -> Option<Comparison> {
         let now = self.history.newest_time();
-        if self.compared.is_some_and(|time| now.ns_since(time) < clock::WINDOW_NS) {
+        if self.last_comparison.is_some_and(|time| now.ns_since(time) < clock::WINDOW_NS) {
             return None;
         }
-        self.compared = Some(now);
+        self.last_comparison = Some(now);
         (!self.is_tentative())
             .then(|| clock::compare(&self.history, now, clocks, self.model.systematic_time_s))
             .flatten()
@@ -189,25 +194,27 @@ impl Track {
     /// Takes in a measurement; gives what became of it and what happened to the track.
     pub(in crate::world) fn observe(
         &mut self,
-        seen: &Measurement,
+        measurement: &Measurement,
         innovation: &Innovation,
         params: &FusionParams,
     ) -> (Inserted, Option<Event>) {
-        let inserted = self.history.insert(seen, &self.model);
+        let inserted = self.history.insert(measurement, &self.model);
         self.refresh();
         if matches!(inserted, Inserted::TooLate | Inserted::Duplicate) {
             return (inserted, None);
         }
         self.observations += 1;
-        self.first = self.first.min(seen.time);
-        let is_newest = seen.time > self.newest;
-        self.newest = self.newest.max(seen.time);
-        match self.view(seen.camera) {
-            Ok(index) if self.views[index].time <= seen.time => self.views[index] = view(seen),
+        self.first = self.first.min(measurement.time);
+        let is_newest = measurement.time > self.newest;
+        self.newest = self.newest.max(measurement.time);
+        match self.view_index(measurement.camera) {
+            Ok(index) if self.views[index].time <= measurement.time => {
+                self.views[index] = camera_view(measurement)
+            }
             Ok(_) => {}
-            Err(index) => self.views.insert(index, view(seen)),
+            Err(index) => self.views.insert(index, camera_view(measurement)),
         }
-        let happened = match self.stage {
+        let kind = match self.stage {
             LifeStage::Tentative => {
                 self.score += CLUTTER_SCORE
                     - GAUSS_CONSTANT
@@ -219,10 +226,10 @@ impl Track {
             LifeStage::Predicted => is_newest.then_some(EventKind::Recovered),
             LifeStage::Tracked | LifeStage::Lost => None,
         };
-        if happened.is_some() {
+        if kind.is_some() {
             self.stage = LifeStage::Tracked;
         }
-        let event = happened.map(|kind| Event { time: seen.time, object: self.id, kind });
+        let event = kind.map(|kind| Event { time: measurement.time, object: self.id, kind });
         (inserted, event)
     }
 
@@ -233,7 +240,8 @@ impl Track {
 
     /// A frame of this camera did not show the track.
     pub(in crate::world) fn miss(&mut self, camera: CameraId, time: Timestamp) {
-        if self.is_tentative() && self.view(camera).is_ok_and(|index| self.views[index].time < time)
+        if self.is_tentative()
+            && self.view_index(camera).is_ok_and(|index| self.views[index].time < time)
         {
             self.score += MISS_SCORE;
         }
@@ -251,7 +259,7 @@ impl Track {
             return if ends { Err(None) } else { Ok(None) };
         }
         if unseen_ns > params.lost_after_ns {
-            return Err(Some(self.lose(self.newest.plus_ns(params.lost_after_ns))));
+            return Err(Some(self.mark_lost(self.newest.plus_ns(params.lost_after_ns))));
         }
         if self.stage == LifeStage::Tracked && unseen_ns > params.predicted_after_ns {
             self.stage = LifeStage::Predicted;
@@ -262,27 +270,32 @@ impl Track {
     }
 
     /// Gives the track up.
-    pub(in crate::world) fn lose(&mut self, time: Timestamp) -> Event {
+    pub(in crate::world) fn mark_lost(&mut self, time: Timestamp) -> Event {
         self.stage = LifeStage::Lost;
         Event { time, object: self.id, kind: EventKind::Lost }
     }
 
     /// Takes over how cameras number a track that is the same object.
     pub(in crate::world) fn adopt_views(&mut self, other: &Track) {
-        for seen in &other.views {
-            match self.view(seen.camera) {
-                Ok(index) if self.views[index].time < seen.time => self.views[index] = *seen,
+        for view in &other.views {
+            match self.view_index(view.camera) {
+                Ok(index) if self.views[index].time < view.time => self.views[index] = *view,
                 Ok(_) => {}
-                Err(index) => self.views.insert(index, *seen),
+                Err(index) => self.views.insert(index, *view),
             }
         }
     }
 
-    fn view(&self, camera: CameraId) -> Result<usize, usize> {
+    fn view_index(&self, camera: CameraId) -> Result<usize, usize> {
         self.views.binary_search_by_key(&camera, |view| view.camera)
     }
 }
 
-fn view(seen: &Measurement) -> View {
-    View { camera: seen.camera, number: seen.number, frame: seen.frame, time: seen.time }
+fn camera_view(measurement: &Measurement) -> CameraView {
+    CameraView {
+        camera: measurement.camera,
+        number: measurement.number,
+        frame: measurement.frame,
+        time: measurement.time,
+    }
 }

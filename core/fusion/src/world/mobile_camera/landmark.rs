@@ -36,13 +36,13 @@ pub const TURN_SIGMA_RAD: f64 = 0.01;
 /// Gauss and Newton's steps from each start.
 const STEPS: usize = 8;
 /// A step shorter than this ends them, m and rad.
-const SHORT: f64 = 1e-7;
+const MIN_STEP: f64 = 1e-7;
 /// Two ends no further apart than this are one, squared Mahalanobis length.
 const SAME_SQUARED: f64 = 4.0;
 /// A landmark further off than this is something else (χ², 6 degrees of freedom, 1 - 10⁻⁸).
 const OUTLIER_SQUARED: f64 = 50.0;
 /// A camera whose rotation is known no better than this, rms, has no place, radians.
-const MOST_TURN_RAD: f64 = 0.3;
+const MAX_ROTATION_DEVIATION_RAD: f64 = 0.3;
 
 /// A roundel whose place in the world is known.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -77,7 +77,7 @@ impl Landmark {
 
 /// A landmark as it is seen, in the camera's frame at one instant.
 #[derive(Clone, Debug)]
-pub(in crate::world) struct Pair {
+pub(in crate::world) struct LandmarkMatch {
     pub(in crate::world) landmark: Landmark,
     pub(in crate::world) number: TrackNumber,
     pub(in crate::world) pose: RoundelPose,
@@ -85,41 +85,46 @@ pub(in crate::world) struct Pair {
 
 /// A place that explains what is seen.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::world) struct Solution {
+pub(in crate::world) struct PoseSolution {
     pub(in crate::world) world_from_camera: Rigid,
     /// From what cameras see, and from where the landmarks are.
-    pub(in crate::world) seen: Covariance6,
-    pub(in crate::world) placed: Covariance6,
+    pub(in crate::world) observed: Covariance6,
+    pub(in crate::world) stated_covariance: Covariance6,
     /// -2 ln likelihood, up to a constant.
     pub(in crate::world) cost: f64,
 }
 
-impl Solution {
+impl PoseSolution {
     pub(in crate::world) fn covariance(&self) -> Covariance6 {
-        self.seen + self.placed
+        self.observed + self.stated_covariance
     }
 }
 
 /// One detection's say, given where the camera is.
-struct Say {
+struct Residual {
     error: Vector6<f64>,
     jacobian: Matrix6<f64>,
-    seen: Covariance6,
-    placed: Covariance6,
+    observed: Covariance6,
+    stated_covariance: Covariance6,
     weight: Matrix6<f64>,
     cost: f64,
 }
 
 /// The places that explain what is seen of landmarks, the best first, two at most; none if it contradicts
 /// itself or says too little. Landmarks that fit with no others are taken out of `pairs`.
-pub(in crate::world) fn solve(pairs: &mut Vec<Pair>, expected: Option<&Rigid>) -> Vec<Solution> {
+pub(in crate::world) fn solve_camera_pose(
+    pairs: &mut Vec<LandmarkMatch>,
+    expected: Option<&Rigid>,
+) -> Vec<PoseSolution> {
     loop {
-        let mut solutions = ends(pairs, expected);
+        let mut solutions = solutions(pairs, expected);
         let Some(best) = solutions.first() else { return solutions };
         let worst = pairs
             .iter()
             .enumerate()
-            .filter_map(|(index, pair)| Some((index, say(pair, &best.world_from_camera)?.cost)))
+            .filter_map(|(index, pair)| {
+                Some((index, residual(pair, &best.world_from_camera)?.cost))
+            })
             .max_by(|one, other| one.1.total_cmp(&other.1));
         match worst {
             Some((index, cost)) if cost > OUTLIER_SQUARED => {
@@ -137,27 +142,28 @@ pub(in crate::world) fn solve(pairs: &mut Vec<Pair>, expected: Option<&Rigid>) -
     }
 }
 
-fn ends(pairs: &[Pair], expected: Option<&Rigid>) -> Vec<Solution> {
+fn solutions(pairs: &[LandmarkMatch], expected: Option<&Rigid>) -> Vec<PoseSolution> {
     let mut starts: Vec<Rigid> = expected.copied().into_iter().collect();
     for pair in
         pairs.iter().filter(|pair| pair.pose.yaw_rad.is_some() && pair.pose.yaw_symmetry == 1)
     {
         let Some(turned) = pair.landmark.orientation else { continue };
-        starts.extend(orientations(&pair.pose).map(|seen| {
-            let rotation = turned * seen.inverse();
+        starts.extend(orientations(&pair.pose).map(|observed| {
+            let rotation = turned * observed.inverse();
             let origin_m = pair.landmark.position_m - rotation * pair.pose.position_m;
             Rigid::from_parts(origin_m.into(), rotation)
         }));
     }
     let world_m: Vec<_> = pairs.iter().map(|pair| pair.landmark.position_m).collect();
-    let seen: Vec<_> = pairs.iter().map(|pair| reference::Sighting::from(&pair.pose)).collect();
-    starts.extend(align(&world_m, &seen).map(|placement| placement.world_from_camera));
-    let mut found: Vec<Solution> = Vec::new();
-    for end in starts.into_iter().filter_map(|start| descend(pairs, start)) {
-        let is_same = |other: &&mut Solution| {
-            let apart = apart(&end.world_from_camera, &other.world_from_camera);
+    let observed: Vec<_> = pairs.iter().map(|pair| reference::Sighting::from(&pair.pose)).collect();
+    starts.extend(align(&world_m, &observed).map(|placement| placement.world_from_camera));
+    let mut found: Vec<PoseSolution> = Vec::new();
+    for end in starts.into_iter().filter_map(|start| gauss_newton(pairs, start)) {
+        let is_same = |other: &&mut PoseSolution| {
+            let pose_difference = pose_difference(&end.world_from_camera, &other.world_from_camera);
             let spread = end.covariance() + other.covariance();
-            mahalanobis_squared(&apart, &spread).is_some_and(|square| square < SAME_SQUARED)
+            mahalanobis_squared(&pose_difference, &spread)
+                .is_some_and(|square| square < SAME_SQUARED)
         };
         match found.iter_mut().find(is_same) {
             Some(other) if end.cost < other.cost => *other = end,
@@ -170,49 +176,56 @@ fn ends(pairs: &[Pair], expected: Option<&Rigid>) -> Vec<Solution> {
 }
 
 /// From one place to another: translation, and rotation vector in the world.
-pub(in crate::world) fn apart(from: &Rigid, to: &Rigid) -> Vector6<f64> {
+pub(in crate::world) fn pose_difference(from: &Rigid, to: &Rigid) -> Vector6<f64> {
     let moved = to.translation.vector - from.translation.vector;
     let turned = (to.rotation * from.rotation.inverse()).scaled_axis();
     Vector6::new(moved.x, moved.y, moved.z, turned.x, turned.y, turned.z)
 }
 
-fn descend(pairs: &[Pair], mut place: Rigid) -> Option<Solution> {
+fn gauss_newton(pairs: &[LandmarkMatch], mut place: Rigid) -> Option<PoseSolution> {
     for _ in 0..STEPS {
         let (mut information, mut gradient) = (Matrix6::zeros(), Vector6::zeros());
         for pair in pairs {
-            let say = say(pair, &place)?;
-            let weighted = say.jacobian.transpose() * say.weight;
-            information += weighted * say.jacobian;
-            gradient += weighted * say.error;
+            let residual = residual(pair, &place)?;
+            let weighted = residual.jacobian.transpose() * residual.weight;
+            information += weighted * residual.jacobian;
+            gradient += weighted * residual.error;
         }
         let step = information.cholesky()?.solve(&gradient);
         let turn = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(3).into_owned());
         let moved_m = place.translation.vector + step.fixed_rows::<3>(0);
         place = Rigid::from_parts(moved_m.into(), turn * place.rotation);
-        if step.norm() < SHORT {
+        if step.norm() < MIN_STEP {
             break;
         }
     }
-    let says: Vec<Say> = pairs.iter().map(|pair| say(pair, &place)).collect::<Option<_>>()?;
+    let residuals: Vec<Residual> =
+        pairs.iter().map(|pair| residual(pair, &place)).collect::<Option<_>>()?;
     let mut information = Matrix6::zeros();
-    for say in &says {
-        information += say.jacobian.transpose() * say.weight * say.jacobian;
+    for residual in &residuals {
+        information += residual.jacobian.transpose() * residual.weight * residual.jacobian;
     }
     let inverse = information.cholesky()?.inverse();
-    let (mut seen, mut placed) = (Covariance6::zeros(), Covariance6::zeros());
-    for say in &says {
-        let gain = inverse * say.jacobian.transpose() * say.weight;
-        seen += gain * say.seen * gain.transpose();
-        placed += gain * say.placed * gain.transpose();
+    let (mut observed, mut stated_covariance) = (Covariance6::zeros(), Covariance6::zeros());
+    for residual in &residuals {
+        let gain = inverse * residual.jacobian.transpose() * residual.weight;
+        observed += gain * residual.observed * gain.transpose();
+        stated_covariance += gain * residual.stated_covariance * gain.transpose();
     }
-    let cost = says.iter().map(|say| say.cost).sum::<f64>();
-    let turn = (seen + placed).fixed_view::<3, 3>(3, 3).trace();
-    let is_sound = cost.is_finite() && turn < MOST_TURN_RAD * MOST_TURN_RAD;
-    is_sound.then_some(Solution { world_from_camera: place, seen, placed, cost })
+    let cost = residuals.iter().map(|residual| residual.cost).sum::<f64>();
+    let turn = (observed + stated_covariance).fixed_view::<3, 3>(3, 3).trace();
+    let is_valid_pose =
+        cost.is_finite() && turn < MAX_ROTATION_DEVIATION_RAD * MAX_ROTATION_DEVIATION_RAD;
+    is_valid_pose.then_some(PoseSolution {
+        world_from_camera: place,
+        observed,
+        stated_covariance,
+        cost,
+    })
 }
 
 /// By the normal that suits the place better.
-fn say(pair: &Pair, place: &Rigid) -> Option<Say> {
+fn residual(pair: &LandmarkMatch, place: &Rigid) -> Option<Residual> {
     let (pose, landmark) = (&pair.pose, &pair.landmark);
     let arm_m = place.rotation * pose.position_m;
     let error_m = landmark.position_m - arm_m - place.translation.vector;
@@ -221,61 +234,71 @@ fn say(pair: &Pair, place: &Rigid) -> Option<Say> {
     let turned = rotate_covariance(&place.rotation, &pose.covariance);
     let variance = landmark.position_deviation_m * landmark.position_deviation_m;
     let angle_variance = landmark.orientation_deviation_rad * landmark.orientation_deviation_rad;
-    let mut placed = Covariance6::from_diagonal_element(variance);
-    placed.fixed_view_mut::<3, 3>(3, 3).copy_from(&Matrix3::from_diagonal_element(angle_variance));
-    let Some(stands) = landmark.orientation else {
-        return position_say(&turned, &placed, &error_m, jacobian);
+    let mut stated_covariance = Covariance6::from_diagonal_element(variance);
+    stated_covariance
+        .fixed_view_mut::<3, 3>(3, 3)
+        .copy_from(&Matrix3::from_diagonal_element(angle_variance));
+    let Some(stated) = landmark.orientation else {
+        return position_residual(&turned, &stated_covariance, &error_m, jacobian);
     };
     let has_yaw = pose.yaw_rad.is_some() && pose.yaw_symmetry == 1;
     let candidates = orientations(pose).map(|turn| place.rotation * turn);
     let likelihood = pose.normal_likelihood.clamp(1e-3, 1.0 - 1e-3);
-    let mut best: Option<Say> = None;
+    let mut best: Option<Residual> = None;
     for (candidate, likelihood) in candidates.into_iter().zip([likelihood, 1.0 - likelihood]) {
         let normal = candidate * Vector3::z();
-        let turn = between(&(candidates[0] * Vector3::z()), &normal).to_rotation_matrix();
+        let turn = smallest_rotation_between(&(candidates[0] * Vector3::z()), &normal)
+            .to_rotation_matrix();
         let mut whole = Matrix6::identity();
         whole.fixed_view_mut::<3, 3>(3, 3).copy_from(turn.matrix());
-        let mut angle = (stands * candidate.inverse()).scaled_axis();
+        let mut angle = (stated * candidate.inverse()).scaled_axis();
         let mut unknown = Matrix3::zeros();
         if !has_yaw {
             let about = normal * normal.transpose();
             let across = (Matrix3::identity() - about) * turn.matrix();
             whole.fixed_view_mut::<3, 3>(3, 3).copy_from(&across);
             unknown = about * UNKNOWN_ANGLE_VARIANCE_RAD2;
-            angle = between(&normal, &(stands * Vector3::z())).scaled_axis();
+            angle = smallest_rotation_between(&normal, &(stated * Vector3::z())).scaled_axis();
         }
-        let mut seen = whole * turned * whole.transpose();
-        let mut rotation = seen.fixed_view_mut::<3, 3>(3, 3);
+        let mut observed = whole * turned * whole.transpose();
+        let mut rotation = observed.fixed_view_mut::<3, 3>(3, 3);
         rotation += unknown;
         let mut error = Vector6::zeros();
         error.fixed_rows_mut::<3>(0).copy_from(&error_m);
         error.fixed_rows_mut::<3>(3).copy_from(&angle);
-        let weight = (seen + placed).cholesky()?.inverse();
+        let weight = (observed + stated_covariance).cholesky()?.inverse();
         let cost = error.dot(&(weight * error)) - 2.0 * likelihood.ln();
         if best.as_ref().is_none_or(|best| cost < best.cost) {
-            best = Some(Say { error, jacobian, seen, placed, weight, cost });
+            best = Some(Residual { error, jacobian, observed, stated_covariance, weight, cost });
         }
     }
     best
 }
 
 /// Of a landmark of which nobody has said how it is turned.
-fn position_say(
+fn position_residual(
     turned: &Covariance6,
-    placed: &Covariance6,
+    stated_covariance: &Covariance6,
     error_m: &Vector3<f64>,
     jacobian: Matrix6<f64>,
-) -> Option<Say> {
-    let total: Matrix3<f64> = (turned + placed).fixed_view::<3, 3>(0, 0).into_owned();
+) -> Option<Residual> {
+    let total: Matrix3<f64> = (turned + stated_covariance).fixed_view::<3, 3>(0, 0).into_owned();
     let inverse = total.cholesky()?.inverse();
     let lift: SMatrix<f64, 6, 3> = SMatrix::identity();
     let weight = lift * inverse * lift.transpose();
     let cost = error_m.dot(&(inverse * error_m));
-    Some(Say { error: lift * error_m, jacobian, seen: *turned, placed: *placed, weight, cost })
+    Some(Residual {
+        error: lift * error_m,
+        jacobian,
+        observed: *turned,
+        stated_covariance: *stated_covariance,
+        weight,
+        cost,
+    })
 }
 
 /// The smallest rotation from one unit vector to another.
-fn between(from: &Vector3<f64>, to: &Vector3<f64>) -> UnitQuaternion<f64> {
+fn smallest_rotation_between(from: &Vector3<f64>, to: &Vector3<f64>) -> UnitQuaternion<f64> {
     UnitQuaternion::rotation_between(from, to).unwrap_or_else(|| {
         let aside = if from.x.abs() < 0.9 { Vector3::x_axis() } else { Vector3::y_axis() };
         let across = nalgebra::Unit::new_normalize(from.cross(&aside));

@@ -17,19 +17,19 @@
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 
 use super::{
-    landmark::{Landmark, Pair, Solution, apart, solve},
-    mount::{CameraMount, Ride},
+    landmark::{Landmark, LandmarkMatch, PoseSolution, pose_difference, solve_camera_pose},
+    mount::{CameraMount, CarrierState},
 };
 use crate::world::{
     FusionParams,
     association::Sighting,
-    camera_pose::with_arm,
+    camera_pose::with_lever_arm,
     identity::{CARRIER_NUMBER, Subject},
-    measurement::{FLOOR_VARIANCE, Lateness, is_sound, orientation},
+    measurement::{FLOOR_VARIANCE, StampCorrection, is_valid_pose, orientation},
     reference::{Reference, Sighting as Seen, identify},
 };
 use crate::{
-    track::{AttitudeMeasurement, Measurement, Noise, positive_root},
+    track::{AttitudeMeasurement, Measurement, Noise, cholesky_lower},
     world::FrameObservations,
 };
 use roundel_vision::{
@@ -41,21 +41,21 @@ use roundel_vision::{
 };
 
 /// Odds of a place against the other before it is told, as a logarithm …
-const SURE_LOG_ODDS: f64 = 4.6;
+const MIN_LOG_ODDS: f64 = 4.6;
 /// … which never exceed this, so that a mistake can be undone.
-const MOST_LOG_ODDS: f64 = 8.0;
+const MAX_LOG_ODDS: f64 = 8.0;
 /// Frames that follow one another share most of their error: as much of each counts.
 const EVIDENCE_WEIGHT: f64 = 0.25;
 /// What the expected place may say at most, -2 ln.
-const MOST_EXPECTED: f64 = 30.0;
+const MAX_PRIOR_COST: f64 = 30.0;
 /// Evidence older than this says nothing, seconds.
-const FORGOTTEN_S: f64 = 1.0;
+const MAX_AMBIGUITY_AGE_S: f64 = 1.0;
 /// A plain landmark is where it must be within this (χ², 3 degrees of freedom, 0.9999).
-const NEAR_SQUARED: f64 = 21.1;
+const GATE_SQUARED: f64 = 21.1;
 
 /// The two places that a camera may have, as they were in its last ambiguous frame.
 #[derive(Clone, Copy, Debug)]
-struct Belief {
+struct Ambiguity {
     world_from_camera: Rigid,
     log_odds: f64,
     time: Timestamp,
@@ -64,11 +64,11 @@ struct Belief {
 /// What one camera remembers.
 #[derive(Clone, Copy, Debug, Default)]
 pub(in crate::world) struct Localizer {
-    belief: Option<Belief>,
+    ambiguity: Option<Ambiguity>,
 }
 
 /// What came of a frame.
-pub(in crate::world) struct Localized {
+pub(in crate::world) struct Localization {
     /// Of the carrier; `None`: nothing can be said.
     pub(in crate::world) sighting: Option<Sighting>,
     /// The detections that are of landmarks.
@@ -76,22 +76,22 @@ pub(in crate::world) struct Localized {
 }
 
 /// A frame of a camera that localizes.
-pub(in crate::world) struct View<'a> {
+pub(in crate::world) struct LocalizationInput<'a> {
     pub(in crate::world) frame: &'a FrameObservations,
-    pub(in crate::world) late: Lateness,
+    pub(in crate::world) correction: StampCorrection,
     pub(in crate::world) mount: CameraMount,
     /// What its carrier is followed as …
     pub(in crate::world) subject: Subject,
     /// … and its code.
     pub(in crate::world) code: Option<Code>,
     /// Where its carrier is expected, if it is followed.
-    pub(in crate::world) ride: Option<Ride>,
+    pub(in crate::world) carrier: Option<CarrierState>,
     pub(in crate::world) landmarks: &'a [Landmark],
     pub(in crate::world) params: &'a FusionParams,
 }
 
 /// A detection of which only its place can say which landmark it is of.
-struct Nameless {
+struct UncodedDetection {
     kind: KindId,
     number: TrackNumber,
     pose: RoundelPose,
@@ -99,119 +99,131 @@ struct Nameless {
 
 impl Localizer {
     /// Where the carrier is, by one frame.
-    pub(in crate::world) fn localize(&mut self, view: &View<'_>) -> Localized {
-        let mut pairs = view.pairs();
+    pub(in crate::world) fn localize(&mut self, input: &LocalizationInput<'_>) -> Localization {
+        let mut pairs = input.pairs();
         let landmarks = pairs.iter().map(|pair| pair.number).collect();
-        let expected = view.ride.as_ref().map(Ride::now);
-        let solutions = solve(&mut pairs, expected.as_ref().map(|(place, _)| place));
+        let expected = input.carrier.as_ref().map(CarrierState::mean_pose);
+        let solutions = solve_camera_pose(&mut pairs, expected.as_ref().map(|(place, _)| place));
         let chosen = match solutions[..] {
             [] => None,
             [only] => {
-                self.belief = None;
+                self.ambiguity = None;
                 Some(only)
             }
-            [best, other, ..] => self.choose([best, other], expected.as_ref(), view),
+            [best, other, ..] => self.choose([best, other], expected.as_ref(), input),
         };
-        let sighting = chosen.and_then(|solution| view.sighting(&solution));
-        Localized { sighting, landmarks }
+        let sighting = chosen.and_then(|solution| input.sighting(&solution));
+        Localization { sighting, landmarks }
     }
 
     /// One of two places, if that can be said.
     fn choose(
         &mut self,
-        solutions: [Solution; 2],
+        solutions: [PoseSolution; 2],
         expected: Option<&(Rigid, Covariance6)>,
-        view: &View<'_>,
-    ) -> Option<Solution> {
-        let time = view.time();
+        input: &LocalizationInput<'_>,
+    ) -> Option<PoseSolution> {
+        let time = input.time();
         if let Some((place, covariance)) = expected {
             let [first, second] = solutions.map(|solution| {
-                let apart = apart(place, &solution.world_from_camera);
+                let pose_difference = pose_difference(place, &solution.world_from_camera);
                 let spread = covariance + solution.covariance();
-                let square = mahalanobis_squared(&apart, &spread).unwrap_or(MOST_EXPECTED);
-                solution.cost + square.min(MOST_EXPECTED)
+                let square =
+                    mahalanobis_squared(&pose_difference, &spread).unwrap_or(MAX_PRIOR_COST);
+                solution.cost + square.min(MAX_PRIOR_COST)
             });
-            let near = usize::from(second < first);
-            let odds = self.gather(&solutions, near, time, || MOST_LOG_ODDS);
-            let taken = if odds < -SURE_LOG_ODDS { 1 - near } else { near };
+            let nearer = usize::from(second < first);
+            let odds = self.update_log_odds(&solutions, nearer, time, || MAX_LOG_ODDS);
+            let taken = if odds < -MIN_LOG_ODDS { 1 - nearer } else { nearer };
             return Some(solutions[taken]);
         }
         let upright = |index: usize| {
             let object = solutions[index].world_from_camera.rotation
-                * view.mount.object_from_camera.rotation.inverse();
+                * input.mount.object_from_camera.rotation.inverse();
             (object * Vector3::z()).z
         };
-        let prior = view.params.motion_model(&Default::default()).upright_log_odds;
-        let odds = self.gather(&solutions, 0, time, || prior * (upright(0) - upright(1)));
+        let prior = input.params.motion_model(&Default::default()).upright_log_odds;
+        let odds = self.update_log_odds(&solutions, 0, time, || prior * (upright(0) - upright(1)));
         let taken = usize::from(odds < 0.0);
-        (odds.abs() >= SURE_LOG_ODDS).then_some(solutions[taken])
+        (odds.abs() >= MIN_LOG_ODDS).then_some(solutions[taken])
     }
 
     /// The odds of one of two places by all frames so far; `prior` before the first.
-    fn gather(
+    fn update_log_odds(
         &mut self,
-        solutions: &[Solution; 2],
+        solutions: &[PoseSolution; 2],
         index: usize,
         time: Timestamp,
         prior: impl Fn() -> f64,
     ) -> f64 {
-        let is_fresh = |belief: &Belief| time.seconds_since(belief.time).abs() < FORGOTTEN_S;
-        let before = self.belief.filter(is_fresh).map_or_else(prior, |belief| {
-            let far = |index: usize| {
-                apart(&belief.world_from_camera, &solutions[index].world_from_camera).norm()
+        let is_fresh =
+            |ambiguity: &Ambiguity| time.seconds_since(ambiguity.time).abs() < MAX_AMBIGUITY_AGE_S;
+        let before = self.ambiguity.filter(is_fresh).map_or_else(prior, |ambiguity| {
+            let distance = |index: usize| {
+                pose_difference(&ambiguity.world_from_camera, &solutions[index].world_from_camera)
+                    .norm()
             };
-            if far(index) <= far(1 - index) { belief.log_odds } else { -belief.log_odds }
+            if distance(index) <= distance(1 - index) {
+                ambiguity.log_odds
+            } else {
+                -ambiguity.log_odds
+            }
         });
         let evidence = 0.5 * (solutions[1 - index].cost - solutions[index].cost);
-        let log_odds = (before + EVIDENCE_WEIGHT * evidence).clamp(-MOST_LOG_ODDS, MOST_LOG_ODDS);
+        let log_odds = (before + EVIDENCE_WEIGHT * evidence).clamp(-MAX_LOG_ODDS, MAX_LOG_ODDS);
         let world_from_camera = solutions[index].world_from_camera;
-        self.belief = Some(Belief { world_from_camera, log_odds, time });
+        self.ambiguity = Some(Ambiguity { world_from_camera, log_odds, time });
         log_odds
     }
 }
 
-impl View<'_> {
+impl LocalizationInput<'_> {
     fn time(&self) -> Timestamp {
-        self.late.corrected(self.frame.capture_time)
+        self.correction.corrected(self.frame.capture_time)
     }
 
     /// Every landmark that is seen, once, in the camera's frame at the frame's time.
-    fn pairs(&self) -> Vec<Pair> {
-        let mut pairs: Vec<Pair> = Vec::new();
-        let mut nameless: Vec<Nameless> = Vec::new();
+    fn pairs(&self) -> Vec<LandmarkMatch> {
+        let mut pairs: Vec<LandmarkMatch> = Vec::new();
+        let mut uncoded: Vec<UncodedDetection> = Vec::new();
         for detection in &self.frame.detections {
             let is_kind = |landmark: &Landmark| Some(landmark.kind) == detection.ring.kind;
             let (Some(pose), Some(kind)) = (&detection.pose, detection.ring.kind) else { continue };
-            if !is_sound(pose) || !self.landmarks.iter().any(is_kind) {
+            if !is_valid_pose(pose) || !self.landmarks.iter().any(is_kind) {
                 continue;
             }
             let (number, pose) = (detection.track, self.at_frame(detection, pose));
             let Some(code) = detection.ring.code.map(|reading| reading.code) else {
-                nameless.push(Nameless { kind, number, pose });
+                uncoded.push(UncodedDetection { kind, number, pose });
                 continue;
             };
             let is_it = |landmark: &&Landmark| is_kind(landmark) && landmark.code == Some(code);
             let Some(&landmark) = self.landmarks.iter().find(is_it) else { continue };
             if !pairs.iter().any(|other| other.landmark == landmark) {
-                pairs.push(Pair { landmark, number, pose });
+                pairs.push(LandmarkMatch { landmark, number, pose });
             }
         }
-        match (&self.ride, nameless.is_empty()) {
+        match (&self.carrier, uncoded.is_empty()) {
             (_, true) => {}
-            (Some(ride), _) => self.match_places(ride, nameless, &mut pairs),
-            (None, _) => self.match_distances(nameless, &mut pairs),
+            (Some(carrier), _) => self.match_places(carrier, uncoded, &mut pairs),
+            (None, _) => self.match_distances(uncoded, &mut pairs),
         }
         pairs
     }
 
     /// Plain landmarks, and those whose code was not read, by where they must be.
-    fn match_places(&self, ride: &Ride, nameless: Vec<Nameless>, pairs: &mut Vec<Pair>) {
-        let (place, covariance) = ride.now();
-        for Nameless { kind, number, pose } in nameless {
+    fn match_places(
+        &self,
+        carrier: &CarrierState,
+        uncoded: Vec<UncodedDetection>,
+        pairs: &mut Vec<LandmarkMatch>,
+    ) {
+        let (place, covariance) = carrier.mean_pose();
+        for UncodedDetection { kind, number, pose } in uncoded {
             let arm_m = place.rotation * pose.position_m;
-            let seen = rotate_covariance(&place.rotation, &pose.covariance)
-                + with_arm(&covariance, &arm_m);
-            let block: Matrix3<f64> = seen.fixed_view::<3, 3>(0, 0).into_owned();
+            let observed = rotate_covariance(&place.rotation, &pose.covariance)
+                + with_lever_arm(&covariance, &arm_m);
+            let block: Matrix3<f64> = observed.fixed_view::<3, 3>(0, 0).into_owned();
             let square = |landmark: &Landmark| {
                 let error = landmark.position_m - arm_m - place.translation.vector;
                 let variance = landmark.position_deviation_m.powi(2);
@@ -224,14 +236,14 @@ impl View<'_> {
                 .min_by(|one, other| one.0.total_cmp(&other.0));
             let Some((square, &landmark)) = nearest else { continue };
             let is_taken = pairs.iter().any(|pair| pair.landmark == landmark);
-            if square < NEAR_SQUARED && !is_taken {
-                pairs.push(Pair { landmark, number, pose });
+            if square < GATE_SQUARED && !is_taken {
+                pairs.push(LandmarkMatch { landmark, number, pose });
             }
         }
     }
 
     /// Plain landmarks by their mutual distances.
-    fn match_distances(&self, nameless: Vec<Nameless>, pairs: &mut Vec<Pair>) {
+    fn match_distances(&self, uncoded: Vec<UncodedDetection>, pairs: &mut Vec<LandmarkMatch>) {
         let plain: Vec<&Landmark> =
             self.landmarks.iter().filter(|landmark| landmark.code.is_none()).collect();
         let references: Vec<Reference> = plain
@@ -241,14 +253,14 @@ impl View<'_> {
                 normal: landmark.orientation.map(|turn| turn * Vector3::z()),
             })
             .collect();
-        let seen: Vec<Seen> = nameless.iter().map(|it| Seen::from(&it.pose)).collect();
+        let observed: Vec<Seen> = uncoded.iter().map(|it| Seen::from(&it.pose)).collect();
         // What cannot be told apart yet is told by a frame that shows more.
-        let Ok(found) = identify(&references, &seen) else { return };
+        let Ok(found) = identify(&references, &observed) else { return };
         for (&landmark, index) in plain.into_iter().zip(found) {
             let Some(index) = index else { continue };
-            let Nameless { kind, number, pose } = &nameless[index];
+            let UncodedDetection { kind, number, pose } = &uncoded[index];
             if *kind == landmark.kind {
-                pairs.push(Pair { landmark, number: *number, pose: pose.clone() });
+                pairs.push(LandmarkMatch { landmark, number: *number, pose: pose.clone() });
             }
         }
     }
@@ -258,10 +270,11 @@ impl View<'_> {
         let row_s = detection.capture_time.seconds_since(self.frame.capture_time);
         let mut moved = pose.clone();
         let distance_m = pose.position_m.norm();
-        let (speed_m_s, turning_rad_s) = match &self.ride {
-            Some(ride) => {
+        let (speed_m_s, turning_rad_s) = match &self.carrier {
+            Some(carrier) => {
                 let time = self.time();
-                let (frame, row) = (ride.at(time), ride.at(time.plus_seconds(row_s)));
+                let (frame, row) =
+                    (carrier.pose_at(time), carrier.pose_at(time.plus_seconds(row_s)));
                 let change = frame.world_from_camera.inverse() * row.world_from_camera;
                 moved.position_m = change.rotation * pose.position_m + change.translation.vector;
                 moved.normal = change.rotation * pose.normal;
@@ -269,7 +282,7 @@ impl View<'_> {
                 moved.yaw_rad =
                     pose.yaw_rad.map(|yaw_rad| turned_yaw(&change.rotation, &pose.normal, yaw_rad));
                 moved.covariance = rotate_covariance(&change.rotation, &pose.covariance);
-                ride.rate_deviations()
+                carrier.rate_deviations()
             }
             None => (self.params.speed_m_s, self.params.angular_speed_rad_s),
         };
@@ -283,7 +296,7 @@ impl View<'_> {
     }
 
     /// The carrier where the camera says that it is.
-    fn sighting(&self, solution: &Solution) -> Option<Sighting> {
+    fn sighting(&self, solution: &PoseSolution) -> Option<Sighting> {
         let mount = &self.mount;
         let camera_from_object = mount.object_from_camera.inverse();
         let place = solution.world_from_camera * camera_from_object;
@@ -295,8 +308,10 @@ impl View<'_> {
         back.fixed_view_mut::<3, 3>(0, 3).copy_from(&camera_m.cross_matrix());
         let mounted = back * mount.covariance * back.transpose();
         let mounted = rotate_covariance(&place.rotation, &mounted);
-        let systematic = with_arm(&(solution.seen * share + solution.placed), &arm_m) + mounted;
-        let total = with_arm(&solution.covariance(), &arm_m) + mounted;
+        let systematic =
+            with_lever_arm(&(solution.observed * share + solution.stated_covariance), &arm_m)
+                + mounted;
+        let total = with_lever_arm(&solution.covariance(), &arm_m) + mounted;
         let noise = |corner: usize| {
             let block = |whole: &Covariance6| -> Matrix3<f64> {
                 let block = whole.fixed_view::<3, 3>(corner, corner);
@@ -304,12 +319,12 @@ impl View<'_> {
             };
             Noise {
                 total: block(&total) + Matrix3::from_diagonal_element(FLOOR_VARIANCE),
-                systematic_root: positive_root(&block(&systematic)).unwrap_or_else(Matrix3::zeros),
+                systematic_root: cholesky_lower(&block(&systematic)).unwrap_or_else(Matrix3::zeros),
                 timing_s: 0.0,
             }
         };
         let (position_noise, rotation_noise) = (noise(0), noise(3));
-        if [&position_noise, &rotation_noise].iter().any(|n| positive_root(&n.total).is_none()) {
+        if [&position_noise, &rotation_noise].iter().any(|n| cholesky_lower(&n.total).is_none()) {
             return None;
         }
         let turn: UnitQuaternion<f64> = place.rotation;
@@ -318,7 +333,7 @@ impl View<'_> {
             code: self.code,
             measurement: Measurement {
                 time: self.time(),
-                late_s: self.late.offset_s,
+                late_s: self.correction.offset_s,
                 camera: self.frame.camera,
                 frame: self.frame.frame,
                 number: CARRIER_NUMBER,

@@ -2,11 +2,11 @@
 
 mod landmark;
 mod localize;
+mod mobile_cameras;
 mod mount;
-mod riders;
 
 pub use landmark::{Landmark, TURN_SIGMA_RAD};
-pub(super) use localize::View;
-pub(super) use mount::Ride;
+pub(super) use localize::LocalizationInput;
+pub(super) use mobile_cameras::MobileCameras;
+pub(super) use mount::CarrierState;
 pub use mount::{CameraMount, Carrier, Unplaced};
-pub(super) use riders::Riders;

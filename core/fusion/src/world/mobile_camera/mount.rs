@@ -29,10 +29,10 @@
 
 use nalgebra::Matrix3;
 
-use crate::track::{Estimate, Look, MotionModel};
+use crate::track::{Estimate, FilterState, MotionModel};
 use crate::world::{
     LifeStage,
-    camera_pose::{Stand, with_arm},
+    camera_pose::{ExposurePose, with_lever_arm},
     identity::Subject,
     lifecycle::Track,
 };
@@ -44,7 +44,7 @@ use roundel_vision::{
 };
 
 /// No camera takes frames more often, seconds.
-const LEAST_PERIOD_S: f64 = 1e-3;
+const MIN_PERIOD_S: f64 = 1e-3;
 
 /// The object that carries a camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -88,8 +88,8 @@ pub enum Unplaced {
 
 /// A carrier at the time of a frame.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::world) struct Ride {
-    pub(super) estimate: Estimate,
+pub(in crate::world) struct CarrierState {
+    pub(super) estimate: FilterState,
     pub(super) model: MotionModel,
     pub(super) mount: CameraMount,
     /// To the camera's frame before, seconds.
@@ -111,7 +111,7 @@ impl Carrier {
 }
 
 /// The one track of a carrier; none if there are two.
-pub(in crate::world) fn carried_by(carrier: &Carrier, tracks: &[Track]) -> Option<usize> {
+pub(in crate::world) fn find_carrier_track(carrier: &Carrier, tracks: &[Track]) -> Option<usize> {
     let is_carrier = |track: &Track| {
         let is_followed = matches!(track.stage, LifeStage::Tracked | LifeStage::Predicted);
         is_followed && carrier.is(&track.subject, track.codes.settled())
@@ -121,12 +121,12 @@ pub(in crate::world) fn carried_by(carrier: &Carrier, tracks: &[Track]) -> Optio
     first.filter(|_| found.next().is_none())
 }
 
-impl Ride {
+impl CarrierState {
     /// The camera at the exposure of one of the frame's rows.
-    pub(in crate::world) fn at(&self, time: Timestamp) -> Stand {
+    pub(in crate::world) fn pose_at(&self, time: Timestamp) -> ExposurePose {
         let mut estimate = self.estimate;
         estimate.predict(time, &self.model);
-        let Look { motion, attitude, .. } = estimate.look(time, &self.model);
+        let Estimate { motion, attitude, .. } = estimate.estimate(time, &self.model);
         let mount = &self.mount;
         let arm_m = attitude.orientation * mount.object_from_camera.translation.vector;
         let world_from_camera = Rigid::from_parts(
@@ -136,28 +136,29 @@ impl Ride {
         let turning = attitude.covariance.fixed_view::<3, 3>(3, 3).into_owned();
         let turn = attitude.covariance.fixed_view::<3, 3>(0, 0).into_owned();
         let mut parts = [Covariance6::zeros(); 2];
-        let stays = [estimate.motion.systematic(), estimate.attitude.systematic()];
+        let systematic =
+            [estimate.motion.systematic_covariance(), estimate.attitude.systematic_covariance()];
         let rates = [motion.velocity_m_s, attitude.angular_velocity_rad_s];
-        let wholes = [(motion.spread.value, motion.spread.rate), (turn, turning)];
-        for (block, ((value, rate), stays)) in wholes.into_iter().zip(stays).enumerate() {
-            let rest = value - stays;
+        let totals = [(motion.spread.value, motion.spread.rate), (turn, turning)];
+        for (block, ((value, rate), systematic)) in totals.into_iter().zip(systematic).enumerate() {
+            let rest = value - systematic;
             let fresh = rest * self.inflation(&rest, &rate);
             let clock = rates[block] * self.clock_s;
-            let stays = stays + clock * clock.transpose();
-            for (part, covariance) in parts.iter_mut().zip([stays, fresh]) {
+            let systematic = systematic + clock * clock.transpose();
+            for (part, covariance) in parts.iter_mut().zip([systematic, fresh]) {
                 part.fixed_view_mut::<3, 3>(3 * block, 3 * block).copy_from(&covariance);
             }
         }
-        let [systematic, fresh] = parts.map(|part| with_arm(&part, &arm_m));
+        let [systematic, fresh] = parts.map(|part| with_lever_arm(&part, &arm_m));
         let mounted = rotate_covariance(&attitude.orientation, &mount.covariance);
-        Stand { world_from_camera, systematic: systematic + mounted, fresh }
+        ExposurePose { world_from_camera, systematic: systematic + mounted, fresh }
     }
 
     /// The camera at the frame's time, with all of its error.
-    pub(in crate::world) fn now(&self) -> (Rigid, Covariance6) {
+    pub(in crate::world) fn mean_pose(&self) -> (Rigid, Covariance6) {
         let alone = Self { period_s: None, ..*self };
-        let stand = alone.at(self.estimate.time);
-        (stand.world_from_camera, stand.systematic + stand.fresh)
+        let camera_pose = alone.pose_at(self.estimate.time);
+        (camera_pose.world_from_camera, camera_pose.systematic + camera_pose.fresh)
     }
 
     /// Deviations of the carrier's velocity, m/s, and angular velocity, rad/s, along each axis.
@@ -171,6 +172,6 @@ impl Ride {
     /// T / dt, at least 1; 1 while nobody knows dt.
     fn inflation(&self, rest: &Matrix3<f64>, rate: &Matrix3<f64>) -> f64 {
         let memory_s = (rest.trace().max(0.0) / rate.trace().max(f64::MIN_POSITIVE)).sqrt();
-        self.period_s.map_or(1.0, |period_s| (memory_s / period_s.max(LEAST_PERIOD_S)).max(1.0))
+        self.period_s.map_or(1.0, |period_s| (memory_s / period_s.max(MIN_PERIOD_S)).max(1.0))
     }
 }

@@ -8,15 +8,15 @@ use std::f64::consts::PI;
 
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
 
-use super::{Expected, LOOSE};
-use crate::{track::smallest_turn, world::body::SeenPart};
+use super::{PredictedPose, WEAK_INFORMATION};
+use crate::{track::smallest_turn, world::body::PartMeasurement};
 use roundel_vision::rigid::Rigid;
 
 /// Up to so many roundels all choices of normals are tried.
-const MOST_CHOICES: usize = 4;
+const MAX_EXHAUSTIVE: usize = 4;
 /// Steps of Gauss and Newton at most, and the step below which there is no more to gain.
 const STEPS: usize = 6;
-const LEAST_STEP: f64 = 1e-7;
+const MIN_STEP: f64 = 1e-7;
 
 /// One of a roundel's two normals.
 #[derive(Clone, Copy, Debug)]
@@ -29,7 +29,7 @@ pub(in crate::world) struct Normal {
 
 /// A roundel of the object, at the frame's time.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::world) struct Piece {
+pub(in crate::world) struct RoundelTerm {
     pub(in crate::world) mount: Rigid,
     pub(in crate::world) position_m: Vector3<f64>,
     pub(in crate::world) information: Matrix3<f64>,
@@ -37,18 +37,18 @@ pub(in crate::world) struct Piece {
     pub(in crate::world) yaw_symmetry: Option<u32>,
 }
 
-impl Piece {
+impl RoundelTerm {
     pub(in crate::world) fn of(
-        seen: &SeenPart,
+        seen: &PartMeasurement,
         dt: f64,
-        expected: Option<&Expected>,
+        expected: Option<&PredictedPose>,
     ) -> Option<Self> {
-        let SeenPart { body_from_roundel: mount, measurement, .. } = *seen;
+        let PartMeasurement { body_from_roundel: mount, measurement, .. } = *seen;
         let attitude = &measurement.attitude;
         let first = attitude.likelihood.clamp(1e-3, 1.0 - 1e-3);
         let normal = |index: usize| {
             let orientation = attitude.candidates[index];
-            let mut information = attitude.noise_of(index).total.try_inverse()?;
+            let mut information = attitude.candidate_noise(index).total.try_inverse()?;
             if attitude.yaw_symmetry.is_none() {
                 let normal = orientation * Vector3::z();
                 let across = Matrix3::identity() - normal * normal.transpose();
@@ -71,7 +71,7 @@ impl Piece {
     }
 
     /// What there is to fit.
-    pub(in crate::world) fn numbers(&self) -> f64 {
+    pub(in crate::world) fn residual_count(&self) -> f64 {
         if self.yaw_symmetry.is_some() { 6.0 } else { 5.0 }
     }
 
@@ -105,28 +105,28 @@ pub(in crate::world) struct Fit {
 }
 
 /// The best choice of normals and the second best.
-pub(in crate::world) fn fits(
-    pieces: &[Piece],
-    expected: Option<&Expected>,
+pub(in crate::world) fn best_fits(
+    terms: &[RoundelTerm],
+    expected: Option<&PredictedPose>,
 ) -> Option<(Fit, Option<Fit>)> {
-    let count = pieces.len();
-    if count > MOST_CHOICES {
-        return greedy(pieces, expected).map(|fit| (fit, None));
+    let count = terms.len();
+    if count > MAX_EXHAUSTIVE {
+        return greedy(terms, expected).map(|fit| (fit, None));
     }
-    let mut all: Vec<Fit> = (0..1u64 << count).filter_map(|c| fit(pieces, c, expected)).collect();
+    let mut all: Vec<Fit> = (0..1u64 << count).filter_map(|c| fit(terms, c, expected)).collect();
     all.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     Some((*all.first()?, all.get(1).copied()))
 }
 
 /// The likelier normals, each turned to the other one as long as that fits better.
-fn greedy(pieces: &[Piece], expected: Option<&Expected>) -> Option<Fit> {
-    let count = pieces.len().min(u64::BITS as usize);
+fn greedy(terms: &[RoundelTerm], expected: Option<&PredictedPose>) -> Option<Fit> {
+    let count = terms.len().min(u64::BITS as usize);
     let mut choice = 0;
-    let mut best = fit(pieces, choice, expected)?;
+    let mut best = fit(terms, choice, expected)?;
     for _ in 0..count {
         let turned = (0..count).map(|index| choice ^ 1 << index);
-        let fits = turned.filter_map(|choice| Some((choice, fit(pieces, choice, expected)?)));
-        match fits.min_by(|a, b| a.1.cost.total_cmp(&b.1.cost)) {
+        let best_fits = turned.filter_map(|choice| Some((choice, fit(terms, choice, expected)?)));
+        match best_fits.min_by(|a, b| a.1.cost.total_cmp(&b.1.cost)) {
             Some((better, fit)) if fit.cost < best.cost => (choice, best) = (better, fit),
             _ => break,
         }
@@ -135,28 +135,28 @@ fn greedy(pieces: &[Piece], expected: Option<&Expected>) -> Option<Fit> {
 }
 
 /// The pose for one choice of normals: bit i says which one of piece i.
-fn fit(pieces: &[Piece], choice: u64, expected: Option<&Expected>) -> Option<Fit> {
+fn fit(terms: &[RoundelTerm], choice: u64, expected: Option<&PredictedPose>) -> Option<Fit> {
     let chosen = |index: usize| -> &Normal {
         let bit = if index < u64::BITS as usize { choice >> index & 1 } else { 0 };
-        &pieces[index].normals[bit as usize]
+        &terms[index].normals[bit as usize]
     };
-    let orientation = start(pieces, chosen, expected);
-    let position_m = pieces[0].position_m - orientation * pieces[0].mount.translation.vector;
+    let orientation = initial_orientation(terms, chosen, expected);
+    let position_m = terms[0].position_m - orientation * terms[0].mount.translation.vector;
     let mut fit =
         Fit { position_m, orientation, information: Matrix6::zeros(), misfit: 0.0, cost: 0.0 };
     for _ in 0..STEPS {
-        let gradient = fit.measure(pieces, chosen);
+        let gradient = fit.measure(terms, chosen);
         let mut damped = fit.information;
-        (3..6).for_each(|axis| damped[(axis, axis)] += LOOSE);
+        (3..6).for_each(|axis| damped[(axis, axis)] += WEAK_INFORMATION);
         let step = damped.cholesky()?.solve(&gradient);
         fit.position_m += step.fixed_rows::<3>(0);
         let turn = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(3).into_owned());
         fit.orientation = turn * fit.orientation;
-        if step.norm() < LEAST_STEP {
+        if step.norm() < MIN_STEP {
             break;
         }
     }
-    fit.measure(pieces, chosen);
+    fit.measure(terms, chosen);
     fit.cost.is_finite().then_some(fit)
 }
 
@@ -164,28 +164,28 @@ impl Fit {
     /// Sums up what the pieces say here; gives the direction that the residuals pull to.
     fn measure<'a>(
         &mut self,
-        pieces: &[Piece],
+        terms: &[RoundelTerm],
         chosen: impl Fn(usize) -> &'a Normal,
     ) -> Vector6<f64> {
         let mut gradient = Vector6::zeros();
         self.information = Matrix6::zeros();
         (self.misfit, self.cost) = (0.0, 0.0);
-        for (index, piece) in pieces.iter().enumerate() {
+        for (index, term) in terms.iter().enumerate() {
             let normal = chosen(index);
-            let arm_m = self.orientation * piece.mount.translation.vector;
-            let off_m = piece.position_m - self.position_m - arm_m;
-            let turn = piece.turn(normal, &self.orientation);
+            let arm_m = self.orientation * term.mount.translation.vector;
+            let off_m = term.position_m - self.position_m - arm_m;
+            let turn = term.turn(normal, &self.orientation);
             let lever = -arm_m.cross_matrix();
-            let (place, rotation) = (piece.information, normal.information);
-            let pull = place * off_m;
+            let (position, rotation) = (term.information, normal.information);
+            let pull = position * off_m;
             let mut rows = gradient.fixed_rows_mut::<3>(0);
             rows += pull;
             let mut rows = gradient.fixed_rows_mut::<3>(3);
             rows += lever.transpose() * pull + rotation * turn;
-            add(&mut self.information, (0, 0), &place);
-            add(&mut self.information, (0, 3), &(place * lever));
-            add(&mut self.information, (3, 0), &(lever.transpose() * place));
-            add(&mut self.information, (3, 3), &(lever.transpose() * place * lever + rotation));
+            add(&mut self.information, (0, 0), &position);
+            add(&mut self.information, (0, 3), &(position * lever));
+            add(&mut self.information, (3, 0), &(lever.transpose() * position));
+            add(&mut self.information, (3, 3), &(lever.transpose() * position * lever + rotation));
             self.misfit += off_m.dot(&pull) + turn.dot(&(rotation * turn));
             self.cost += normal.cost;
         }
@@ -205,19 +205,19 @@ pub(in crate::world) fn block(whole: &Matrix6<f64>, from: usize) -> Matrix3<f64>
 
 /// An orientation to begin with: that of a roundel with a yaw; else the expected one (or any), turned by
 /// least onto the first normal, and about it until the roundels lie in the right direction of each other.
-fn start<'a>(
-    pieces: &[Piece],
+fn initial_orientation<'a>(
+    terms: &[RoundelTerm],
     chosen: impl Fn(usize) -> &'a Normal,
-    expected: Option<&Expected>,
+    expected: Option<&PredictedPose>,
 ) -> UnitQuaternion<f64> {
-    let own = |index: usize| chosen(index).orientation * pieces[index].mount.rotation.inverse();
-    if let Some(index) = pieces.iter().position(|piece| piece.yaw_symmetry == Some(1)) {
+    let own = |index: usize| chosen(index).orientation * terms[index].mount.rotation.inverse();
+    if let Some(index) = terms.iter().position(|term| term.yaw_symmetry == Some(1)) {
         return own(index);
     }
     let normal = chosen(0).orientation * Vector3::z();
     let orientation = match expected {
         Some(expected) => {
-            let mounted = expected.orientation * pieces[0].mount.rotation * Vector3::z();
+            let mounted = expected.orientation * terms[0].mount.rotation * Vector3::z();
             let turn = smallest_turn(&mounted, &normal);
             UnitQuaternion::from_scaled_axis(turn) * expected.orientation
         }
@@ -225,13 +225,13 @@ fn start<'a>(
     };
     let across = |vector: Vector3<f64>| vector - normal * normal.dot(&vector);
     let apart = |index: usize| {
-        let mounts = [index, 0].map(|index| pieces[index].mount.translation.vector);
+        let mounts = [index, 0].map(|index| terms[index].mount.translation.vector);
         across(orientation * (mounts[0] - mounts[1]))
     };
-    let far = (1..pieces.len())
+    let far = (1..terms.len())
         .max_by(|a, b| apart(*a).norm_squared().total_cmp(&apart(*b).norm_squared()));
     let Some(far) = far.filter(|far| apart(*far).norm() > 1e-3) else { return orientation };
-    let (mounted, seen) = (apart(far), across(pieces[far].position_m - pieces[0].position_m));
+    let (mounted, seen) = (apart(far), across(terms[far].position_m - terms[0].position_m));
     let angle = normal.dot(&mounted.cross(&seen)).atan2(mounted.dot(&seen));
     UnitQuaternion::from_scaled_axis(normal * angle) * orientation
 }
