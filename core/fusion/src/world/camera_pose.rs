@@ -4,16 +4,16 @@ use nalgebra::{Matrix6, Vector3};
 
 use roundel_vision::rigid::{Covariance6, Rigid};
 
-/// Where a camera stands.
+/// Pose of a stationary camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraPlacement {
-    /// Turns camera coordinates into world coordinates.
+    /// Transforms camera coordinates into world coordinates.
     pub world_from_camera: Rigid,
     /// Over (position, rotation), world frame, left perturbation; zero when exact.
     pub covariance: Covariance6,
 }
 
-/// Where a camera is during one exposure, with the part of its error that stays and the one that is fresh.
+/// Pose of a camera during one exposure, with its error split into a systematic and a fresh part.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::world) struct ExposurePose {
     pub(in crate::world) world_from_camera: Rigid,
@@ -21,7 +21,7 @@ pub(in crate::world) struct ExposurePose {
     pub(in crate::world) fresh: Covariance6,
 }
 
-/// An error of a body's place, as one of a point at the end of an arm fixed to it.
+/// Covariance of a pose carried to a point at the end of a lever arm fixed to it.
 pub(in crate::world) fn with_lever_arm(
     covariance: &Covariance6,
     arm_m: &Vector3<f64>,

@@ -1,76 +1,75 @@
-//! What became of everything that fusion was given: nothing vanishes uncounted.
+//! Counters of frames and detections by outcome; each one ends in a counter.
 
-/// What became of all that was observed, since the start.
+/// Totals since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FusionCounts {
-    /// Frames handed over.
+    /// Frames received.
     pub frames: u64,
-    /// Frames that were there already.
+    /// Frames received before.
     pub duplicate_frames: u64,
     /// Frames older than the late window.
     pub late_frames: u64,
-    /// Frames that never came: numbers that their camera left out, or times at which its regular interval has one.
+    /// Frames that never arrived: numbers that a camera skipped, or gaps in its regular interval.
     pub missing_frames: u64,
-    /// Frames from an implausible future, or a past that their camera has left.
+    /// Frames from an implausible future, or from before a clock step of their camera.
     pub jumped_frames: u64,
-    /// Times that a camera's clock was found to be of another epoch or to have been set, so that its
-    /// stamps were moved.
+    /// Detected clock steps and foreign epochs, after each of which a camera's stamps were shifted.
     pub clock_steps: u64,
-    /// Times that the timeline was begun anew, ending all tracks.
+    /// Restarts of the timeline, each of which ended all tracks.
     pub restarts: u64,
     /// Detections in all frames.
     pub detections: u64,
-    /// Detections that went into a track, the ones that began one included.
+    /// Detections that updated or started a track.
     pub used: u64,
-    /// Of these, detections that came after newer ones of the same object.
+    /// Of these, detections older than others of the same object.
     pub out_of_order: u64,
-    /// Detections that began a track.
+    /// Detections that started a track.
     pub begun: u64,
-    /// Detections dropped as older than the late window, those of late frames included.
+    /// Detections older than the late window, including those of late frames.
     pub late: u64,
-    /// Detections of duplicate frames, or with a track number twice in one frame.
+    /// Detections of duplicate frames, or with a track number that occurs twice in a frame.
     pub duplicate: u64,
     /// Detections of frames whose time jumped.
     pub jumped: u64,
-    /// Detections of cameras whose place is not known.
+    /// Detections of cameras without a known pose.
     pub no_camera_pose: u64,
-    /// Of these, of cameras whose carrier is not followed.
+    /// Of these, detections of cameras whose carrier is not tracked.
     pub carrier_unseen: u64,
-    /// Of these, of cameras of which nobody knows how their carrier is turned.
+    /// Of these, detections of cameras whose carrier has no certain orientation.
     pub carrier_unturned: u64,
-    /// Detections of carriers by cameras that ride: not used.
+    /// Detections of carriers by mobile cameras, which are not used.
     pub of_carriers: u64,
     /// Detections of landmarks by cameras that localize.
     pub of_landmarks: u64,
-    /// Frames in which such a camera found its place.
+    /// Frames in which such a camera was localized.
     pub localized: u64,
-    /// Frames held back: their camera disagreed with all others as if it had moved.
+    /// Frames of cameras that are held back because they disagree with all others.
     pub held_frames: u64,
-    /// Detections in these.
+    /// Detections in these frames.
     pub held: u64,
-    /// Detections taken out of tracks again, since their camera had moved.
+    /// Detections removed from tracks because their camera had moved.
     pub taken_back: u64,
     /// Detections without a pose.
     pub no_pose: u64,
-    /// Detections with numbers that are not finite or no covariance.
+    /// Detections with numbers that are not finite or without a valid covariance.
     pub invalid: u64,
-    /// Detections outside the gate of the object that their camera took them for.
+    /// Detections outside the gate of the object that their camera assigns them to.
     pub gated: u64,
-    /// Of these, detections dropped since other cameras see that object elsewhere.
+    /// Of these, detections dropped because other cameras observe the object elsewhere.
     pub contradicted: u64,
-    /// Detections left out since a camera of higher rank sees the object.
+    /// Detections not used because a camera of higher rank observes the object.
     pub outranked: u64,
-    /// Detections that would have begun a track beyond the greatest number of objects.
+    /// Detections that would have exceeded the largest number of tracks.
     pub over_max_objects: u64,
-    /// Detections taken together with another one of the same object in their frame; the two count once
-    /// in what is above.
+    /// Detections joined with another one of the same object in their frame; the two count once in the totals
+    /// above.
     pub joined: u64,
-    /// Detections left out since they contradict the others of their object in their frame.
+    /// Detections left out because they contradict the others of their object in their frame.
     pub left_out: u64,
-    /// Tracks joined with another of the same object.
+    /// Tracks merged into another one of the same object.
     pub merged: u64,
-    /// Objects that were lost, or not seen, and known again by their code.
+    /// Objects that were lost or not observed, and recognized by their code.
     pub returned: u64,
-    /// Tracks with the code of another object that is seen as well.
+    /// Tracks with the code of another object that is observed at the same time.
     pub ambiguous_codes: u64,
 }

@@ -1,15 +1,15 @@
-//! Whether what drives is as high as was said.
+//! Detects that the configured height of objects on a floor is wrong.
 //!
-//! A wrong height is not harmless: every track is held to it, so that sightings do not fit the tracks that they
-//! belong to, each camera sees the object elsewhere on the wrong plane, and ghosts come and go. What a camera
-//! measures, held to nothing, gives it away: d = z - h with the variance v = σ_z² + σ_floor². A frame is off if
-//! even the sighting of the kind that fits best has d² > 16 v (some robots may be carried about, but not
-//! all), by the mean of its d weighted by 1/v. A camera doubts the height when nearly all of
-//! [`SAMPLES`] frames, [`EVERY_S`] apart, are off, and the height is told as wrong when one camera has doubted it
-//! twice in a row and all that have an opinion doubt it and agree on d, the median.
+//! A wrong height does harm: every track is constrained to it, so measurements do not fit their tracks, each camera
+//! sees the object at another place of the wrong plane, and false tracks come and go. The unconstrained measurements
+//! reveal it: d = z - h with the variance v = σ_z² + σ_floor². A frame is off if even the best fitting measurement of
+//! the kind has d² > 16 v (some robots may be carried, but not all), by the mean of its d weighted by 1/v. A camera
+//! rejects the height when at least [`MIN_OFF_FRAMES`] of [`FRAMES_PER_VERDICT`] frames, [`FRAME_SPACING_S`] apart, are
+//! off. The height is reported as wrong when one camera has rejected it twice in a row, and all cameras with a verdict
+//! reject it and agree on the median d.
 //!
-//! Cameras that disagree have wrong places rather, which is not told here; and a wrong diameter, which all
-//! of them see alike, cannot be told from a wrong height.
+//! Limits: cameras that disagree with each other have wrong poses instead, which is not reported here. A wrong diameter
+//! affects all cameras alike and cannot be distinguished from a wrong height.
 
 use std::collections::BTreeMap;
 
@@ -20,76 +20,76 @@ use roundel_vision::{
     time::Timestamp,
 };
 
-/// Frames in a camera's opinion.
+/// Frames of a camera in one verdict.
 const FRAMES_PER_VERDICT: usize = 64;
-/// No two of them are closer, seconds.
+/// Smallest interval between these frames, seconds.
 const FRAME_SPACING_S: f64 = 0.1;
-/// So many of them are off, of a camera that doubts.
+/// Number of frames that must be off to reject the height.
 const MIN_OFF_FRAMES: usize = 58;
-/// A sighting further off than this many deviations is off.
+/// A measurement is off beyond this many standard deviations.
 const MAX_SIGMAS: f64 = 4.0;
-/// Heights as wrong as this do no harm, metres.
+/// Smaller errors of height do no harm, metres.
 const MIN_ERROR_M: f64 = 0.02;
-/// Cameras that agree differ by no more than this part of the distance.
+/// Largest difference between cameras that agree, as a share of d.
 const MAX_DISAGREEMENT: f64 = 0.25;
 
-/// Objects that cameras see at another height than was said of them.
+/// Objects that cameras measure at another height than the configured one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WrongHeight {
-    /// Their kind.
+    /// Kind of the objects' roundels.
     pub kind: Option<KindId>,
-    /// Which body, if it is one.
+    /// The body, if it is one.
     pub body: Option<BodyId>,
-    /// What was said of the kind's roundels, or of the body's origin, metres.
+    /// Configured height of the kind's roundels, or of the body's origin, metres.
     pub said_m: f64,
-    /// What the cameras see, metres.
+    /// Height that the cameras measure, metres.
     pub seen_m: f64,
-    /// Who agrees on that.
+    /// Cameras that agree on it.
     pub cameras: Vec<CameraId>,
 }
 
-/// The sightings of a frame.
+/// Measurements of one frame.
 #[derive(Clone, Copy, Debug)]
 struct FrameHeights {
     frame: u64,
     time: Timestamp,
-    /// Distances over variances, and these inverted, summed.
+    /// Sums of d/v and of 1/v.
     weighted: [f64; 2],
-    /// Of the one that fits best.
+    /// |d| in standard deviations, of the best fitting measurement.
     sigmas: f64,
 }
 
-/// What one camera makes of one height.
+/// One camera's frames and verdict about one height.
 #[derive(Clone, Debug)]
 struct CameraHeights {
     frame: Option<FrameHeights>,
-    /// Distances of frames that are off.
+    /// d of frames that are off.
     off_m: [f64; FRAMES_PER_VERDICT],
     off: usize,
     frames: usize,
     verdict: Verdict,
-    /// Doubted so often in a row.
+    /// Number of consecutive verdicts that reject the height.
     off_verdicts: u32,
 }
 
-/// What it came to, last.
+/// Newest verdict of a camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Verdict {
-    /// Too little seen so far.
+    /// Too few frames.
     Unknown,
     Consistent,
-    /// By the median distance.
+    /// Rejected, with the median d.
     Off(f64),
 }
 
-/// All cameras' opinions of one height.
+/// All cameras' verdicts about one height.
 #[derive(Clone, Debug, Default)]
 struct HeightCheck {
     cameras: BTreeMap<CameraId, CameraHeights>,
     is_reported: bool,
 }
 
-/// Every height that was said.
+/// All configured heights.
 #[derive(Clone, Debug, Default)]
 pub(super) struct HeightChecks {
     checks: BTreeMap<Subject, HeightCheck>,
@@ -109,7 +109,7 @@ impl CameraHeights {
         }
     }
 
-    /// Takes one sighting; true when the opinion has been formed anew.
+    /// Adds one measurement; returns true when a new verdict was reached.
     fn add(&mut self, heights: FrameHeights) -> bool {
         let Some(current) = &mut self.frame else {
             self.frame = Some(heights);
@@ -144,7 +144,7 @@ impl CameraHeights {
 }
 
 impl HeightCheck {
-    /// The mean distance of all who have an opinion, if they all doubt and agree.
+    /// Mean d of all cameras with a verdict, if all reject the height and agree.
     fn agreed_m(&self) -> Option<f64> {
         let (mut sum_m, mut count) = (0.0, 0.0);
         let (mut min_m, mut max_m) = (f64::INFINITY, f64::NEG_INFINITY);
@@ -165,12 +165,12 @@ impl HeightCheck {
 }
 
 impl HeightChecks {
-    /// Forgets what cameras made of a height that is another now.
+    /// Discards the verdicts about a height that was changed.
     pub(super) fn forget(&mut self, subject: &Subject) {
         self.checks.remove(subject);
     }
 
-    /// Takes a sighting of what is held at `held_m`, which was told as `said_m`.
+    /// Adds a measurement of an object whose tracked point is constrained to a height.
     pub(super) fn observe(
         &mut self,
         subject: Subject,
@@ -210,7 +210,7 @@ impl HeightChecks {
         }
     }
 
-    /// What was found out since the last call.
+    /// Takes the findings since the last call.
     pub(super) fn drain(&mut self) -> impl Iterator<Item = WrongHeight> + '_ {
         self.mismatches.drain(..)
     }

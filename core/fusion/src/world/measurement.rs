@@ -1,10 +1,9 @@
-//! From a detection in a camera's frame to a measurement in the world.
+//! Transformation of a detection from the camera frame into a measurement in the world frame.
 //!
-//! With camera pose (R, t), detection p and covariance Σ: p_w = R p + t, and its error is
-//! diag(R, R) Σ diag(R, R)ᵀ plus that of the camera's place, J Σ_camera Jᵀ with
-//! J = [I -[R p]×; 0 I], since a small turn δθ of the camera moves the point by δθ × R p. The
-//! camera that stands errs in its place in every frame alike, so that part is wholly systematic; of one
-//! that rides a part is ([`super::rider`]); of Σ a configured share is.
+//! With the camera's pose (R, t), detection p and covariance Σ: p_w = R p + t. Its covariance is diag(R, R) Σ diag(R,
+//! R)ᵀ plus that of the camera's pose, J Σ_camera Jᵀ with J = [I -[R p]×; 0 I], since a small rotation δθ of the camera
+//! moves the point by δθ × R p. The pose error of a stationary camera is the same in every frame, so it is wholly
+//! systematic; that of a mobile camera is in part ([`super::mobile_camera`]); Σ is to a configured share.
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
@@ -22,47 +21,47 @@ use roundel_vision::{
     time::Timestamp,
 };
 
-/// No measurement is believed to be better than 10 µm and 10 µrad: keeps the filter's arithmetic
-/// well within the digits of `f64`.
+/// Smallest variance of a measurement, (10 µm)² and (10 µrad)²; keeps the filter's arithmetic well within the
+/// digits of `f64`.
 pub(super) const FLOOR_VARIANCE: f64 = 1e-10;
-/// Beyond 100 m and 100 rad a measurement tells nothing and only costs digits.
+/// Largest variances of a measurement; larger ones carry no information and only cost digits.
 const CEILING_POSITION_M2: f64 = 1e4;
 const CEILING_ROTATION_RAD2: f64 = 1e4;
-/// A unit normal's length may be off by so much.
+/// Tolerance of a unit normal's length.
 const UNIT_TOLERANCE: f64 = 1e-3;
 
-/// By how much a camera's stamps are late.
+/// Correction of a camera's stamps.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct StampCorrection {
-    /// Of its clock's epoch, nanoseconds …
+    /// Offset of its epoch, nanoseconds.
     pub(super) base_ns: i64,
-    /// … and what its clock is off beside.
+    /// Remaining offset of its clock, seconds.
     pub(super) offset_s: f64,
 }
 
 impl StampCorrection {
-    /// On the server's time, but for the clock's offset.
+    /// The stamp in the server's epoch, without correction of the clock offset.
     pub(super) fn based(&self, stamp: Timestamp) -> Timestamp {
         stamp.plus_ns(self.base_ns.saturating_neg())
     }
 
-    /// On the server's time.
+    /// The stamp on the server's time scale.
     pub(super) fn corrected(&self, stamp: Timestamp) -> Timestamp {
         self.based(stamp).plus_seconds(-self.offset_s)
     }
 }
 
-/// Why a detection is no measurement.
+/// Reason why a detection gives no measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum MeasurementReject {
-    /// It has no pose.
+    /// No pose.
     NoPose,
-    /// Something is not finite, a normal is no unit vector, or the covariance is not positive
-    /// definite or outlandish.
+    /// A number is not finite, a normal is no unit vector, or the covariance is out of range or not positive
+    /// definite.
     Invalid,
 }
 
-/// Carries a detection into the world frame.
+/// Transforms a detection into the world frame.
 pub(super) fn measure(
     detection: &Detection,
     (camera, frame): (CameraId, u64),
@@ -82,7 +81,7 @@ pub(super) fn measure(
         turned_covariance(&turn, &own)
     };
     let (mut position_total, mut rotation_total) = (measurement(0), measurement(3));
-    // Of the whole error, and of what stays.
+    // Covariances of the whole error, and of its systematic part.
     let share = params.systematic_share.clamp(0.0, 1.0);
     let mut position_systematic = position_total * share;
     let mut rotation_systematic = rotation_total * share;
@@ -120,8 +119,8 @@ pub(super) fn measure(
     })
 }
 
-/// Where a camera that stands sees a detection, world frame, with the whole covariance that its measurement has
-/// in fusion, metres²; `None` of what fusion would refuse.
+/// Position and covariance (metres²) that fusion would use for a detection by a stationary camera, world frame;
+/// `None` where fusion would reject it.
 pub fn seen_in_world(
     detection: &Detection,
     place: &CameraPlacement,
@@ -138,7 +137,7 @@ pub fn seen_in_world(
     Some((measurement.position_m, measurement.position_noise.total))
 }
 
-/// A measurement that took its camera's place as exact, with the errors of that.
+/// Adds the camera's pose error to a measurement that was made with an exact pose.
 pub(super) fn add_camera_pose_error(
     mut measurement: Measurement,
     camera_pose: &ExposurePose,
@@ -157,8 +156,8 @@ pub(super) fn add_camera_pose_error(
     measurement
 }
 
-/// The roundel's orientations in the camera frame by both normals; the print's x points the same way in the
-/// picture.
+/// Orientations of the roundel in the camera frame by both normals; the print's x axis points the same way in the
+/// image.
 pub(super) fn orientations(pose: &RoundelPose) -> [UnitQuaternion<f64>; 2] {
     let first = orientation(&pose.normal, pose.yaw_rad);
     let level = orientation_of_normal(&pose.other_normal);
@@ -169,7 +168,7 @@ pub(super) fn orientations(pose: &RoundelPose) -> [UnitQuaternion<f64>; 2] {
     [first, level * turn_about_z(x.x, x.y)]
 }
 
-/// The roundel's orientation in the camera frame: the normal's, turned by the yaw about it.
+/// Orientation of the roundel in the camera frame: that of its normal, rotated by the yaw about it.
 pub(super) fn orientation(normal: &Vector3<f64>, yaw_rad: Option<f64>) -> UnitQuaternion<f64> {
     let level = orientation_of_normal(normal);
     yaw_rad.map_or(level, |yaw_rad| {
@@ -177,7 +176,7 @@ pub(super) fn orientation(normal: &Vector3<f64>, yaw_rad: Option<f64>) -> UnitQu
     })
 }
 
-/// What the camera's place adds to position and rotation; `None` where it is exact.
+/// Covariances that the camera's pose error adds to position and rotation; `None` if the pose is exact.
 fn camera_pose_error(covariance: &Covariance6, arm_m: &Vector3<f64>) -> Option<[Matrix3<f64>; 2]> {
     if (0..6).all(|axis| covariance[(axis, axis)] == 0.0) {
         return None;
@@ -197,7 +196,7 @@ fn symmetric(matrix: Matrix3<f64>) -> Matrix3<f64> {
 pub(super) fn is_valid_pose(pose: &RoundelPose) -> bool {
     let is_unit = |vector: &Vector3<f64>| (vector.norm() - 1.0).abs() < UNIT_TOLERANCE;
     let variances = pose.covariance.diagonal();
-    // All of them, without a branch for each.
+    // Without a branch for each number.
     let are_finite = |numbers: &[f64]| numbers.iter().fold(true, |all, one| all & one.is_finite());
     are_finite(pose.position_m.as_slice())
         && are_finite(pose.covariance.as_slice())

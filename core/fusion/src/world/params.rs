@@ -1,44 +1,43 @@
-//! What fusion can be told; the defaults are those of `deploy/roundel.example.toml`.
+//! Parameters of fusion; the defaults are those of `deploy/roundel.example.toml`.
 
 use nalgebra::Vector3;
 
 use crate::track::{Ground, MotionModel};
 
-/// How long an acceleration lasts, as seen by a filter that remembers a tenth of a second: turns
-/// the acceleration that objects are capable of into the density of a white one, q = a² · T. Found
-/// in the scenarios of `core/tests/fusion.rs`, where it makes errors and covariances agree.
+/// Duration of an acceleration as seen by a filter with a memory of a tenth of a second. Converts the rms
+/// acceleration a into the density of a white one, q = a² · T. Chosen so that errors and covariances agree in the
+/// scenarios of `core/tests/fusion`.
 const ACCELERATION_TIME_S: f64 = 0.1;
 
-/// Squared Mahalanobis length up to which an innovation is believed as it is (χ², 3 degrees of
-/// freedom, 0.999); longer ones are held back to it.
+/// Squared Mahalanobis length up to which innovations have full weight (χ², 3 degrees of freedom, 0.999).
 const ROBUST_DISTANCE_SQUARED: f64 = 16.3;
 
-/// Printed faces look up: this much likelier, in log-odds, than to the side.
+/// Prior log-odds of a face that looks up against one to the side.
 const UPRIGHT_LOG_ODDS: f64 = 3.0;
 
-/// What drives: its face looks up, …
+/// The same for an object that drives.
 const GROUND_LOG_ODDS: f64 = 30.0;
-/// … within this, …
+/// Standard deviation of the tilt of an object that drives.
 const TILT_RAD: f64 = 0.02;
-/// … and rocks by so much at most, rms.
+/// Rms angular acceleration and angular speed of its tilt.
 const ROCKING_RAD_S2: f64 = 1.0;
 const ROCKING_RAD_S: f64 = 0.1;
-/// Its floor is even to this, m, …
+/// Standard deviation of a floor's height, metres.
 pub(super) const FLOOR_M: f64 = 0.003;
-/// … so that up and down it moves by so much at most, rms.
+/// Rms vertical acceleration and speed of an object that drives.
 const BUMP_M_S2: f64 = 0.05;
 const SLOPE_M_S: f64 = 0.05;
 
 /// How objects of a kind move.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum MotionClass {
-    /// Any way they like, as what flies.
+    /// Free motion in all directions, as of objects that fly.
     #[default]
     Free,
-    /// On a level floor, upright.
+    /// Upright on a level floor.
     Ground {
-        /// Height of the roundel's centre in the world, metres: with it one camera alone locates as
-        /// exactly as it sees (2D mode); `None`: it is measured.
+        /// Height of the roundel's centre in the world, metres. With it a single camera locates as precisely as
+        /// it measures angles (2D mode); `None`: the height is estimated.
         height_m: Option<f64>,
     },
 }
@@ -46,38 +45,39 @@ pub enum MotionClass {
 /// Parameters of fusion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FusionParams {
-    /// Rms acceleration that objects are capable of, m/s².
+    /// Rms acceleration of objects, m/s².
     pub acceleration_m_s2: f64,
-    /// Rms angular acceleration that objects are capable of, rad/s².
+    /// Rms angular acceleration of objects, rad/s².
     pub angular_acceleration_rad_s2: f64,
-    /// Rms speed of an object at its first sight, each axis, m/s.
+    /// Rms speed of a new object along each axis, m/s.
     pub speed_m_s: f64,
-    /// Rms angular speed of an object at its first sight, each axis, rad/s.
+    /// Rms angular speed of a new object about each axis, rad/s.
     pub angular_speed_rad_s: f64,
-    /// Observations this much older than the newest are still used; older ones are dropped.
+    /// Largest age, against the newest observation, at which one is still used.
     pub late_window_ns: i64,
-    /// A frame this far in the future of all others, its receiving time considered, is refused.
+    /// Largest advance of a frame's capture time before all others, relative to receiving times; frames beyond
+    /// are rejected.
     pub max_lead_ns: i64,
-    /// A tentative track without support for so long vanishes.
+    /// A tentative track ends after this time without detection.
     pub tentative_after_ns: i64,
-    /// Not seen for so long: predicted.
+    /// A track becomes predicted after this time without detection.
     pub predicted_after_ns: i64,
-    /// Not seen for so long: lost.
+    /// A track is lost after this time without detection.
     pub lost_after_ns: i64,
-    /// Detections after which a tentative track is trusted.
+    /// Number of detections that confirm a track.
     pub confirm_hits: u64,
-    /// More tracks than this are not followed.
+    /// Largest number of tracks.
     pub max_objects: usize,
-    /// Squared Mahalanobis length (3 degrees of freedom) up to which a detection can be an
-    /// object's; the default passes 0.9999 of the true ones.
+    /// Gate: largest squared Mahalanobis length (3 degrees of freedom) of an innovation; the default passes
+    /// 0.9999 of the true ones.
     pub gate_distance_squared: f64,
-    /// Part of each observation's covariance that is the same from frame to frame of one camera
-    /// and therefore does not average out, 0 to 1.
+    /// Share of each observation's covariance that is systematic: common to a camera's frames and not averaged
+    /// out, 0 to 1.
     pub systematic_share: f64,
-    /// Time in which that part forgets itself, s.
+    /// Correlation time of the systematic error, s.
     pub systematic_time_s: f64,
-    /// A camera that suddenly disagrees with all others as if it had moved is held back, for so long at most:
-    /// until then who watches the cameras has judged it. 0: none is.
+    /// Longest time for which a camera that suddenly disagrees with all others is held back, until the camera
+    /// monitor has decided. 0 disables holding back.
     pub held_back_ns: i64,
 }
 
@@ -104,7 +104,7 @@ impl Default for FusionParams {
 }
 
 impl FusionParams {
-    /// The filter's view of these parameters, of objects that move like this.
+    /// The filter's model for objects of this motion class.
     pub(super) fn motion_model(&self, class: &MotionClass) -> MotionModel {
         let density = |most: f64| most * most * ACCELERATION_TIME_S;
         let level = density(self.acceleration_m_s2);

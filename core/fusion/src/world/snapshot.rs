@@ -1,11 +1,10 @@
-//! What clients see: tracks predicted to one instant, and the tracked point of each object.
+//! Object states at one time: predicted tracks, moved to the tracked point of each object.
 //!
-//! The filter follows a roundel's centre c; the tracked point is p = c + R o with the configured
-//! offset o. With r = R o, δp = δc - [r]× δθ and δv = δv_c - [ω]×[r]× δθ - [r]× δω, which carries
-//! the covariances over. Of a plain roundel's offset only the part along the normal has a known
-//! place; the rest, of length l, lies somewhere on a circle: the centre of that circle is told, with
-//! the variance l²/2 along each of its axes. Of one with an elliptical disc the rest lies to one side or the
-//! other: between both, with the variance l² along it.
+//! The filter estimates a roundel's centre c. The tracked point is p = c + R o with the configured offset o. With r = R
+//! o, δp = δc - [r]× δθ and δv = δv_c - [ω]×[r]× δθ - [r]× δω, which transforms the covariances. For a plain roundel
+//! only the component of o along the normal has a known direction; the rest, of length l, lies on a circle: its centre
+//! is reported with variance l²/2 along each of the circle's axes. For an elliptical disc the rest points to one side
+//! or the other: the middle is reported, with variance l² along that direction.
 
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
@@ -15,12 +14,12 @@ use crate::track::{
 };
 use roundel_vision::{id::CameraId, rigid::orientation_of_normal, time::Timestamp};
 
-/// Cameras that contributed within this time are named.
+/// Cameras with a detection within this time are listed.
 const CONTRIBUTING_NS: i64 = 200_000_000;
 
 impl Snapshot {
-    /// The same objects so many seconds later, their accelerations ending (earlier, if negative, by constant velocity), the
-    /// covariances grown by the same process noise as within fusion. Not finite: unchanged.
+    /// The same objects `seconds` later, with decaying accelerations (earlier if negative, by constant velocity).
+    /// The covariances grow by the same process noise as within fusion. Unchanged if `seconds` is not finite.
     pub fn predicted(&self, seconds: f64) -> Snapshot {
         let mut snapshot = self.clone();
         if seconds.is_finite() && seconds != 0.0 {
@@ -58,7 +57,7 @@ impl ObjectState {
     }
 }
 
-/// A track's state at `time`; `offset_m` is the tracked point in the roundel's frame.
+/// State of a track at `time`; `offset_m` is the tracked point in the roundel's frame.
 pub(super) fn object_state(
     track: &mut Track,
     time: Timestamp,
@@ -103,8 +102,8 @@ pub(super) fn object_state(
     state
 }
 
-/// Moves position, velocity and their covariance from the roundel's centre to the tracked point;
-/// gives the covariance of position and rotation.
+/// Moves position, velocity and their covariance from the roundel's centre to the tracked point; returns the
+/// covariance of position and rotation.
 fn shift_to_tracked_point(
     state: &mut ObjectState,
     attitude: &AttitudeEstimate,

@@ -1,15 +1,15 @@
-//! The cheapest one-to-one assignment: the Hungarian method with potentials and shortest augmenting
-//! paths, one row after another (Jonker, Volgenant, *A shortest augmenting path algorithm for dense
-//! and sparse linear assignment problems*, 1987, without its initialization). O(rows² · columns).
+//! Optimal one-to-one assignment: the Hungarian method with potentials and shortest augmenting paths, one row after
+//! another (Jonker, Volgenant, *A shortest augmenting path algorithm for dense and sparse linear assignment problems*,
+//! 1987, without its initialization). O(rows² · columns).
 
-/// Cost of a pair that must not be. Far above any sum of allowed costs.
+/// Cost of a forbidden pair; far above any sum of allowed costs.
 pub(in crate::world) const FORBIDDEN: f64 = 1e9;
 
-/// For each row its column, so that the sum of costs is smallest. `costs` is row by row, with at
-/// least as many columns as rows, all finite. Equal costs go to the lower column.
+/// Column of each row, so that the sum of costs is smallest. `costs` is row by row, with at least as many columns
+/// as rows, all finite. Equal costs go to the lower column.
 pub(in crate::world) fn assign(costs: &[f64], rows: usize, columns: usize) -> Vec<usize> {
     assert!(rows <= columns && costs.len() == rows * columns, "{rows} rows, {columns} columns");
-    // Index 0 of rows and columns stands for "none", as the method is written with counts from 1.
+    // Index 0 means "none", since the method counts from 1.
     let mut row_potential = vec![0.0; rows + 1];
     let mut column_potential = vec![0.0; columns + 1];
     let mut row_of = vec![0; columns + 1];

@@ -1,18 +1,18 @@
-//! Which tracks a sighting may be of at all, told from a few numbers of each, eight tracks at a time.
+//! Coarse gate: excludes tracks that a sighting cannot belong to from a few numbers of each, eight tracks at a time.
 //!
-//! With r the residual, R the covariance of the measurement's error and P that of the prediction, an innovation's
-//! squared length is at least (uᵀ r)² / (uᵀ S u) for any direction u, and however both errors are correlated,
-//! uᵀ S u ≤ (√(uᵀ P u) + √(uᵀ R u))² ≤ 2 (|u|² tr P + uᵀ R u). With u = R⁻¹ r and m = rᵀ R⁻¹ r
+//! With the residual r, covariance R of the measurement and P of the prediction, an innovation's squared length is at
+//! least (uᵀ r)² / (uᵀ S u) for any direction u. However both errors are correlated, uᵀ S u ≤ (√(uᵀ P u) + √(uᵀ R u))²
+//! ≤ 2 (|u|² tr P + uᵀ R u). With u = R⁻¹ r and m = rᵀ R⁻¹ r
 //!
 //! d² ≥ m² / (2 (|u|² tr P + m)),
 //!
-//! which costs no root and no inverse, and refuses nothing that the gate would let pass
-//! (`tests::nobody_within_the_gate_is_left_out`). Along the line of sight, where R is loose, much remains;
-//! across it next to nothing. Before that u = r is tried, d² ≥ |r|² / (2 (tr P + tr R)), which is next to no work
-//! and enough for all that is far away.
+//! which needs no root and no inverse and excludes nothing that the exact gate would pass
+//! (`tests::no_track_within_the_gate_is_excluded`). Along the line of sight, where R is large, many tracks remain;
+//! across it hardly any. A cheaper test with u = r, d² ≥ |r|² / (2 (tr P + tr R)), comes first and suffices for
+//! everything far away.
 //!
-//! PERF: 64 objects under 8 cameras 2.5 → 1.9 ms a set on a busy machine; 200 under 16 whose clocks are being
-//! compared 20 → 9.5 ms (which time each track wants is asked of those that remain only).
+//! PERF: 64 objects under 8 cameras 2.5 → 1.9 ms a frame set on a busy machine; 200 under 16 whose clocks are estimated
+//! 20 → 9.5 ms (timing is computed only for the tracks that remain).
 
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat, SimdMask, dispatch, f64x8};
 use fearless_simd_macros::simd;
@@ -23,49 +23,50 @@ use crate::world::lifecycle::{Coarse, Track};
 use roundel_vision::time::Timestamp;
 
 const LANES: usize = 8;
-/// The clock's error moves a measurement by the object's speed, and the prediction by less than as much.
+/// Factor on a clock error's effect: it moves the measurement by the object's speed, and the prediction by less
+/// than that.
 const CLOCK_SHARE: f64 = 2.0;
 
-/// Where all tracks are at one time, eight by eight.
+/// Positions of all tracks at one time, in batches of eight.
 #[derive(Clone, Debug, Default)]
 pub(in crate::world) struct TrackBatches {
     tracks: usize,
     batches: Vec<TrackBatch>,
 }
 
-/// Eight tracks, number by number.
+/// Eight tracks, one lane each.
 #[derive(Clone, Debug)]
 struct TrackBatch {
     places_m: [[f64; LANES]; 3],
     velocities_m_s: [[f64; LANES]; 3],
-    /// tr P, with what clocks may add.
+    /// tr P with clock errors.
     traces_m2: [f64; LANES],
 }
 
-/// Nothing is near what is not there.
+/// Unused lanes are infinitely far away.
 const EMPTY: TrackBatch = TrackBatch {
     places_m: [[f64::INFINITY; LANES]; 3],
     velocities_m_s: [[0.0; LANES]; 3],
     traces_m2: [0.0; LANES],
 };
 
-/// What of a sighting meets the field.
+/// A sighting prepared for the gate.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::world) struct GateProbe {
     place_m: [f64; 3],
-    /// So much later than the field.
+    /// Time after that of the batches.
     offset_s: f64,
     /// tr R.
     trace_m2: f64,
-    /// R⁻¹, its upper triangle.
+    /// Upper triangle of R⁻¹.
     precision: [f64; 6],
     /// det R.
     pub(in crate::world) determinant: f64,
 }
 
 impl TrackBatches {
-    /// Of these tracks, for sightings up to `span_s` before or after `time` by a camera whose clock may be
-    /// off by `timing_s`.
+    /// Fills in the tracks, for sightings up to `span_s` before or after `time` by a camera whose clock has the
+    /// standard deviation `timing_s`.
     pub(in crate::world) fn fill(
         &mut self,
         tracks: &[Track],
@@ -99,8 +100,8 @@ impl TrackBatches {
         batch.traces_m2[lane] = deviation_m * deviation_m;
     }
 
-    /// Tracks that the sighting may be of, none that is within this squared Mahalanobis length left out;
-    /// ascending.
+    /// Indices of the tracks that the sighting may belong to, ascending; includes all within this squared
+    /// Mahalanobis length.
     pub(in crate::world) fn candidates(
         &self,
         probe: &GateProbe,
@@ -145,8 +146,8 @@ impl TrackBatches {
 }
 
 impl TrackBatch {
-    /// The residuals along one axis. No closure: it would not be part of the function that has the vector
-    /// instructions.
+    /// Residuals along one axis. Not a closure: that would not be compiled with the vector instructions of its
+    /// caller.
     #[inline(always)]
     fn residuals<S: Simd>(&self, simd: S, axis: usize, probe: &GateProbe) -> f64x8<S> {
         let place_m = f64x8::load_array_ref(simd, &self.places_m[axis]);
@@ -156,9 +157,9 @@ impl TrackBatch {
 }
 
 impl GateProbe {
-    /// So many seconds later than the field.
+    /// `offset_s` is the time after that of the batches.
     pub(in crate::world) fn new(place_m: [f64; 3], noise: &Noise, offset_s: f64) -> Self {
-        // What has no inverse excludes nothing.
+        // A singular covariance excludes nothing.
         let (inverse, determinant, trace_m2) = match invert_positive(&noise.total) {
             Some((inverse, determinant)) => (inverse, determinant, noise.total.trace()),
             None => (Matrix3::zeros(), 0.0, f64::INFINITY),
@@ -183,7 +184,7 @@ mod tests {
 
     const LIMIT: f64 = 63.3;
 
-    /// A measurement 7 m along `sight`, whose depth is known ten times worse than the rest.
+    /// A measurement from 7 m along `sight`, with ten times the error in depth.
     fn seen(time_s: f64, place_m: Vector3<f64>, sight: Vector3<f64>, timing_s: f64) -> Measurement {
         let sight = sight.normalize();
         let along = sight * sight.transpose();
@@ -244,7 +245,7 @@ mod tests {
             let mut candidates = Vec::new();
             batches.candidates(&probe, LIMIT, &mut candidates);
             prop_assert!(innovation.distance_squared > LIMIT || candidates == [0]);
-            // And who is far off is: nothing is near at a hundred deviations of everything.
+            // Nothing is a candidate at a hundred standard deviations.
             let deviation_m = coarse.max_deviation_m(0.05) + noise.total.trace().sqrt();
             let far_m = place_m + off_m.normalize() * (100.0 * (deviation_m + 4.0 * timing_s));
             batches.candidates(&GateProbe::new(far_m.into(), noise, offset_s), LIMIT, &mut candidates);

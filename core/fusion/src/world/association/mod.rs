@@ -1,13 +1,12 @@
-//! Which track each detection of one frame belongs to.
+//! Assignment of one frame's sightings to tracks.
 //!
-//! A pair is possible if kinds are equal (or both are of one body) and the innovation lies inside the gate (squared
-//! Mahalanobis length of the position with its whole covariance, so along the line of sight far
-//! more is allowed than across it). Its cost is -2 ln likelihood up to a constant,
-//! d² + ln det S - ln det R, less a bonus if the camera's own tracker says that it is the same
-//! roundel as before, and a larger one if the teeth say so. Teeth that say otherwise count against it, each time in a
-//! row once more, and what is not seen now is not known again by them at all: it may be anywhere, and robots that
-//! come into view there would go on under its name. Independent groups of pairs are solved one by one, each
-//! optimally; leaving a detection out costs [`UNASSIGNED_COST`].
+//! A pair is possible if the kinds are equal (or both belong to one body) and the innovation lies inside the gate:
+//! squared Mahalanobis length of the position with its whole covariance, so the gate is much longer along the line of
+//! sight than across it. Its cost is -2 ln likelihood up to a constant, d² + ln det S - ln det R, less a bonus if the
+//! camera's own tracker continues the track, and a larger one if the code agrees. Another code adds to the cost, once
+//! more for each in a row. A track that is not observed at present is not matched against another code at all: it may
+//! be anywhere, and a robot that comes into view there would take over its id. Independent groups of pairs are solved
+//! one by one, each optimally; leaving a sighting out costs [`UNASSIGNED_COST`].
 
 mod assignment;
 mod gate;
@@ -19,21 +18,21 @@ use super::{FusionParams, clock::Clocks, identity::Subject, lifecycle::Track};
 use crate::track::{Innovation, Measurement, Noise};
 use roundel_vision::marker::Code;
 
-/// A detection may stay without a track at this cost: above that of a true pair at the gate whose
-/// velocity is not known yet.
+/// Cost of leaving a sighting without a track: above that of a true pair at the gate whose velocity is not known
+/// yet.
 const UNASSIGNED_COST: f64 = 60.0;
-/// The camera's own tracker continues: likelihood e⁶ in favour.
+/// Bonus if the camera's own tracker continues: likelihood e⁶.
 const CONTINUITY_BONUS: f64 = 12.0;
-/// And the gate is wider by this factor, since a moment's error is then the better explanation; the
-/// filter holds such innovations back.
+/// Factor on the gate in that case, since a momentary error is then the better explanation; the filter gives such
+/// innovations less weight.
 const CONTINUITY_GATE: f64 = 3.0;
-/// The track's code was read: likelihood e¹⁰ in favour, and the wider gate; another code, as much against for each one
-/// that was read since.
+/// Bonus if the track's code was read: likelihood e¹⁰, and the wider gate. The same as a cost for each
+/// consecutive reading of another code.
 const CODE_BONUS: f64 = 20.0;
-/// A track that is not trusted yet takes nothing from one that is.
+/// Cost of a tentative track, so that it takes nothing from a confirmed one.
 const TENTATIVE_COST: f64 = 6.0;
 
-/// A detection in the world, or all of one body, with what it is of and what its teeth say.
+/// A detection in the world frame, or all those of one body, with subject and code.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sighting {
     pub(super) subject: Subject,
@@ -41,7 +40,7 @@ pub(super) struct Sighting {
     pub(super) measurement: Measurement,
 }
 
-/// Index of the track that a sighting belongs to, and how well it fits; `None`: it fits no track.
+/// Index of the track that a sighting belongs to, with its innovation; `None` if it fits no track.
 pub(super) type Decision = Option<(usize, Innovation)>;
 
 #[derive(Clone, Copy, Debug)]
@@ -52,7 +51,7 @@ struct Pair {
     innovation: Innovation,
 }
 
-/// -2 ln likelihood up to a constant: a ratio's logarithm and the rest.
+/// -2 ln likelihood up to a constant: `rest` plus the logarithm of `ratio`.
 #[derive(Clone, Copy, Debug)]
 struct Cost {
     ratio: f64,
@@ -64,13 +63,13 @@ impl Cost {
         self.rest + self.ratio.ln()
     }
 
-    /// PERF: most sightings fit one track alone and well, so that ln x ≤ x - 1 spares the logarithm.
+    /// PERF: most sightings fit one track only and well; ln x ≤ x - 1 saves the logarithm.
     fn is_below(&self, limit: f64) -> bool {
         self.rest + self.ratio - 1.0 < limit || self.whole() < limit
     }
 }
 
-/// Working memory, kept from frame to frame.
+/// Buffers reused between frames.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Scratch {
     batches: TrackBatches,
@@ -80,7 +79,7 @@ pub(super) struct Scratch {
     group_of_track: Vec<usize>,
 }
 
-/// Decides for every sighting of one frame; no track gets two.
+/// Decides for every sighting of one frame; each track gets at most one.
 pub(super) fn associate(
     tracks: &[Track],
     sightings: &[Sighting],
@@ -114,7 +113,7 @@ pub(super) fn associate(
     decisions
 }
 
-/// What it costs that a sighting is a track's, if it can be.
+/// Cost of assigning a sighting to a track, if that is possible.
 fn pair_cost(
     sighting: &Sighting,
     track: &Track,
@@ -125,7 +124,7 @@ fn pair_cost(
         return None;
     }
     let measurement = &sighting.measurement;
-    // There is one of each body.
+    // Each body exists once.
     let is_body = sighting.subject.body.map(|_| true);
     let code_agrees = is_body.or(sighting.code.and_then(|read| track.codes.agrees(read)));
     let unseen_ns = measurement.time.ns_since(track.newest);
@@ -162,13 +161,13 @@ fn pair_cost(
     Some((Cost { ratio: innovation.determinant / noise_det, rest }, innovation))
 }
 
-/// Numbers the groups of sightings and tracks that share pairs, by their lowest sighting.
+/// Labels the groups of sightings and tracks that share pairs by their lowest sighting.
 fn label_groups(sightings: usize, tracks: usize, scratch: &mut Scratch) {
     scratch.group_of_sighting.clear();
     scratch.group_of_sighting.extend(0..sightings);
     scratch.group_of_track.clear();
     scratch.group_of_track.resize(tracks, usize::MAX);
-    // Few rounds: a group's lowest number travels one pair a round, forward in one.
+    // A group's lowest label moves forward over any number of pairs in one round, so few rounds are needed.
     let mut changed = true;
     while changed {
         changed = false;
@@ -185,7 +184,7 @@ fn label_groups(sightings: usize, tracks: usize, scratch: &mut Scratch) {
 
 fn solve(decisions: &mut [Decision], scratch: &mut Scratch) {
     let groups = &scratch.group_of_sighting;
-    // A stable sort: within a group, pairs stay ordered by sighting, then track.
+    // Stable: within a group, pairs stay ordered by sighting, then track.
     scratch.pairs.sort_by_key(|pair| groups[pair.sighting]);
     for pairs in scratch.pairs.chunk_by(|a, b| groups[a.sighting] == groups[b.sighting]) {
         if let [only] = pairs {
@@ -199,7 +198,7 @@ fn solve(decisions: &mut [Decision], scratch: &mut Scratch) {
         let mut columns: Vec<usize> = pairs.iter().map(|pair| pair.track).collect();
         columns.sort_unstable();
         columns.dedup();
-        // Behind the tracks, each sighting has a column of its own for staying alone.
+        // After the tracks, each sighting has a column of its own for staying unassigned.
         let width = columns.len() + rows.len();
         let mut costs = vec![FORBIDDEN; rows.len() * width];
         for row in 0..rows.len() {

@@ -1,26 +1,24 @@
-//! One measurement of an object out of all of its roundels that a frame shows.
+//! One measurement of an object from all of its roundels in one frame.
 //!
-//! Roundel i, mounted on the object at (Rᵢ, tᵢ), is seen at pᵢ and turned by qᵢ (of a plain roundel only
-//! the normal counts, of an elliptical disc the nearer of both headings). The object's pose (R, p) is the
-//! one that makes
+//! Roundel i, mounted on the object at (Rᵢ, tᵢ), is measured at pᵢ with orientation qᵢ (only the normal of a plain
+//! roundel, the nearer of both headings of an elliptical disc). The object's pose (R, p) minimizes
 //!
 //! Σ |pᵢ - p - R tᵢ|² + |log qᵢ (R Rᵢ)⁻¹|² - 2 ln Lᵢ
 //!
-//! least, each length by its inverse covariance: Gauss and Newton with J = [I -[R tᵢ]×; 0 I]. Each roundel
-//! has two normals qᵢ of likelihood Lᵢ, and all choices of normals are tried, or of many roundels one
-//! after the other turned to the other one. Best and second best become the two candidates of
-//! [`AttitudeMeasurement`].
+//! with each length weighted by its inverse covariance: Gauss-Newton with J = [I -[R tᵢ]×; 0 I]. Each roundel has two
+//! normals qᵢ of likelihood Lᵢ. All choices of normals are tried, or for many roundels one after the other is switched.
+//! The best two choices become the candidates of [`AttitudeMeasurement`].
 //!
-//! What one frame says of the place depends on how the object is turned, by the levers tᵢ. Where the frame
-//! does not say that (a single plain roundel) and the object is followed already, the place is that which
-//! agrees with its predicted orientation; the part of the place's error that stems from the prediction
-//! is as long-lived as that, so it is systematic. An angle that neither frame nor prediction knows (about the normal of a plain roundel) leaves a circle:
-//! its centre is told, with half of its radius squared as variance.
+//! The position depends on the orientation by the levers tᵢ. Where the frame does not determine the orientation (a
+//! single plain roundel) and the object is tracked already, the position uses its predicted orientation. The part of
+//! the position's error that stems from the prediction lasts as long as that, so it is systematic. An angle that
+//! neither frame nor prediction determines (about the normal of a plain roundel) leaves a circle: the measurement is
+//! its centre, with half of its squared radius as variance.
 //!
-//! Roundels that contradict the others by far (a misread code) are left out one by one. Less than
-//! that widens the covariance: mounts are measured by hand, and an error of them is no part of it.
+//! Roundels that contradict the others by far (a misread code) are left out one by one. Smaller contradictions widen
+//! the covariance: mounts are measured by hand, and their error is not part of it.
 //!
-//! `core/tests/fusion/body.rs` holds position and orientation to be as good as they say.
+//! `core/tests/fusion/body.rs` checks that position and orientation are as precise as stated.
 
 mod fit;
 
@@ -36,16 +34,16 @@ use crate::world::{
 };
 use roundel_vision::rigid::mahalanobis_squared;
 
-/// Information about a rotation of which nothing is known, rad⁻²: next to none.
+/// Information about an unknown rotation, rad⁻²; close to none.
 const WEAK_INFORMATION: f64 = 1e-3;
-/// An angle with a variance above this is not known, rad².
+/// Variance above which an angle is unknown, rad².
 const UNKNOWN_RAD2: f64 = 1.0;
-/// Squared residuals above so many times their number contradict each other: five deviations each.
+/// Largest mean squared residual of roundels that agree: five standard deviations each.
 const MAX_MISFIT: f64 = 25.0;
-/// The second choice is no candidate below this probability.
+/// Smallest probability of the second choice as a candidate.
 const MIN_SECOND_PROBABILITY: f64 = 1e-4;
 
-/// What is expected of the object at the frame's time.
+/// Prediction of the object at the frame's time.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::world) struct PredictedPose {
     position_m: Vector3<f64>,
@@ -55,12 +53,11 @@ pub(in crate::world) struct PredictedPose {
     angular_velocity_rad_s: Vector3<f64>,
     rotation: Matrix3<f64>,
     has_yaw: bool,
-    /// That see it now, the frame's own included.
+    /// Number of cameras that observe it at present, including the frame's own.
     cameras: f64,
 }
 
 impl PredictedPose {
-    /// By its track, predicted to the frame.
     pub(in crate::world) fn of(track: &Track, seen: &Measurement, fresh_ns: i64) -> Self {
         let mut estimate = *track.history.newest();
         estimate.predict(seen.time, &track.model);
@@ -91,8 +88,8 @@ impl PredictedPose {
     }
 }
 
-/// One measurement of parts of one body, not empty and of one frame, with `share` of the errors
-/// systematic, and how many of them were left out; `None` if nothing fits.
+/// Measurement from the parts of one body in one frame (at least one), with `share` of the errors systematic, and
+/// the number of parts that were left out. `None` if nothing fits.
 pub(in crate::world) fn joint_measurement(
     parts: &[PartMeasurement],
     expected: Option<&PredictedPose>,
@@ -121,12 +118,12 @@ pub(in crate::world) fn joint_measurement(
     Some((measurement, parts.len() - terms.len()))
 }
 
-/// Numbers that are measured beyond those that are asked for.
+/// Number of residuals less number of unknowns.
 fn degrees_of_freedom(terms: &[RoundelTerm]) -> f64 {
     (terms.iter().map(RoundelTerm::residual_count).sum::<f64>() - 6.0).max(1.0)
 }
 
-/// All roundels but the one whose absence leaves the best fit, nearest to what is expected.
+/// All roundels except the one whose absence leaves the best fit, taking the prediction into account.
 fn without_worst(
     terms: &[RoundelTerm],
     expected: Option<&PredictedPose>,
@@ -142,23 +139,22 @@ fn without_worst(
         });
         Some((best.cost + prior_cost, (others, best, second)))
     };
-    // The last one first, so that of equals the first one stays.
+    // In reverse, so that the first of equals is kept.
     let all = (0..terms.len()).rev().filter_map(without);
     all.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, left)| left)
 }
 
-/// By how much residuals beyond their deviations widen the variances.
+/// Factor on the variances for residuals larger than stated.
 fn inflation(terms: &[RoundelTerm], fit: &Fit) -> f64 {
     let degrees_of_freedom = degrees_of_freedom(terms);
     (fit.misfit / (degrees_of_freedom + 3.0 * (2.0 * degrees_of_freedom).sqrt())).max(1.0)
 }
 
-/// Probability of the second choice.
 fn second_probability(best: f64, second: f64) -> f64 {
     1.0 / (1.0 + (0.5 * (second - best)).exp())
 }
 
-/// How the frame alone says that the object is turned.
+/// Orientation by the frame alone.
 fn attitude(
     terms: &[RoundelTerm],
     (best, second): (&Fit, Option<&Fit>),
@@ -166,8 +162,8 @@ fn attitude(
     share: f64,
 ) -> Option<AttitudeMeasurement> {
     let known = expected.filter(|expected| expected.is_orientation_known());
-    // Far less than the track knows itself, and not so little that a rival normal, which begins with
-    // this, would blur it.
+    // Far less than the track's own information, but enough that a rival normal, which starts with it, does not
+    // blur it.
     let weak = known.map_or(Matrix3::from_diagonal_element(WEAK_INFORMATION), |known| {
         known.information() * WEAK_INFORMATION
     });
@@ -193,7 +189,7 @@ fn attitude(
         Some(second) => (second, noise(second)?),
         None => (best, best_noise),
     };
-    // One roundel alone, flat on the object, whose opposite looks the same: so does the object.
+    // A single roundel flat on the object passes its symmetry on to the object.
     let symmetry = match terms {
         [only] if (only.mount.rotation * Vector3::z()).z.abs() > 1.0 - 1e-6 => only.yaw_symmetry,
         _ => None,
@@ -207,7 +203,7 @@ fn attitude(
     })
 }
 
-/// Where the object is, by the frame and the orientation that is expected.
+/// Position by the frame and the predicted orientation.
 fn position(
     terms: &[RoundelTerm],
     (best, second): (Fit, Option<Fit>),
@@ -246,7 +242,7 @@ fn position(
     cholesky_lower(&noise.total).map(|_| (position_m, noise))
 }
 
-/// The same for one choice of normals: place, covariance and the part of it that stays.
+/// Position for one choice of normals: value, covariance and the systematic part of the covariance.
 fn position_for(
     terms: &[RoundelTerm],
     fit: &Fit,
@@ -271,7 +267,7 @@ fn position_for(
     let mut circle = Matrix3::zeros();
     let mut position_m = fit.position_m;
     if rotation.trace() > UNKNOWN_RAD2 {
-        // About this axis it may be turned in any way.
+        // The rotation about this axis is unknown.
         let eigen = rotation.symmetric_eigen();
         let axis = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned();
         let across = Matrix3::identity() - axis * axis.transpose();
@@ -284,9 +280,9 @@ fn position_for(
     }
     position_m += (covariance * pull).fixed_rows::<3>(0);
     let seen = block(&(covariance * fit.information * covariance), 0);
-    // All cameras take it from the same prediction, while each one's systematic error is taken for its
-    // own: so much larger, their mean errs as it should. And at the origin the error of the orientation
-    // adds to it, from which it stems, while both are taken for independent.
+    // All cameras use the same prediction, while their systematic errors are treated as independent: the factor
+    // makes their mean's error right. The other factor of two covers the origin, where the error of the
+    // orientation adds to that of the position, from which it stems, while both are treated as independent.
     let shared = expected.map_or(1.0, |expected| 2.0 * expected.cameras);
     let predicted = block(&(covariance * prior * covariance), 0) * shared;
     let total = symmetric(&(block(&covariance, 0) + predicted * (1.0 - 1.0 / shared))) + circle;

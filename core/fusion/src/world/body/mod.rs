@@ -1,13 +1,12 @@
-//! Objects that carry several roundels at known places, or one of known code.
+//! Objects with several roundels at known places, or with one of known code.
 //!
-//! What a detection is part of follows from its kind, if a plain kind belongs to an object, or from its
-//! code. A camera's tracker keeps its number while it follows a roundel, so a vote over what it has read
-//! says which one it is where the teeth cannot be read, or are misread once. `assembly` makes one
-//! measurement of all parts that a frame shows. A body without any roundel is seen by its own camera alone
-//! (`localize`).
+//! The kind of a detection, if it is a plain kind of one object, or its code decides which roundel of which object it
+//! shows. A camera's tracker keeps its number while it follows a roundel, so a vote over the readings identifies it
+//! where the code is unreadable or misread once. `joint_measurement` makes one measurement from all parts in a frame. A
+//! body without roundels is observed only through its own camera (`mobile_camera`).
 //!
-//! A body is filtered by the middle of its roundels, where errors of place and of orientation have least
-//! to do with one another, and shown by its origin.
+//! A body is filtered at the centroid of its roundels, where errors of position and orientation are least correlated,
+//! and reported at its origin.
 
 pub(super) mod joint_measurement;
 
@@ -29,68 +28,68 @@ use roundel_vision::{
 /// A roundel on an object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mount {
-    /// Its kind.
+    /// Kind of the roundel.
     pub kind: KindId,
-    /// Its code; `None`: all roundels of the kind are this one.
+    /// Code of the roundel; `None` if it is the only one of its kind.
     pub code: Option<Code>,
-    /// Where its centre is on the object, and how it is turned.
+    /// Pose of the roundel on the object.
     pub object_from_roundel: Rigid,
 }
 
-/// An object by its roundels. Its frame is the caller's choice; z should look up where that means anything.
+/// An object and its roundels. Its frame is the caller's choice; z should point up where that has a meaning.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Body {
     /// How it moves; heights are those of its origin.
     pub motion: MotionClass,
-    /// What it carries; none, and only a camera on it that localizes says where it is.
+    /// Its roundels. Without any, only a camera on it that localizes determines its pose.
     pub mounts: Vec<Mount>,
 }
 
-/// Why an object cannot be followed.
+/// Reason why a body is rejected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum BodyError {
-    /// A number that is none.
+    /// A number is not finite.
     #[error("expected finite places of roundels on the object, found others at roundel {mount}")]
     NotFinite {
-        /// Its place in the list, from 0.
+        /// Index of the roundel.
         mount: usize,
     },
-    /// A roundel can be on one object only, and there once.
+    /// The roundel belongs to another object, or occurs twice.
     #[error("roundel {mount} of the object is taken already, or its whole kind is")]
     Taken {
-        /// Its place in the list, from 0.
+        /// Index of the roundel.
         mount: usize,
     },
 }
 
-/// Which roundel of which body.
+/// One roundel of one body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct MountRef {
     pub(super) body: BodyId,
     mount: usize,
 }
 
-/// What one of a camera's tracks was read as.
+/// Code readings of one of a camera's tracks.
 #[derive(Clone, Copy, Debug)]
 struct CodeReading {
     vote: CodeVote,
     newest: Timestamp,
 }
 
-/// A part as a frame shows it, its camera's place taken as exact.
+/// Measurement of a body's roundel in a frame, with an exact camera pose.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PartMeasurement {
     part: MountRef,
-    /// From the middle of the roundels.
+    /// With the body's origin at the centroid of its roundels.
     pub(super) body_from_roundel: Rigid,
     pub(super) measurement: Measurement,
 }
 
-/// All bodies, what cameras know of their roundels, and the parts that the present frame shows.
+/// All bodies, the cameras' code readings of their roundels, and the parts in the current frame.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Bodies {
     bodies: Vec<Body>,
-    /// Middles of their roundels, object frame.
+    /// Centroids of their roundels, object frame.
     centroids_m: Vec<Vector3<f64>>,
     by_roundel: BTreeMap<(KindId, Option<Code>), MountRef>,
     readings: BTreeMap<(CameraId, TrackNumber), CodeReading>,
@@ -104,8 +103,8 @@ impl Bodies {
         Ok(id)
     }
 
-    /// Says of bodies, known ones and others, what they carry from now on, all at once, so that they may exchange
-    /// roundels. With an error, nothing is changed.
+    /// Replaces bodies, or adds new ones, all at once, so that they may exchange roundels. Changes nothing on
+    /// error.
     pub(super) fn replace(&mut self, changed: &[(BodyId, Body)]) -> Result<(), BodyError> {
         let mut by_roundel = self.by_roundel.clone();
         by_roundel.retain(|_, part| changed.iter().all(|(id, _)| *id != part.body));
@@ -129,7 +128,7 @@ impl Bodies {
         Ok(())
     }
 
-    /// What tracks of a body hang on: its roundels as seen from their middle, and how that moves.
+    /// The body with its origin at the centroid of its roundels.
     pub(super) fn centred(&self, body: BodyId) -> Option<Body> {
         let (mut centred, centroid_m) =
             (self.bodies.get(body.0 as usize)?.clone(), self.centroids_m[body.0 as usize]);
@@ -142,7 +141,7 @@ impl Bodies {
         Some(centred)
     }
 
-    /// Has cameras know that they follow the one roundel of a body under these numbers.
+    /// Notes the code of a roundel that cameras already track under these numbers.
     pub(super) fn set_readings(
         &mut self,
         code: Code,
@@ -155,7 +154,7 @@ impl Bodies {
         }
     }
 
-    /// As which a camera knows the roundel with this code.
+    /// A camera's number of the roundel with this code.
     pub(super) fn number_at(&self, camera: CameraId, code: Code) -> Option<TrackNumber> {
         let of_camera =
             self.readings.range((camera, TrackNumber(0))..=(camera, TrackNumber(u64::MAX)));
@@ -163,30 +162,30 @@ impl Bodies {
         reads.max_by_key(|(_, reading)| reading.newest).map(|((_, number), _)| *number)
     }
 
-    /// Its origin from the middle of its roundels.
+    /// Origin of the body from the centroid of its roundels.
     pub(super) fn origin_m(&self, body: BodyId) -> Vector3<f64> {
         -self.centroids_m[body.0 as usize]
     }
 
-    /// The kind that it is shown as: that of its first roundel.
+    /// Kind under which it is reported: that of its first roundel.
     pub(super) fn kind(&self, body: BodyId) -> Option<KindId> {
         self.bodies[body.0 as usize].mounts.first().map(|mount| mount.kind)
     }
 
-    /// The body with this roundel, and how it is mounted there.
+    /// The body with this roundel, and the roundel's pose on it.
     pub(super) fn find_roundel(&self, kind: KindId, code: Code) -> Option<(BodyId, Rigid)> {
         let part = self.by_roundel.get(&(kind, Some(code)))?;
         let mount = &self.bodies[part.body.0 as usize].mounts[part.mount];
         Some((part.body, mount.object_from_roundel))
     }
 
-    /// The code of a body that carries one roundel.
+    /// Code of a body with a single roundel.
     pub(super) fn code(&self, body: BodyId) -> Option<Code> {
         let [only] = &self.bodies[body.0 as usize].mounts[..] else { return None };
         only.code
     }
 
-    /// How the middle of its roundels moves.
+    /// Motion model of the centroid.
     pub(super) fn model(&self, body: BodyId, params: &FusionParams) -> MotionModel {
         let mut class = self.bodies[body.0 as usize].motion;
         if let MotionClass::Ground { height_m: Some(height_m) } = &mut class {
@@ -195,7 +194,7 @@ impl Bodies {
         MotionModel { learns_rotation_density: false, ..params.motion_model(&class) }
     }
 
-    /// The height that it is held at by the middle of its roundels, and what was said of its origin.
+    /// Heights to which the centroid and the origin are constrained.
     pub(super) fn heights_m(&self, body: BodyId) -> Option<(f64, f64)> {
         match self.bodies[body.0 as usize].motion {
             MotionClass::Ground { height_m: Some(said_m) } => {
@@ -205,7 +204,7 @@ impl Bodies {
         }
     }
 
-    /// What a camera's detection is part of, and whether this camera's track was not known as that before.
+    /// The roundel that a camera's detection shows, and whether this camera's track was not known as that before.
     pub(super) fn part_of(
         &mut self,
         detection: &Detection,
@@ -231,12 +230,12 @@ impl Bodies {
         part(reading).map(|part| (part, known != Some(part)))
     }
 
-    /// Lets go of what cameras have not seen since then.
+    /// Discards readings from before `since`.
     pub(super) fn forget(&mut self, since: Timestamp) {
         self.readings.retain(|_, reading| reading.newest >= since);
     }
 
-    /// Takes a part that the present frame shows.
+    /// Adds a part of the current frame.
     pub(super) fn add_part(&mut self, part: MountRef, measurement: Measurement) {
         let body = part.body.0 as usize;
         let mut body_from_roundel = self.bodies[body].mounts[part.mount].object_from_roundel;
@@ -244,12 +243,12 @@ impl Bodies {
         self.parts.push(PartMeasurement { part, body_from_roundel, measurement });
     }
 
-    /// Whether the present frame shows it under this number already.
+    /// Whether the current frame has a part with this number.
     pub(super) fn has_part(&self, number: TrackNumber) -> bool {
         self.parts.iter().any(|seen| seen.measurement.number == number)
     }
 
-    /// Gives the parts that the frame shows, body by body, and forgets them.
+    /// Takes the parts of the current frame, ordered by body.
     pub(super) fn take_parts(&mut self) -> Vec<PartMeasurement> {
         let mut parts = std::mem::take(&mut self.parts);
         parts.sort_by_key(|seen| (seen.part, seen.measurement.number));
@@ -263,10 +262,10 @@ impl PartMeasurement {
     }
 }
 
-/// A roundel, and which part of what it is.
+/// A roundel and where it is mounted.
 type Claim = ((KindId, Option<Code>), MountRef);
 
-/// The roundels of a body, if nobody else has them.
+/// The roundels of a body, unless another body has one of them.
 fn checked_claims(
     id: BodyId,
     body: &Body,

@@ -1,30 +1,32 @@
-//! Cameras that suddenly disagree with all others as if they had moved: held back before they spoil tracks.
+//! Holds back cameras that suddenly disagree with all others as if they had moved, before they disturb tracks.
 //!
-//! [`roundel_calib::watch`] needs most of a second to be sure who was bumped; until then an object that only
-//! that camera sees well would go with it. So before a frame enters the filters, the small rigid motion of
-//! the camera is fitted that explains best how far what it sees lies from where others saw the same within a tenth of a second (`shift`).
-//! Lens, clock and place err slowly: what they make is learned over [`BASELINE_S`], and only what is beyond it counts.
-//! A frame whose motion moves what is seen by more than [`LEAST_MOVE_M`], with a gain of more than [`SURE_GAIN`],
-//! does not enter, neither do those after it, and what the camera saw within [`BEFORE_NS`] is taken back.
+//! `roundel_calib::watch` needs most of a second to be certain which camera was bumped; until then an object that
+//! mainly that camera observes would follow it. So before a frame enters the filters, the small rigid motion of its
+//! camera is fitted that best explains its distances from where other cameras observed the same objects within a tenth
+//! of a second (`shift`). Lens, clock and pose errors change slowly: their effect is learned as a baseline over
+//! [`BASELINE_S`], and only the deviation from it counts. If the motion moves the detections by more than
+//! [`MIN_MOVE_M`] with a gain of more than [`MIN_GAIN`], this frame and those after it are rejected, and measurements
+//! of the camera within the last [`RETRACTED_NS`] are retracted.
 //!
-//! Who moved? Not the camera against which a single one of the others, asked by itself, speaks: that one agrees with
-//! it, and who disagrees with both has moved; where only one of them speaks against it at all, that one is held back at
-//! once, before its own next frame. Objects may move as well, all at once, and then every camera seems to,
-//! one after another. So if as many as half of those that see the objects would have to be held back, nobody
-//! is, and neither without a witness: another camera that sees the same objects where they are expected meanwhile.
-//! A camera that agrees again is used again; one that does not is as well after a time, if who watches the cameras has
-//! not taken it out by then: as it stands is the new baseline.
+//! The camera of the frame is not necessarily the one that moved. Each other camera is compared separately. If a single
+//! one contradicts the motion, that one agrees with the frame's camera, and whichever disagrees with both has moved. If
+//! only one supports it, that one is held back at once, before its own next frame. Objects may also move all at once;
+//! then every camera seems to move, one after another. So nothing is held back if that would affect half of the cameras
+//! that observe the objects, nor without a confirmation: another camera that observes the same objects where they are
+//! expected meanwhile.
 //!
-//! Reached (`cargo run --release -p roundel-tests --bin healing`, `tests/tests/healing.rs`): R4, cameras bumped by 2 cm or 1°
-//! within 0.1 s, no track off by more than 4.4 mm; 18 mm without. 2 cm within 0.1 or 0.3 s at five times of 30 seeds:
-//! nobody held back in its stead, and no track off by more than 5 mm but one, 0.75 s later, that the bumped camera's
-//! absence leaves to one other at the edge of its picture (6.0 mm, stated 1.5).
+//! A held camera is used again when it agrees, or after a time if the camera monitor has not removed it: its present
+//! pose is then the new baseline.
 //!
-//! Limits. Where fewer than [`LEAST_SHARED`] objects are seen by others too, nothing can be told, and a camera alone is
-//! never held back.
+//! Results (`cargo run --release -p roundel-tests --bin healing`, `tests/tests/healing.rs`): R4, cameras bumped by 2 cm
+//! or 1° within 0.1 s: no track off by more than 4.4 mm; 18 mm without. 2 cm within 0.1 or 0.3 s at five times of 30
+//! seeds: no wrong camera held back, and no track off by more than 5 mm except one, 0.75 s later, that is left to one
+//! other camera at the edge of its image (6.0 mm, stated 1.5).
 //!
-//! PERF: a frame whose innovations are as large as usual costs an addition for each; the fit is made ten times a
-//! second for the baseline, of a crowd with a part of it each time, and with all when something is unusual.
+//! Limits: needs at least [`MIN_SHARED`] objects that other cameras observe too; a single camera is never held back.
+//!
+//! PERF: a frame with usual innovations costs one addition per sighting. The fit runs ten times a second for the
+//! baseline, on a part of a large frame, and on all sightings when something is unusual.
 
 mod query;
 mod shift;
@@ -34,64 +36,64 @@ use roundel_vision::{id::CameraId, time::Timestamp};
 use shift::{Baseline, Shift, fit};
 pub(super) use shift::{MAX_OTHERS, ObjectResidual};
 
-/// Fewer objects that others see, too, say nothing.
+/// Smallest number of objects that other cameras observe too.
 const MIN_SHARED: usize = 3;
-/// A gain below this is chance: χ² of 6 beyond 1 - 10⁻¹⁰.
+/// Smallest significant gain: χ² of 6 beyond 1 - 10⁻¹⁰.
 const MIN_GAIN: f64 = 60.0;
-/// Most of the other cameras, each by itself, gain more than this, and none loses as much: else it is one of those
-/// that moved.
+/// Most of the other cameras, each alone, must gain more than this, and none lose as much; otherwise one of those
+/// moved.
 const MIN_SINGLE_GAIN: f64 = 10.0;
-/// Where one alone gains all, and the rest together less than this, that one has moved.
+/// If one camera alone has the whole gain, and the rest together less than this, that camera moved.
 const MAX_REST_GAIN: f64 = 5.0;
-/// Cameras that are asked for that.
+/// Largest number of cameras compared separately.
 const MAX_QUERIED: usize = 8;
-/// Motions that move less of what is seen, rms, spoil nothing.
+/// Smallest rms motion of the detections that matters.
 const MIN_MOVE_M: f64 = 0.0015;
-/// Frames whose sum of these exceeds what is usual by less are not looked at.
+/// Sums of squared innovations within this of the usual sum need no fit.
 const UNUSUAL: f64 = 25.0;
-/// After a motion with a gain of more than this nothing is taken for usual …
+/// A gain above this raises an alarm: for a time all frames are fitted.
 const ALARM_GAIN: f64 = 20.0;
-/// … for so long: a filter that follows a camera that moves finds it usual soon.
+/// Duration of an alarm; a filter that follows a moving camera soon finds it usual.
 const ALARM_NS: i64 = 60_000_000;
-/// Share of a frame in what is usual.
+/// Weight of a frame in the usual squared innovation.
 const USUAL_SHARE: f64 = 0.05;
-/// Time in which the baseline forgets itself, seconds, …
+/// Memory of the baseline, seconds.
 const BASELINE_S: f64 = 2.0;
-/// … and how often something is added to it.
+/// Interval of additions to the baseline.
 const LEARN_NS: i64 = 100_000_000;
-/// So much has to be known of a camera, from its first frame or its release on.
+/// Time from a camera's first frame or release until it can be held back.
 const WARM_UP_NS: i64 = 500_000_000;
-/// Without a witness within this, nobody is held back.
+/// A hold ends if it is not confirmed within this time.
 const CONFIRMATION_NS: i64 = 120_000_000;
-/// What a camera saw so long before it was held back is not used either.
+/// Measurements from this long before the hold are retracted.
 const RETRACTED_NS: i64 = 100_000_000;
-/// Frames in a row that agree end it.
+/// Number of consecutive frames in agreement that end a hold.
 const AGREED_FRAMES: u32 = 6;
-/// A camera that was held back in vain is not again for so long.
+/// A camera that was held back in vain is exempt for this long.
 const EXEMPT_NS: i64 = 30_000_000_000;
 
-/// Steps kept for a caller that does not fetch them.
+/// Largest number of events kept for the caller.
 const MAX_EVENTS: usize = 64;
 
-/// A camera's being held back.
+/// Event of a camera that is held back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HeldBack {
-    /// Which.
+    /// The camera.
     pub camera: CameraId,
-    /// From when on, capture time.
+    /// Capture time from which its frames are rejected.
     pub since: Timestamp,
-    /// What became of it.
+    /// What happened.
     pub step: HeldStep,
 }
 
-/// What becomes of a camera that is held back.
+/// Step of holding a camera back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HeldStep {
-    /// Its frames are not used.
+    /// Its frames are rejected from now on.
     Begun,
-    /// They are again: it agrees with the others.
+    /// Its frames are used again, since it agrees with the others.
     Agreed,
-    /// They are again though it does not agree, since nobody said that it had moved.
+    /// Its frames are used again without agreement, since no monitor reported a motion.
     InVain,
 }
 
@@ -102,15 +104,15 @@ struct Hold {
     agreed: u32,
 }
 
-/// What is known of one camera.
+/// What is known about one camera.
 #[derive(Clone, Debug)]
 struct CameraRecord {
     camera: CameraId,
-    /// Squared length of an innovation, usually.
+    /// Usual squared length of an innovation.
     usual: f64,
     baseline: Baseline,
     learned: Option<Timestamp>,
-    /// It is not held back before.
+    /// Earliest time of a hold.
     from: Timestamp,
     hold: Option<Hold>,
 }
@@ -121,24 +123,24 @@ pub(super) struct CameraOutliers {
     cameras: Vec<CameraRecord>,
     events: Vec<HeldBack>,
     residuals: Vec<ObjectResidual>,
-    /// When some camera seemed to move last.
+    /// Last time that some camera seemed to move.
     alarm: Option<Timestamp>,
-    /// Cameras whose measurements are to be taken back, and from when on.
+    /// Cameras whose measurements must be retracted, and from when on.
     retractions: Vec<(CameraId, Timestamp)>,
 }
 
-/// Whether a frame is to be used.
+/// Decision about a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Admission {
-    /// It is, and it says that things are where they are expected.
+    /// Use it; its objects are where they are expected.
     Consistent,
-    /// It is.
+    /// Use it.
     Admitted,
-    /// It is not.
+    /// Do not use it.
     Rejected,
 }
 
-/// Who has moved.
+/// The camera that moved.
 enum Culprit {
     Nobody,
     Itself,
@@ -146,7 +148,7 @@ enum Culprit {
 }
 
 impl CameraOutliers {
-    /// Forgets a camera: it stands elsewhere. What is usual of the others was against where it stood.
+    /// Forgets a camera whose pose has changed, and the baselines of the others, which were relative to it.
     pub(super) fn forget(&mut self, camera: CameraId) {
         self.cameras.retain(|camera_record| camera_record.camera != camera);
         self.retractions.retain(|(retractions, _)| *retractions != camera);
@@ -160,14 +162,14 @@ impl CameraOutliers {
         }
     }
 
-    /// From when on a camera is held back.
+    /// Time since which a camera is held back.
     pub(super) fn held_since(&self, camera: CameraId) -> Option<Timestamp> {
         let camera_record =
             self.cameras.iter().find(|camera_record| camera_record.camera == camera)?;
         camera_record.hold.map(|hold| hold.since)
     }
 
-    /// Cameras held back without a witness yet, with the time from which on they may have seen what others see.
+    /// Cameras held back without confirmation, with the time from which detections may confirm it.
     pub(super) fn unconfirmed(&self) -> impl Iterator<Item = (CameraId, Timestamp)> {
         let unconfirmed_count = |camera_record: &CameraRecord| {
             let hold = camera_record.hold.filter(|hold| !hold.is_confirmed)?;
@@ -176,7 +178,7 @@ impl CameraOutliers {
         self.cameras.iter().filter_map(unconfirmed_count)
     }
 
-    /// Another camera sees where they are expected what this one saw.
+    /// Confirms a hold: another camera observes the objects where they are expected.
     pub(super) fn confirm(&mut self, camera: CameraId) {
         let camera_record =
             self.cameras.iter_mut().find(|camera_record| camera_record.camera == camera);
@@ -188,12 +190,12 @@ impl CameraOutliers {
         self.push_event(HeldBack { camera, since, step: HeldStep::Begun });
     }
 
-    /// A camera whose measurements are to be taken back.
+    /// Takes a camera whose measurements must be retracted.
     pub(super) fn next_retraction(&mut self) -> Option<(CameraId, Timestamp)> {
         self.retractions.pop()
     }
 
-    /// What became known.
+    /// Takes the events since the last call.
     pub(super) fn drain(&mut self) -> impl Iterator<Item = HeldBack> + '_ {
         self.events.drain(..)
     }
@@ -204,8 +206,8 @@ impl CameraOutliers {
         }
     }
 
-    /// Whether a frame is to be used; `gather` tells, if that is in doubt, how far it lies from what all others
-    /// or one of them saw.
+    /// Decides about a frame. `gather` collects the distances from what all others, or one of them, observed; it
+    /// is called only when needed.
     pub(super) fn judge(
         &mut self,
         (camera, time): (CameraId, Timestamp),
@@ -252,7 +254,7 @@ impl CameraOutliers {
         admission
     }
 
-    /// What becomes of a frame whose camera seems to have moved.
+    /// Decides about a frame whose camera seems to have moved.
     fn suspect(
         &mut self,
         index: usize,
@@ -272,7 +274,7 @@ impl CameraOutliers {
         }
         let count = others.iter().flatten().count();
         if 2 * unconfirmed_count > count + 1 {
-            // It is the objects that moved.
+            // The objects moved.
             for camera_record in &mut self.cameras {
                 camera_record.hold = camera_record.hold.filter(|hold| hold.is_confirmed);
             }
@@ -303,7 +305,7 @@ impl CameraOutliers {
         self.retractions.push((camera_record.camera, time.plus_ns(-RETRACTED_NS)));
     }
 
-    /// The same for a camera that is held back; whether it seems to have moved, if that can be told.
+    /// Decides about a frame of a camera that is held back. `has_moved` is `None` where that is undetermined.
     fn judge_held(
         &mut self,
         index: usize,
@@ -356,7 +358,7 @@ impl CameraOutliers {
     }
 }
 
-/// Who has moved, a camera with this shift or one of the others, each asked by itself.
+/// The camera that moved: that of the shift, or one of the others, each compared separately.
 fn find_culprit(
     shift: &Shift,
     others: impl Iterator<Item = CameraId>,

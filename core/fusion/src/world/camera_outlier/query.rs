@@ -1,38 +1,39 @@
-//! How much of a frame is held against what other cameras saw, and what says that all of it has to be.
+//! Which sightings of a frame are compared with other cameras, and the sum of innovations that decides it.
 
 use roundel_vision::id::CameraId;
 
-/// As many of a frame's sightings are enough for a baseline, which sums up what some twenty frames said.
+/// Number of sightings that suffice for the baseline, which averages some twenty frames.
 const MIN_SAMPLED: usize = 16;
-/// An innovation's squared length counts up to this in what is usual.
+/// Limit of an innovation's squared length in the usual sum.
 pub(crate) const MAX_SQUARED: f64 = 50.0;
 
-/// What a frame's innovations come to.
+/// Sum over a frame's innovations.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct InnovationSum {
-    /// Of squared lengths, each up to [`MOST_SQUARED`].
+    /// Squared lengths, each at most [`MAX_SQUARED`].
     pub(crate) sum: f64,
     pub(crate) count: usize,
 }
 
-/// Of whom it is asked how far a frame lies from what they saw.
+/// Selects the cameras and sightings to compare.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Query {
-    /// This other camera; `None`: all.
+    /// The other camera; `None`: all others.
     pub(crate) by: Option<CameraId>,
-    /// One sighting in so many …
+    /// Every how many sightings one is selected.
     pub(crate) every: usize,
-    /// … of which so many are left out before the first.
+    /// Number of sightings before the first selected one.
     pub(crate) skipped: usize,
 }
 
 impl Query {
-    /// About all sightings.
+    /// All sightings.
     pub(super) fn whole(by: Option<CameraId>) -> Self {
         Self { by, every: 1, skipped: 0 }
     }
 
-    /// About as many of so many sightings as a baseline needs, others at each turn; `None` where that is all of them.
+    /// A part of the sightings that suffices for the baseline, another one for each `turn`; `None` if that is all
+    /// of them.
     pub(super) fn part(sightings: usize, turn: u64) -> Option<Self> {
         let every = sightings / MIN_SAMPLED;
         let skipped = turn.checked_rem(every as u64)? as usize;

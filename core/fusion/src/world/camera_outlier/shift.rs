@@ -1,52 +1,52 @@
-//! The small rigid motion of a camera that explains best what was not foreseen.
+//! Fit of the small rigid motion of a camera that best explains its residuals.
 //!
-//! Object i lies at the arm aᵢ from the camera, its innovation is rᵢ with covariance Sᵢ, Wᵢ = Sᵢ⁻¹. A camera that
-//! moved by δ = (δt, δθ) sees rᵢ = -Jᵢ δ, J = [I | -[a]×]; sought is the δ with the least Σ ρ(eᵢᵀ Wᵢ eᵢ), e = r + J δ,
-//! with Huber's ρ, so that one object that jumps pulls little. Gauss and Newton: Λ = Σ w Jᵀ W J + Λ₀, δ = -Λ⁻¹ Σ w Jᵀ W r.
+//! Object i lies at the lever arm aᵢ from the camera; its residual is rᵢ with covariance Sᵢ, Wᵢ = Sᵢ⁻¹. A camera that
+//! moved by δ = (δt, δθ) has rᵢ = -Jᵢ δ, J = [I | -[a]×]. δ minimizes Σ ρ(eᵢᵀ Wᵢ eᵢ), e = r + J δ, with Huber's ρ, so
+//! that a single object that jumps has little weight. Gauss-Newton: Λ = Σ w Jᵀ W J + Λ₀, δ = -Λ⁻¹ Σ w Jᵀ W r.
 //!
-//! The baseline δ̄ comes from sums of Λ and Λ δ over frames, that fade. Gain is what δ costs less than δ̄, over the
-//! excess of what is left.
+//! The baseline δ̄ comes from decaying sums of Λ and Λ δ over frames. The gain is the cost at δ̄ less that at δ, over
+//! the excess of the remaining cost.
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use roundel_vision::id::CameraId;
 
-/// √e beyond which an object's cost grows linearly.
+/// √e above which an object's cost is linear.
 const ROBUST: f64 = 4.0;
-/// Other cameras that an object is held against.
+/// Largest number of other cameras that an object is compared with.
 pub(crate) const MAX_OTHERS: usize = 4;
-/// Times that weights are computed anew.
+/// Largest number of reweightings.
 const STEPS: usize = 3;
-/// Deviations of place and rotation before anything is seen, metres and radians.
+/// Prior standard deviations of translation and rotation, metres and radians.
 const PRIOR: (f64, f64) = (0.2, 0.1);
-/// Numbers of a motion.
+/// Number of unknowns.
 const NUMBERS: usize = 6;
 
-/// What one object says.
+/// Residual of one object.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ObjectResidual {
     /// From the camera to the object, world frame.
     pub(crate) arm_m: Vector3<f64>,
-    /// Seen less foreseen.
+    /// Observed less expected position.
     pub(crate) residual_m: Vector3<f64>,
-    /// Of that, inverse covariance.
+    /// Inverse covariance of the residual.
     pub(crate) weight: Matrix3<f64>,
-    /// Cameras that saw it of late.
+    /// Cameras that observed it recently.
     pub(crate) others: [Option<CameraId>; MAX_OTHERS],
 }
 
-/// A motion and what speaks for it.
+/// A fitted motion.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Shift {
     information: Matrix6<f64>,
     baseline: Vector6<f64>,
     change: Vector6<f64>,
     pub(super) gain: f64,
-    /// Of what is seen against the baseline, rms, metres.
+    /// Rms motion of the detections against the baseline, metres.
     pub(super) moved_m: f64,
 }
 
-/// What a camera's frames say usually.
+/// Usual motion of a camera.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Baseline {
     information: Matrix6<f64>,
@@ -71,7 +71,7 @@ impl ObjectResidual {
 }
 
 impl Baseline {
-    /// Takes in a frame, so long after the one before.
+    /// Adds a frame, `seconds` after the one before.
     pub(super) fn add(&mut self, shift: &Shift, seconds: f64, lasts_s: f64) {
         let kept = (-seconds.max(0.0) / lasts_s).exp();
         self.information = self.information * kept + shift.information;
@@ -85,16 +85,16 @@ impl Baseline {
 }
 
 impl Shift {
-    /// What other pulls gain by the same motion.
+    /// Gain of the same motion for other residuals.
     pub(super) fn gain_of(&self, residuals: &[ObjectResidual]) -> f64 {
         cost(residuals, &self.baseline).0 - cost(residuals, &self.change).0
     }
 }
 
-/// `None` if the pulls have no covariance.
+/// `None` if the residuals have no valid covariance.
 ///
-/// PERF: where no object's cost is beyond [`ROBUST`], before a step and after it, all is linear, and that step was the
-/// last one there is.
+/// PERF: where no cost is beyond [`ROBUST`] before and after a step, the problem is linear and that step is the
+/// last.
 pub(super) fn fit(residuals: &[ObjectResidual], baseline: &Baseline) -> Option<Shift> {
     let baseline = baseline.change();
     let mut step = Step::at(residuals, &baseline);
@@ -125,7 +125,7 @@ pub(super) fn fit(residuals: &[ObjectResidual], baseline: &Baseline) -> Option<S
     })
 }
 
-/// What a step of Gauss and Newton starts from.
+/// Linearization of the cost.
 struct Step {
     information: Matrix6<f64>,
     score: Vector6<f64>,
@@ -154,7 +154,7 @@ impl Step {
     }
 }
 
-/// And whether no object's is beyond [`ROBUST`].
+/// Cost, and whether no object's is beyond [`ROBUST`].
 fn cost(residuals: &[ObjectResidual], change: &Vector6<f64>) -> (f64, bool) {
     residuals.iter().fold((0.0, true), |(cost, is_linear), weighted_sum| {
         let squared = weighted_sum.remaining(change).1;
@@ -194,7 +194,7 @@ fn robust(squared: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Objects in a row, known to a millimetre, seen where a motion of the camera puts them.
+    /// Objects in a row with a deviation of 1 mm, displaced by a motion of the camera.
     fn residuals(count: usize, change: &Vector6<f64>) -> Vec<ObjectResidual> {
         let weighted_sum = |index: usize| {
             let arm_m = Vector3::new(index as f64 - 2.0, (index * index % 5) as f64, -4.0);

@@ -1,18 +1,15 @@
-//! What several cameras saw of one object, held against one another for what it says of their clocks.
+//! Comparison of several cameras' views of one moving object, for evidence about their clocks.
 //!
-//! Over a window each camera's positions are fitted by a parabola of their own, by the times that the
-//! clocks are believed to have shown, and taken in its middle: m_c = p - v ε_c + b_c + n_c, with v the
-//! object's velocity there, ε_c the error of what is believed of the clock, b_c the camera's systematic
-//! error and n_c noise. With R_c the covariance of b_c + n_c, A_c = R_c⁻¹ and A = Σ A_c, the unknown place
-//! p falls out, and of ε remain
+//! Over a window each camera's positions are fitted by a parabola at the corrected times, and evaluated at the middle:
+//! m_c = p - v ε_c + b_c + n_c, with the object's velocity v there, the error ε_c of the estimated clock offset, the
+//! camera's systematic error b_c and noise n_c. With R_c the covariance of b_c + n_c, A_c = R_c⁻¹ and A = Σ A_c, the
+//! unknown position p is eliminated. For ε remain
 //!
-//! information Λ_cj = vᵀ A_c v [c = j] - vᵀ A_c A⁻¹ A_j v, score η_c = -vᵀ A_c (m_c - p̂),
-//! p̂ = A⁻¹ Σ A_c m_c
+//! information Λ_cj = vᵀ A_c v [c = j] - vᵀ A_c A⁻¹ A_j v, score η_c = -vᵀ A_c (m_c - p̂), p̂ = A⁻¹ Σ A_c m_c
 //!
-//! Nothing is extrapolated, so that what the object may do next does not matter, and late frames are
-//! there already. b_c lasts longer than a window, so that windows that follow one another say less than
-//! they seem to: it counts as often as there are windows in twice the time in which it forgets itself. What the
-//! parabola leaves, ½ a ε², counts as error.
+//! Nothing is extrapolated, so the object's further motion does not matter, and late frames have arrived. b_c lasts
+//! longer than a window, so successive windows are correlated: its covariance is multiplied by the number of windows in
+//! twice its correlation time. The parabola's remainder, ½ a ε², counts as error.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -24,17 +21,17 @@ use crate::track::{History, MAX_SOURCES, Measurement};
 
 use roundel_vision::{id::CameraId, time::Timestamp};
 
-/// The window's length …
+/// Length of the window.
 pub(in crate::world) const WINDOW_NS: i64 = 180_000_000;
-/// … and how far it ends before the newest measurement: frames may be late, and clocks off.
+/// Time from the window's end to the newest measurement: frames may be late, and clocks off.
 const DELAY_NS: i64 = 110_000_000;
-/// A camera with fewer positions in it is left out …
+/// Cameras with fewer positions in the window are left out.
 const MIN_POSITIONS: usize = 4;
-/// … or where these do not reach so far over it on either side, as a share of its half.
+/// Cameras whose positions do not reach this far to either side, as a share of the half window, are left out.
 const MIN_REACH: f64 = 0.5;
-/// A slower object says nothing of time, m/s …
+/// Objects slower than this give no evidence, m/s.
 const MIN_SPEED_M_S: f64 = 0.05;
-/// … nor one whose speed's square is not so many times its variance.
+/// Smallest ratio of the squared speed to its variance.
 const MIN_SPEED_RATIO_SQUARED: f64 = 16.0;
 
 /// Sums over one camera's measurements in the window.
@@ -42,7 +39,7 @@ const MIN_SPEED_RATIO_SQUARED: f64 = 16.0;
 struct Sums {
     camera: CameraId,
     count: usize,
-    /// Of powers of the time, in half windows from its middle.
+    /// Sums of powers of the time, in half windows from the middle.
     powers: [f64; 5],
     positions: [Vector3<f64>; 3],
     white: Matrix3<f64>,
@@ -50,14 +47,13 @@ struct Sums {
     reach: (f64, f64),
 }
 
-/// A parabola's value, slope and curvature, with the variances of the first two as shares of that of one
-/// position.
+/// Value, slope and curvature of a parabola, and the variances of the first two in units of one position's.
 struct Parabola {
     terms: [Vector3<f64>; 3],
     variances: [f64; 2],
 }
 
-/// Of the measurements of the window before `now`; `None` if they say nothing.
+/// Compares the measurements in the window before `now`; `None` if they give no evidence.
 pub(in crate::world) fn compare(
     history: &History,
     now: Timestamp,
@@ -65,7 +61,7 @@ pub(in crate::world) fn compare(
     systematic_time_s: f64,
 ) -> Option<Comparison> {
     let half_s = 0.5e-9 * WINDOW_NS as f64;
-    // As long as an exponentially correlated error counts in a mean.
+    // Weight of an exponentially correlated error in a mean.
     let repeats = (systematic_time_s / half_s).max(1.0);
     let middle = now.plus_ns(-DELAY_NS - WINDOW_NS / 2);
     let mut sums: Vec<Sums> = Vec::with_capacity(MAX_SOURCES);
@@ -148,7 +144,7 @@ impl Sums {
         self.systematic += systematic;
     }
 
-    /// The parabola through the positions; `None` if there are too few of them.
+    /// Least-squares parabola; `None` if the positions are too few or one-sided.
     fn parabola(&self) -> Option<Parabola> {
         let covers = self.reach.0 <= -MIN_REACH && self.reach.1 >= MIN_REACH;
         if self.count < MIN_POSITIONS || !covers {

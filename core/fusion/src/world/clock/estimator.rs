@@ -1,18 +1,16 @@
-//! The cameras' clocks, estimated from what they see.
+//! Estimation of the cameras' clock offsets from moving objects.
 //!
-//! A camera that stamps a frame t saw it at t - δ(t), δ(t) = offset + skew · (t - now). Two cameras whose
-//! clocks differ see a moving object in different places, v (δ₁ - δ₂) apart: `comparison` holds against
-//! one another what several cameras saw of one object, and says what follows for what is still wrong
-//! about the δ. A Kalman filter over all clocks takes in the sums of a batch.
+//! A camera that stamps a frame t exposed it at t - δ(t), δ(t) = offset + skew · (t - now). Two cameras whose clocks
+//! differ see a moving object in places v (δ₁ - δ₂) apart. `comparison` compares several cameras' views of one object
+//! and derives information about the remaining errors of δ. A Kalman filter over all clocks adds the sums of a batch.
 //!
-//! Of each clock three numbers are unknown: offset, skew, and the latency between capture and receipt,
-//! which is known to be nearly constant: stamp less receiving time = δ - latency + jitter. This holds the
-//! mean of all clocks, which no moving object shows, to the server's clock in the long run. Where it steps,
-//! either of them may have done so, and moving objects tell which. Else offset and latency are told apart
-//! by their priors alone.
+//! Each clock has three unknowns: offset, skew, and the latency between capture and reception, which is nearly
+//! constant: stamp less receiving time = δ - latency + jitter. The latency ties the mean of all clocks, which no moving
+//! object shows, to the server's clock in the long run. When stamp less receiving time steps, either offset or latency
+//! may have changed, and moving objects decide. Otherwise only their priors separate offset and latency.
 //!
-//! Time differences are what can be known: [`Clocks::deviation_s`] is that of one clock from another.
-//! A camera that joins later does not move the mean of those before.
+//! Only time differences are observable: [`Clocks::deviation_s`] is that of one clock against another. A camera that
+//! joins later does not move the mean of the earlier ones.
 //!
 //! Accuracy: R4 with offsets to 40 ms and skews to 50 ppm, 24 robots, to 0.1 ms within 20 s
 //! (`core/tests/fusion/clock.rs`).
@@ -24,84 +22,83 @@ use nalgebra::{DMatrix, DVector};
 use super::evidence::Comparison;
 use roundel_vision::{id::CameraId, time::Timestamp};
 
-/// What is known of a clock before anything was seen.
+/// Prior knowledge of a clock.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClockPrior {
-    /// Deviation of the offset, seconds; 0: exact, nothing is estimated.
+    /// Standard deviation of the offset, seconds; 0: exact, nothing is estimated.
     pub offset_s: f64,
-    /// Deviation of the skew, seconds per second.
+    /// Standard deviation of the skew, seconds per second.
     pub skew: f64,
 }
 
 impl ClockPrior {
-    /// Stamps that are right.
+    /// An exact clock.
     pub const EXACT: Self = Self { offset_s: 0.0, skew: 0.0 };
 }
 
-/// What is known of a camera's clock.
+/// Estimate of a camera's clock.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClockEstimate {
-    /// Its stamps are late by so much, seconds.
+    /// Delay of its stamps, seconds.
     pub offset_s: f64,
-    /// And by so much more each second.
+    /// Growth of the offset, seconds per second.
     pub skew: f64,
-    /// Deviation of its offset from that of the clock it is best compared with, seconds; alone, of the
-    /// offset itself.
+    /// Standard deviation of the offset's difference from the clock that it is best compared with, seconds; for a
+    /// single clock, of the offset itself.
     pub deviation_s: f64,
-    /// Of the skew likewise.
+    /// The same for the skew.
     pub skew_deviation: f64,
 }
 
-/// A batch of evidence lasts so long.
+/// Duration of a batch of evidence.
 const BATCH_S: f64 = 0.25;
-/// An innovation counts fully up to this squared Mahalanobis length.
+/// Squared Mahalanobis length up to which a comparison has full weight.
 const ROBUST_DISTANCE_SQUARED: f64 = 9.0;
-/// Growth of the variance a second: of offset (s²), skew and latency (s²).
+/// Growth of the variances per second: of offset (s²), skew and latency (s²).
 const OFFSET_WALK: f64 = 1e-12;
 const SKEW_WALK: f64 = 2.5e-15;
 const LATENCY_WALK: f64 = 4e-10;
-/// Latency before anything was seen, seconds, and its deviation: so wide that receiving times tell skews,
-/// not offsets.
+/// Prior latency, seconds, and its standard deviation: so wide that receiving times determine skews, not offsets.
 const LATENCY: (f64, f64) = (0.03, 1.0);
-/// The receiving times' jitter is this at least, seconds.
+/// Smallest jitter of receiving times, seconds.
 const MIN_JITTER_S: f64 = 1e-3;
-/// Stamp less receiving time has stepped if it is so many deviations away from what was expected.
+/// Stamp less receiving time has stepped if it deviates by more standard deviations than this.
 const STEP_SIGMAS: f64 = 3.0;
 
-/// What a clock that was set may be off by after its stamps were brought back.
+/// Uncertainty of a clock after its stamps were corrected for a step.
 const STEP_PRIOR: ClockPrior = ClockPrior { offset_s: 0.03, skew: 1e-4 };
 
-/// A clock is doubtful beside another if its doubts are so many times as large. (Of clocks that are all known but
-/// one, its doubts are as many times theirs as there are of them.)
+/// A clock is less certain than another if its uncertainty is larger by this factor. (If all clocks but one of n
+/// are known, that one's uncertainty is n times theirs.)
 const LESS_CERTAIN_RATIO: f64 = 1.5;
 
 const STATES: usize = 3;
 
-/// One camera's part.
+/// One camera's clock.
 #[derive(Clone, Debug)]
 struct Clock {
     camera: CameraId,
     prior: ClockPrior,
-    /// Of stamp less receiving time in this batch: count, sum and sum of squares.
+    /// Stamp less receiving time in this batch: count, sum and sum of squares.
     delay: (u32, f64, f64),
-    /// When it was set last.
+    /// Time of its last step.
     stepped_at: Option<Timestamp>,
 }
 
-/// All clocks of an installation.
+/// All clocks.
 #[derive(Clone, Debug, Default)]
 pub struct Clocks {
     clocks: Vec<Clock>,
-    /// Cameras that move: what they see says nothing of clocks.
+    /// Cameras that move, which give no evidence about clocks.
     moving: BTreeSet<CameraId>,
-    /// Offset, skew, latency of each.
+    /// Offset, skew and latency of each clock.
     mean: DVector<f64>,
     covariance: DMatrix<f64>,
     /// Variances of the differences of any two offsets.
     difference_variances: DMatrix<f64>,
-    /// Of each clock, the variances of its differences from all others, and its own, summed up.
+    /// For each clock the sum of the variances of its differences from all others, and of its own.
     uncertainties_s2: Vec<f64>,
-    /// What the offsets are valid for.
+    /// Time at which the offsets are valid.
     time: Option<Timestamp>,
     /// Σ uᵀ W u and Σ uᵀ W ν of this batch.
     information: DMatrix<f64>,
@@ -112,7 +109,7 @@ pub struct Clocks {
 }
 
 impl Clocks {
-    /// Says what is known of a clock beforehand; a camera known already begins anew.
+    /// Sets the prior of a clock, which restarts its estimate.
     pub fn set_prior(&mut self, camera: CameraId, prior: ClockPrior) {
         let index = self.find_or_insert(camera);
         self.clocks[index].prior = prior;
@@ -132,7 +129,7 @@ impl Clocks {
         self.update_differences();
     }
 
-    /// Knows nothing of a camera's clock; what is known of the others by it stays.
+    /// Removes a camera's clock; what it contributed to the others remains.
     pub(in crate::world) fn remove(&mut self, camera: CameraId) {
         let Some(index) = self.index(camera) else { return };
         self.fix_mean();
@@ -149,7 +146,7 @@ impl Clocks {
         self.update_differences();
     }
 
-    /// Says whether a camera moves: what it sees is late by its own motion as well, and not compared.
+    /// Sets whether a camera moves. A moving camera's own motion delays what it detects, so it is not compared.
     pub(in crate::world) fn set_moving(&mut self, camera: CameraId, moving: bool) {
         if moving {
             self.moving.insert(camera);
@@ -158,14 +155,14 @@ impl Clocks {
         }
     }
 
-    /// Whether what a camera saw at `time` may be compared.
+    /// Whether what a camera detected at `time` may be compared.
     pub(in crate::world) fn is_compared(&self, camera: CameraId, time: Timestamp) -> bool {
         let stepped_at = self.index(camera).and_then(|index| self.clocks[index].stepped_at);
         !self.moving.contains(&camera) && stepped_at.is_none_or(|stepped_at| time > stepped_at)
     }
 
-    /// Says that a camera's clock was set before the frame of this time: what is known of its offset holds to
-    /// a step's error only, and what was seen before says nothing of what it is now.
+    /// Notes that a camera's clock was set before this frame. Its offset gets the uncertainty of a step, and
+    /// earlier evidence is discarded.
     pub(in crate::world) fn note_clock_step(&mut self, camera: CameraId, frame: Timestamp) {
         let index = self.find_or_insert(camera);
         self.information.fill(0.0);
@@ -180,12 +177,12 @@ impl Clocks {
         self.update_differences();
     }
 
-    /// Whether there is anything to be estimated.
+    /// Whether any clock is estimated.
     pub fn is_estimating(&self) -> bool {
         self.is_estimating
     }
 
-    /// By how much a camera's stamps are late at `time`, seconds.
+    /// Delay of a camera's stamps at `time`, seconds.
     pub fn offset_s(&self, camera: CameraId, time: Timestamp) -> f64 {
         let (Some(index), Some(reference)) = (self.index(camera), self.time) else { return 0.0 };
         let base = index * STATES;
@@ -197,7 +194,7 @@ impl Clocks {
         self.index(camera).map_or(0.0, |index| self.mean[index * STATES])
     }
 
-    /// Deviation of the difference of two cameras' clocks, seconds.
+    /// Standard deviation of the difference of two cameras' clocks, seconds.
     pub fn deviation_s(&self, one: CameraId, other: CameraId) -> f64 {
         match (self.index(one), self.index(other)) {
             (Some(one), Some(other)) => self.difference_variances[(one, other)].sqrt(),
@@ -205,7 +202,7 @@ impl Clocks {
         }
     }
 
-    /// Whether a clock is far less sure than another: what they differ by is then its error.
+    /// Whether a clock is far less certain than another, so that their difference is its error.
     pub(in crate::world) fn is_less_certain(&self, one: CameraId, other: CameraId) -> bool {
         match (self.index(one), self.index(other)) {
             (Some(one), Some(other)) => {
@@ -215,7 +212,7 @@ impl Clocks {
         }
     }
 
-    /// The largest such deviation of a camera's, seconds.
+    /// Largest [`Self::deviation_s`] of a camera, seconds.
     pub(in crate::world) fn max_deviation_s(&self, camera: CameraId) -> f64 {
         let of = |index: usize| {
             self.difference_variances
@@ -226,7 +223,7 @@ impl Clocks {
         self.index(camera).map_or(0.0, |index| of(index).sqrt())
     }
 
-    /// What is known of a camera's clock; `None` if nothing was said of it.
+    /// Estimate of a camera's clock; `None` for an unknown camera.
     pub fn estimate(&self, camera: CameraId) -> Option<ClockEstimate> {
         let index = self.index(camera)?;
         let base = index * STATES;
@@ -246,7 +243,7 @@ impl Clocks {
         })
     }
 
-    /// Takes in what several cameras' views of one object say.
+    /// Adds the evidence of several cameras' views of one object.
     pub(in crate::world) fn add_comparison(&mut self, comparison: &Comparison) {
         let Some(evidence) = comparison.evidence() else { return };
         let distance_squared = evidence.distance_squared;
@@ -263,7 +260,7 @@ impl Clocks {
         }
     }
 
-    /// Takes in when a frame was stamped and received, and lets time pass.
+    /// Adds stamp and receiving time of a frame; updates the estimate when a batch is complete.
     pub fn note_delay(&mut self, camera: CameraId, stamp: Timestamp, received: Timestamp) {
         let Some(index) = self.index(camera) else { return };
         if !self.is_estimating() {
@@ -289,7 +286,7 @@ impl Clocks {
         self.clocks.iter().position(|clock| clock.camera == camera)
     }
 
-    /// A camera's place; of a new one the clock is exact until other is said.
+    /// Index of a camera; a new one has an exact clock until a prior is set.
     pub(in crate::world) fn find_or_insert(&mut self, camera: CameraId) -> usize {
         if let Some(index) = self.index(camera) {
             return index;
@@ -310,8 +307,7 @@ impl Clocks {
         index
     }
 
-    /// Declares the mean of all offsets exact: it is what times are stated by. Where a clock is exact, it is
-    /// that.
+    /// Makes the mean of all offsets exact, since it defines the time scale. An exact clock defines it otherwise.
     fn fix_mean(&mut self) {
         if self.clocks.iter().any(|clock| clock.prior == ClockPrior::EXACT) {
             return;
@@ -334,7 +330,7 @@ impl Clocks {
         for (index, clock) in self.clocks.iter().enumerate() {
             let base = index * STATES;
             self.mean[base] += self.mean[base + 1] * dt;
-            // F P Fᵀ, a row and a column at a time.
+            // F P Fᵀ by one row and one column at a time.
             let skew = self.covariance.row(base + 1).clone_owned();
             let mut offset = self.covariance.row_mut(base);
             offset += skew * dt;
@@ -349,7 +345,7 @@ impl Clocks {
         }
     }
 
-    /// Each camera's stamps against the receiving times.
+    /// Updates each clock by stamp less receiving time.
     fn update_from_delays(&mut self) {
         for index in 0..self.clocks.len() {
             let (count, sum, squares) = std::mem::take(&mut self.clocks[index].delay);
@@ -375,7 +371,7 @@ impl Clocks {
         }
     }
 
-    /// The batch's evidence.
+    /// Updates all clocks by the batch's evidence.
     fn update_from_comparisons(&mut self) {
         let size = self.clocks.len();
         let information = std::mem::replace(&mut self.information, DMatrix::zeros(size, size));
@@ -384,7 +380,7 @@ impl Clocks {
             self.covariance[(row, index * STATES)]
         });
         let offsets = DMatrix::from_fn(size, size, |row, column| all[(row * STATES, column)]);
-        // (I + Λ P)⁻¹ Λ and (I + Λ P)⁻¹ η, which need no inverse of P or Λ.
+        // (I + Λ P)⁻¹ Λ and (I + Λ P)⁻¹ η need no inverse of P or Λ.
         let system = (DMatrix::identity(size, size) + &information * offsets).lu();
         let (Some(gain), Some(weighted_score)) = (system.solve(&information), system.solve(&score))
         else {
@@ -396,7 +392,7 @@ impl Clocks {
         self.covariance = (&self.covariance + self.covariance.transpose()) * 0.5;
     }
 
-    /// The differences' variances.
+    /// Updates the variances of the differences.
     fn update_differences(&mut self) {
         let size = self.clocks.len();
         self.difference_variances =

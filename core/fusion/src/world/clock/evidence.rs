@@ -1,10 +1,10 @@
-//! What several cameras' views of one object say about their clocks.
+//! Evidence about clocks from several cameras' views of one object. The equations are on the page of `comparison`.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use roundel_vision::id::CameraId;
 
-/// One camera's view in the middle of the window.
+/// One camera's view at the middle of the window.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FittedView {
     pub(super) camera: CameraId,
@@ -19,10 +19,10 @@ pub(in crate::world) struct Comparison {
     pub(super) views: Vec<FittedView>,
 }
 
-/// What a comparison says of its cameras' clocks.
+/// Evidence of a comparison about its cameras' clocks.
 #[derive(Clone, Debug)]
 pub(in crate::world) struct Evidence {
-    /// About the ε, 1/s².
+    /// Information about the ε, 1/s².
     pub(in crate::world) information: DMatrix<f64>,
     /// Information times ε, 1/s.
     pub(in crate::world) score: DVector<f64>,
@@ -31,12 +31,12 @@ pub(in crate::world) struct Evidence {
 }
 
 impl Comparison {
-    /// Whose views these are.
+    /// Cameras of the views.
     pub(in crate::world) fn cameras(&self) -> impl Iterator<Item = CameraId> {
         self.views.iter().map(|view| view.camera)
     }
 
-    /// What follows; `None` if a covariance is none.
+    /// `None` if a covariance is not positive definite.
     pub(in crate::world) fn evidence(&self) -> Option<Evidence> {
         let inverses: Option<Vec<Matrix3<f64>>> =
             self.views.iter().map(|view| Some(view.covariance.cholesky()?.inverse())).collect();

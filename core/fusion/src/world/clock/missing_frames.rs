@@ -1,36 +1,35 @@
-//! Frames that never came.
+//! Counts frames that never arrived.
 //!
-//! Two things tell of them. A camera's frames are numbered without gaps, so that a number left out is of a frame
-//! lost on its way; it counts as missing when it has not come within [`GIVEN_UP_NS`] (till then it may be late, and
-//! what comes late is counted as that). And most cameras take frames at a regular interval: where that, as the
-//! median of the last ones, passes more than once between successive numbers, the camera or its link
-//! has left some out. A source whose frames come whenever they like has no such interval, and is told
-//! by its numbers only; one that has changed its interval is misjudged until the median has followed.
+//! A camera's frames are numbered without gaps. A skipped number counts as missing when it has not arrived within
+//! [`WAIT_NS`]; until then it may be late, and late frames have a counter of their own. Besides, most cameras have a
+//! regular interval. Where it, as the median of the last ones, fits more than once between successive numbers, the
+//! camera or its link has dropped frames. A source without a regular interval is judged by its numbers only. After a
+//! change of interval the count is wrong until the median has followed.
 //!
-//! `tests/src/scenario/fault.rs` (`missing`, `stopped`, and none in the others) holds the counts.
+//! `tests/src/scenario/fault.rs` (`missing`, `stopped`, and none in the others) checks the counts.
 
 use std::collections::{BTreeMap, VecDeque};
 
 use roundel_vision::{id::CameraId, time::Timestamp};
 
-/// A number that has not come for so long after a higher one is that of a missing frame.
+/// Time after which a skipped number counts as missing.
 const WAIT_NS: i64 = 1_000_000_000;
-/// More numbers than this at once are not left out: the source counts anew.
+/// A larger step of numbers is a restart of the source.
 const MAX_NUMBER_STEP: u64 = 1000;
-/// Gaps that are waited for; of more, the oldest are given up.
+/// Number of gaps that are waited for; beyond it the oldest counts as missing.
 const MAX_GAPS: usize = 64;
-/// Intervals of which the median is taken …
+/// Number of intervals in the median.
 const INTERVALS: usize = 9;
-/// … and how many of them must be as long, …
+/// Number of these that must agree with the median.
 const MIN_REGULAR: usize = 7;
-/// … give or take this share.
+/// Tolerance of the agreement, relative.
 const TOLERANCE: f64 = 0.15;
-/// A longer pause is no frame left out but a source that rests.
+/// A longer pause is not counted: the source paused.
 const MAX_PAUSE_NS: i64 = 1_000_000_000;
-/// Frames are on their way for about as long; where stamps say otherwise, the clock was set.
+/// A larger change of the transport delay means that the clock was set.
 const MAX_DELAY_CHANGE_NS: i64 = 250_000_000;
 
-/// What all cameras left out.
+/// All cameras.
 #[derive(Clone, Debug, Default)]
 pub(in crate::world) struct MissingFrames {
     cameras: BTreeMap<CameraId, Camera>,
@@ -38,12 +37,12 @@ pub(in crate::world) struct MissingFrames {
 
 #[derive(Clone, Debug)]
 struct Camera {
-    /// Of the highest number.
+    /// Times of the highest number.
     newest: FrameTimes,
-    /// From one number to the next, oldest first.
+    /// Between successive numbers, oldest first.
     intervals_ns: VecDeque<i64>,
-    /// Numbers left out that may come still, the longest known first.
-    missing_frames: VecDeque<Gap>,
+    /// Skipped numbers that may still arrive, oldest first.
+    gaps: VecDeque<Gap>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -53,7 +52,7 @@ struct FrameTimes {
     received: Timestamp,
 }
 
-/// From `first` up to but not with `end`.
+/// Numbers from `first` up to, but not including, `end`.
 #[derive(Clone, Copy, Debug)]
 struct Gap {
     first: u64,
@@ -62,12 +61,12 @@ struct Gap {
 }
 
 impl MissingFrames {
-    /// Waits for nothing of a camera any more.
+    /// Discards all gaps of a camera.
     pub(in crate::world) fn forget(&mut self, camera: CameraId) {
         self.cameras.remove(&camera);
     }
 
-    /// Takes note of a frame, whatever becomes of it; gives how many of its camera are found missing.
+    /// Notes a frame, whether it is used or not; returns the number of frames now found missing.
     pub(in crate::world) fn observe(
         &mut self,
         camera: CameraId,
@@ -88,17 +87,16 @@ impl MissingFrames {
 impl Camera {
     fn new(newest: FrameTimes) -> Self {
         let intervals_ns = VecDeque::with_capacity(INTERVALS);
-        Self { newest, intervals_ns, missing_frames: VecDeque::new() }
+        Self { newest, intervals_ns, gaps: VecDeque::new() }
     }
 
     fn observe(&mut self, frame_times: FrameTimes) -> u64 {
         let mut missing = 0;
-        while let Some(gap) = self.missing_frames.front()
-            && (frame_times.received.ns_since(gap.since) > WAIT_NS
-                || self.missing_frames.len() > MAX_GAPS)
+        while let Some(gap) = self.gaps.front()
+            && (frame_times.received.ns_since(gap.since) > WAIT_NS || self.gaps.len() > MAX_GAPS)
         {
             missing += gap.end - gap.first;
-            self.missing_frames.pop_front();
+            self.gaps.pop_front();
         }
         let steps = frame_times.frame.saturating_sub(self.newest.frame);
         if steps == 0 {
@@ -113,38 +111,34 @@ impl Camera {
         }
         if steps > 1 {
             let first = self.newest.frame + 1;
-            self.missing_frames.push_back(Gap {
-                first,
-                end: frame_times.frame,
-                since: frame_times.received,
-            });
+            self.gaps.push_back(Gap { first, end: frame_times.frame, since: frame_times.received });
         }
         missing += self.missing_by_interval(&frame_times, steps);
         self.newest = frame_times;
         missing
     }
 
-    /// Numbers are told from the start again; what was waited for is missing.
+    /// Restarts the numbering; pending gaps count as missing.
     fn restart(&mut self, frame_times: FrameTimes) -> u64 {
-        let missing = self.missing_frames.iter().map(|gap| gap.end - gap.first).sum();
+        let missing = self.gaps.iter().map(|gap| gap.end - gap.first).sum();
         *self = Self::new(frame_times);
         missing
     }
 
-    /// A number that was waited for; false if it was not.
+    /// Removes a number from the gaps; returns whether it was in one.
     fn fill(&mut self, frame: u64) -> bool {
         let holds = |gap: &Gap| (gap.first..gap.end).contains(&frame);
-        let Some(index) = self.missing_frames.iter().position(holds) else { return false };
-        let gap = self.missing_frames[index];
-        self.missing_frames[index].end = frame;
+        let Some(index) = self.gaps.iter().position(holds) else { return false };
+        let gap = self.gaps[index];
+        self.gaps[index].end = frame;
         if frame + 1 < gap.end {
-            self.missing_frames.insert(index + 1, Gap { first: frame + 1, ..gap });
+            self.gaps.insert(index + 1, Gap { first: frame + 1, ..gap });
         }
-        self.missing_frames.retain(|gap| gap.first < gap.end);
+        self.gaps.retain(|gap| gap.first < gap.end);
         true
     }
 
-    /// How many the time since the last one wants that have no number.
+    /// Number of frames without a number that fit into the time since the last one.
     fn missing_by_interval(&mut self, frame_times: &FrameTimes, steps: u64) -> u64 {
         let is_plausible = |span_ns: &i64| (1..=MAX_PAUSE_NS).contains(span_ns);
         let Some(span_ns) = self.span_ns(frame_times).filter(is_plausible) else { return 0 };
@@ -154,7 +148,7 @@ impl Camera {
         }
         self.intervals_ns.push_back(span_ns / steps as i64);
         match regular_ns {
-            // Where numbers are left out, they say enough.
+            // Skipped numbers are counted already.
             Some(regular_ns) if steps == 1 => {
                 ((span_ns as f64 / regular_ns).round() as u64).saturating_sub(1)
             }
@@ -162,7 +156,7 @@ impl Camera {
         }
     }
 
-    /// How much later than the newest one by its stamp; `None` if the clock was set between.
+    /// Time since the newest frame by the stamps; `None` if the clock was set in between.
     fn span_ns(&self, frame_times: &FrameTimes) -> Option<i64> {
         let span_ns = frame_times.stamp.ns_since(self.newest.stamp);
         let received_ns = frame_times.received.ns_since(self.newest.received);
@@ -170,7 +164,7 @@ impl Camera {
         is_steady.then_some(span_ns)
     }
 
-    /// The interval of a camera that has one.
+    /// Median interval, if the camera is regular.
     fn regular_ns(&self) -> Option<f64> {
         if self.intervals_ns.len() < INTERVALS {
             return None;
@@ -194,13 +188,13 @@ mod tests {
     const INTERVAL_NS: i64 = 10_000_000;
     const CAMERA: CameraId = CameraId(1);
 
-    /// Frames of these numbers, taken at these times in intervals and received in this order.
+    /// Missing frames among these numbers and capture times (in intervals), received in this order.
     fn missing(frames: impl IntoIterator<Item = (u64, i64)>) -> u64 {
         let mut missing_frames = MissingFrames::default();
         let mut last_ns = 0;
         let observe = |(frame, time): (u64, i64)| {
             let stamp_ns = time * INTERVAL_NS;
-            // What is late comes right after those before it.
+            // A late frame is received right after the one before it.
             last_ns = (stamp_ns + 5_000_000).max(last_ns + 1);
             let received = Timestamp::from_ns(last_ns);
             missing_frames.observe(CAMERA, frame, (Timestamp::from_ns(stamp_ns), received))
@@ -229,12 +223,12 @@ mod tests {
             frames.map(move |frame| (frame, frame as i64 + by))
         };
         assert_eq!(missing(regular(1..50).chain(later(50..400, 2))), 2);
-        // It rests.
+        // A pause.
         assert_eq!(missing(regular(1..50).chain(later(50..400, 200))), 0);
-        // Whenever it likes.
+        // Irregular.
         let squares = (1..30).map(|frame| (frame, (frame * frame) as i64));
         assert_eq!(missing(squares), 0);
-        // Half as fast from now on: misjudged a few times.
+        // A source that becomes half as fast is misjudged a few times.
         let slower = (50..400).map(|frame| (frame, 2 * frame as i64 - 49));
         assert!(missing(regular(1..50).chain(slower)) <= INTERVALS as u64);
     }

@@ -1,4 +1,8 @@
-//! Capture times: camera stamps, clock offsets, the order of frames, and frames that never arrived.
+//! Capture times: stamps, clock offsets, the order of frames, and frames that never arrive.
+//!
+//! `stamp` corrects foreign epochs and clock steps, `timeline` decides by their times which frames are used,
+//! `missing_frames` counts those that never arrive. `estimator` estimates the remaining clock offsets from moving
+//! objects: `comparison` compares several cameras' views of one object, `evidence` holds what follows for their clocks.
 
 mod comparison;
 mod estimator;

@@ -1,47 +1,45 @@
-//! Cameras' stamps brought to the server's time, roughly: epochs of their own, and clocks that step.
+//! Coarse correction of stamps: foreign epochs and clock steps.
 //!
-//! Nothing is received before it was captured, so that a stamp later than its receipt by more than the
-//! greatest lead is of a clock that was set forward (or never was the server's); nor are frames that
-//! come in their order stamped backwards, unless the clock was set back. A frame far behind its
-//! receipt is neither, only late. From the first such frame on a camera's frames are refused; when
-//! [`STEP_FRAMES`] of them agree with one another, the camera's *base* is moved so that stamps are as far
-//! from receipts as they were before. A single frame with a wrong stamp moves nothing.
+//! A frame cannot be received before its capture. A stamp later than its reception by more than the largest lead
+//! belongs to a clock that was set forward or never had the server's epoch. Stamps of frames in order do not go back
+//! unless the clock was set back. A frame far behind its reception is only late. From the first such frame on, a
+//! camera's frames are rejected. When [`STEP_FRAMES`] of them agree with one another, the camera's *base* is moved so
+//! that stamps have the same distance to reception as before. A single wrong stamp has no effect.
 //!
-//! What is left, a fraction of a second, is for [`super::clock`] to find.
+//! The remaining offset, a fraction of a second, is left to `estimator`.
 
 use std::collections::BTreeMap;
 
 use roundel_vision::{id::CameraId, time::Timestamp};
 
-/// Frames in a row that agree about a step before it is believed …
+/// Number of consecutive frames that confirm a step.
 const STEP_FRAMES: u32 = 5;
-/// … over this time at least …
+/// Smallest duration of these frames.
 const STEP_NS: i64 = 150_000_000;
-/// … within this.
+/// Tolerance of their agreement.
 const AGREEMENT_NS: i64 = 50_000_000;
-/// A clock set back by less is left to [`super::clock`].
+/// Smallest step back; smaller ones are left to `estimator`.
 const MIN_STEP_NS: i64 = 100_000_000;
-/// A first stamp this far before its receipt is of another epoch.
+/// A first stamp this far before its reception has a foreign epoch.
 const EPOCH_NS: i64 = 60_000_000_000;
-/// Latency of a camera of which only a stamp of another epoch is known.
+/// Assumed latency of a camera with a foreign epoch.
 const LATENCY_NS: i64 = 30_000_000;
 
-/// What a frame's stamp is worth.
+/// Verdict about a stamp, with the base to subtract, nanoseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::world) enum StampVerdict {
-    /// Later than it should be by so many nanoseconds.
     Valid(i64),
-    /// The same, and the first one after the clock was set, or of another epoch.
+    /// First valid stamp after a step or with a foreign epoch.
     Stepped(i64),
     /// Not to be used.
-    MeasurementReject,
+    Rejected,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct LastStamp {
     frame: u64,
     stamp: Timestamp,
-    /// Stamp, less the base, less receipt.
+    /// Stamp less base less receiving time.
     ahead_ns: i64,
 }
 
@@ -59,19 +57,18 @@ struct Camera {
     step: Option<Step>,
 }
 
-/// What is remembered of all cameras' stamps.
+/// Newest stamps and bases of all cameras.
 #[derive(Clone, Debug, Default)]
 pub(in crate::world) struct StampCorrector {
     cameras: BTreeMap<CameraId, Camera>,
 }
 
 impl StampCorrector {
-    /// Knows nothing of a camera.
     pub(in crate::world) fn forget(&mut self, camera: CameraId) {
         self.cameras.remove(&camera);
     }
 
-    /// Judges a frame's stamp by when it was received, and remembers it.
+    /// Judges a frame's stamp by its receiving time.
     pub(in crate::world) fn judge(
         &mut self,
         (id, frame): (CameraId, u64),
@@ -112,7 +109,7 @@ impl StampCorrector {
         };
         if step.frames < STEP_FRAMES || received.ns_since(step.since) < STEP_NS {
             camera.step = Some(step);
-            return StampVerdict::MeasurementReject;
+            return StampVerdict::Rejected;
         }
         let moved_ns = step.ahead_ns.saturating_sub(newest.ahead_ns);
         camera.base_ns = camera.base_ns.saturating_add(moved_ns);

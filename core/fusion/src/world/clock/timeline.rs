@@ -1,42 +1,37 @@
-//! Which frames can be believed by their times.
+//! Decides by their times which frames are used.
 //!
-//! The receiving times all come from the server's one monotonic clock; capture times come from
-//! sources, whose clocks may jump. So between two frames the capture times should advance as the
-//! receiving times do:
+//! Receiving times come from the server's one monotonic clock; capture times come from sources, whose clocks may jump.
+//! Between two frames the capture times should advance as the receiving times do:
 //!
-//! - **lead** = (capture - newest capture) - (received - received then). A frame that leads by more
-//!   than `max_lead_ns` is refused: believing it would make all others late. A pause of all cameras
-//!   is no lead, since the receiving times show it too.
-//! - A frame older than the late window is refused as late, by hours or by milliseconds.
-//! - If refused frames agree with one another for [`ADOPT_AFTER_NS`], by their own times and by those at which they were
-//!   received, and none has been accepted meanwhile, it is the timeline that was wrong (its first frame came from the
-//!   future, or the one camera's clock was set): the refused ones are the timeline from then on.
+//! - **lead** = (capture - newest capture) - (received - received then). A frame that leads by more than `max_lead_ns`
+//!   is rejected: using it would make all others late. A pause of all cameras is no lead, since the receiving times
+//!   show it too.
+//! - A frame older than the late window is rejected as late.
+//! - If rejected frames agree with one another for [`ADOPT_AFTER_NS`], by capture and by receiving times, and none has
+//!   been accepted meanwhile, the timeline was wrong (its first frame came from the future, or the only camera's clock
+//!   was set), and restarts with the rejected frames.
 //!
-//! A frame seen twice (same camera, and same number or same capture time) is a duplicate.
+//! A frame with the number or the capture time of an earlier one of the same camera is a duplicate.
 
 use std::collections::{BTreeMap, VecDeque};
 
 use roundel_vision::{id::CameraId, time::Timestamp};
 
-/// Refused frames that agree for so long become the timeline.
+/// Duration for which rejected frames must agree to restart the timeline.
 const ADOPT_AFTER_NS: i64 = 1_000_000_000;
-/// And that many of them at least.
+/// Smallest number of these frames.
 const ADOPT_FRAMES: u32 = 10;
-/// Frames remembered per camera, to know duplicates by; at 1 kHz they cover the late window.
+/// Frames remembered per camera to detect duplicates; at 1 kHz they cover the late window.
 const REMEMBERED_FRAMES: usize = 512;
 
-/// What to do with a frame.
+/// Verdict about a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::world) enum Verdict {
-    /// Use it.
     Use,
-    /// Use it, and end what was before: time goes on elsewhere.
+    /// Use it, after ending all tracks: the timeline has restarted.
     Restart,
-    /// It was here already.
     Duplicate,
-    /// Too old.
     Late,
-    /// From the future.
     Jumped,
 }
 
@@ -53,7 +48,7 @@ struct Candidate {
     frames: u32,
 }
 
-/// Memory of the frames' times.
+/// Times of recent frames.
 #[derive(Clone, Debug, Default)]
 pub(in crate::world) struct Timeline {
     newest: Option<FrameInstant>,
@@ -62,18 +57,17 @@ pub(in crate::world) struct Timeline {
 }
 
 impl Timeline {
-    /// Knows none of a camera's frames.
+    /// Forgets a camera's frames.
     pub(in crate::world) fn forget(&mut self, camera: CameraId) {
         self.recent_frames.remove(&camera);
     }
 
-    /// Newest capture time that was believed.
+    /// Newest accepted capture time.
     pub(in crate::world) fn newest(&self) -> Option<Timestamp> {
         self.newest.map(|newest| newest.capture)
     }
 
-    /// Judges a frame by its stamp, by the time that is made of it, and by when it was received; remembers
-    /// it.
+    /// Judges a frame and remembers it. `stamp` is the camera's, `capture` the corrected time.
     pub(in crate::world) fn judge(
         &mut self,
         (camera, frame, stamp): (CameraId, u64, Timestamp),
@@ -116,7 +110,7 @@ impl Timeline {
         if late { Verdict::Late } else { Verdict::Jumped }
     }
 
-    /// Whether the refused frames, this one the newest of them, have become the timeline.
+    /// Whether the rejected frames, with this one as the newest, have become the timeline.
     fn adopt(&mut self, now: FrameInstant, max_lead_ns: i64) -> bool {
         let agrees = |candidate: &Candidate| {
             lead_ns(&now, &candidate.newest).saturating_abs() <= max_lead_ns
@@ -129,7 +123,7 @@ impl Timeline {
             },
             None => Candidate { since: now, newest: now, frames: 1 },
         };
-        // Frames that a stalled link delivers at once agree as well, but were received while others were accepted.
+        // Frames that a stalled link delivers at once agree as well, but arrive while others are accepted.
         let accepted = self.newest.map_or(candidate.since.received, |newest| newest.received);
         let span_ns = candidate
             .newest

@@ -1,4 +1,4 @@
-//! Objects of several roundels within fusion: their parts in a frame become one sighting.
+//! Bodies within fusion: their parts in a frame become one sighting.
 
 use super::{Fusion, FusionCounts};
 use crate::{
@@ -31,13 +31,13 @@ impl FusionCounts {
 }
 
 impl Fusion {
-    /// Follows what carries these roundels as one object, by its origin and axes. What
-    /// [`Fusion::set_offset`] and [`Fusion::set_motion`] say of their kinds is not heeded for it.
+    /// Tracks an object with several roundels, by its origin and axes. Its roundels ignore [`Fusion::set_offset`]
+    /// and [`Fusion::set_motion`] of their kinds.
     pub fn add_body(&mut self, body: Body) -> Result<BodyId, BodyError> {
         self.bodies.add(body)
     }
 
-    /// Takes a detection that is a part of a body; false if it is of none.
+    /// Takes a detection that is part of a body; false if it is not.
     pub(super) fn take_part(
         &mut self,
         detection: &Detection,
@@ -48,7 +48,7 @@ impl Fusion {
         let Some((part, is_new)) = self.bodies.part_of(detection, camera, now) else {
             return false;
         };
-        // Errors of the camera's place are common to all parts: they come last.
+        // The error of the camera pose is common to all parts: it is added last.
         let zero = Covariance6::zeros();
         let exact = ExposurePose { systematic: zero, fresh: zero, ..*camera_pose };
         match measure(detection, (camera, frame), &exact, correction, &self.params) {
@@ -61,7 +61,7 @@ impl Fusion {
         true
     }
 
-    /// Makes one sighting of all parts of each body that the frame shows.
+    /// Makes one sighting from all parts of each body in the frame.
     pub(super) fn join_parts(&mut self, camera_pose: &ExposurePose) {
         let seen = self.bodies.take_parts();
         for parts in seen.chunk_by(|a, b| a.body() == b.body()) {
@@ -86,7 +86,7 @@ impl Fusion {
         }
     }
 
-    /// Ends a track that turns out to be a roundel of a body, as a camera that follows it says.
+    /// Ends a track whose roundel was identified as a part of a body.
     fn absorb(&mut self, camera: CameraId, number: TrackNumber, now: Timestamp) {
         let is_it =
             |track: &Track| track.subject.body.is_none() && track.is_known_as(camera, number);

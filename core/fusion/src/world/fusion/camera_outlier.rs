@@ -1,4 +1,4 @@
-//! Cameras that moved, kept from spoiling tracks: held back at once, taken back once that is sure.
+//! Holding back, retraction and quarantine of cameras that moved.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -17,24 +17,24 @@ use crate::{
 };
 use roundel_vision::{id::CameraId, time::Timestamp};
 
-/// Of a camera that was bumped, what it saw within this time is not used.
+/// Measurements of a quarantined camera within this time are retracted.
 const QUARANTINE_RETRACTED_NS: i64 = 1_000_000_000;
-/// An object counts that another camera saw within this time.
+/// Largest age of another camera's measurement that a sighting is compared with.
 const MAX_VIEW_AGE_S: f64 = 0.1;
-/// Measurements of an object that are looked at for that at most.
+/// Largest number of an object's measurements searched for that.
 const MAX_MEASUREMENTS: usize = 24;
-/// Two views of a camera that follow each other within this tell a velocity.
+/// Largest interval of two measurements of a camera that determine a velocity.
 const MAX_STEP_S: f64 = 0.06;
-/// a² over the density that the model has of it.
+/// Squared acceleration over the density in the motion model.
 const ACCELERATION_RATE_HZ: f64 = 10.0;
-/// Objects that a witness sees.
+/// Smallest number of shared objects that confirm a hold.
 const MIN_CONFIRMED: usize = 2;
 
 impl Fusion {
-    /// A camera has moved: it is not used any more until [`Self::set_camera`] says where it stands, and what it saw within
-    /// the last second is taken back.
+    /// Stops using a camera that has moved until [`Self::set_camera`] sets its pose, and retracts its
+    /// measurements of the last second.
     pub fn quarantine(&mut self, camera: CameraId) {
-        // Held back since then, it spoiled nothing.
+        // While held back, it disturbed nothing.
         let is_held = self.camera_outliers.held_since(camera).is_some();
         self.set_camera(camera, None);
         if let Some(now) = self.timeline.newest().filter(|_| !is_held) {
@@ -42,8 +42,8 @@ impl Fusion {
         }
     }
 
-    /// Says whether a camera is never held back, nor asked about others: its place may be rough, so that it disagrees
-    /// with them though it stands still.
+    /// Sets whether a camera is exempt: never held back, nor compared with others. For cameras whose pose is
+    /// approximate, so that they disagree with others although they stand still.
     pub fn spare(&mut self, camera: CameraId, is_spared: bool) {
         match self.exempt.binary_search(&camera) {
             Err(index) if is_spared => {
@@ -57,12 +57,12 @@ impl Fusion {
         }
     }
 
-    /// Takes what became known since the last call of cameras that are held back.
+    /// Takes the events of held cameras since the last call.
     pub fn drain_held_back(&mut self) -> impl Iterator<Item = HeldBack> + '_ {
         self.camera_outliers.drain()
     }
 
-    /// Whether the frame with these sightings is to be used.
+    /// Whether the frame with these sightings is used.
     pub(super) fn admits(
         &mut self,
         (camera, time): (CameraId, Timestamp),
@@ -98,10 +98,10 @@ impl Fusion {
             let each = inquired.filter_map(|(sighting, decision)| {
                 let index = decision.map(|(track, _)| track);
                 let track = &tracks[index.or_else(|| claimed_track(tracks, sighting))?];
-                let weighted_sum = weighted_sum(track, sighting, queried, clocks)?;
+                let residual = object_residual(track, sighting, queried, clocks)?;
                 Some(ObjectResidual {
                     arm_m: sighting.measurement.position_m - origin_m,
-                    ..weighted_sum
+                    ..residual
                 })
             });
             residuals.clear();
@@ -115,7 +115,7 @@ impl Fusion {
         admission != Admission::Rejected
     }
 
-    /// Lets a frame that is as expected be witness against cameras that are held back.
+    /// Lets a consistent frame confirm the holds of other cameras.
     fn confirm(&mut self, decisions: &[Decision]) {
         let sees = |camera: CameraId, since: Timestamp| {
             let is_shared =
@@ -130,7 +130,7 @@ impl Fusion {
         }
     }
 
-    /// Takes back what cameras saw shortly before they were held back.
+    /// Retracts measurements from shortly before cameras were held back.
     pub(super) fn retract_held_back(&mut self) {
         while let Some((camera, since)) = self.camera_outliers.next_retraction() {
             self.retract(camera, since);
@@ -157,7 +157,7 @@ impl Fusion {
     }
 }
 
-/// The track that a sighting that lies nowhere near it is said to be of, by its camera or by its code.
+/// Track that a sighting outside all gates belongs to by its camera's tracker or its code.
 fn claimed_track(tracks: &[Track], sighting: &Sighting) -> Option<usize> {
     let is_it = |track: &Track| {
         let agrees = sighting.code.and_then(|code| track.codes.agrees(code));
@@ -168,10 +168,9 @@ fn claimed_track(tracks: &[Track], sighting: &Sighting) -> Option<usize> {
     tracks.iter().position(is_it)
 }
 
-/// What a sighting says of its camera's motion: how far it lies from where those that are asked saw the object a moment
-/// ago, which is known the worse the less is known of both cameras' clocks. The track's own place is
-/// not asked, since the camera may have led it astray already.
-fn weighted_sum(
+/// Residual of a sighting against where the queried cameras observed the object a moment ago, with the
+/// uncertainty of both clocks. The track's own position is not used, since this camera may have moved it already.
+fn object_residual(
     track: &Track,
     sighting: &Sighting,
     is_queried: impl Fn(CameraId) -> bool,
@@ -181,7 +180,8 @@ fn weighted_sum(
     if track.is_tentative() {
         return None;
     }
-    // PERF: a measurement is most of a kilobyte away from the next, so who is not there is not looked for.
+    // PERF: measurements lie most of a kilobyte apart in memory, so the search stops when all expected cameras
+    // are found.
     let since = seen.time.plus_seconds(-MAX_VIEW_AGE_S);
     let expected = track.seen_since(since).filter(|&camera| is_queried(camera)).count();
     let expected = expected.min(MAX_OTHERS);
@@ -221,9 +221,9 @@ fn weighted_sum(
     Some(ObjectResidual { arm_m: seen.position_m, residual_m, weight, others })
 }
 
-/// How fast the object of a view was, and the covariance of that: from the same camera's view just before, joined with
-/// what the track knows. By that alone a foreseen place was worse than a view, and while views contradict one another
-/// it is worse yet, and led astray by who moved; within one camera's views they do not.
+/// Velocity of the object at a view, with its covariance: from the same camera's view just before, joined with
+/// the track's. With the track's alone, a predicted position was worse than a view, and much worse while views
+/// contradict each other, since the camera that moved disturbs it; within one camera's views it does not.
 fn velocity<'a>(
     view: &Measurement,
     mut earlier: impl Iterator<Item = &'a Measurement>,
@@ -241,7 +241,7 @@ fn velocity<'a>(
         let noise = &it.position_noise;
         noise.total - noise.systematic_root * noise.systematic_root.transpose()
     };
-    // It is the velocity half a step ago.
+    // The velocity is that of half a step earlier.
     let curvature = Matrix3::from_diagonal(&(acceleration_m2_s4 * (0.25 * step_s * step_s)));
     let own = (fresh(view) + fresh(before)) / (step_s * step_s) + curvature;
     let own_m_s = (view.position_m - before.position_m) / step_s;
@@ -249,6 +249,6 @@ fn velocity<'a>(
         let (covariance, _) = invert_positive(&(own_weight + weight))?;
         Some((covariance * (own_weight * own_m_s + weight * known_m_s), covariance))
     });
-    // Its error goes with the view's.
+    // Its error is correlated with the view's.
     joined.map_or((known_m_s, kalman_rate), |(rate_m_s, covariance)| (rate_m_s, covariance * 2.0))
 }

@@ -1,16 +1,16 @@
-//! Heights that were said of what drives, held against what cameras see.
+//! Configured heights of objects on a floor, compared with what cameras measure.
 
 use super::{Fusion, MotionClass};
 use crate::world::{WrongHeight, identity::Subject};
 
 impl Fusion {
-    /// Takes what was found out since the last call of heights that were said wrong; each is told once, until
-    /// cameras are content with it.
+    /// Takes the wrong heights found since the last call. Each is reported once, until cameras agree with it
+    /// again.
     pub fn drain_wrong_heights(&mut self) -> impl Iterator<Item = WrongHeight> + '_ {
         self.height_checks.drain()
     }
 
-    /// Lets the present sightings speak for or against the heights of what they are of.
+    /// Adds the current sightings to the checks of their heights.
     pub(super) fn check_heights(&mut self) {
         for index in 0..self.sightings.len() {
             let subject = self.sightings[index].subject;
@@ -20,7 +20,7 @@ impl Fusion {
         }
     }
 
-    /// The height that something is held at by the point that is followed, and what was said of it.
+    /// Heights to which the tracked point and the origin of a subject are constrained.
     fn heights_m(&self, subject: &Subject) -> Option<(f64, f64)> {
         if let Some(body) = subject.body {
             return self.bodies.heights_m(body);

@@ -1,4 +1,4 @@
-//! What one camera measures, beside what all others say: of this reprojection errors are made.
+//! Comparison of one camera's measurements with the estimate by all others, for reprojection errors.
 
 use nalgebra::Vector3;
 
@@ -6,29 +6,30 @@ use super::Fusion;
 use crate::track::{Measurement, Retraction};
 use roundel_vision::{id::CameraId, time::Timestamp};
 
-/// What others measured longer before says too little of where an object is, nanoseconds.
+/// Largest age of the others' newest measurement, nanoseconds.
 const FRESH_NS: i64 = 50_000_000;
 
-/// One object at the instant of one camera's measurement, world frame, metres.
+/// One object at the time of one camera's measurement, world frame, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Compared {
-    /// When.
+    /// Time of the measurement.
     pub time: Timestamp,
-    /// Where that camera alone sees the roundel's centre; of a body, its origin.
+    /// Position by that camera alone: the roundel's centre, or a body's origin.
     pub seen_m: Vector3<f64>,
-    /// Where it is by what all other cameras had measured until then.
+    /// Position by the measurements of all other cameras until then.
     pub others_m: Vector3<f64>,
 }
 
 impl Fusion {
-    /// The newest measurement that `camera` made of each trusted object within `window_ns` before `now`, of `most` objects at
-    /// most, beginning with the one numbered `turn` in the order of tracks. What no other camera has seen just before is left
-    /// out; so is what was not used.
+    /// The newest measurement that `camera` made of each confirmed object within the window, for at most `max`
+    /// objects from the track with index `first` on. Objects that no other camera has just observed are left out,
+    /// and so are measurements that were not used.
     ///
-    /// PERF: about 0.15 ms for each object at four cameras of 60 Hz, on a busy machine, since the window is filtered anew.
+    /// PERF: about 0.15 ms per object with four cameras of 60 Hz on a busy machine, since the window is filtered
+    /// again.
     ///
-    /// The others' estimate is the filter's without what this camera measured within the window: with it, the filter follows
-    /// whoever measured last, and every camera would agree with itself.
+    /// The others' estimate leaves out what this camera measured within the window: with it, the filter follows
+    /// the newest measurement, and every camera would agree with itself.
     pub fn compare(
         &self,
         camera: CameraId,
@@ -77,7 +78,7 @@ mod tests {
 
     const START: Timestamp = Timestamp::from_ns(1_700_000_000_000_000_000);
 
-    /// A camera that looks straight down from 3 m sees a roundel in its middle.
+    /// A roundel in the image centre of a camera that looks straight down from 3 m.
     fn frame(camera: u32, number: u64, time: Timestamp) -> FrameObservations {
         let center = PixelPoint { u: 320.0, v: 240.0 };
         let (semi_major_px, semi_minor_px, angle_rad) = (20.0, 20.0, 0.0);
@@ -106,7 +107,7 @@ mod tests {
         }
     }
 
-    /// Cameras that are off by so much along x, and what they have seen in a second.
+    /// A second of detections by cameras with these errors along x.
     fn seen_by(offsets_m: &[f64]) -> (Fusion, Timestamp) {
         let mut fusion = Fusion::new(FusionParams::default());
         for (camera, offset_m) in (0..).zip(offsets_m) {

@@ -1,4 +1,4 @@
-//! How tracks begin, grow old, are found to be the same and end, and the events that tell of it.
+//! Start, ageing, merging and end of tracks within fusion, with their events.
 
 use super::Fusion;
 use crate::world::{
@@ -9,7 +9,7 @@ use crate::world::{
 };
 use roundel_vision::{id::ObjectId, time::Timestamp};
 
-/// Events kept for a caller that does not fetch them; the oldest give way.
+/// Largest number of events kept for the caller; the oldest are dropped.
 const MAX_EVENTS: usize = 10_000;
 
 impl Fusion {
@@ -29,14 +29,14 @@ impl Fusion {
             Some(body) => self.bodies.model(body, &self.params),
             None => self.params.motion_model(&class.unwrap_or_default()),
         };
-        // Where its own camera is its place hangs on its orientation, whose errors last.
+        // For an object measured by its own camera, the position depends on the orientation, whose errors last.
         model.learns_rotation_density &= sighting.measurement.number != CARRIER_NUMBER;
         let mut track = Track::begin(id, subject, sighting.measurement, model);
         sighting.code.into_iter().for_each(|code| track.codes.add(code));
         self.tracks.push(track);
     }
 
-    /// Lets time pass for all tracks.
+    /// Advances all tracks to `now`.
     pub(super) fn advance(&mut self, now: Timestamp) {
         let mut index = 0;
         while index < self.tracks.len() {
@@ -55,7 +55,7 @@ impl Fusion {
         }
     }
 
-    /// Ends all tracks: time goes on elsewhere.
+    /// Ends all tracks after a jump of the timeline.
     pub(super) fn restart(&mut self) {
         self.counts.restarts += 1;
         self.next_merge = None;
@@ -80,10 +80,10 @@ impl Fusion {
         }
     }
 
-    /// A track's end; one that was known is told and named once more.
+    /// Ends a track. A confirmed one gives an event, and appears in the next snapshot as lost.
     pub(super) fn end(&mut self, track: Track, event: Option<Event>) {
         if track.subject.body.is_some() {
-            // Another track of that body, if there is one, may claim the id now.
+            // Another track of the body may claim the id now.
             let twins = self.tracks.iter_mut().filter(|other| other.subject == track.subject);
             twins.for_each(|twin| twin.claimed_mark = None);
         }

@@ -1,6 +1,8 @@
-//! The fusion machine: frames in, snapshots and events out. How detections become sightings, by cameras
-//! that stand or ride, is in `place`, and those of several roundels of one object one
-//! sighting in `parts`; how tracks begin and end, in `lives`.
+//! The fusion state machine: frames in, snapshots and events out.
+//!
+//! `sightings` makes sightings from detections, with the pose of stationary or mobile cameras; `body_parts` joins those
+//! of a body; `lifecycle` starts and ends tracks; `camera_outlier` and `height_check` run the supervision;
+//! `reconfigure` and `remove_camera` change the configuration at run time; `leave_one_out` serves reprojection errors.
 
 mod body_parts;
 mod camera_outlier;
@@ -45,10 +47,10 @@ use roundel_vision::{
     time::Timestamp,
 };
 
-/// Pairs of tracks are compared this often.
+/// Interval of comparisons between tracks.
 const MERGE_EVERY_NS: i64 = 50_000_000;
 
-/// All objects of an installation.
+/// All objects and cameras of an installation.
 #[derive(Clone, Debug)]
 pub struct Fusion {
     params: FusionParams,
@@ -68,9 +70,9 @@ pub struct Fusion {
     /// Cameras that are never held back, ascending.
     exempt: Vec<CameraId>,
     trust: Trust,
-    /// In the order in which they began.
+    /// In order of their start.
     tracks: Vec<Track>,
-    /// To be named once more.
+    /// Lost tracks, until the next snapshot.
     lost: Vec<Track>,
     next_id: u64,
     next_merge: Option<Timestamp>,
@@ -79,12 +81,12 @@ pub struct Fusion {
     counts: FusionCounts,
     scratch: Scratch,
     sightings: Vec<Sighting>,
-    /// As which their camera knows them, but for those of bodies.
+    /// Track numbers in the current frame, except those of bodies.
     numbers: Vec<TrackNumber>,
 }
 
 impl Fusion {
-    /// An empty world.
+    /// A machine without cameras and objects.
     pub fn new(params: FusionParams) -> Self {
         Self {
             params,
@@ -116,7 +118,7 @@ impl Fusion {
         }
     }
 
-    /// Says where a camera stands from now on; `None`: not known, its detections are not used.
+    /// Sets the pose of a stationary camera. With `None`, its detections are not used.
     pub fn set_camera(&mut self, camera: CameraId, placement: Option<CameraPlacement>) {
         match placement {
             Some(placement) => self.cameras.insert(camera, placement),
@@ -125,44 +127,44 @@ impl Fusion {
         self.camera_outliers.forget(camera);
     }
 
-    /// Sets a camera's rank, 1 unless set: detections of a lower rank are not used for objects that cameras of a higher rank
-    /// see.
+    /// Sets a camera's rank, 1 by default. Its detections are not used for objects that cameras of a higher rank
+    /// observe.
     pub fn set_trust(&mut self, camera: CameraId, rank: u8) {
         self.trust.set(camera, rank);
     }
 
-    /// Says how far a camera's stamps can be trusted; without it, they are exact.
+    /// Sets the prior of a camera's clock; exact by default.
     pub fn set_clock(&mut self, camera: CameraId, prior: ClockPrior) {
         self.clocks.set_prior(camera, prior);
     }
 
-    /// What is known of a camera's clock; `None` before its first frame.
+    /// Estimate of a camera's clock; `None` before its first frame.
     pub fn clock(&self, camera: CameraId) -> Option<ClockEstimate> {
         self.clocks.estimate(camera)
     }
 
-    /// Says which point of a kind's objects is tracked: metres, in the roundel's frame.
+    /// Sets the tracked point of a kind's objects: metres, in the roundel's frame.
     pub fn set_offset(&mut self, kind: KindId, offset_m: Vector3<f64>) {
         self.offsets_m.insert(kind, offset_m);
     }
 
-    /// Says how a kind's objects move; without it, they may fly. Holds for tracks that begin from now on.
+    /// Sets how a kind's objects move; freely by default. Applies to tracks that start from now on.
     pub fn set_motion(&mut self, kind: KindId, class: MotionClass) {
         self.classes.insert(kind, class);
     }
 
-    /// What became of everything so far.
+    /// Counters since the start.
     pub fn counts(&self) -> FusionCounts {
         self.counts
     }
 
-    /// Takes the events since the last call, in the order in which they were found out.
+    /// Takes the events since the last call, in the order of their detection.
     pub fn drain_events(&mut self) -> impl Iterator<Item = Event> + '_ {
         self.events.drain(..)
     }
 
-    /// Takes in what a camera saw in one frame. Frames may come in any order; nothing in them can
-    /// make this panic or spoil a track: what cannot be used is counted.
+    /// Adds one frame of a camera. Frames may come in any order. No content can cause a panic or corrupt a track:
+    /// what cannot be used is counted.
     pub fn observe(&mut self, frame: &FrameObservations) {
         let detections = frame.detections.len() as u64;
         self.counts.frames += 1;
@@ -217,11 +219,11 @@ impl Fusion {
         }
     }
 
-    /// Every track, predicted to `pose_time` by what was measured until then. Time passes with it:
-    /// what was not seen until `pose_time` becomes predicted or lost, the lost named this once.
+    /// All tracks, predicted to `pose_time` from the measurements until then. Advances time: objects not observed
+    /// until `pose_time` become predicted or lost; a lost one appears in one snapshot.
     pub fn snapshot(&mut self, pose_time: Timestamp) -> Snapshot {
         self.advance(self.timeline.newest().map_or(pose_time, |newest| newest.max(pose_time)));
-        // States are large: sorted are the tracks that they are made of.
+        // States are large, so the tracks are sorted instead.
         let mut tracks: Vec<_> = self.tracks.iter_mut().chain(&mut self.lost).collect();
         tracks.sort_unstable_by_key(|track| track.id);
         let ranks = &self.trust;
@@ -244,7 +246,7 @@ impl Fusion {
         Snapshot { pose_time, capture_time: self.newest_used, objects }
     }
 
-    /// By how much the frame's stamps are late; `None` if they cannot be believed at all.
+    /// Correction of the frame's stamps; `None` if they are rejected.
     fn stamp_correction(&mut self, frame: &FrameObservations) -> Option<StampCorrection> {
         let (source, received) = ((frame.camera, frame.frame), frame.received_time);
         let stamp = frame.capture_time;
@@ -259,13 +261,13 @@ impl Fusion {
                     self.clocks.note_clock_step(frame.camera, correction.corrected(stamp));
                     base_ns
                 }
-                StampVerdict::MeasurementReject => return None,
+                StampVerdict::Rejected => return None,
             };
         Some(StampCorrection { base_ns, offset_s: self.clocks.offset_s(frame.camera, received) })
     }
 
-    /// Gives each sighting to its track, or to a new one. With the frame's time, they are all that its
-    /// camera has seen in it.
+    /// Assigns each sighting to a track, or starts one. With `complete_at`, the sightings are all that the camera
+    /// detected in its frame of that time.
     fn assign(&mut self, camera: CameraId, complete_at: Option<Timestamp>, now: Timestamp) {
         let is_mobile = self.mobile_cameras.contains(camera);
         let decisions = associate(
@@ -286,7 +288,7 @@ impl Fusion {
         let known = self.tracks.len();
         let mut claims = Vec::new();
         let mut measurement = vec![false; known];
-        // Taken out meanwhile, so that none is copied.
+        // Taken out to avoid copies.
         let mut sightings = std::mem::take(&mut self.sightings);
         for (sighting, decision) in sightings.iter_mut().zip(&decisions) {
             let is_mobile = is_mobile && sighting.measurement.number != CARRIER_NUMBER;
@@ -350,8 +352,8 @@ impl Fusion {
         }
     }
 
-    /// Gives a track whose code is settled, or a body's, the id of that object; `event` is what has just happened
-    /// to it.
+    /// Gives a track with a settled code, or of a body, the id of that object; `event` is the track's newest
+    /// event.
     fn identify(&mut self, id: ObjectId, mark: Mark, event: Option<Event>, now: Timestamp) {
         let Some(index) = self.tracks.iter().position(|track| track.id == id) else { return };
         self.tracks[index].claimed_mark = Some(mark);
@@ -369,12 +371,12 @@ impl Fusion {
         self.counts.returned += 1;
         let is_new = event.is_some_and(|event| event.kind == EventKind::Appeared);
         if !is_new {
-            // It was told under another id, which ends here.
+            // It was reported under another id, which ends here.
             let mut gone = self.tracks[index].clone();
             let event = gone.mark_lost(now);
             self.end(gone, Some(event));
         }
-        // Not named as lost any more.
+        // No longer lost.
         self.lost.retain(|lost| lost.id != object);
         self.tracks[index].id = object;
         let time = self.tracks[index].newest;
@@ -384,8 +386,8 @@ impl Fusion {
         self.push_event(Event { time, object, kind });
     }
 
-    /// Whether a sighting that fits no track is an error about one of the first `known`: its camera
-    /// takes it for that object, and others see the object where it is expected.
+    /// Whether a sighting that fits no track is an error about one of the first `known` tracks: its camera
+    /// assigns it to that track, and other cameras observe the object where it is expected.
     fn is_contradiction(&mut self, measurement: &Measurement, known: usize) -> bool {
         let Some(track) =
             self.tracks[..known].iter().find(|track| track.is_continued_by(measurement))

@@ -1,10 +1,10 @@
-//! Objects and parameters that change while everything else goes on.
+//! Changes of objects and parameters at run time.
 //!
-//! A track follows the middle of its object's roundels, so one goes on as if nothing had been where neither these nor
-//! how they move is another: its object has another name, or another of its points is followed. What is known by one
-//! code alone is one track, be it a body or not, so it goes on when it becomes a body and when it is none any more.
-//! Every other track of what changed ends; the object that begins in its place has its id, as far as one body or one
-//! code says that it is the same.
+//! A track follows the centroid of its object's roundels. It continues if neither its roundels around the centroid nor
+//! its motion class change: only the name or the tracked point of the object does. An object with a single coded
+//! roundel has one track whether it is a body or not, so it continues when it becomes a body and when it ceases to be
+//! one. All other tracks of a changed object end. The object that starts in its place keeps the id, as far as a body or
+//! code identifies it.
 
 use nalgebra::Vector3;
 
@@ -21,7 +21,7 @@ use roundel_vision::{
     marker::Code,
 };
 
-/// The kind and code of a body that is known by these alone, and turned as they are.
+/// Kind and code of a body that is a single coded roundel with the same orientation.
 fn single_roundel(shape: Option<&Body>) -> Option<(KindId, Code)> {
     let Body { mounts, .. } = shape?;
     let [Mount { kind, code: Some(code), object_from_roundel }] = mounts[..] else { return None };
@@ -29,9 +29,9 @@ fn single_roundel(shape: Option<&Body>) -> Option<(KindId, Code)> {
 }
 
 impl Fusion {
-    /// Says of bodies, those that [`Self::add_body`] gave and others, what they carry from now on, all at once, so that
-    /// they may exchange roundels; without any roundel, one is only seen by its own camera. Tracks of all other objects
-    /// go on. With an error, nothing is changed.
+    /// Replaces bodies, or adds new ones, all at once, so that they may exchange roundels. A body without
+    /// roundels is observed only by its own camera. Tracks of all other objects continue. Changes nothing on
+    /// error.
     pub fn set_bodies(&mut self, changed: &[(BodyId, Body)]) -> Result<(), BodyError> {
         let before = self.bodies.clone();
         self.bodies.replace(changed)?;
@@ -51,8 +51,7 @@ impl Fusion {
         Ok(())
     }
 
-    /// Says how a kind's objects move from now on; where that is another way than before, those that are followed as
-    /// such begin anew.
+    /// Changes how a kind's objects move. If the class differs, their tracks start again.
     pub fn change_motion(&mut self, kind: KindId, class: MotionClass) {
         let before = self.classes.insert(kind, class).unwrap_or_default();
         if before != class {
@@ -62,12 +61,12 @@ impl Fusion {
         }
     }
 
-    /// Other parameters from now on. How objects may move holds for tracks that begin from now on.
+    /// Changes the parameters. Those of motion apply to tracks that start from now on.
     pub fn set_params(&mut self, params: FusionParams) {
         self.params = params;
     }
 
-    /// The parameters.
+    /// Current parameters.
     pub fn params(&self) -> FusionParams {
         self.params
     }
@@ -104,7 +103,7 @@ impl Fusion {
         }
     }
 
-    /// Has the track of a code go on as that of the body that it belongs to.
+    /// Continues the track of a code as that of the body with this roundel.
     fn follow_as_body(&mut self, id: BodyId, (kind, code): (KindId, Code), motion: MotionClass) {
         let subject = Subject { kind: Some(kind), body: None };
         let class = self.classes.get(&kind).copied().unwrap_or_default();
@@ -129,7 +128,7 @@ impl Fusion {
         track.refresh();
     }
 
-    /// Has the track of a body go on as that of the code that it was known by.
+    /// Continues the track of a body as that of its code.
     fn follow_as_code(&mut self, id: BodyId, (kind, code): (KindId, Code), motion: MotionClass) {
         let subject = Subject { kind: Some(kind), body: Some(id) };
         let class = self.classes.get(&kind).copied().unwrap_or_default();

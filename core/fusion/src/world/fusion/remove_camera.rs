@@ -1,12 +1,12 @@
-//! Cameras that leave, or whose frames come from elsewhere, while everything else goes on.
+//! Removal of cameras, and changes of their source, at run time.
 
 use super::Fusion;
 use crate::world::lifecycle::DEFAULT_TRUST;
 use roundel_vision::id::CameraId;
 
 impl Fusion {
-    /// Forgets a camera. Tracks keep what it saw until that is of no more use; what comes of it later is taken for that
-    /// of a new camera.
+    /// Forgets a camera. Tracks keep its measurements until they leave the window. Later frames count as those of
+    /// a new camera.
     pub fn remove_camera(&mut self, camera: CameraId) {
         self.set_camera(camera, None);
         self.set_mount(camera, None);
@@ -15,8 +15,8 @@ impl Fusion {
         self.forget_source(camera);
     }
 
-    /// A camera's frames come from elsewhere from now on: what was known of their stamps and numbers says nothing of what
-    /// is to come, so its clock is exact until [`Self::set_clock`] says otherwise. Where it stands is not touched.
+    /// Notes that a camera's frames have a new source: forgets its stamps, numbers and clock, which is exact
+    /// until [`Self::set_clock`]. Its pose is kept.
     pub fn forget_source(&mut self, camera: CameraId) {
         self.clocks.remove(camera);
         self.stamp_corrector.forget(camera);
@@ -69,7 +69,7 @@ mod tests {
         assert_eq!(fusion.clock(CameraId(1)), None);
         assert!(fusion.camera_place(CameraId(1), start).is_err());
         let after = [0, 2].map(|camera| fusion.clock(CameraId(camera)).unwrap());
-        // Of the deviations those remain that tell the two apart.
+        // Differences of offsets determine the deviations that remain.
         assert_eq!(before.map(|it| it.offset_s), after.map(|it| it.offset_s));
         assert!(after[0].deviation_s < before[0].deviation_s + 0.02, "{before:?} {after:?}");
         let counts = fusion.counts();

@@ -1,4 +1,4 @@
-//! Where cameras are while they take a frame, and what that makes of their detections.
+//! Camera poses at the time of a frame, and the frame's detections as sightings.
 
 use super::{Fusion, FusionCounts};
 use crate::world::{
@@ -17,7 +17,7 @@ use roundel_vision::{
     time::Timestamp,
 };
 
-/// A detection's capture time may differ from its frame's by so much (half a slow rolling shutter).
+/// Largest difference of a detection's capture time from its frame's (half a slow rolling shutter).
 const MAX_ROW_TIME_NS: i64 = 500_000_000;
 
 impl FusionCounts {
@@ -35,15 +35,15 @@ impl FusionCounts {
 }
 
 impl Fusion {
-    /// Says what a camera rides on from now on, of bodies one that was added before; `None`: on nothing, it
-    /// stands where [`Self::set_camera`] says.
+    /// Fixes a camera to an object; a body must exist. With `None` the camera is stationary, with the pose of
+    /// [`Self::set_camera`].
     pub fn set_mount(&mut self, camera: CameraId, mount: Option<CameraMount>) {
         self.clocks.set_moving(camera, mount.is_some());
         let mount = mount.map(|mount| self.on_what_is_followed(mount));
         self.mobile_cameras.set(camera, mount);
     }
 
-    /// A mount from the point that is followed; on a body, if that claims the roundel.
+    /// The mount relative to the point that the track follows; on the body that has the roundel, if there is one.
     fn on_what_is_followed(&self, mut mount: CameraMount) -> CameraMount {
         if let Carrier::Roundel { kind, code } = mount.carrier
             && let Some((body, object_from_roundel)) = self.bodies.find_roundel(kind, code)
@@ -58,12 +58,12 @@ impl Fusion {
         mount
     }
 
-    /// Says which roundels have known places; cameras that localize find theirs by them.
+    /// Sets the roundels at known positions, by which cameras localize their carriers.
     pub fn set_landmarks(&mut self, landmarks: Vec<Landmark>) {
         self.landmarks = landmarks;
     }
 
-    /// Where a camera is at an instant.
+    /// Pose of a camera at a time.
     pub fn camera_place(
         &mut self,
         camera: CameraId,
@@ -77,7 +77,7 @@ impl Fusion {
         Ok(CameraPlacement { world_from_camera, covariance })
     }
 
-    /// Lets a camera that localizes say where its carrier is; gives the detections that are of landmarks.
+    /// Lets a camera that localizes measure its carrier; returns the detections of landmarks.
     pub(super) fn localize(
         &mut self,
         frame: &FrameObservations,
@@ -131,7 +131,7 @@ impl Fusion {
         self.mobile_cameras.carrier_state(camera, &mut self.tracks, (time, clock_s))
     }
 
-    /// Where the camera is at the time of a frame, and what it rides on.
+    /// Pose of the camera at the time of a frame, and the state of its carrier.
     fn place(
         &mut self,
         camera: CameraId,
@@ -151,8 +151,8 @@ impl Fusion {
         Ok((camera_pose, None))
     }
 
-    /// Turns the frame's detections into sightings, but for those of landmarks; false if the camera's
-    /// place is not known.
+    /// Turns the frame's detections into sightings, except those of landmarks; false if the camera's pose is
+    /// unknown.
     pub(super) fn collect(
         &mut self,
         frame: &FrameObservations,

@@ -1,29 +1,27 @@
-//! The code that an object was seen with most: a majority vote that keeps one candidate and its lead
-//! (Boyer, Moore, *MJRTY*, 1981), so it costs the same however many codes are misread.
+//! Majority vote over the code readings of one object. It keeps one candidate and its lead (Boyer, Moore, *MJRTY*,
+//! 1981), so its cost does not grow with the number of misread codes.
 //!
-//! The lead is bounded, so that a track which came by a wrong code gets rid of it in about a second.
-//! A settled code also says which track a detection belongs to (`association`) and which object a
-//! track is (`identity`).
+//! The lead is bounded, so that a track with a wrong code loses it within about a second. A settled code also decides
+//! which track a detection belongs to (`association`) and which object a track is (`lifecycle`).
 
 use roundel_vision::marker::Code;
 
-/// As many readings of another code, less what speaks for the candidate meanwhile, change it.
+/// Largest lead; this many readings of another code, net, replace the candidate.
 const MAX_LEAD: u32 = 60;
 
-/// Readings, less those of others, after which a code is settled.
+/// Lead from which a code is settled.
 const SETTLED_LEAD: u32 = 3;
 
-/// The vote of one track.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(in crate::world) struct CodeVote {
     candidate: Option<Code>,
     lead: u32,
-    /// Readings of others since that of the candidate.
+    /// Readings of other codes since the candidate was read last.
     contradictions: u32,
 }
 
 impl CodeVote {
-    /// Counts a reading.
+    /// Adds a reading.
     pub(in crate::world) fn add(&mut self, code: Code) {
         if self.candidate == Some(code) {
             self.lead = (self.lead + 1).min(MAX_LEAD);
@@ -36,12 +34,12 @@ impl CodeVote {
         }
     }
 
-    /// Takes a code for granted, which others have settled.
+    /// Sets a code that is settled elsewhere.
     pub(in crate::world) fn set(&mut self, code: Code) {
         *self = Self { candidate: Some(code), lead: SETTLED_LEAD, contradictions: 0 };
     }
 
-    /// Takes over what another track of the same object was seen with.
+    /// Adds the votes of another track of the same object.
     pub(in crate::world) fn merge(&mut self, other: &Self) {
         if self.candidate == other.candidate {
             self.lead = (self.lead + other.lead).min(MAX_LEAD);
@@ -52,7 +50,7 @@ impl CodeVote {
         }
     }
 
-    /// Whether a reading is of the same object; `None` if that cannot be said yet.
+    /// Whether a reading matches; `None` while that is undecided.
     pub(in crate::world) fn agrees(&self, read: Code) -> Option<bool> {
         if self.candidate == Some(read) {
             return Some(true);
@@ -60,17 +58,18 @@ impl CodeVote {
         self.settled().map(|_| false)
     }
 
-    /// Readings of other codes since its own was read last: one is misread, several are another object.
+    /// Readings of other codes since the candidate was read last: one is a misreading, several are another
+    /// object.
     pub(in crate::world) fn contradictions(&self) -> u32 {
         self.contradictions
     }
 
-    /// What was read most, if that is beyond doubt.
+    /// The candidate, if it is settled.
     pub(in crate::world) fn settled(&self) -> Option<Code> {
         self.candidate.filter(|_| self.lead >= SETTLED_LEAD)
     }
 
-    /// What was read most; `None` before the first reading.
+    /// The candidate; `None` before the first reading.
     pub(in crate::world) fn leader(&self) -> Option<Code> {
         self.candidate
     }

@@ -1,25 +1,24 @@
-//! Enough of a track to tell most sightings (`gate`), and most other tracks, that they are not of it: a
-//! few numbers, where the filters are kilobytes.
+//! Summary of a track in a few numbers, where the filters take kilobytes. It suffices to exclude most sightings
+//! (`association::gate`) and most other tracks (`merge`).
 
 use nalgebra::Vector3;
 
 use crate::track::FilterState;
 use roundel_vision::time::Timestamp;
 
-/// Where an object about is, as its agile filter has it.
+/// Position, velocity and traces of the covariance of a track's agile filter.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::world) struct Coarse {
     time: Timestamp,
     pub(in crate::world) position_m: Vector3<f64>,
     pub(in crate::world) velocity_m_s: Vector3<f64>,
-    /// Traces of the covariance's blocks, with what clocks may add: of position, of both, of velocity.
+    /// Traces of the covariance's blocks with clock errors: position, cross, velocity.
     pub(in crate::world) spread: (f64, f64, f64),
-    /// Sum of the densities by which they grow, m²/s³.
+    /// Sum over the axes of the process noise's density, m²/s³.
     density_m2_s3: f64,
 }
 
 impl Coarse {
-    /// Of an estimate that grows by these densities.
     pub(in crate::world) fn of(estimate: &FilterState, density_m2_s3: &Vector3<f64>) -> Self {
         let filter = estimate.motion.agile();
         Self {
@@ -31,7 +30,7 @@ impl Coarse {
         }
     }
 
-    /// At another instant: the traces are those of the whole covariance, predicted.
+    /// Summary at another time; the traces equal those of the predicted covariance.
     pub(in crate::world) fn predicted(&self, time: Timestamp) -> Self {
         let dt = time.seconds_since(self.time);
         let (value, cross, rate) = self.spread;
@@ -44,7 +43,7 @@ impl Coarse {
         Self { time, position_m: self.position_m + self.velocity_m_s * dt, spread, ..*self }
     }
 
-    /// Root of the sum of the position's variances, metres, at most, up to `span_s` before or after.
+    /// Upper bound of the root of the position's trace, metres, up to `span_s` before or after.
     pub(in crate::world) fn max_deviation_m(&self, span_s: f64) -> f64 {
         let (value, cross, rate) = self.spread;
         let span = span_s.abs();

@@ -1,9 +1,9 @@
-//! Whose code is whose: an object that was lost and comes back is the same object.
+//! Persistent ids: an object that was lost and returns gets the same id.
 //!
-//! The first track that is trusted and whose code is settled gives the code its object id, for good; the
-//! first of a body gives it to the body. A later track with that code or body takes the id over, unless another track carries it that is seen right now:
-//! then one code is there twice (two prints of it, or a track that drifted onto another robot), which no
-//! rule can mend, and which is counted. A track that only less trusted cameras see gives the id up all the same.
+//! The first confirmed track with a settled code binds its object id to the code for good, the first of a body to the
+//! body. A later track with that code or body takes the id over, unless another track with the id is observed at
+//! present. Then the code exists twice (two prints, or a track that drifted onto another robot), which is only counted.
+//! A track that only less trusted cameras observe gives up the id in any case.
 
 use std::collections::BTreeMap;
 
@@ -14,32 +14,32 @@ use roundel_vision::{
     time::Timestamp,
 };
 
-/// The ids of all codes that were ever settled, and of all bodies that were ever seen.
+/// Ids of all codes ever settled and of all bodies ever observed.
 #[derive(Clone, Debug, Default)]
 pub(in crate::world) struct IdRegistry {
     by_mark: BTreeMap<(Option<KindId>, Mark), ObjectId>,
 }
 
-/// What a track's mark says of its id.
+/// Result of a track's claim to the id of its mark.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::world) enum Claim {
-    /// It is its own.
+    /// The track has the id already.
     Own,
-    /// It is that of an object that no track carries.
+    /// No track has the id.
     Reappeared(ObjectId),
-    /// It is that of the track with this index, which is not seen now.
+    /// The track with this index has the id and is not observed at present.
     Moved(usize, ObjectId),
-    /// It is that of another track that is seen as well.
+    /// Another track has the id and is observed as well.
     Ambiguous,
 }
 
 impl IdRegistry {
-    /// The object that goes by a mark.
+    /// Id bound to a mark.
     pub(in crate::world) fn id_of(&self, kind: Option<KindId>, mark: Mark) -> Option<ObjectId> {
         self.by_mark.get(&(kind, mark)).copied()
     }
 
-    /// Has an object go by another mark, unless that is another object's.
+    /// Binds the id of one mark to another one as well, unless that has an id.
     pub(in crate::world) fn alias(
         &mut self,
         from: (Option<KindId>, Mark),
@@ -50,13 +50,13 @@ impl IdRegistry {
         }
     }
 
-    /// Nothing goes by a mark any more.
+    /// Removes the binding of a mark.
     pub(in crate::world) fn remove(&mut self, kind: Option<KindId>, mark: Mark) {
         self.by_mark.remove(&(kind, mark));
     }
 
-    /// Settles whose id the track with this index has, of all tracks; `fresh_ns` ago a track is seen now,
-    /// unless it is one of the same body that was not seen since this one began.
+    /// Decides whether the track at `index` gets the id of its mark. A track counts as observed for `fresh_ns`,
+    /// except one of the same body that was not observed since this one began.
     pub(in crate::world) fn claim(
         &mut self,
         tracks: &[Track],

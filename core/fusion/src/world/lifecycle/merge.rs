@@ -1,9 +1,9 @@
-//! Two tracks of one object become one.
+//! Merging of two tracks of one object.
 //!
-//! Two cameras that disagree by more than they admit begin two tracks of one object. When these
-//! come within their uncertainties and no camera has ever shown both in one frame, they are one: the
-//! older id stays, unless only the younger one is trusted. One settled code makes two near tracks one
-//! whatever their uncertainties say, two different ones never.
+//! Two cameras that disagree by more than they state start two tracks of one object. When these come within their
+//! uncertainties, and no camera ever showed both in one frame, they are merged. The older id stays, unless only the
+//! younger track is confirmed. Two near tracks with the same settled code are merged whatever their uncertainties, two
+//! with different codes never.
 
 use nalgebra::Vector3;
 
@@ -12,12 +12,12 @@ use roundel_vision::time::Timestamp;
 
 /// Squared Mahalanobis distance below which two tracks may be one (χ², 3 degrees of freedom, 0.95).
 const SAME_DISTANCE_SQUARED: f64 = 7.8;
-/// Tracks less certain than this (rms of both, metres) are compared later.
+/// Largest rms uncertainty of both tracks together, metres; less certain ones are compared later.
 const MAX_DEVIATION_M: f64 = 0.25;
-/// Tracks further apart than this are not looked at.
+/// Largest distance of two tracks to compare, metres.
 const MAX_DISTANCE_M: f64 = 1.0;
 
-/// Finds a pair that is one object: indexes of the one that stays and the one that goes.
+/// Finds two tracks of one object: the index of the one to keep and of the one to remove.
 pub(in crate::world) fn find_duplicates(
     tracks: &mut [Track],
     now: Timestamp,

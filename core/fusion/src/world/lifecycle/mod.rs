@@ -1,4 +1,4 @@
-//! Tracks from the first detection to loss.
+//! Life cycle of tracks: start, confirmation, ids, merging, loss, and the trust in the cameras that observe them.
 
 mod coarse;
 mod id_registry;

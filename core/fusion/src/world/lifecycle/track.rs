@@ -1,12 +1,11 @@
-//! A track's life: tentative until enough speaks for it, tracked while it is seen, predicted while
-//! it is not, lost in the end.
+//! One track with its life stage: tentative until confirmed, tracked while observed, predicted while not, lost in the
+//! end.
 //!
-//! What speaks for a tentative track is a score, the logarithm of the likelihood ratio of "an
-//! object" to "clutter" (Blackman, Popoli, *Design and Analysis of Modern Tracking Systems*, 1999,
-//! section 6.2): each detection that fits adds -½ d² - ½ ln det(2π S) - ln λ for a density λ of
-//! clutter, so a hit in a narrow gate counts much and one in a wide gate little; each frame of a
-//! camera that saw it and sees it no more takes away. Trusted above [`TRUSTED_SCORE`] with enough
-//! hits, dropped below [`DROPPED_SCORE`].
+//! A tentative track is confirmed by a score, the logarithm of the likelihood ratio of "object" to "clutter" (Blackman,
+//! Popoli, *Design and Analysis of Modern Tracking Systems*, 1999, section 6.2). Each detection adds -½ d² - ½ ln
+//! det(2π S) - ln λ for a density λ of clutter, so a hit in a narrow gate counts more than one in a wide gate. Each
+//! frame without it, of a camera that had observed it, subtracts. A track is confirmed above [`TRUSTED_SCORE`] with
+//! enough hits, and dropped below [`DROPPED_SCORE`].
 
 use super::coarse::Coarse;
 use crate::track::{
@@ -24,21 +23,21 @@ use roundel_vision::{
     time::Timestamp,
 };
 
-/// e¹⁰: twenty thousand to one that it is an object.
+/// e¹⁰: odds of twenty thousand to one.
 const TRUSTED_SCORE: f64 = 10.0;
 const DROPPED_SCORE: f64 = -5.0;
-/// What a frame without the track says.
+/// Contribution of a frame without the track.
 const MISS_SCORE: f64 = -2.0;
 /// -ln λ: one false detection a frame in 100 m³.
 const CLUTTER_SCORE: f64 = 4.6;
-/// A camera that contradicts all others for longer than this is believed to see something else.
+/// A camera that contradicts all others for longer than this observes something else.
 const MAX_CONTRADICTION_NS: i64 = 1_000_000_000;
-/// Cameras that saw it within this time are those that a time is compared with.
+/// Time differences are taken against cameras that observed the track within this time.
 const SEEN_TOGETHER_NS: i64 = 1_000_000_000;
 /// ln 2π · 3 / 2.
 const GAUSS_CONSTANT: f64 = 2.756_815_6;
 
-/// A camera's last sight of a track.
+/// Newest detection of a track by one camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::world) struct CameraView {
     pub(in crate::world) camera: CameraId,
@@ -47,7 +46,7 @@ pub(in crate::world) struct CameraView {
     pub(in crate::world) time: Timestamp,
 }
 
-/// One object as fusion follows it.
+/// One object and its filters.
 #[derive(Clone, Debug)]
 pub(in crate::world) struct Track {
     pub(in crate::world) id: ObjectId,
@@ -55,25 +54,25 @@ pub(in crate::world) struct Track {
     pub(in crate::world) codes: CodeVote,
     pub(in crate::world) stage: LifeStage,
     pub(in crate::world) history: History,
-    /// Of the history's newest estimate.
+    /// Summary of the history's newest state.
     pub(in crate::world) coarse: Coarse,
     pub(in crate::world) model: MotionModel,
     pub(in crate::world) first: Timestamp,
     pub(in crate::world) newest: Timestamp,
     pub(in crate::world) observations: u64,
-    /// By camera.
+    /// One per camera, ascending.
     pub(in crate::world) views: Vec<CameraView>,
-    /// Tracks that a camera saw beside this one.
+    /// Tracks that appeared together with this one in a frame.
     pub(in crate::world) distinct_from: Vec<ObjectId>,
-    /// What has said whose id it has.
+    /// Mark with which the id was claimed.
     pub(in crate::world) claimed_mark: Option<Mark>,
-    /// When its cameras' views were compared last.
+    /// Time of the last comparison of its cameras' clocks.
     last_comparison: Option<Timestamp>,
     score: f64,
 }
 
 impl Track {
-    /// From a detection that was no other track's.
+    /// Track from a detection that fits no other track.
     pub(in crate::world) fn begin(
         id: ObjectId,
         subject: Subject,
@@ -106,7 +105,7 @@ impl Track {
         self.stage == LifeStage::Tentative
     }
 
-    /// A settled code of a trusted track, or its body, that nothing has followed from yet.
+    /// Settled code or body of a confirmed track with which no id was claimed yet.
     pub(in crate::world) fn unclaimed_mark(&self) -> Option<Mark> {
         let settled = match self.subject.body {
             Some(body) => Some(Mark::Body(body)),
@@ -115,27 +114,27 @@ impl Track {
         settled.filter(|_| !self.is_tentative() && self.claimed_mark != settled)
     }
 
-    /// Whether the camera's tracker says that this is the roundel it saw as this track before.
+    /// Whether the camera's tracker assigns the measurement to this track.
     pub(in crate::world) fn is_continued_by(&self, measurement: &Measurement) -> bool {
         self.is_known_as(measurement.camera, measurement.number)
     }
 
-    /// Whether the camera saw it under this number last.
+    /// Whether the camera's newest detection of the track has this number.
     pub(in crate::world) fn is_known_as(&self, camera: CameraId, number: TrackNumber) -> bool {
         self.view_index(camera).is_ok_and(|index| self.views[index].number == number)
     }
 
-    /// When a camera saw it last.
+    /// Time of a camera's newest detection of the track.
     pub(in crate::world) fn seen_by(&self, camera: CameraId) -> Option<Timestamp> {
         self.view_index(camera).ok().map(|index| self.views[index].time)
     }
 
-    /// Cameras that saw it at or after `since`; whoever measured it then is among them.
+    /// Cameras with a detection at or after `since`.
     pub(in crate::world) fn seen_since(&self, since: Timestamp) -> impl Iterator<Item = CameraId> {
         self.views.iter().filter(move |view| view.time >= since).map(|view| view.camera)
     }
 
-    /// Takes back what a camera measured from `since` on.
+    /// Removes a camera's measurements from `since` on.
     pub(in crate::world) fn retract(&mut self, camera: CameraId, since: Timestamp) -> Retraction {
         let taken = self.history.retract(camera, since, &self.model);
         if matches!(taken, Retraction::Removed(count) if count > 0) {
@@ -145,9 +144,9 @@ impl Track {
         taken
     }
 
-    /// Whether a measurement that its camera takes for this object, but that does not fit, is the
-    /// camera's error (a ring half covered, the other normal): another camera sees the object now, and
-    /// not long ago this one agreed with it.
+    /// Whether a measurement outside the gate, which its camera assigns to this track, is the camera's error (a
+    /// half covered ring, the wrong normal): another camera observes the object now, and this one agreed with it
+    /// not long ago.
     pub(in crate::world) fn is_contradicted(
         &self,
         measurement: &Measurement,
@@ -164,7 +163,7 @@ impl Track {
         agreed && !self.is_tentative() && self.views.iter().any(is_witness)
     }
 
-    /// How far the measurement's time may be off from those of the other cameras that see this, seconds. A
+    /// Standard deviation of the measurement's time against the other cameras that observe the track, seconds. A
     /// clock that was just set makes its own camera's times uncertain, not those of the others.
     pub(in crate::world) fn timing_s(&self, measurement: &Measurement, clocks: &Clocks) -> f64 {
         if !clocks.is_estimating() {
@@ -179,7 +178,7 @@ impl Track {
         others.map(|view| clocks.deviation_s(measurement.camera, view.camera)).fold(0.0, f64::max)
     }
 
-    /// The cameras' views of this held against one another, from time to time.
+    /// Compares the clocks of the cameras that observe the track, once per window.
     pub(in crate::world) fn compare(&mut self, clocks: &Clocks) -> Option<Comparison> {
         let now = self.history.newest_time();
         if self.last_comparison.is_some_and(|time| now.ns_since(time) < clock::WINDOW_NS) {
@@ -191,7 +190,7 @@ impl Track {
             .flatten()
     }
 
-    /// Takes in a measurement; gives what became of it and what happened to the track.
+    /// Adds a measurement; returns the result of the insertion and the change of the life stage.
     pub(in crate::world) fn observe(
         &mut self,
         measurement: &Measurement,
@@ -233,12 +232,12 @@ impl Track {
         (inserted, event)
     }
 
-    /// To be called after the history has changed.
+    /// Updates the summary after a change of the history.
     pub(in crate::world) fn refresh(&mut self) {
         self.coarse = Coarse::of(self.history.newest(), &self.model.acceleration_density_m2_s3);
     }
 
-    /// A frame of this camera did not show the track.
+    /// Notes a frame of this camera without the track.
     pub(in crate::world) fn miss(&mut self, camera: CameraId, time: Timestamp) {
         if self.is_tentative()
             && self.view_index(camera).is_ok_and(|index| self.views[index].time < time)
@@ -247,7 +246,7 @@ impl Track {
         }
     }
 
-    /// Lets time pass. `Err` when the track has come to its end, with an event if it was known.
+    /// Advances the life stage to `now`. `Err` when the track has ended, with an event if it was confirmed.
     pub(in crate::world) fn advance(
         &mut self,
         now: Timestamp,
@@ -269,13 +268,13 @@ impl Track {
         Ok(None)
     }
 
-    /// Gives the track up.
+    /// Ends the track.
     pub(in crate::world) fn mark_lost(&mut self, time: Timestamp) -> Event {
         self.stage = LifeStage::Lost;
         Event { time, object: self.id, kind: EventKind::Lost }
     }
 
-    /// Takes over how cameras number a track that is the same object.
+    /// Takes over the camera views of a merged track.
     pub(in crate::world) fn adopt_views(&mut self, other: &Track) {
         for view in &other.views {
             match self.view_index(view.camera) {

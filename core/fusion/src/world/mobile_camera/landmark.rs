@@ -1,20 +1,19 @@
-//! Where a camera is, from the landmarks in one frame: the observations of a standing camera, turned round.
+//! Pose of a camera from the landmarks in one frame.
 //!
-//! A landmark is a roundel whose place in the world is known: its centre w, and mostly how it is turned,
-//! Q. A detection of it at p in the camera, turned by C, gives for the camera's pose (R, t) the errors
+//! A landmark is a roundel at a known position w in the world, mostly with known orientation Q. A detection at p in the
+//! camera frame with orientation C has, for the camera's pose (R, t), the residuals
 //!
-//! e_p = w - R p - t,  e_θ = log(Q (R C)⁻¹)
+//! e_p = w - R p - t, e_θ = log(Q (R C)⁻¹)
 //!
-//! with the detection's covariance Σ turned by R, and that of the landmark's own place beside. With
-//! δx = (δt, δθ), e_p ≈ [I -[R p]×] δx and e_θ ≈ [0 I] δx: Gauss and Newton's steps minimize Σ eᵀ W e
-//! over all landmarks in view, and (Σ Aᵀ W A)⁻¹ is the covariance, of which each cause has its part
-//! Σ Kᵢ Σᵢ Kᵢᵀ, Kᵢ = (Σ Aᵀ W A)⁻¹ Aᵢᵀ Wᵢ. Of a roundel without a code, e_θ turns the normal only.
+//! with the detection's covariance Σ rotated by R, plus that of the landmark itself. With δx = (δt, δθ), e_p ≈ [I -[R
+//! p]×] δx and e_θ ≈ [0 I] δx. Gauss-Newton minimizes Σ eᵀ W e over all landmarks in view. The covariance is (Σ Aᵀ W
+//! A)⁻¹, of which each cause has the part Σ Kᵢ Σᵢ Kᵢᵀ, Kᵢ = (Σ Aᵀ W A)⁻¹ Aᵢᵀ Wᵢ. For a roundel without a code, e_θ
+//! rotates the normal only.
 //!
-//! An ellipse allows two normals. Each landmark with a code and a known orientation gives a start for
-//! either, three or more in known places another ([`super::reference::align`]), and where the carrier is
-//! expected a last one. From each start every detection takes the normal that suits it. Different ends
-//! stay hypotheses, weighed by how well each explains what is seen: one landmark has two, of several
-//! that are not in one plane nearly always one is left.
+//! An ellipse allows two normals. Each landmark with a code and a known orientation gives a start for either; three or
+//! more known positions give another ([`super::super::reference::align`]), and the expected pose a last one. From each
+//! start every detection takes the normal that fits better. Different results remain as hypotheses, weighted by their
+//! costs: one landmark has two; several that are not in one plane nearly always leave one.
 
 use nalgebra::{Matrix3, Matrix6, SMatrix, UnitQuaternion, Vector3, Vector6};
 
@@ -31,38 +30,38 @@ use roundel_vision::{
     },
 };
 
-/// Standard deviation of a landmark's stated orientation, about each axis: a print hung by hand, radians.
+/// Default standard deviation of a landmark's orientation about each axis, radians: a print hung by hand.
 pub const TURN_SIGMA_RAD: f64 = 0.01;
-/// Gauss and Newton's steps from each start.
+/// Largest number of Gauss-Newton steps from each start.
 const STEPS: usize = 8;
-/// A step shorter than this ends them, m and rad.
+/// Step length that ends the iteration, m and rad.
 const MIN_STEP: f64 = 1e-7;
-/// Two ends no further apart than this are one, squared Mahalanobis length.
+/// Squared Mahalanobis length below which two results are the same.
 const SAME_SQUARED: f64 = 4.0;
-/// A landmark further off than this is something else (χ², 6 degrees of freedom, 1 - 10⁻⁸).
+/// Squared residual above which a detection is not the landmark (χ², 6 degrees of freedom, 1 - 10⁻⁸).
 const OUTLIER_SQUARED: f64 = 50.0;
-/// A camera whose rotation is known no better than this, rms, has no place, radians.
+/// Largest rms uncertainty of a usable rotation, radians.
 const MAX_ROTATION_DEVIATION_RAD: f64 = 0.3;
 
-/// A roundel whose place in the world is known.
+/// A roundel at a known position in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Landmark {
-    /// Its kind.
+    /// Kind of the roundel.
     pub kind: KindId,
-    /// Its code; `None` where it has none and is known by where it is.
+    /// Its code; `None` if it has none and is identified by its position.
     pub code: Option<Code>,
     /// Centre, world frame, metres.
     pub position_m: Vector3<f64>,
-    /// Standard deviation of that, each coordinate, metres.
+    /// Standard deviation of each coordinate, metres.
     pub position_deviation_m: f64,
-    /// world_from_roundel, where known; of a plain roundel its z alone counts.
+    /// world_from_roundel, if known; only the z axis counts for a plain roundel.
     pub orientation: Option<UnitQuaternion<f64>>,
-    /// Standard deviation of that, about each axis, radians.
+    /// Standard deviation of the orientation about each axis, radians.
     pub orientation_deviation_rad: f64,
 }
 
 impl Landmark {
-    /// One that was measured with a tape and hung by hand.
+    /// A landmark measured with a tape and hung by hand, of unknown orientation.
     pub fn new(kind: KindId, code: Option<Code>, position_m: Vector3<f64>) -> Self {
         Self {
             kind,
@@ -75,7 +74,7 @@ impl Landmark {
     }
 }
 
-/// A landmark as it is seen, in the camera's frame at one instant.
+/// A landmark with its detection, in the camera frame at the frame's time.
 #[derive(Clone, Debug)]
 pub(in crate::world) struct LandmarkMatch {
     pub(in crate::world) landmark: Landmark,
@@ -83,14 +82,14 @@ pub(in crate::world) struct LandmarkMatch {
     pub(in crate::world) pose: RoundelPose,
 }
 
-/// A place that explains what is seen.
+/// A pose that explains the detections.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::world) struct PoseSolution {
     pub(in crate::world) world_from_camera: Rigid,
-    /// From what cameras see, and from where the landmarks are.
+    /// Parts of the covariance by the detections and by the landmarks.
     pub(in crate::world) observed: Covariance6,
     pub(in crate::world) stated_covariance: Covariance6,
-    /// -2 ln likelihood, up to a constant.
+    /// -2 ln likelihood up to a constant.
     pub(in crate::world) cost: f64,
 }
 
@@ -100,7 +99,7 @@ impl PoseSolution {
     }
 }
 
-/// One detection's say, given where the camera is.
+/// Residual of one detection at a given pose.
 struct Residual {
     error: Vector6<f64>,
     jacobian: Matrix6<f64>,
@@ -110,8 +109,8 @@ struct Residual {
     cost: f64,
 }
 
-/// The places that explain what is seen of landmarks, the best first, two at most; none if it contradicts
-/// itself or says too little. Landmarks that fit with no others are taken out of `pairs`.
+/// The poses that explain the detections of landmarks, best first, at most two. Empty if they contradict each
+/// other or determine too little. Removes landmarks from `pairs` that contradict the others.
 pub(in crate::world) fn solve_camera_pose(
     pairs: &mut Vec<LandmarkMatch>,
     expected: Option<&Rigid>,
@@ -129,7 +128,7 @@ pub(in crate::world) fn solve_camera_pose(
         match worst {
             Some((index, cost)) if cost > OUTLIER_SQUARED => {
                 if pairs.len() < 3 {
-                    // Which of two is wrong cannot be said.
+                    // With two left, the wrong one is unknown.
                     return Vec::new();
                 }
                 pairs.remove(index);
@@ -175,7 +174,7 @@ fn solutions(pairs: &[LandmarkMatch], expected: Option<&Rigid>) -> Vec<PoseSolut
     found
 }
 
-/// From one place to another: translation, and rotation vector in the world.
+/// Difference of two poses: translation, and rotation vector in the world.
 pub(in crate::world) fn pose_difference(from: &Rigid, to: &Rigid) -> Vector6<f64> {
     let moved = to.translation.vector - from.translation.vector;
     let turned = (to.rotation * from.rotation.inverse()).scaled_axis();
@@ -224,7 +223,7 @@ fn gauss_newton(pairs: &[LandmarkMatch], mut place: Rigid) -> Option<PoseSolutio
     })
 }
 
-/// By the normal that suits the place better.
+/// By the normal that fits the pose better.
 fn residual(pair: &LandmarkMatch, place: &Rigid) -> Option<Residual> {
     let (pose, landmark) = (&pair.pose, &pair.landmark);
     let arm_m = place.rotation * pose.position_m;
@@ -275,7 +274,7 @@ fn residual(pair: &LandmarkMatch, place: &Rigid) -> Option<Residual> {
     best
 }
 
-/// Of a landmark of which nobody has said how it is turned.
+/// For a landmark of unknown orientation.
 fn position_residual(
     turned: &Covariance6,
     stated_covariance: &Covariance6,
@@ -297,7 +296,7 @@ fn position_residual(
     })
 }
 
-/// The smallest rotation from one unit vector to another.
+/// Smallest rotation from one unit vector to another.
 fn smallest_rotation_between(from: &Vector3<f64>, to: &Vector3<f64>) -> UnitQuaternion<f64> {
     UnitQuaternion::rotation_between(from, to).unwrap_or_else(|| {
         let aside = if from.x.abs() < 0.9 { Vector3::x_axis() } else { Vector3::y_axis() };

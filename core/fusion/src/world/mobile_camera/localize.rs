@@ -1,18 +1,16 @@
-//! A robot's own camera finds where the robot is: what it sees of landmarks in a frame as a measurement
-//! of the object that carries it.
+//! Localization of an object by its own camera: detections of landmarks in a frame as a measurement of the object that
+//! carries the camera.
 //!
-//! Detections are brought to the frame's time by the carrier's motion, as far as it is known, since a
-//! rolling shutter exposes its rows one after another; what the motion may be beside that counts as
-//! error. Coded landmarks are known by their codes; plain ones, and codes that were not read, by where they
-//! must be, once the carrier is followed, and plain ones before by their mutual distances ([`super::reference::identify`]). [`solve`] gives the camera's
-//! place; with the mount (R_m, t_m) the carrier is at (R, t) (R_m, t_m)⁻¹. The measurement has a camera, a
-//! frame and a covariance as any other, of which what landmarks and mount err by is systematic, and a
-//! share of the rest, as in `observation`.
+//! A rolling shutter exposes its rows one after another, so detections are first moved to the frame's time by the
+//! predicted motion of the carrier; the uncertainty of that motion adds to their errors. Coded landmarks are identified
+//! by their codes. Plain ones and unread codes are identified by their position once the carrier is tracked, and plain
+//! ones before that by their mutual distances ([`super::super::reference::identify`]). [`solve_camera_pose`] gives the
+//! camera's pose; with the mount (R_m, t_m) the carrier is at (R, t) (R_m, t_m)⁻¹. The measurement is like any other.
+//! The errors of landmarks and mount are systematic, and so is a share of the rest, as in `measurement`.
 //!
-//! Where what is seen allows two places (one landmark, both normals), the one nearer to where the carrier
-//! is expected is taken. For a carrier that is not followed yet, evidence of both is gathered frame by
-//! frame, and nothing is said until the odds are a hundred to one; if later frames turn the odds round,
-//! the other place is said, and the track begins anew.
+//! Where the detections allow two poses (one landmark, both normals), the one nearer to the expected pose is used. For
+//! a carrier that is not tracked yet, evidence is accumulated frame by frame, and nothing is returned until the odds
+//! are a hundred to one. If later frames reverse the odds, the other pose is returned, and the track starts again.
 
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 
@@ -40,20 +38,20 @@ use roundel_vision::{
     time::Timestamp,
 };
 
-/// Odds of a place against the other before it is told, as a logarithm …
+/// Log-odds between two poses from which one is used.
 const MIN_LOG_ODDS: f64 = 4.6;
-/// … which never exceed this, so that a mistake can be undone.
+/// Limit of the log-odds, so that a wrong decision can be reversed.
 const MAX_LOG_ODDS: f64 = 8.0;
-/// Frames that follow one another share most of their error: as much of each counts.
+/// Weight of each frame's evidence, since successive frames share most of their error.
 const EVIDENCE_WEIGHT: f64 = 0.25;
-/// What the expected place may say at most, -2 ln.
+/// Limit of the expected pose's contribution to the cost.
 const MAX_PRIOR_COST: f64 = 30.0;
-/// Evidence older than this says nothing, seconds.
+/// Age after which evidence is discarded, seconds.
 const MAX_AMBIGUITY_AGE_S: f64 = 1.0;
-/// A plain landmark is where it must be within this (χ², 3 degrees of freedom, 0.9999).
+/// Squared Mahalanobis length within which a detection is a plain landmark (χ², 3 degrees of freedom, 0.9999).
 const GATE_SQUARED: f64 = 21.1;
 
-/// The two places that a camera may have, as they were in its last ambiguous frame.
+/// Decision between two poses, with one of them in the last ambiguous frame.
 #[derive(Clone, Copy, Debug)]
 struct Ambiguity {
     world_from_camera: Rigid,
@@ -61,17 +59,17 @@ struct Ambiguity {
     time: Timestamp,
 }
 
-/// What one camera remembers.
+/// Memory of one camera between frames.
 #[derive(Clone, Copy, Debug, Default)]
 pub(in crate::world) struct Localizer {
     ambiguity: Option<Ambiguity>,
 }
 
-/// What came of a frame.
+/// Result of a frame.
 pub(in crate::world) struct Localization {
-    /// Of the carrier; `None`: nothing can be said.
+    /// Measurement of the carrier; `None` if its pose is undetermined.
     pub(in crate::world) sighting: Option<Sighting>,
-    /// The detections that are of landmarks.
+    /// Detections of landmarks.
     pub(in crate::world) landmarks: Vec<TrackNumber>,
 }
 
@@ -80,17 +78,17 @@ pub(in crate::world) struct LocalizationInput<'a> {
     pub(in crate::world) frame: &'a FrameObservations,
     pub(in crate::world) correction: StampCorrection,
     pub(in crate::world) mount: CameraMount,
-    /// What its carrier is followed as …
+    /// Subject of its carrier.
     pub(in crate::world) subject: Subject,
-    /// … and its code.
+    /// Code of its carrier.
     pub(in crate::world) code: Option<Code>,
-    /// Where its carrier is expected, if it is followed.
+    /// Predicted state of its carrier, if it is tracked.
     pub(in crate::world) carrier: Option<CarrierState>,
     pub(in crate::world) landmarks: &'a [Landmark],
     pub(in crate::world) params: &'a FusionParams,
 }
 
-/// A detection of which only its place can say which landmark it is of.
+/// Detection without a code, which only its position can identify.
 struct UncodedDetection {
     kind: KindId,
     number: TrackNumber,
@@ -98,7 +96,7 @@ struct UncodedDetection {
 }
 
 impl Localizer {
-    /// Where the carrier is, by one frame.
+    /// Pose of the carrier by one frame.
     pub(in crate::world) fn localize(&mut self, input: &LocalizationInput<'_>) -> Localization {
         let mut pairs = input.pairs();
         let landmarks = pairs.iter().map(|pair| pair.number).collect();
@@ -116,7 +114,7 @@ impl Localizer {
         Localization { sighting, landmarks }
     }
 
-    /// One of two places, if that can be said.
+    /// Chooses between two poses, if the odds suffice.
     fn choose(
         &mut self,
         solutions: [PoseSolution; 2],
@@ -148,7 +146,7 @@ impl Localizer {
         (odds.abs() >= MIN_LOG_ODDS).then_some(solutions[taken])
     }
 
-    /// The odds of one of two places by all frames so far; `prior` before the first.
+    /// Log-odds of the pose at `index` against the other by all frames so far; `prior` before the first.
     fn update_log_odds(
         &mut self,
         solutions: &[PoseSolution; 2],
@@ -182,7 +180,7 @@ impl LocalizationInput<'_> {
         self.correction.corrected(self.frame.capture_time)
     }
 
-    /// Every landmark that is seen, once, in the camera's frame at the frame's time.
+    /// Landmarks in the frame, each once, in the camera frame at the frame's time.
     fn pairs(&self) -> Vec<LandmarkMatch> {
         let mut pairs: Vec<LandmarkMatch> = Vec::new();
         let mut uncoded: Vec<UncodedDetection> = Vec::new();
@@ -211,7 +209,7 @@ impl LocalizationInput<'_> {
         pairs
     }
 
-    /// Plain landmarks, and those whose code was not read, by where they must be.
+    /// Identifies plain landmarks and unread codes by their positions.
     fn match_places(
         &self,
         carrier: &CarrierState,
@@ -242,7 +240,7 @@ impl LocalizationInput<'_> {
         }
     }
 
-    /// Plain landmarks by their mutual distances.
+    /// Identifies plain landmarks by their mutual distances.
     fn match_distances(&self, uncoded: Vec<UncodedDetection>, pairs: &mut Vec<LandmarkMatch>) {
         let plain: Vec<&Landmark> =
             self.landmarks.iter().filter(|landmark| landmark.code.is_none()).collect();
@@ -254,7 +252,7 @@ impl LocalizationInput<'_> {
             })
             .collect();
         let observed: Vec<Seen> = uncoded.iter().map(|it| Seen::from(&it.pose)).collect();
-        // What cannot be told apart yet is told by a frame that shows more.
+        // An ambiguous arrangement waits for a frame that shows more.
         let Ok(found) = identify(&references, &observed) else { return };
         for (&landmark, index) in plain.into_iter().zip(found) {
             let Some(index) = index else { continue };
@@ -265,7 +263,7 @@ impl LocalizationInput<'_> {
         }
     }
 
-    /// A detection as it would have been at the frame's time.
+    /// A detection moved to the frame's time.
     fn at_frame(&self, detection: &Detection, pose: &RoundelPose) -> RoundelPose {
         let row_s = detection.capture_time.seconds_since(self.frame.capture_time);
         let mut moved = pose.clone();
@@ -295,14 +293,15 @@ impl LocalizationInput<'_> {
         moved
     }
 
-    /// The carrier where the camera says that it is.
+    /// Measurement of the carrier.
     fn sighting(&self, solution: &PoseSolution) -> Option<Sighting> {
         let mount = &self.mount;
         let camera_from_object = mount.object_from_camera.inverse();
         let place = solution.world_from_camera * camera_from_object;
         let arm_m = solution.world_from_camera.rotation * camera_from_object.translation.vector;
         let share = self.params.systematic_share.clamp(0.0, 1.0);
-        // The mount's error in the frame of the object moves the object by as much the other way.
+        // An error of the mount in the object's frame moves the object by the same amount in the opposite
+        // direction.
         let mut back = Matrix6::identity();
         let camera_m = mount.object_from_camera.translation.vector;
         back.fixed_view_mut::<3, 3>(0, 3).copy_from(&camera_m.cross_matrix());
@@ -345,7 +344,7 @@ impl LocalizationInput<'_> {
     }
 }
 
-/// The yaw of a roundel that was turned as a whole.
+/// Yaw of a roundel after a rotation.
 fn turned_yaw(turn: &UnitQuaternion<f64>, normal: &Vector3<f64>, yaw_rad: f64) -> f64 {
     let x = turn * orientation(normal, Some(yaw_rad)) * Vector3::x();
     let level = orientation(&(turn * normal), None).inverse() * x;

@@ -1,4 +1,4 @@
-//! All cameras that ride on tracked objects.
+//! All cameras that are fixed to tracked objects.
 
 use std::collections::BTreeMap;
 
@@ -9,10 +9,9 @@ use super::{
 use crate::world::{identity::Subject, lifecycle::Track};
 use roundel_vision::{id::CameraId, marker::Code, time::Timestamp};
 
-/// A carrier turned by more than this, rms, nobody knows where to, gives no place, radians.
+/// Largest rms uncertainty of a carrier's rotation from which a camera pose is derived, radians.
 const MAX_ROTATION_DEVIATION_RAD: f64 = 0.2;
 
-/// One camera that rides.
 #[derive(Clone, Debug)]
 pub(in crate::world) struct MobileCamera {
     pub(in crate::world) mount: CameraMount,
@@ -21,7 +20,6 @@ pub(in crate::world) struct MobileCamera {
     period_s: Option<f64>,
 }
 
-/// All cameras that ride.
 #[derive(Clone, Debug, Default)]
 pub(in crate::world) struct MobileCameras {
     cameras: BTreeMap<CameraId, MobileCamera>,
@@ -45,7 +43,6 @@ impl MobileCameras {
         self.cameras.get_mut(&camera)
     }
 
-    /// Every mount, to be changed.
     pub(in crate::world) fn mounts_mut(&mut self) -> impl Iterator<Item = &mut CameraMount> {
         self.cameras.values_mut().map(|mobile| &mut mobile.mount)
     }
@@ -54,12 +51,12 @@ impl MobileCameras {
         self.cameras.contains_key(&camera)
     }
 
-    /// Whether what is seen as this is something that carries a camera.
+    /// Whether a subject with this code carries a camera.
     pub(in crate::world) fn is_carrier(&self, subject: &Subject, code: Option<Code>) -> bool {
         self.cameras.values().any(|mobile| mobile.mount.carrier.is(subject, code))
     }
 
-    /// Notes that a frame was exposed.
+    /// Notes the exposure of a frame.
     pub(in crate::world) fn note_exposure(&mut self, camera: CameraId, time: Timestamp) {
         let Some(mobile) = self.cameras.get_mut(&camera) else { return };
         if let Some(last_exposure) = mobile.last_exposure {
@@ -68,7 +65,7 @@ impl MobileCameras {
         mobile.last_exposure = mobile.last_exposure.max(Some(time));
     }
 
-    /// A camera's carrier at `time`.
+    /// State of a camera's carrier at `time`. `clock_s` is the standard deviation of the camera's clock.
     pub(in crate::world) fn carrier_state(
         &self,
         camera: CameraId,

@@ -1,4 +1,7 @@
 //! Cameras fixed to tracked objects.
+//!
+//! `mount` derives the pose of such a camera from its carrier's track. `localize` does the reverse: it measures the
+//! carrier by `landmark`s that the camera detects. `mobile_cameras` holds all of them.
 
 mod landmark;
 mod localize;

@@ -1,31 +1,28 @@
-//! Cameras that ride on tracked objects: where such a camera is when it exposes, and how far off.
+//! Pose of a camera that is fixed to a tracked object, with its error.
 //!
-//! With the carrier's pose (R, p) at the exposure's own time, from its track's rewind history, and the
-//! mount (Rₘ, tₘ), the camera is at p + R tₘ, turned by R Rₘ. The carrier's error (δp, δθ) moves it by
-//! J = [I -[R tₘ]×; 0 I], and the mount's error is turned along.
+//! With the carrier's pose (R, p) at the time of exposure, from its track's rewind history, and the mount (Rₘ, tₘ), the
+//! camera is at p + R tₘ with orientation R Rₘ. The carrier's error (δp, δθ) moves it by J = [I -[R tₘ]×; 0 I], and the
+//! mount's error is rotated along.
 //!
-//! A carrier's error is neither the same from frame to frame nor fresh in each:
+//! A carrier's error is neither the same in all frames nor independent between them:
 //!
-//! - what its cameras' systematic errors have made of it, S = Σ C_c C_cᵀ (the correlations that its filter
-//!   carries, [`crate::track::Kernel`]), lasts as long as those do: it counts as systematic, and so does
-//!   all of the mount's error;
-//! - the rest, N = P - S, lasts as long as the filter remembers: T = √(tr N / tr D), with the rate's
-//!   covariance D (in a steady filter of a value and its rate D = ω² P and T = 1/ω). Frames dt < T apart
-//!   see nearly the same one. It counts as fresh, but T / dt times as large: from noise of density r such
-//!   a filter has P = √2 r ω and an error whose power is r at rest and 1.5 r at most, which white noise of
-//!   the variance P T / dt = √2 r / dt just covers. More would be no safer: who sees noise that is not
-//!   there believes that objects move less than they do.
+//! - The part by its cameras' systematic errors, S = Σ C_c C_cᵀ (the correlations that its filter carries,
+//!   [`crate::track::Kalman`]), lasts as long as those. It counts as systematic, and so does all of the mount's error.
+//! - The rest, N = P - S, lasts as long as the filter's memory: T = √(tr N / tr D), with the rate's covariance D (in
+//!   the steady state D = ω² P and T = 1/ω). Frames dt < T apart have nearly the same error. It counts as fresh, but T
+//!   / dt times as large: a filter of noise density r has P = √2 r ω and an error whose power is r at rest and 1.5 r at
+//!   most, which white noise of variance P T / dt = √2 r / dt just covers. A larger factor would not be safer:
+//!   overstated noise makes objects appear to move less than they do.
 //!
-//! `core/tests/fusion/rider.rs` and the scenario `drone` hold the result against the truth.
+//! `core/tests/fusion/mobile_camera.rs` and the scenario `drone` compare the result with the truth.
 //!
-//! What carries a camera is never located by a camera that rides, only by cameras that stand and by its
-//! own sight of landmarks (`localize`). So errors go from cameras that stand to carriers to what
-//! these see and never back, and no two estimates can make each other sure. The price: a drone that only
-//! another drone sees carries no camera of use.
+//! A carrier is never measured by a mobile camera, only by stationary cameras and by its own detections of landmarks
+//! (`localize`). Errors pass from stationary cameras to carriers to the objects that these detect and never back, so no
+//! two estimates reinforce each other. The price: a drone that only another drone observes carries no usable camera.
 //!
-//! Limits: that all objects which one carrier's camera sees err together is not told, only by how much
-//! each errs; nor that they share a standing camera's error with the carrier. What stamps frames late on
-//! board is not estimated: a doubtful clock widens the camera's place by what the carrier moves meanwhile.
+//! Limits: the common error of all objects that one carrier's camera detects is not reported, only the error of each;
+//! neither is the error that they share with the carrier through a stationary camera. A late clock on board is not
+//! estimated: an uncertain clock widens the camera's pose by the carrier's motion.
 
 use nalgebra::Matrix3;
 
@@ -43,63 +40,63 @@ use roundel_vision::{
     time::Timestamp,
 };
 
-/// No camera takes frames more often, seconds.
+/// Smallest interval between frames, seconds.
 const MIN_PERIOD_S: f64 = 1e-3;
 
 /// The object that carries a camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Carrier {
-    /// By the roundel on it. Without a code it has no yaw that a camera could be placed by.
+    /// An object with one coded roundel. Without a code it would have no yaw.
     Roundel {
-        /// Its kind.
+        /// Kind of the roundel.
         kind: KindId,
-        /// Its code.
+        /// Code of the roundel.
         code: Code,
     },
-    /// By the roundels that [`super::Fusion::add_body`] was told of.
+    /// A body added by [`super::super::Fusion::add_body`].
     Body(BodyId),
 }
 
-/// A camera fixed to an object.
+/// Mount of a camera on an object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraMount {
-    /// What it is fixed to.
+    /// The object.
     pub carrier: Carrier,
-    /// The camera in the frame of the carrier: of its roundel, or of the body.
+    /// Camera in the frame of the carrier: of its roundel, or of the body.
     pub object_from_camera: Rigid,
-    /// Over (position, rotation), that frame, left perturbation; zero when exact.
+    /// Over (position, rotation), carrier frame, left perturbation; zero when exact.
     pub covariance: Covariance6,
-    /// Whether what it sees of landmarks says where the carrier is ([`super::Landmark`]).
+    /// Whether detections of landmarks ([`super::super::Landmark`]) measure the carrier.
     pub localizes: bool,
 }
 
-/// Why a camera has no place now.
+/// Reason why a camera has no pose at present.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unplaced {
-    /// Nobody has said where it stands.
+    /// No pose was set.
     Unknown,
-    /// What carries it is not followed, or is there twice.
+    /// The carrier is not tracked, or has two tracks.
     CarrierUnseen,
-    /// How its carrier is turned about its normal is not observed, or only up to half a turn.
+    /// The carrier's yaw is not observed, or only up to half a turn.
     CarrierWithoutYaw,
-    /// Its carrier may be turned by so much that nothing could be said.
+    /// The carrier's orientation is too uncertain.
     CarrierUncertain,
 }
 
-/// A carrier at the time of a frame.
+/// State of a carrier at the time of a frame.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::world) struct CarrierState {
     pub(super) estimate: FilterState,
     pub(super) model: MotionModel,
     pub(super) mount: CameraMount,
-    /// To the camera's frame before, seconds.
+    /// Interval from the camera's frame before, seconds.
     pub(super) period_s: Option<f64>,
-    /// What its clock may be off by, seconds.
+    /// Standard deviation of the camera's clock, seconds.
     pub(super) clock_s: f64,
 }
 
 impl Carrier {
-    /// Whether what is seen as this is it.
+    /// Whether a subject with this code is the carrier.
     pub(super) fn is(&self, subject: &Subject, code: Option<Code>) -> bool {
         match *self {
             Self::Roundel { kind, code: own } => {
@@ -110,7 +107,7 @@ impl Carrier {
     }
 }
 
-/// The one track of a carrier; none if there are two.
+/// The track of a carrier; `None` if there are two.
 pub(in crate::world) fn find_carrier_track(carrier: &Carrier, tracks: &[Track]) -> Option<usize> {
     let is_carrier = |track: &Track| {
         let is_followed = matches!(track.stage, LifeStage::Tracked | LifeStage::Predicted);
@@ -122,7 +119,7 @@ pub(in crate::world) fn find_carrier_track(carrier: &Carrier, tracks: &[Track]) 
 }
 
 impl CarrierState {
-    /// The camera at the exposure of one of the frame's rows.
+    /// Camera pose at the exposure of a row.
     pub(in crate::world) fn pose_at(&self, time: Timestamp) -> ExposurePose {
         let mut estimate = self.estimate;
         estimate.predict(time, &self.model);
@@ -154,14 +151,14 @@ impl CarrierState {
         ExposurePose { world_from_camera, systematic: systematic + mounted, fresh }
     }
 
-    /// The camera at the frame's time, with all of its error.
+    /// Camera pose at the frame's time, with the covariance of its whole error.
     pub(in crate::world) fn mean_pose(&self) -> (Rigid, Covariance6) {
         let alone = Self { period_s: None, ..*self };
         let camera_pose = alone.pose_at(self.estimate.time);
         (camera_pose.world_from_camera, camera_pose.systematic + camera_pose.fresh)
     }
 
-    /// Deviations of the carrier's velocity, m/s, and angular velocity, rad/s, along each axis.
+    /// Standard deviations of the carrier's velocity, m/s, and angular velocity, rad/s, per axis.
     pub(in crate::world) fn rate_deviations(&self) -> (f64, f64) {
         let motion = self.estimate.motion.estimate(0.0, &self.model).spread.rate;
         let turning = self.estimate.attitude.estimate(0.0, &self.model).covariance;
@@ -169,7 +166,7 @@ impl CarrierState {
         ((motion.trace() / 3.0).max(0.0).sqrt(), (turning / 3.0).max(0.0).sqrt())
     }
 
-    /// T / dt, at least 1; 1 while nobody knows dt.
+    /// T / dt, at least 1; 1 while dt is unknown.
     fn inflation(&self, rest: &Matrix3<f64>, rate: &Matrix3<f64>) -> f64 {
         let memory_s = (rest.trace().max(0.0) / rate.trace().max(f64::MIN_POSITIVE)).sqrt();
         self.period_s.map_or(1.0, |period_s| (memory_s / period_s.max(MIN_PERIOD_S)).max(1.0))

@@ -1,4 +1,4 @@
-//! The rigid motion that takes sightings to their references.
+//! Camera pose by weighted least squares from detections of references.
 
 use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, UnitQuaternion, Vector3};
 
@@ -8,21 +8,21 @@ use super::{
 };
 use roundel_vision::rigid::{Covariance6, Rigid};
 
-/// Points this close to one line, relative to their spread along it, give no plane.
+/// Smallest extent of points across a line, relative to that along it.
 const COLLINEAR: f64 = 0.02;
-/// Gauss and Newton's steps; the start is already the least-squares answer for round covariances.
+/// Number of Gauss-Newton steps; the start is the solution for isotropic covariances.
 const STEPS: usize = 5;
 
-/// `world_from_camera` by weighted least squares over three or more pairs not in one line.
+/// `world_from_camera` by weighted least squares over three or more pairs that are not on one line.
 ///
-/// Starts from the closed form for round covariances ([`mod@kabsch`]), then weighs each pair by its whole
-/// covariance, in which depth is looser than bearing, and that of the stated place ([`PLACE_SIGMA_M`]).
+/// Starts from the closed form for isotropic covariances ([`mod@kabsch`]), then weights each pair by its whole
+/// covariance, in which depth is less certain than bearing, and that of the stated position ([`PLACE_SIGMA_M`]).
 pub fn align(world_m: &[Vector3<f64>], seen: &[Sighting]) -> Result<Placement, ReferenceError> {
     let stated: Vec<_> = world_m.iter().map(|place_m| (*place_m, PLACE_SIGMA_M)).collect();
     align_stated(&stated, seen)
 }
 
-/// The same with a standard deviation for each stated place's coordinates, metres.
+/// The same with a standard deviation of each stated position's coordinates, metres.
 pub fn align_stated(
     stated: &[(Vector3<f64>, f64)],
     seen: &[Sighting],
@@ -54,7 +54,7 @@ pub fn align_stated(
             information += weighted * jacobian;
             gradient += weighted * (world - turned - origin_m);
         }
-        // Not in one line, so nothing can move freely; what rounding breaks is that.
+        // The points are not on one line, so only rounding can make this singular.
         let factor = information.cholesky().ok_or(ReferenceError::Collinear { spread_m: 0.0 })?;
         let change = factor.solve(&gradient);
         origin_m += change.fixed_rows::<3>(0);
@@ -64,11 +64,11 @@ pub fn align_stated(
     Ok(placement(&world_m, seen, rotation, origin_m, scale, covariance))
 }
 
-/// The paper's section 4.4.1, made rigid: from each triplet of pairs not in one line, the motion that
-/// takes the triplet's frame in the camera to that in the world, and of these the mean.
+/// The paper's section 4.4.1 as a rigid motion: for each triplet of pairs not on one line, the motion from the
+/// triplet's frame in the camera to that in the world; the result is the mean over triplets.
 ///
-/// A triplet's frame is orthonormal: origin in its first point, x towards the second, z across all
-/// three. The mean rotation is the chordal one. The covariance is that of [`align`].
+/// A triplet's frame is orthonormal: origin at its first point, x towards the second, z normal to all three. The
+/// mean rotation is the chordal one. The covariance is that of [`align`].
 pub fn mean_over_triplets(
     world_m: &[Vector3<f64>],
     seen: &[Sighting],
@@ -100,7 +100,7 @@ pub fn mean_over_triplets(
     Ok(placement(world_m, seen, rotation, origin_m / triplets, scale, covariance))
 }
 
-/// Orthonormal axes, as columns, of three points; `None` if they are in one line.
+/// Orthonormal axes of three points as columns; `None` if they are on one line.
 fn triplet_axes(points: &[Vector3<f64>; 3]) -> Option<Matrix3<f64>> {
     let (first, second) = (points[1] - points[0], points[2] - points[0]);
     let across = first.cross(&second);

@@ -1,31 +1,31 @@
-//! Which seen roundel is which reference.
+//! Identifies references among the detected roundels.
 //!
-//! Plain references carry no number, so they are told by their mutual distances: references are given
-//! sightings one after another, each of which must have the right distance to all given before, and
-//! what is left of arrangements is aligned and weighed. As many references as possible are found,
-//! three at least. If a second arrangement explains what is seen about as well as the best, the layout
-//! is ambiguous, and the error says in which references the two differ.
+//! Plain references carry no number, so their mutual distances identify them. A depth-first search assigns detections
+//! to references one after another; each must have the right distance to all assigned before. The remaining
+//! arrangements are aligned and weighted. As many references as possible are identified, at least three. If a second
+//! arrangement explains the detections about as well as the best, the layout is ambiguous, and the error lists the
+//! references in which the two differ.
 
 use nalgebra::Vector3;
 
 use super::{PLACE_SIGMA_M, Placement, Reference, ReferenceError, Sighting, align};
 
-/// A distance may be wrong by so many of its standard deviations…
+/// Tolerance of a distance in standard deviations.
 const SIGMAS: f64 = 4.0;
-/// … and by this share of itself, for a lens or a print that is not quite the stated one.
+/// Additional tolerance as a share of the distance, for errors of lens and print.
 const SCALE_SLACK: f64 = 0.01;
-/// A second arrangement is out if the best one's sum of squared residuals, in standard deviations,
-/// is lower by this much: odds of e⁹ to 1.
+/// A second arrangement is excluded if its sum of squared residuals exceeds the best one's by this much: odds of
+/// e⁹ to 1.
 const CLEARLY_BETTER: f64 = 18.0;
-/// More arrangements than this are not looked at; so many are ambiguous anyway.
+/// Largest number of arrangements to compare; this many are ambiguous anyway.
 const MAX_ARRANGEMENTS: usize = 256;
-/// Trials of one sighting for one reference, over the whole search.
+/// Largest number of trials in one search.
 const MAX_TRIALS: usize = 2_000_000;
 
-/// For each reference the index of its sighting, `None` where it is not in view.
+/// For each reference the index of its detection, `None` where it is not in view.
 ///
-/// Errors: fewer than three of either; a distance that nothing in view has; no arrangement that fits;
-/// several that do.
+/// Errors: fewer than three of either; a distance that no two detections have; no arrangement that fits; several
+/// that do.
 pub fn identify(
     references: &[Reference],
     seen: &[Sighting],
@@ -64,7 +64,7 @@ pub fn identify(
         .unwrap_or(ReferenceError::Inconsistent { wanted: 3, index: 0, residual_m: f64::INFINITY }))
 }
 
-/// Depth first over references, each given a sighting or none.
+/// Depth-first search over references, each assigned a detection or none.
 struct Search<'a> {
     references: &'a [Reference],
     seen: &'a [Sighting],
@@ -114,7 +114,7 @@ impl Search<'_> {
     }
 }
 
-/// The distance of two sightings and its standard deviation.
+/// Distance of two detections and its standard deviation.
 struct Distance {
     length_m: f64,
     sigma_m: f64,
@@ -135,13 +135,13 @@ impl Distance {
     }
 }
 
-/// What becomes of an arrangement whose distances agree.
+/// Verdict about an arrangement whose distances agree.
 enum Verdict {
     /// Sum of squared residuals in standard deviations.
     Fits(f64),
-    /// Mirrored, or otherwise not rigid: the reference that is farthest off.
+    /// Mirrored, or otherwise not rigid, with the reference that is farthest off.
     Misses { index: usize, residual_m: f64 },
-    /// The camera would look at the back of a reference.
+    /// The camera would be behind a reference.
     FacesAway,
 }
 
@@ -180,7 +180,7 @@ fn judge(
     Ok(Verdict::Fits(cost))
 }
 
-/// A residual in standard deviations, squared, and its length.
+/// Squared residual in standard deviations, and its length in metres.
 fn weigh(placement: &Placement, world_m: &Vector3<f64>, sighting: &Sighting) -> (f64, f64) {
     let turn = placement.world_from_camera.rotation.to_rotation_matrix().into_inner();
     let there = turn * sighting.position_m + placement.world_from_camera.translation.vector;
@@ -208,7 +208,7 @@ fn choose(
     if indices.is_empty() { Ok(best) } else { Err(ReferenceError::Ambiguous { indices }) }
 }
 
-/// A pair of references whose distance no two sightings have: the one farthest from any.
+/// Of all pairs of references whose distance no two detections have, the one that misses by most.
 fn missing_distance(references: &[Reference], seen: &[Sighting]) -> Option<ReferenceError> {
     let mut worst: Option<(f64, ReferenceError)> = None;
     for second in 1..references.len() {
@@ -245,7 +245,7 @@ mod tests {
         Reference { position_m: position_m.into(), normal: Some(Vector3::z()) }
     }
 
-    /// The example configuration's.
+    /// Layout of the example configuration.
     fn layout() -> Vec<Reference> {
         [[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 1.5, 0.0], [2.0, 1.7, 0.0]].map(reference).to_vec()
     }
@@ -284,7 +284,7 @@ mod tests {
                     let off = placement.world_from_camera.inverse() * overhead();
                     prop_assert!(off.translation.vector.norm() < 1e-9);
                 }
-                // A decoy may happen to stand where it stands in for a reference.
+                // A decoy may happen to take a reference's place.
                 Err(error) => prop_assert!(matches!(error, ReferenceError::Ambiguous { .. }), "{}", error),
             }
         }

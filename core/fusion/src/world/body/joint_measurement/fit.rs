@@ -1,8 +1,7 @@
-//! The pose of an object that fits the roundels of one frame best.
+//! Pose of an object that fits its roundels in one frame best.
 //!
-//! The sum to be minimized stands in the page above. The first orientation comes from a roundel with a yaw; from
-//! plain ones alone by their normals and the directions from one to another, so that Gauss and Newton
-//! need few steps from there.
+//! The cost is that of the page above. The initial orientation comes from a roundel with a yaw; for plain ones only,
+//! from their normals and the directions between them, so that Gauss-Newton needs few steps.
 
 use std::f64::consts::PI;
 
@@ -12,9 +11,9 @@ use super::{PredictedPose, WEAK_INFORMATION};
 use crate::{track::smallest_turn, world::body::PartMeasurement};
 use roundel_vision::rigid::Rigid;
 
-/// Up to so many roundels all choices of normals are tried.
+/// Largest number of roundels for which all choices of normals are tried.
 const MAX_EXHAUSTIVE: usize = 4;
-/// Steps of Gauss and Newton at most, and the step below which there is no more to gain.
+/// Largest number of Gauss-Newton steps, and the step length that ends them.
 const STEPS: usize = 6;
 const MIN_STEP: f64 = 1e-7;
 
@@ -27,7 +26,7 @@ pub(in crate::world) struct Normal {
     pub(in crate::world) cost: f64,
 }
 
-/// A roundel of the object, at the frame's time.
+/// A roundel of the object at the frame's time.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::world) struct RoundelTerm {
     pub(in crate::world) mount: Rigid,
@@ -70,12 +69,11 @@ impl RoundelTerm {
         })
     }
 
-    /// What there is to fit.
     pub(in crate::world) fn residual_count(&self) -> f64 {
         if self.yaw_symmetry.is_some() { 6.0 } else { 5.0 }
     }
 
-    /// The rotation from where the object puts it to where it is seen.
+    /// Rotation from the predicted orientation of the roundel to the measured one.
     fn turn(&self, normal: &Normal, object: &UnitQuaternion<f64>) -> Vector3<f64> {
         let mounted = object * self.mount.rotation;
         let Some(symmetry) = self.yaw_symmetry else {
@@ -91,20 +89,20 @@ impl RoundelTerm {
     }
 }
 
-/// The pose that fits one choice of normals.
+/// Pose for one choice of normals.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::world) struct Fit {
     pub(in crate::world) position_m: Vector3<f64>,
     pub(in crate::world) orientation: UnitQuaternion<f64>,
     /// Over (position, rotation).
     pub(in crate::world) information: Matrix6<f64>,
-    /// Squared residuals …
+    /// Sum of squared residuals.
     pub(in crate::world) misfit: f64,
-    /// … and -2 ln of the likelihood of its normals.
+    /// `misfit` and -2 ln of the likelihood of the normals.
     pub(in crate::world) cost: f64,
 }
 
-/// The best choice of normals and the second best.
+/// Fits of the best and the second best choice of normals.
 pub(in crate::world) fn best_fits(
     terms: &[RoundelTerm],
     expected: Option<&PredictedPose>,
@@ -118,7 +116,7 @@ pub(in crate::world) fn best_fits(
     Some((*all.first()?, all.get(1).copied()))
 }
 
-/// The likelier normals, each turned to the other one as long as that fits better.
+/// Starts with the likelier normals and switches one at a time while that improves the fit.
 fn greedy(terms: &[RoundelTerm], expected: Option<&PredictedPose>) -> Option<Fit> {
     let count = terms.len().min(u64::BITS as usize);
     let mut choice = 0;
@@ -134,7 +132,7 @@ fn greedy(terms: &[RoundelTerm], expected: Option<&PredictedPose>) -> Option<Fit
     Some(best)
 }
 
-/// The pose for one choice of normals: bit i says which one of piece i.
+/// Pose for one choice of normals: bit i selects the normal of term i.
 fn fit(terms: &[RoundelTerm], choice: u64, expected: Option<&PredictedPose>) -> Option<Fit> {
     let chosen = |index: usize| -> &Normal {
         let bit = if index < u64::BITS as usize { choice >> index & 1 } else { 0 };
@@ -161,7 +159,7 @@ fn fit(terms: &[RoundelTerm], choice: u64, expected: Option<&PredictedPose>) -> 
 }
 
 impl Fit {
-    /// Sums up what the pieces say here; gives the direction that the residuals pull to.
+    /// Sets information and cost at this pose; returns the negative gradient.
     fn measure<'a>(
         &mut self,
         terms: &[RoundelTerm],
@@ -203,8 +201,8 @@ pub(in crate::world) fn block(whole: &Matrix6<f64>, from: usize) -> Matrix3<f64>
     whole.fixed_view::<3, 3>(from, from).into_owned()
 }
 
-/// An orientation to begin with: that of a roundel with a yaw; else the expected one (or any), turned by
-/// least onto the first normal, and about it until the roundels lie in the right direction of each other.
+/// Initial orientation: that of a roundel with a yaw; else the predicted one (or any), rotated by the smallest
+/// rotation onto the first normal, then about it to match the directions between the roundels.
 fn initial_orientation<'a>(
     terms: &[RoundelTerm],
     chosen: impl Fn(usize) -> &'a Normal,
