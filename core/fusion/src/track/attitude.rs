@@ -165,13 +165,13 @@ impl Attitude {
             (self.yaw_symmetry, self.yaw_age_s) = (measurement.yaw_symmetry, 0.0);
         }
         self.unobserved_s = 0.0;
-        let (fit, taken) = self.best.update((measurement, unread_rad2), camera, model);
+        let (fit, taken) = self.best.update(measurement, unread_rad2, camera, model);
         if self.rival.is_none() {
             self.adapt(&fit, model);
         }
         let evidence = match &mut self.rival {
             Some(rival) => {
-                fit.evidence_over(&rival.update((measurement, unread_rad2), camera, model).0)
+                fit.evidence_over(&rival.update(measurement, unread_rad2, camera, model).0)
             }
             // Without a rival, the reference is a normal that just fits.
             None => fit.evidence_over_fitting(),
@@ -188,33 +188,35 @@ impl Attitude {
     /// Estimate `dt` seconds from now, either sign. The covariance covers both normals while both are possible.
     pub fn estimate(&self, dt: f64, model: &MotionModel) -> AttitudeEstimate {
         let density = self.density(dt, model);
-        let (orientation, mut spread) = self.best.report(dt, &density, model);
+        let (orientation, mut covariance) = self.best.report(dt, &density, model);
         if let Some(rival) = &self.rival {
             let (other, reported) = rival.report(dt, &density, model);
             let [normal, other] = [orientation, other].map(|turned| turned * Vector3::z());
             let weight = 1.0
                 / (1.0 + decay_log_odds(self.log_odds, dt, prior(&normal, &other, model)).exp());
             let apart = smallest_turn(&normal, &other);
-            spread.value += (reported.value - spread.value + apart * apart.transpose()) * weight;
-            spread.rate += (reported.rate - spread.rate) * weight;
-            spread.cross += (reported.cross - spread.cross) * weight;
+            covariance.value +=
+                (reported.value - covariance.value + apart * apart.transpose()) * weight;
+            covariance.rate += (reported.rate - covariance.rate) * weight;
+            covariance.cross += (reported.cross - covariance.cross) * weight;
         }
         let normal = orientation * Vector3::z();
         let is_known = self.yaw_age_s + dt < MAX_YAW_AGE_S
-            && normal.dot(&(spread.value * normal)) < MAX_YAW_DEVIATION_RAD * MAX_YAW_DEVIATION_RAD;
+            && normal.dot(&(covariance.value * normal))
+                < MAX_YAW_DEVIATION_RAD * MAX_YAW_DEVIATION_RAD;
         let mut estimate = AttitudeEstimate {
             orientation,
             yaw_symmetry: self.yaw_symmetry.filter(|_| is_known),
             angular_velocity_rad_s: self.best.kalman.rate,
-            covariance: spread.matrix(),
+            covariance: covariance.matrix(),
             density_rad2_s3: density,
         };
         if estimate.yaw_symmetry.is_none() {
             estimate.orientation = orientation_of_normal(&normal);
             estimate.angular_velocity_rad_s -=
                 normal * normal.dot(&estimate.angular_velocity_rad_s);
-            spread = without_yaw(&spread, &normal);
-            estimate.covariance = spread.matrix();
+            covariance = without_yaw(&covariance, &normal);
+            estimate.covariance = covariance.matrix();
         }
         estimate
     }
@@ -295,7 +297,7 @@ impl Attitude {
         }
         let apart = smallest_turn(&self.best.normal(), &rival.normal());
         let apart = if self.log_odds >= 0.0 { apart } else { -apart };
-        let both = self.best.kalman.spread.value + rival.kalman.spread.value;
+        let both = self.best.kalman.covariance.value + rival.kalman.covariance.value;
         let length_squared = apart.norm_squared();
         let variance =
             if length_squared > 0.0 { apart.dot(&(both * apart)) / length_squared } else { 0.0 };
@@ -307,14 +309,14 @@ impl Attitude {
 
 /// Covariance of a rotation and its rate with an unknown angle about `normal`: the variance of an unknown angle
 /// there, and no correlation with the rest.
-pub(crate) fn without_yaw(spread: &BlockCovariance, normal: &Vector3<f64>) -> BlockCovariance {
+pub(crate) fn without_yaw(covariance: &BlockCovariance, normal: &Vector3<f64>) -> BlockCovariance {
     let along = normal * normal.transpose();
     let across = Matrix3::identity() - along;
-    let rate_variance = normal.dot(&(spread.rate * normal));
+    let rate_variance = normal.dot(&(covariance.rate * normal));
     BlockCovariance {
-        value: across * spread.value * across + along * UNKNOWN_ANGLE_VARIANCE_RAD2,
-        cross: across * spread.cross * across,
-        rate: across * spread.rate * across + along * rate_variance,
+        value: across * covariance.value * across + along * UNKNOWN_ANGLE_VARIANCE_RAD2,
+        cross: across * covariance.cross * across,
+        rate: across * covariance.rate * across + along * rate_variance,
     }
 }
 

@@ -13,6 +13,17 @@ pub struct BlockCovariance {
     pub rate: Matrix3<f64>,
 }
 
+/// Traces of the blocks of a [`BlockCovariance`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BlockTraces {
+    /// Of the value.
+    pub value: f64,
+    /// Between value and rate.
+    pub cross: f64,
+    /// Of the rate.
+    pub rate: f64,
+}
+
 impl BlockCovariance {
     /// F P Fᵀ + Q over `dt` seconds (either sign; the noise grows with |dt|). `density` is the process noise's
     /// along each axis.

@@ -22,7 +22,7 @@ impl Ground {
     /// Constrains the height; returns the correction of the position.
     pub(super) fn constrain_height(&self, kalman: &mut Kalman, height_m: f64) -> Vector3<f64> {
         let Some(floor_m) = self.height_m else { return Vector3::zeros() };
-        if kalman.spread.value.m33 < MIN_VARIANCE_RATIO * self.deviation_m.powi(2) {
+        if kalman.covariance.value.m33 < MIN_VARIANCE_RATIO * self.deviation_m.powi(2) {
             return Vector3::zeros();
         }
         let noise = noise(Vector3::z(), self.deviation_m);
@@ -33,7 +33,7 @@ impl Ground {
     /// Constrains the normal. `turn` is the rotation vector from the normal to vertical; returns the correction
     /// as a rotation vector.
     pub(super) fn constrain_tilt(&self, kalman: &mut Kalman, turn: &Vector3<f64>) -> Vector3<f64> {
-        let variance = kalman.spread.value.m11.max(kalman.spread.value.m22);
+        let variance = kalman.covariance.value.m11.max(kalman.covariance.value.m22);
         if variance < MIN_VARIANCE_RATIO * self.tilt_rad.powi(2) {
             return Vector3::zeros();
         }

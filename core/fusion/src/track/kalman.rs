@@ -45,7 +45,7 @@ use fearless_simd::{Level, Simd, dispatch};
 use fearless_simd_macros::simd;
 use nalgebra::{Matrix3, Vector3};
 
-use super::{BlockCovariance, MotionModel};
+use super::{BlockCovariance, BlockTraces, MotionModel};
 use block::Block;
 use consider::ConsideredErrors;
 pub(crate) use innovation::cholesky_lower;
@@ -75,7 +75,7 @@ pub struct Kalman {
     /// Rate of the value, per second.
     pub rate: Vector3<f64>,
     /// Covariance for known clocks.
-    pub spread: BlockCovariance,
+    pub covariance: BlockCovariance,
     /// Derivatives dp and dv of value and rate over ln q.
     value_slope: Vector3<f64>,
     rate_slope: Vector3<f64>,
@@ -83,12 +83,28 @@ pub struct Kalman {
     considered: ConsideredErrors,
 }
 
+/// Noise of a measurement and the camera that it belongs to.
+#[derive(Clone, Copy, Debug)]
+pub struct ErrorSource<'a> {
+    /// Error of the measurement.
+    pub noise: &'a Noise,
+    /// Camera whose systematic error it has.
+    pub camera: CameraId,
+}
+
+/// Covariance of the value after `dt` seconds, and the share that systematic errors have kept then.
+struct PredictedValue {
+    covariance: Matrix3<f64>,
+    dt: f64,
+    kept: f64,
+}
+
 impl Kalman {
     /// Filter after one measurement of the value. The rate is zero with this variance along each axis.
     pub fn begin(noise: &Noise, camera: CameraId, rate_variance: &Vector3<f64>) -> Self {
         Self {
             rate: Vector3::zeros(),
-            spread: BlockCovariance {
+            covariance: BlockCovariance {
                 // The rate is unknown, and with it the effect of the clock error.
                 value: noise.total
                     + Matrix3::from_diagonal(&(rate_variance * noise.timing_s.powi(2))),
@@ -108,7 +124,7 @@ impl Kalman {
 
     /// Predicts by `dt` seconds; the caller advances the value by `rate` · dt.
     pub fn predict(&mut self, dt: f64, density: &Vector3<f64>, systematic_time_s: f64) {
-        self.spread.predict(dt, density);
+        self.covariance.predict(dt, density);
         self.process_noise.predict(dt, density);
         self.value_slope += self.rate_slope * dt;
         self.considered.predict(dt, decayed(dt.abs() / systematic_time_s), systematic_time_s);
@@ -121,30 +137,22 @@ impl Kalman {
         dt: f64,
         model: &MotionModel,
         residual: &Vector3<f64>,
-        (noise, camera): (&Noise, CameraId),
+        source: ErrorSource<'_>,
     ) -> Option<Innovation> {
-        let value = self.spread.value_after(dt, &model.acceleration_density_m2_s3);
-        let kept = decayed(dt.abs() / model.systematic_time_s);
-        self.innovation_from(&value, (dt, kept), residual, (noise, camera))
-    }
-
-    /// The same for a given predicted covariance of the value; `kept` is the remaining share of systematic
-    /// errors.
-    fn innovation_from(
-        &self,
-        value: &Matrix3<f64>,
-        (dt, kept): (f64, f64),
-        residual: &Vector3<f64>,
-        (noise, camera): (&Noise, CameraId),
-    ) -> Option<Innovation> {
+        let ErrorSource { noise, camera } = source;
+        let prediction = PredictedValue {
+            covariance: self.covariance.value_after(dt, &model.acceleration_density_m2_s3),
+            dt,
+            kept: decayed(dt.abs() / model.systematic_time_s),
+        };
         let own = self.considered.find(camera);
         let mut covariance = dispatch!(Level::new(), simd => {
-            self.innovation_with(simd, value, (own, dt, kept), noise)
+            self.innovation_with(simd, &prediction, own, noise)
         });
         if noise.timing_s > 0.0 {
-            covariance += self.spread.rate * noise.timing_s.powi(2);
+            covariance += self.covariance.rate * noise.timing_s.powi(2);
             covariance +=
-                self.considered.innovation_clock_covariance(dt, (own, noise.timing_s), &self.rate);
+                self.considered.innovation_clock_covariance(dt, own, noise.timing_s, &self.rate);
         }
         Innovation::new(residual, &covariance)
     }
@@ -154,23 +162,25 @@ impl Kalman {
     fn innovation_with<S: Simd>(
         &self,
         simd: S,
-        value: &Matrix3<f64>,
-        (own, dt, kept): (Option<usize>, f64, f64),
+        prediction: &PredictedValue,
+        own: Option<usize>,
         noise: &Noise,
     ) -> Matrix3<f64> {
-        let Some(own) = own else { return value + noise.total };
-        let (value_share, rate_share) = self.considered.with(simd, own);
-        let shared = value_share.add_scaled(rate_share, dt).scaled(kept);
-        let with =
-            Block::from_matrix(simd, value).add_product(shared, &noise.systematic_root).matrix();
-        innovation_covariance(value, &with, noise)
+        let PredictedValue { covariance, dt, kept } = prediction;
+        let Some(own) = own else { return covariance + noise.total };
+        let correlation = self.considered.correlation(simd, own);
+        let shared = correlation.value.add_scaled(correlation.rate, *dt).scaled(*kept);
+        let with = Block::from_matrix(simd, covariance)
+            .add_product(shared, &noise.systematic_root)
+            .matrix();
+        innovation_covariance(covariance, &with, noise)
     }
 
     /// Covariance with the clock errors.
     pub fn reported(&self) -> BlockCovariance {
-        let mut spread = self.spread;
-        self.considered.add_clock_covariance(&mut spread);
-        spread
+        let mut covariance = self.covariance;
+        self.considered.add_clock_covariance(&mut covariance);
+        covariance
     }
 
     /// The same with only these shares of the process noise's part in value and rate.
@@ -179,9 +189,10 @@ impl Kalman {
         value_share: &Vector3<f64>,
         rate_share: &Vector3<f64>,
     ) -> BlockCovariance {
-        let mut spread = self.process_noise.without(&self.spread, (value_share, rate_share));
-        self.considered.add_clock_covariance(&mut spread);
-        spread
+        let mut covariance =
+            self.process_noise.with_shares(&self.covariance, value_share, rate_share);
+        self.considered.add_clock_covariance(&mut covariance);
+        covariance
     }
 
     /// Bandwidth along each axis, 1/s.
@@ -191,15 +202,19 @@ impl Kalman {
 
     /// Part of the rate's variance along each axis that stems from measurement noise, for known clocks.
     pub fn rate_measurement_noise(&self) -> Vector3<f64> {
-        let noise = self.spread.rate.diagonal() - self.process_noise.rate;
+        let noise = self.covariance.rate.diagonal() - self.process_noise.rate;
         noise.map(|variance| variance.max(0.0))
     }
 
     /// Traces of the blocks of [`Kalman::reported`].
-    pub fn reported_traces(&self) -> (f64, f64, f64) {
-        let spread = &self.spread;
+    pub fn reported_traces(&self) -> BlockTraces {
+        let covariance = &self.covariance;
         let [value, cross, rate] = self.considered.reported_traces();
-        (spread.value.trace() + value, spread.cross.trace() + cross, spread.rate.trace() + rate)
+        BlockTraces {
+            value: covariance.value.trace() + value,
+            cross: covariance.cross.trace() + cross,
+            rate: covariance.rate.trace() + rate,
+        }
     }
 
     /// Part of the value's covariance that stems from systematic errors, Σ Cp Cpᵀ.

@@ -21,11 +21,11 @@ mod process_noise;
 pub(crate) use acceleration::{decay_acceleration, integrate_acceleration};
 pub use attitude::{Attitude, AttitudeEstimate, AttitudeMeasurement};
 pub(crate) use attitude::{smallest_turn, without_yaw};
-pub use covariance::BlockCovariance;
+pub use covariance::{BlockCovariance, BlockTraces};
 pub use history::{History, Inserted, Retraction};
 pub(crate) use kalman::cholesky_lower;
 pub use kalman::invert_positive;
-pub use kalman::{Correction, Innovation, Kalman, MAX_SOURCES, Noise};
+pub use kalman::{Correction, ErrorSource, Innovation, Kalman, MAX_SOURCES, Noise};
 pub use motion::{Motion, MotionEstimate, PositionFilter};
 
 use nalgebra::Vector3;
@@ -75,7 +75,7 @@ pub struct Measurement {
     /// Time of exposure, with the camera's clock corrected.
     pub time: Timestamp,
     /// Correction that was subtracted from the camera's stamp, seconds.
-    pub late_s: f64,
+    pub clock_correction_s: f64,
     /// Camera that made the detection.
     pub camera: CameraId,
     /// Number of the camera's frame.

@@ -55,7 +55,7 @@ pub struct MotionEstimate {
     /// [`integrate_acceleration`].
     pub acceleration_m_s2: Vector3<f64>,
     /// Over (position, velocity).
-    pub spread: BlockCovariance,
+    pub covariance: BlockCovariance,
     /// Spectral density of white acceleration by which the covariance grows over the next hundredths of a second,
     /// m²/s³.
     pub density_m2_s3: Vector3<f64>,
@@ -89,10 +89,10 @@ impl PositionFilter {
     ) -> (Vector3<f64>, BlockCovariance, Vector3<f64>) {
         let value_share = share * VALUE_SHARE;
         let rate_share = share * RATE_SHARE;
-        let mut spread = self.kalman.reported_with_shares(&value_share, &rate_share);
-        spread.predict(dt, &growth(dt.abs()));
+        let mut covariance = self.kalman.reported_with_shares(&value_share, &rate_share);
+        covariance.predict(dt, &growth(dt.abs()));
         let position_m = self.position_m + self.kalman.rate * dt;
-        (position_m, spread, growth(dt.abs() + HORIZON_S))
+        (position_m, covariance, growth(dt.abs() + HORIZON_S))
     }
 
     fn update(&mut self, measurement: &Measurement, model: &MotionModel) -> Correction {
@@ -181,14 +181,14 @@ impl Motion {
         let share = self.densities.share();
         let bandwidth_hz = self.adapted.kalman.bandwidth_hz();
         let growth = |ahead_s: f64| self.acceleration.growth_m2_s3(ahead_s, &bandwidth_hz);
-        let (position_m, spread, density_m2_s3) = self.adapted.report(dt, &share, growth);
+        let (position_m, covariance, density_m2_s3) = self.adapted.report(dt, &share, growth);
         let acceleration_m_s2 = self.acceleration.mean_m_s2();
         let (moved_m, gained_m_s) = integrate_acceleration(&acceleration_m_s2, dt);
         MotionEstimate {
             position_m: position_m + moved_m,
             velocity_m_s: self.adapted.kalman.rate + gained_m_s,
             acceleration_m_s2: decay_acceleration(&acceleration_m_s2, dt),
-            spread,
+            covariance,
             density_m2_s3,
         }
     }
@@ -200,11 +200,11 @@ impl Motion {
         let growth = |ahead_s: f64| {
             density.component_mul(&(bandwidth_share * ahead_s).add_scalar(GROWTH_SHARE))
         };
-        let (position_m, spread, density_m2_s3) =
+        let (position_m, covariance, density_m2_s3) =
             self.agile.report(dt, &Vector3::repeat(1.0), growth);
         let velocity_m_s = self.agile.kalman.rate;
         let acceleration_m_s2 = Vector3::zeros();
-        MotionEstimate { position_m, velocity_m_s, acceleration_m_s2, spread, density_m2_s3 }
+        MotionEstimate { position_m, velocity_m_s, acceleration_m_s2, covariance, density_m2_s3 }
     }
 
     /// Part of the position's covariance that stems from the cameras' systematic errors.

@@ -97,14 +97,14 @@ impl Densities {
     }
 
     fn learn_with(&mut self, slope: &Vector3<f64>, curvature: f64) {
-        self.level.learn((slope.x + slope.y, curvature), self.ceiling);
-        self.upright.learn((slope.z, curvature), self.ceiling);
+        self.level.learn(slope.x + slope.y, curvature, self.ceiling);
+        self.upright.learn(slope.z, curvature, self.ceiling);
     }
 
     /// The same for a rotation; only components that tilt the normal count.
     pub(super) fn learn_tilt(&mut self, slope: &Vector3<f64>, normal: &Vector3<f64>) {
         let along = slope.dot(&normal.component_mul(normal));
-        self.level.learn((slope.sum() - along, SLOPE_CURVATURE), self.ceiling);
+        self.level.learn(slope.sum() - along, SLOPE_CURVATURE, self.ceiling);
     }
 
     /// Density of a rotation's process noise along each axis: the learned one across the normal, the configured
@@ -153,7 +153,7 @@ impl LogDensity {
     }
 
     /// Newton step with the curvature slope² + `curvature` · slope.
-    fn learn(&mut self, (slope, curvature): (f64, f64), ceiling: f64) {
+    fn learn(&mut self, slope: f64, curvature: f64, ceiling: f64) {
         if !slope.is_finite() {
             return;
         }

@@ -48,6 +48,15 @@ pub struct WrongHeight {
     pub cameras: Vec<CameraId>,
 }
 
+/// Height to which an object is constrained.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct ConstrainedHeight {
+    /// Of the point that the track follows, metres.
+    pub(super) tracked_m: f64,
+    /// As configured, metres.
+    pub(super) configured_m: f64,
+}
+
 /// Measurements of one frame.
 #[derive(Clone, Copy, Debug)]
 struct FrameHeights {
@@ -174,20 +183,20 @@ impl HeightChecks {
     pub(super) fn observe(
         &mut self,
         subject: Subject,
-        seen: &Measurement,
-        (held_m, said_m): (f64, f64),
+        measurement: &Measurement,
+        heights: ConstrainedHeight,
     ) {
         let check = self.checks.entry(subject).or_default();
-        let camera = check.cameras.entry(seen.camera).or_insert_with(CameraHeights::new);
-        let off_m = seen.position_m.z - held_m;
-        let variance = seen.position_noise.total[(2, 2)] + FLOOR_M * FLOOR_M;
-        let heights = FrameHeights {
-            frame: seen.frame,
-            time: seen.time,
+        let camera = check.cameras.entry(measurement.camera).or_insert_with(CameraHeights::new);
+        let off_m = measurement.position_m.z - heights.tracked_m;
+        let variance = measurement.position_noise.total[(2, 2)] + FLOOR_M * FLOOR_M;
+        let frame = FrameHeights {
+            frame: measurement.frame,
+            time: measurement.time,
             weighted: [off_m / variance, 1.0 / variance],
             sigmas: off_m.abs() / variance.sqrt(),
         };
-        if !camera.add(heights) {
+        if !camera.add(frame) {
             return;
         }
         let is_certain = camera.off_verdicts >= 2;
@@ -203,8 +212,8 @@ impl HeightChecks {
             self.mismatches.push(WrongHeight {
                 kind: subject.kind,
                 body: subject.body,
-                said_m,
-                seen_m: said_m + agreed_m,
+                said_m: heights.configured_m,
+                seen_m: heights.configured_m + agreed_m,
                 cameras: check.cameras.iter().filter_map(disagreeing).collect(),
             });
         }

@@ -51,6 +51,13 @@ impl StampCorrection {
     }
 }
 
+/// Frame of a camera.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct FrameId {
+    pub(super) camera: CameraId,
+    pub(super) number: u64,
+}
+
 /// Reason why a detection gives no measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum MeasurementReject {
@@ -64,7 +71,7 @@ pub(super) enum MeasurementReject {
 /// Transforms a detection into the world frame.
 pub(super) fn measure(
     detection: &Detection,
-    (camera, frame): (CameraId, u64),
+    frame: FrameId,
     camera_pose: &ExposurePose,
     correction: StampCorrection,
     params: &FusionParams,
@@ -104,9 +111,9 @@ pub(super) fn measure(
     }
     Ok(Measurement {
         time: correction.corrected(detection.capture_time),
-        late_s: correction.offset_s,
-        camera,
-        frame,
+        clock_correction_s: correction.offset_s,
+        camera: frame.camera,
+        frame: frame.number,
         number: detection.track,
         position_m: arm_m + place.translation.vector,
         position_noise: Noise::from_covariances(position_total, &position_systematic),
@@ -114,7 +121,8 @@ pub(super) fn measure(
             orientations(pose).map(|turned| place.rotation * turned),
             pose.normal_likelihood,
             pose.yaw_rad.map(|_| pose.yaw_symmetry),
-            (&rotation_total, &rotation_systematic),
+            &rotation_total,
+            &rotation_systematic,
         ),
     })
 }
@@ -131,9 +139,14 @@ pub fn seen_in_world(
         systematic: place.covariance,
         fresh: Covariance6::zeros(),
     };
-    let measurement =
-        measure(detection, (CameraId(0), 0), &camera_pose, StampCorrection::default(), params)
-            .ok()?;
+    let measurement = measure(
+        detection,
+        FrameId { camera: CameraId(0), number: 0 },
+        &camera_pose,
+        StampCorrection::default(),
+        params,
+    )
+    .ok()?;
     Some((measurement.position_m, measurement.position_noise.total))
 }
 

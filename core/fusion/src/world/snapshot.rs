@@ -80,7 +80,7 @@ pub(super) fn object_state(
         acceleration_m_s2: motion.acceleration_m_s2,
         angular_velocity_rad_s: attitude.angular_velocity_rad_s,
         covariance: Matrix6::zeros(),
-        motion_covariance: motion.spread.matrix(),
+        motion_covariance: motion.covariance.matrix(),
         rotation_covariance: attitude.covariance,
         process_noise: ProcessNoise {
             acceleration_density_m2_s3: motion.density_m2_s3,

@@ -6,7 +6,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::{AttitudeMeasurement, smallest_turn};
-use crate::track::{BlockCovariance, Correction, Innovation, Kalman, MotionModel};
+use crate::track::{BlockCovariance, Correction, ErrorSource, Innovation, Kalman, MotionModel};
 use roundel_vision::{
     id::CameraId,
     rigid::{UNKNOWN_ANGLE_VARIANCE_RAD2, turn_by, vector_of},
@@ -103,9 +103,9 @@ impl Hypothesis {
         let along = normal.component_mul(&normal);
         let of_value = along.map(|along| tilt + (1.0 - tilt) * along);
         let of_rate = along.map(|along| 1.0 + (angular_velocity_variance - 1.0) * along);
-        let mut spread = self.kalman.reported_with_shares(&of_value, &of_rate);
-        spread.predict(dt, density);
-        (turn * self.orientation, spread)
+        let mut covariance = self.kalman.reported_with_shares(&of_value, &of_rate);
+        covariance.predict(dt, density);
+        (turn * self.orientation, covariance)
     }
 
     pub(super) fn normal(&self) -> Vector3<f64> {
@@ -116,8 +116,8 @@ impl Hypothesis {
     pub(super) fn forget_yaw(&mut self, model: &MotionModel) {
         let normal = self.normal();
         let along = normal * normal.transpose();
-        self.kalman.spread.value += along * UNKNOWN_ANGLE_VARIANCE_RAD2;
-        self.kalman.spread.rate +=
+        self.kalman.covariance.value += along * UNKNOWN_ANGLE_VARIANCE_RAD2;
+        self.kalman.covariance.rate +=
             along * angular_velocity_variance(model).dot(&normal.component_mul(&normal));
     }
 
@@ -125,7 +125,8 @@ impl Hypothesis {
     /// normal. Returns how well it fits and its index.
     pub(super) fn update(
         &mut self,
-        (measurement, unread_rad2): (&AttitudeMeasurement, f64),
+        measurement: &AttitudeMeasurement,
+        unread_rad2: f64,
         camera: CameraId,
         model: &MotionModel,
     ) -> (Fit, usize) {
@@ -133,20 +134,20 @@ impl Hypothesis {
         let rotations = [0, 1].map(|index| self.rotation_to(measurement, index, &normal));
         let near = usize::from(rotations[1].chord_squared() < rotations[0].chord_squared());
         let far = 1 - near;
-        let bound = self.bound((measurement, unread_rad2), (far, &rotations[far]), &normal);
+        let bound = self.bound(measurement, unread_rad2, far, &rotations[far], &normal);
         if bound.is_unbounded() {
-            return self.update_with_better((measurement, unread_rad2), &rotations, camera, model);
+            return self.update_with_better(measurement, unread_rad2, &rotations, camera, model);
         }
         let (turn, probability) = (rotations[near].turn(), measurement.probability(near));
-        let noise = measurement.noise_from(near, (&normal, unread_rad2));
+        let noise = measurement.noise_from(near, &normal, unread_rad2);
         let taken = self.kalman.update_if(
             |innovation| !bound.may_exceed(probability, innovation),
             &turn,
-            (&noise, camera),
+            ErrorSource { noise: &noise, camera },
             model.robust_distance_squared,
         );
         let Some(Correction { value, innovation, slope }) = taken else {
-            return self.update_with_better((measurement, unread_rad2), &rotations, camera, model);
+            return self.update_with_better(measurement, unread_rad2, &rotations, camera, model);
         };
         self.orientation = turn_by(&value) * self.orientation;
         (Fit { probability, innovation, slope }, near)
@@ -155,16 +156,19 @@ impl Hypothesis {
     /// The same where deciding needs both innovations.
     fn update_with_better(
         &mut self,
-        (measurement, unread_rad2): (&AttitudeMeasurement, f64),
+        measurement: &AttitudeMeasurement,
+        unread_rad2: f64,
         rotations: &[RotationTo; 2],
         camera: CameraId,
         model: &MotionModel,
     ) -> (Fit, usize) {
         let turns = [0, 1].map(|index| rotations[index].turn());
-        let about = (&self.normal(), unread_rad2);
-        let noises = [0, 1].map(|index| measurement.noise_from(index, about));
-        let prepared =
-            [0, 1].map(|index| self.kalman.prepare_update(&turns[index], &noises[index], camera));
+        let normal = self.normal();
+        let noises = [0, 1].map(|index| measurement.noise_from(index, &normal, unread_rad2));
+        let prepared = [0, 1].map(|index| {
+            let source = ErrorSource { noise: &noises[index], camera };
+            self.kalman.prepare_update(&turns[index], source)
+        });
         let fit = |index: usize| {
             let innovation = prepared[index].as_ref()?.innovation;
             Some(Fit {
@@ -195,8 +199,10 @@ impl Hypothesis {
     /// PERF: the mirrored candidate is mostly far off, and then needs no innovation, noise or angle.
     fn bound(
         &self,
-        (measurement, unread_rad2): (&AttitudeMeasurement, f64),
-        (index, rotation): (usize, &RotationTo),
+        measurement: &AttitudeMeasurement,
+        unread_rad2: f64,
+        index: usize,
+        rotation: &RotationTo,
         normal: &Vector3<f64>,
     ) -> FitBound {
         let noise =
@@ -204,7 +210,7 @@ impl Hypothesis {
         let fresh = noise.total - noise.systematic_root * noise.systematic_root.transpose();
         let determinant = fresh.determinant();
         let axis = rotation.axis();
-        let mut both = axis.dot(&(self.kalman.spread.value * axis));
+        let mut both = axis.dot(&(self.kalman.covariance.value * axis));
         both += measurement.variance_along(index, &axis);
         if measurement.yaw_symmetry.is_none() {
             both += axis.dot(normal).powi(2) * unread_rad2;
@@ -281,8 +287,9 @@ pub(super) fn begin(
     camera: CameraId,
     model: &MotionModel,
 ) -> Kalman {
-    let about = (&measurement.normal(index), UNKNOWN_ANGLE_VARIANCE_RAD2);
-    Kalman::begin(&measurement.noise_from(index, about), camera, &angular_velocity_variance(model))
+    let normal = measurement.normal(index);
+    let noise = measurement.noise_from(index, &normal, UNKNOWN_ANGLE_VARIANCE_RAD2);
+    Kalman::begin(&noise, camera, &angular_velocity_variance(model))
 }
 
 /// Variance of the initial angular velocity about each axis.
@@ -319,7 +326,8 @@ mod tests {
 
     /// Candidates rotated by `turn`, and by `apart` from there.
     fn measurement(
-        (turn, apart): (&Vector3<f64>, &Vector3<f64>),
+        turn: &Vector3<f64>,
+        apart: &Vector3<f64>,
         likelihood: f64,
         yaw_symmetry: Option<u32>,
         deviation_rad: f64,
@@ -345,7 +353,7 @@ mod tests {
         ) {
             let model = model();
             let measured = |(turn, apart, likelihood, deviation_rad, camera): &(_, _, _, _, u32)| {
-                (measurement((turn, apart), *likelihood, yaw_symmetry, *deviation_rad), CameraId(*camera))
+                (measurement(turn, apart, *likelihood, yaw_symmetry, *deviation_rad), CameraId(*camera))
             };
             let (first, camera) = measured(&steps[0]);
             let kalman = begin(&first, 0, camera, &model);
@@ -357,14 +365,14 @@ mod tests {
                 let mut plain = quick;
                 let normal = plain.normal();
                 let rotations = [0, 1].map(|index| plain.rotation_to(&measurement, index, &normal));
-                let by = (&measurement, unread_rad2);
-                let (fit, taken) = quick.update(by, camera, &model);
-                let (expected, better) = plain.update_with_better(by, &rotations, camera, &model);
+                let (fit, taken) = quick.update(&measurement, unread_rad2, camera, &model);
+                let (expected, better) =
+                    plain.update_with_better(&measurement, unread_rad2, &rotations, camera, &model);
                 prop_assert_eq!(taken, better);
                 prop_assert!(fit.evidence_over(&expected).abs() < 1e-9);
                 prop_assert!(quick.orientation.angle_to(&plain.orientation) < 1e-9);
                 prop_assert!((quick.kalman.rate - plain.kalman.rate).norm() < 1e-9);
-                let apart = quick.kalman.spread.matrix() - plain.kalman.spread.matrix();
+                let apart = quick.kalman.covariance.matrix() - plain.kalman.covariance.matrix();
                 prop_assert!(apart.amax() < 1e-9);
             }
         }

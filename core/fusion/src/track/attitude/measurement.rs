@@ -39,8 +39,8 @@ impl AttitudeMeasurement {
     ) -> Self {
         if yaw_symmetry.is_none() {
             let systematic = noise.systematic_root * noise.systematic_root.transpose();
-            let tilt_noise = tilt_noise(&candidates[0], (&noise.total, &systematic));
-            noise = Noise { timing_s: noise.timing_s, ..tilt_noise };
+            let tilt = tilt_noise(&candidates[0], &noise.total, &systematic);
+            noise = Noise { timing_s: noise.timing_s, ..tilt };
         }
         Self { candidates, likelihood, yaw_symmetry, noise, other_noise: None }
     }
@@ -50,10 +50,11 @@ impl AttitudeMeasurement {
         candidates: [UnitQuaternion<f64>; 2],
         likelihood: f64,
         yaw_symmetry: Option<u32>,
-        (total, systematic): (&Matrix3<f64>, &Matrix3<f64>),
+        total: &Matrix3<f64>,
+        systematic: &Matrix3<f64>,
     ) -> Self {
         let noise = if yaw_symmetry.is_none() {
-            tilt_noise(&candidates[0], (total, systematic))
+            tilt_noise(&candidates[0], total, systematic)
         } else {
             Noise::from_covariances(*total, systematic)
         };
@@ -116,7 +117,7 @@ impl AttitudeMeasurement {
 
     /// Error against a state with the normal `from`. Without a measured yaw, it has that variance about the
     /// normal.
-    pub(super) fn noise_from(&self, index: usize, (from, variance): (&Vector3<f64>, f64)) -> Noise {
+    pub(super) fn noise_from(&self, index: usize, from: &Vector3<f64>, variance: f64) -> Noise {
         let mut noise = self.candidate_noise(index);
         if self.yaw_symmetry.is_none() {
             noise.total += from * from.transpose() * variance;
@@ -167,7 +168,8 @@ impl AttitudeMeasurement {
 /// every small tilt, and systematic tilts would look fresh.
 fn tilt_noise(
     candidate: &UnitQuaternion<f64>,
-    (total, systematic): (&Matrix3<f64>, &Matrix3<f64>),
+    total: &Matrix3<f64>,
+    systematic: &Matrix3<f64>,
 ) -> Noise {
     let normal = candidate * Vector3::z();
     let along = normal * normal.transpose();

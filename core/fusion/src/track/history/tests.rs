@@ -27,7 +27,7 @@ fn seen(camera: u32, frame: u64, off_m: f64) -> Measurement {
     let turned = [UnitQuaternion::identity(); 2];
     Measurement {
         time,
-        late_s: 0.0,
+        clock_correction_s: 0.0,
         camera: CameraId(camera),
         frame,
         number: TrackNumber(1),

@@ -12,6 +12,40 @@ pub(super) struct Block<S: Simd>([f64x4<S>; 3]);
 /// Columns of a matrix, each padded to four numbers.
 pub(super) type Columns = [[f64; 4]; 3];
 
+/// Two 3×3 matrices, the rows of value and rate of a 6×3 matrix.
+#[derive(Clone, Copy)]
+pub(super) struct StateBlocks<S: Simd> {
+    pub(super) value: Block<S>,
+    pub(super) rate: Block<S>,
+}
+
+/// The same as columns.
+#[derive(Clone, Copy)]
+pub(super) struct StateColumns {
+    pub(super) value: Columns,
+    pub(super) rate: Columns,
+}
+
+impl<S: Simd> StateBlocks<S> {
+    #[inline(always)]
+    pub(super) fn from_columns(simd: S, columns: &StateColumns) -> Self {
+        Self {
+            value: Block::from_array(simd, &columns.value),
+            rate: Block::from_array(simd, &columns.rate),
+        }
+    }
+
+    #[inline(always)]
+    pub(super) fn to_columns(self) -> StateColumns {
+        StateColumns { value: self.value.to_array(), rate: self.rate.to_array() }
+    }
+
+    #[inline(always)]
+    pub(super) fn scaled(self, by: f64) -> Self {
+        Self { value: self.value.scaled(by), rate: self.rate.scaled(by) }
+    }
+}
+
 impl<S: Simd> Block<S> {
     #[inline(always)]
     pub(super) fn from_matrix(simd: S, matrix: &Matrix3<f64>) -> Self {

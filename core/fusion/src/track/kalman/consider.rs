@@ -16,7 +16,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::{
     super::covariance::BlockCovariance,
     MAX_SOURCES,
-    block::{Block, Columns},
+    block::{Block, StateBlocks, StateColumns},
 };
 use roundel_vision::id::CameraId;
 
@@ -30,13 +30,13 @@ type Row = [f64; MAX_SOURCES];
 const ZEROS: Row = [0.0; MAX_SOURCES];
 /// Row i is the unit vector of camera i.
 const UNIT: [Row; MAX_SOURCES] = {
-    let mut only = [ZEROS; MAX_SOURCES];
+    let mut unit = [ZEROS; MAX_SOURCES];
     let mut index = 0;
     while index < MAX_SOURCES {
-        only[index][index] = 1.0;
+        unit[index][index] = 1.0;
         index += 1;
     }
-    only
+    unit
 };
 
 /// Correlations E[x̃ βᵀ] with the systematic errors, and sensitivities q to the clock errors.
@@ -88,7 +88,7 @@ impl ConsideredErrors {
     pub(super) fn predict(&mut self, dt: f64, kept: f64, systematic_time_s: f64) {
         let max_age_s = MAX_AGE_DECAYS * systematic_time_s;
         let is_any_expired =
-            dispatch!(Level::new(), simd => self.predict_with(simd, (dt, kept), max_age_s));
+            dispatch!(Level::new(), simd => self.predict_with(simd, dt, kept, max_age_s));
         if is_any_expired {
             self.remove_old(max_age_s);
         }
@@ -96,7 +96,7 @@ impl ConsideredErrors {
 
     /// Returns whether a camera's newest measurement is older than `max_age_s`.
     #[simd]
-    fn predict_with<S: Simd>(&mut self, simd: S, (dt, kept): (f64, f64), max_age_s: f64) -> bool {
+    fn predict_with<S: Simd>(&mut self, simd: S, dt: f64, kept: f64, max_age_s: f64) -> bool {
         for rows in &mut self.systematic {
             for axis in 0..3 {
                 let rate = load(simd, &rows[axis + 3]) * kept;
@@ -125,11 +125,14 @@ impl ConsideredErrors {
 
     /// Correlations of value and rate with a camera's systematic error.
     #[inline(always)]
-    pub(super) fn with<S: Simd>(&self, simd: S, index: usize) -> (Block<S>, Block<S>) {
+    pub(super) fn correlation<S: Simd>(&self, simd: S, index: usize) -> StateBlocks<S> {
         let [x, y, z] = &self.systematic;
         let value = [at(x, 0, index), at(y, 0, index), at(z, 0, index)];
         let rate = [at(x, 3, index), at(y, 3, index), at(z, 3, index)];
-        (Block::from_columns(simd, value), Block::from_columns(simd, rate))
+        StateBlocks {
+            value: Block::from_columns(simd, value),
+            rate: Block::from_columns(simd, rate),
+        }
     }
 
     /// Update by a measurement of the camera `own`. `gain` is the negative gain of value and rate, `rate` the
@@ -139,16 +142,16 @@ impl ConsideredErrors {
         &mut self,
         simd: S,
         own: usize,
-        gain: &(Columns, Columns),
+        gain: &StateColumns,
         systematic_root: &Matrix3<f64>,
         rate: &Vector3<f64>,
     ) {
         self.ages_s[own] = 0.0;
-        let only = load(simd, &UNIT[own]);
+        let unit = load(simd, &UNIT[own]);
         for (component, rows) in self.systematic.iter_mut().enumerate() {
-            let x = only.mul_add(systematic_root[(0, component)], load(simd, &rows[0]));
-            let y = only.mul_add(systematic_root[(1, component)], load(simd, &rows[1]));
-            let z = only.mul_add(systematic_root[(2, component)], load(simd, &rows[2]));
+            let x = unit.mul_add(systematic_root[(0, component)], load(simd, &rows[0]));
+            let y = unit.mul_add(systematic_root[(1, component)], load(simd, &rows[1]));
+            let z = unit.mul_add(systematic_root[(2, component)], load(simd, &rows[2]));
             subtract_gain(simd, rows, gain, [x, y, z]);
         }
         if self.is_timed {
@@ -162,7 +165,8 @@ impl ConsideredErrors {
     pub(super) fn clocks<S: Simd>(
         &self,
         simd: S,
-        (own, timing_s): (usize, f64),
+        own: usize,
+        timing_s: f64,
         rate: &Vector3<f64>,
     ) -> ClockTerms {
         let mut timings_s = self.timings_s;
@@ -191,19 +195,20 @@ impl ConsideredErrors {
     pub(super) fn innovation_clock_covariance(
         &self,
         dt: f64,
-        (own, timing_s): (Option<usize>, f64),
+        own: Option<usize>,
+        timing_s: f64,
         rate: &Vector3<f64>,
     ) -> Matrix3<f64> {
         let mut timings_s = self.timings_s;
         let Some(own) = own else {
             let all = dispatch!(Level::new(), simd => {
-                self.clock_covariance(simd, dt, (0, &timings_s), &Vector3::zeros())
+                self.clock_covariance(simd, dt, 0, &timings_s, &Vector3::zeros())
             });
             return all + rate * rate.transpose() * (timing_s * timing_s);
         };
         timings_s[own] = timing_s;
         dispatch!(Level::new(), simd => {
-            self.clock_covariance(simd, dt, (own, &timings_s), rate)
+            self.clock_covariance(simd, dt, own, &timings_s, rate)
         })
     }
 
@@ -213,7 +218,8 @@ impl ConsideredErrors {
         &self,
         simd: S,
         dt: f64,
-        (own, timings_s): (usize, &Row),
+        own: usize,
+        timings_s: &Row,
         rate: &Vector3<f64>,
     ) -> Matrix3<f64> {
         let u =
@@ -231,16 +237,16 @@ impl ConsideredErrors {
     }
 
     /// Adds the covariance by clock errors, Σ σ² q qᵀ.
-    pub(super) fn add_clock_covariance(&self, spread: &mut BlockCovariance) {
+    pub(super) fn add_clock_covariance(&self, covariance: &mut BlockCovariance) {
         if !self.is_timed {
             return;
         }
         for index in 0..self.len {
             let square = self.timings_s[index] * self.timings_s[index];
             let [value, rate] = self.clock(index);
-            spread.value += value * value.transpose() * square;
-            spread.cross += value * rate.transpose() * square;
-            spread.rate += rate * rate.transpose() * square;
+            covariance.value += value * value.transpose() * square;
+            covariance.cross += value * rate.transpose() * square;
+            covariance.rate += rate * rate.transpose() * square;
         }
     }
 
@@ -347,11 +353,11 @@ fn innovation_sensitivity<S: Simd>(
     own: usize,
     rate: &Vector3<f64>,
 ) -> [f64x8<S>; 3] {
-    let only = load(simd, &UNIT[own]);
+    let unit = load(simd, &UNIT[own]);
     [
-        load(simd, &clock_sensitivity[0]) - only * rate.x,
-        load(simd, &clock_sensitivity[1]) - only * rate.y,
-        load(simd, &clock_sensitivity[2]) - only * rate.z,
+        load(simd, &clock_sensitivity[0]) - unit * rate.x,
+        load(simd, &clock_sensitivity[1]) - unit * rate.y,
+        load(simd, &clock_sensitivity[2]) - unit * rate.z,
     ]
 }
 
@@ -368,7 +374,7 @@ fn weighted<S: Simd>(simd: S, u: [f64x8<S>; 3], timings_s: &Row) -> [f64x8<S>; 3
 fn subtract_gain<S: Simd>(
     simd: S,
     rows: &mut [Row; 6],
-    (value, rate): &(Columns, Columns),
+    StateColumns { value, rate }: &StateColumns,
     [x, y, z]: [f64x8<S>; 3],
 ) {
     for axis in 0..3 {

@@ -60,10 +60,11 @@ impl ProcessNoiseShare {
     }
 
     /// `whole` with only these shares of the process noise's part in value and rate.
-    pub(super) fn without(
+    pub(super) fn with_shares(
         &self,
         whole: &BlockCovariance,
-        (value_share, rate_share): (&Vector3<f64>, &Vector3<f64>),
+        value_share: &Vector3<f64>,
+        rate_share: &Vector3<f64>,
     ) -> BlockCovariance {
         let factor = |part: &Vector3<f64>, whole: Vector3<f64>, share: &Vector3<f64>| {
             let part = part.zip_map(&whole, |part, whole| (part / whole).clamp(0.0, 1.0));

@@ -159,7 +159,7 @@ proptest! {
             let camera = CameraId(*camera as u32);
             let Correction { innovation, .. } = kalman.update(seen, &noise, camera, 16.3);
             prop_assert!(innovation.distance_squared.is_finite());
-            prop_assert!(kalman.spread.matrix().cholesky().is_some(), "{:?}", kalman.spread);
+            prop_assert!(kalman.covariance.matrix().cholesky().is_some(), "{:?}", kalman.covariance);
         }
     }
 }
@@ -170,7 +170,7 @@ fn the_first_measurement_errs_as_the_second_does() {
     let seen = noise(0.01, 0.01, &Vector3::z(), 0.5);
     let mut kalman = Kalman::begin(&seen, CameraId(0), &Vector3::zeros());
     kalman.update(&Vector3::zeros(), &seen, CameraId(0), 16.3);
-    let left = kalman.spread.value[(0, 0)] / 1e-4;
+    let left = kalman.covariance.value[(0, 0)] / 1e-4;
     assert!((left - 0.75).abs() < 1e-6, "{left}");
 }
 
@@ -183,14 +183,14 @@ fn one_camera_never_averages_its_systematic_error_away() {
         kalman.predict(0.01, &still, 1e6);
         kalman.update(&Vector3::zeros(), &seen, CameraId(0), 16.3);
     }
-    let one = kalman.spread.value[(0, 0)];
+    let one = kalman.covariance.value[(0, 0)];
     assert!((one / 0.5e-6 - 1.0).abs() < 0.1, "{one:e}");
     // A second camera has an independent error: the mean of both is twice as good.
     for frame in 0..2000 {
         kalman.predict(0.005, &still, 1e6);
         kalman.update(&Vector3::zeros(), &seen, CameraId(frame % 2), 16.3);
     }
-    let two = kalman.spread.value[(0, 0)];
+    let two = kalman.covariance.value[(0, 0)];
     assert!(two < 0.6 * one, "{two:e} of {one:e}");
 }
 

@@ -5,8 +5,8 @@ use fearless_simd_macros::simd;
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
-    Correction, Innovation, Kalman, Noise,
-    block::{Block, Columns},
+    Correction, ErrorSource, Innovation, Kalman, Noise,
+    block::{Block, Columns, StateBlocks, StateColumns},
     consider::ClockTerms,
     innovation_covariance, invert_positive,
 };
@@ -20,9 +20,9 @@ const RATE_ORDER: f64 = 0.5;
 pub(in crate::track) struct PreparedUpdate {
     /// Place of its camera among the considered errors.
     own: usize,
-    /// M, N and S for known clocks.
-    value: Columns,
-    rate: Columns,
+    /// M and N for known clocks.
+    cross: StateColumns,
+    /// S for known clocks.
     covariance: Matrix3<f64>,
     /// Terms by clock errors.
     clocks: Option<ClockTerms>,
@@ -41,7 +41,8 @@ impl Kalman {
         camera: CameraId,
         robust_distance_squared: f64,
     ) -> Correction {
-        let applied = self.update_if(|_| true, residual, (noise, camera), robust_distance_squared);
+        let source = ErrorSource { noise, camera };
+        let applied = self.update_if(|_| true, residual, source, robust_distance_squared);
         let nothing = Vector3::zeros();
         applied.unwrap_or_else(|| Correction {
             value: nothing,
@@ -56,11 +57,11 @@ impl Kalman {
         &mut self,
         is_good: impl Fn(&Innovation) -> bool,
         residual: &Vector3<f64>,
-        by: (&Noise, CameraId),
+        source: ErrorSource<'_>,
         robust_distance_squared: f64,
     ) -> Option<Correction> {
         dispatch!(Level::new(), simd => {
-            self.update_if_with(simd, &is_good, residual, by, robust_distance_squared)
+            self.update_if_with(simd, &is_good, residual, source, robust_distance_squared)
         })
     }
 
@@ -70,14 +71,14 @@ impl Kalman {
         simd: S,
         is_good: &F,
         residual: &Vector3<f64>,
-        (noise, camera): (&Noise, CameraId),
+        source: ErrorSource<'_>,
         robust_distance_squared: f64,
     ) -> Option<Correction> {
-        let prepare = self.prepare(simd, residual, (noise, camera))?;
-        if !is_good(&prepare.innovation) {
+        let prepared = self.prepare(simd, residual, source)?;
+        if !is_good(&prepared.innovation) {
             return None;
         }
-        Some(self.apply(simd, residual, (noise, &prepare), robust_distance_squared))
+        Some(self.apply(simd, residual, source.noise, &prepared, robust_distance_squared))
     }
 
     /// Computes the part of [`Self::update`] that shows how well a measurement fits. `None` if the innovation's
@@ -85,10 +86,9 @@ impl Kalman {
     pub(in crate::track) fn prepare_update(
         &mut self,
         residual: &Vector3<f64>,
-        noise: &Noise,
-        camera: CameraId,
+        source: ErrorSource<'_>,
     ) -> Option<PreparedUpdate> {
-        dispatch!(Level::new(), simd => self.prepare_with(simd, residual, (noise, camera)))
+        dispatch!(Level::new(), simd => self.prepare_with(simd, residual, source))
     }
 
     #[simd]
@@ -96,9 +96,9 @@ impl Kalman {
         &mut self,
         simd: S,
         residual: &Vector3<f64>,
-        by: (&Noise, CameraId),
+        source: ErrorSource<'_>,
     ) -> Option<PreparedUpdate> {
-        self.prepare(simd, residual, by)
+        self.prepare(simd, residual, source)
     }
 
     /// Applies an update prepared after the last applied one.
@@ -106,11 +106,11 @@ impl Kalman {
         &mut self,
         residual: &Vector3<f64>,
         noise: &Noise,
-        prepare: &PreparedUpdate,
+        prepared: &PreparedUpdate,
         robust_distance_squared: f64,
     ) -> Correction {
         dispatch!(Level::new(), simd => {
-            self.apply_with(simd, residual, (noise, prepare), robust_distance_squared)
+            self.apply_with(simd, residual, noise, prepared, robust_distance_squared)
         })
     }
 
@@ -119,10 +119,11 @@ impl Kalman {
         &mut self,
         simd: S,
         residual: &Vector3<f64>,
-        by: (&Noise, &PreparedUpdate),
+        noise: &Noise,
+        prepared: &PreparedUpdate,
         robust_distance_squared: f64,
     ) -> Correction {
-        self.apply(simd, residual, by, robust_distance_squared)
+        self.apply(simd, residual, noise, prepared, robust_distance_squared)
     }
 
     #[inline(always)]
@@ -130,20 +131,22 @@ impl Kalman {
         &mut self,
         simd: S,
         residual: &Vector3<f64>,
-        (noise, camera): (&Noise, CameraId),
+        ErrorSource { noise, camera }: ErrorSource<'_>,
     ) -> Option<PreparedUpdate> {
         let own = self.considered.find_or_insert(camera);
         self.considered.set_timing(own, noise.timing_s);
-        let (value_share, rate_share) = self.considered.with(simd, own);
+        let correlation = self.considered.correlation(simd, own);
         let root = &noise.systematic_root;
-        let value = Block::from_matrix(simd, &self.spread.value).add_product(value_share, root);
-        let rate = Block::from_transposed(simd, &self.spread.cross).add_product(rate_share, root);
-        let mut covariance = innovation_covariance(&self.spread.value, &value.matrix(), noise);
+        let value =
+            Block::from_matrix(simd, &self.covariance.value).add_product(correlation.value, root);
+        let rate = Block::from_transposed(simd, &self.covariance.cross)
+            .add_product(correlation.rate, root);
+        let mut covariance = innovation_covariance(&self.covariance.value, &value.matrix(), noise);
         let mut whole = covariance;
         let mut clocks = None;
         if noise.timing_s > 0.0 {
-            covariance += self.spread.rate * noise.timing_s.powi(2);
-            let clock_terms = self.considered.clocks(simd, (own, noise.timing_s), &self.rate);
+            covariance += self.covariance.rate * noise.timing_s.powi(2);
+            let clock_terms = self.considered.clocks(simd, own, noise.timing_s, &self.rate);
             whole = covariance + clock_terms.innovation;
             clocks = Some(clock_terms);
         }
@@ -151,8 +154,7 @@ impl Kalman {
         let distance_squared = residual.dot(&(inverse * residual));
         Some(PreparedUpdate {
             own,
-            value: value.to_array(),
-            rate: rate.to_array(),
+            cross: StateBlocks { value, rate }.to_columns(),
             covariance,
             clocks,
             inverse,
@@ -165,13 +167,13 @@ impl Kalman {
         &mut self,
         simd: S,
         residual: &Vector3<f64>,
-        (noise, prepare): (&Noise, &PreparedUpdate),
+        noise: &Noise,
+        prepared: &PreparedUpdate,
         robust_distance_squared: f64,
     ) -> Correction {
-        let PreparedUpdate { own, value, rate, covariance, clocks, inverse, innovation } = prepare;
-        let by = (*value, *rate);
-        let clockless = (Block::from_array(simd, value), Block::from_array(simd, rate));
-        let (mut value_cov, mut rate_cov) = clockless;
+        let PreparedUpdate { own, cross, covariance, clocks, inverse, innovation } = prepared;
+        let clockless = StateBlocks::from_columns(simd, cross);
+        let StateBlocks { value: mut value_cov, rate: mut rate_cov } = clockless;
         if let Some(clocks) = clocks {
             value_cov = value_cov.add(Block::from_matrix(simd, &clocks.value));
             rate_cov = rate_cov.add(Block::from_matrix(simd, &clocks.rate));
@@ -187,25 +189,26 @@ impl Kalman {
             1.0
         };
         // The update needs the negative gain.
-        let value_gain = value_cov.times(inverse).scaled(-weight);
-        let rate_gain = rate_cov.times(inverse).scaled(-weight);
-        let gain = (value_gain.to_array(), rate_gain.to_array());
+        let gain_blocks = StateBlocks {
+            value: value_cov.times(inverse).scaled(-weight),
+            rate: rate_cov.times(inverse).scaled(-weight),
+        };
+        let StateBlocks { value: value_gain, rate: rate_gain } = gain_blocks;
+        let gain = gain_blocks.to_columns();
         if clocks.is_some() {
-            self.add(simd, (value_gain, rate_gain), &by);
-            let (value_cov, rate_cov) = clockless;
-            let left = (
-                value_cov.add_product(value_gain, covariance),
-                rate_cov.add_product(rate_gain, covariance),
-            );
+            self.add(simd, gain_blocks, cross);
+            let left = StateBlocks {
+                value: clockless.value.add_product(value_gain, covariance),
+                rate: clockless.rate.add_product(rate_gain, covariance),
+            };
             self.add(simd, left, &gain);
         } else {
-            let share = 2.0 - weight;
-            self.add(simd, (value_gain.scaled(share), rate_gain.scaled(share)), &by);
+            self.add(simd, gain_blocks.scaled(2.0 - weight), cross);
         }
-        make_symmetric(&mut self.spread.value);
-        make_symmetric(&mut self.spread.rate);
+        make_symmetric(&mut self.covariance.value);
+        make_symmetric(&mut self.covariance.rate);
         self.considered.correct(simd, *own, &gain, &noise.systematic_root, &self.rate);
-        self.process_noise.update(&-diagonal(&gain.0), &-diagonal(&gain.1));
+        self.process_noise.update(&-diagonal(&gain.value), &-diagonal(&gain.rate));
         let lag = self.value_slope;
         self.value_slope -= value_gain.times_vector(&(residual * VALUE_ORDER - lag));
         self.rate_slope -= rate_gain.times_vector(&(residual * RATE_ORDER - lag));
@@ -215,28 +218,23 @@ impl Kalman {
 
     /// Adds the product of one block column with another's transpose to P, in parts of value and rate.
     #[inline(always)]
-    fn add<S: Simd>(
-        &mut self,
-        simd: S,
-        (value, rate): (Block<S>, Block<S>),
-        (by_value, by_rate): &(Columns, Columns),
-    ) {
-        let spread = &mut self.spread;
-        Block::from_matrix(simd, &spread.value)
-            .add_product_with_array(value, by_value)
-            .write(&mut spread.value);
-        Block::from_matrix(simd, &spread.cross)
-            .add_product_with_array(value, by_rate)
-            .write(&mut spread.cross);
-        Block::from_matrix(simd, &spread.rate)
-            .add_product_with_array(rate, by_rate)
-            .write(&mut spread.rate);
+    fn add<S: Simd>(&mut self, simd: S, left: StateBlocks<S>, right: &StateColumns) {
+        let covariance = &mut self.covariance;
+        Block::from_matrix(simd, &covariance.value)
+            .add_product_with_array(left.value, &right.value)
+            .write(&mut covariance.value);
+        Block::from_matrix(simd, &covariance.cross)
+            .add_product_with_array(left.value, &right.rate)
+            .write(&mut covariance.cross);
+        Block::from_matrix(simd, &covariance.rate)
+            .add_product_with_array(left.rate, &right.rate)
+            .write(&mut covariance.rate);
     }
 }
 
 #[inline(always)]
-fn diagonal(of: &Columns) -> Vector3<f64> {
-    Vector3::new(of[0][0], of[1][1], of[2][2])
+fn diagonal(columns: &Columns) -> Vector3<f64> {
+    Vector3::new(columns[0][0], columns[1][1], columns[2][2])
 }
 
 #[inline(always)]

@@ -94,7 +94,7 @@ impl TrackBatches {
         }
         let mut deviation_m = coarse.max_deviation_m(span_s);
         if timing_s > 0.0 {
-            let speed_m_s = coarse.velocity_m_s.norm() + coarse.spread.2.max(0.0).sqrt();
+            let speed_m_s = coarse.velocity_m_s.norm() + coarse.traces.rate.max(0.0).sqrt();
             deviation_m += CLOCK_SHARE * timing_s * speed_m_s;
         }
         batch.traces_m2[lane] = deviation_m * deviation_m;
@@ -177,7 +177,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        track::{AttitudeMeasurement, FilterState, Measurement},
+        track::{AttitudeMeasurement, ErrorSource, FilterState, Measurement},
         world::{FusionParams, MotionClass},
     };
     use roundel_vision::id::{CameraId, TrackNumber};
@@ -194,7 +194,7 @@ mod tests {
         let upright = UnitQuaternion::identity();
         Measurement {
             time: Timestamp::from_ns((time_s * 1e9) as i64),
-            late_s: 0.0,
+            clock_correction_s: 0.0,
             camera: CameraId((sight.x.abs() * 3.0) as u32),
             frame: 1,
             number: TrackNumber(1),
@@ -235,7 +235,7 @@ mod tests {
             let noise = &sighting.position_noise;
             let innovation = agile
                 .kalman
-                .innovation_after(dt, &model, &off_m, (noise, sighting.camera))
+                .innovation_after(dt, &model, &off_m, ErrorSource { noise, camera: sighting.camera })
                 .unwrap();
             let mut batches = TrackBatches::default();
             let coarse = Coarse::of(&estimate, &model.acceleration_density_m2_s3);

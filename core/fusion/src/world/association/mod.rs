@@ -15,7 +15,7 @@ use assignment::{FORBIDDEN, assign};
 use gate::{GateProbe, TrackBatches};
 
 use super::{FusionParams, clock::Clocks, identity::Subject, lifecycle::Track};
-use crate::track::{Innovation, Measurement, Noise};
+use crate::track::{ErrorSource, Innovation, Measurement, Noise};
 use roundel_vision::marker::Code;
 
 /// Cost of leaving a sighting without a track: above that of a true pair at the gate whose velocity is not known
@@ -83,7 +83,8 @@ pub(super) struct Scratch {
 pub(super) fn associate(
     tracks: &[Track],
     sightings: &[Sighting],
-    (params, clocks): (&FusionParams, &Clocks),
+    params: &FusionParams,
+    clocks: &Clocks,
     scratch: &mut Scratch,
 ) -> Vec<Decision> {
     let mut decisions = vec![None; sightings.len()];
@@ -103,7 +104,7 @@ pub(super) fn associate(
         scratch.batches.candidates(&probe, gate * CONTINUITY_GATE, &mut scratch.candidates);
         let noise_det = probe.determinant.max(f64::MIN_POSITIVE);
         for &number in &scratch.candidates {
-            let found = pair_cost(sighting, &tracks[number], (params, noise_det), clocks);
+            let found = pair_cost(sighting, &tracks[number], params, clocks, noise_det);
             let Some((cost, innovation)) = found else { continue };
             scratch.pairs.push(Pair { sighting: index, track: number, cost, innovation });
         }
@@ -117,8 +118,9 @@ pub(super) fn associate(
 fn pair_cost(
     sighting: &Sighting,
     track: &Track,
-    (params, noise_det): (&FusionParams, f64),
+    params: &FusionParams,
     clocks: &Clocks,
+    noise_det: f64,
 ) -> Option<(Cost, Innovation)> {
     if track.subject != sighting.subject {
         return None;
@@ -141,7 +143,7 @@ fn pair_cost(
         dt,
         &track.model,
         &residual_m,
-        (&noise, measurement.camera),
+        ErrorSource { noise: &noise, camera: measurement.camera },
     )?;
     let is_continued = track.is_continued_by(measurement);
     let is_expected = code_agrees.unwrap_or(is_continued);

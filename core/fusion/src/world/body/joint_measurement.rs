@@ -24,7 +24,7 @@ mod fit;
 
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
 
-use fit::{Fit, RoundelTerm, add, best_fits, block};
+use fit::{Fit, Fits, RoundelTerm, add, best_fits, block};
 
 use super::PartMeasurement;
 use crate::track::{AttitudeMeasurement, Measurement, Noise, cholesky_lower};
@@ -48,43 +48,44 @@ const MIN_SECOND_PROBABILITY: f64 = 1e-4;
 pub(in crate::world) struct PredictedPose {
     position_m: Vector3<f64>,
     velocity_m_s: Vector3<f64>,
-    position: Matrix3<f64>,
+    position_covariance: Matrix3<f64>,
     orientation: UnitQuaternion<f64>,
     angular_velocity_rad_s: Vector3<f64>,
-    rotation: Matrix3<f64>,
+    rotation_covariance: Matrix3<f64>,
     has_yaw: bool,
     /// Number of cameras that observe it at present, including the frame's own.
     cameras: f64,
 }
 
 impl PredictedPose {
-    pub(in crate::world) fn of(track: &Track, seen: &Measurement, fresh_ns: i64) -> Self {
-        let mut estimate = *track.history.newest();
-        estimate.predict(seen.time, &track.model);
+    pub(in crate::world) fn from_track(track: &Track, first: &Measurement, fresh_ns: i64) -> Self {
+        let mut state = *track.history.newest();
+        state.predict(first.time, &track.model);
         let is_other = |view: &&CameraView| {
-            view.camera != seen.camera && seen.time.ns_since(view.time).saturating_abs() < fresh_ns
+            view.camera != first.camera
+                && first.time.ns_since(view.time).saturating_abs() < fresh_ns
         };
         let others = track.views.iter().filter(is_other).count();
-        let filter = estimate.motion.agile();
-        let attitude = estimate.attitude.estimate(0.0, &track.model);
+        let filter = state.motion.agile();
+        let attitude = state.attitude.estimate(0.0, &track.model);
         Self {
             position_m: filter.position_m,
             velocity_m_s: filter.kalman.rate,
-            position: filter.kalman.reported().value,
+            position_covariance: filter.kalman.reported().value,
             orientation: attitude.orientation,
             angular_velocity_rad_s: attitude.angular_velocity_rad_s,
-            rotation: attitude.covariance.fixed_view::<3, 3>(0, 0).into_owned(),
+            rotation_covariance: attitude.covariance.fixed_view::<3, 3>(0, 0).into_owned(),
             has_yaw: attitude.yaw_symmetry.is_some(),
             cameras: 1.0 + others as f64,
         }
     }
 
     fn is_orientation_known(&self) -> bool {
-        self.has_yaw && self.rotation.trace() < UNKNOWN_RAD2
+        self.has_yaw && self.rotation_covariance.trace() < UNKNOWN_RAD2
     }
 
     fn information(&self) -> Matrix3<f64> {
-        self.rotation.try_inverse().unwrap_or_else(Matrix3::zeros)
+        self.rotation_covariance.try_inverse().unwrap_or_else(Matrix3::zeros)
     }
 }
 
@@ -96,18 +97,18 @@ pub(in crate::world) fn joint_measurement(
     share: f64,
 ) -> Option<(Measurement, usize)> {
     let first = &parts[0].measurement;
-    let since_s = |seen: &PartMeasurement| seen.measurement.time.seconds_since(first.time);
+    let since_s = |part: &PartMeasurement| part.measurement.time.seconds_since(first.time);
     let mean_s = parts.iter().map(since_s).sum::<f64>() / parts.len() as f64;
     let mut terms = Vec::with_capacity(parts.len());
-    for seen in parts {
-        terms.push(RoundelTerm::of(seen, mean_s - since_s(seen), expected)?);
+    for part in parts {
+        terms.push(RoundelTerm::new(part, mean_s - since_s(part), expected)?);
     }
-    let (mut best, mut second) = best_fits(&terms, expected)?;
-    while terms.len() > 1 && best.misfit > MAX_MISFIT * degrees_of_freedom(&terms) {
-        (terms, best, second) = without_worst(&terms, expected)?;
+    let mut fits = best_fits(&terms, expected)?;
+    while terms.len() > 1 && fits.best.misfit > MAX_MISFIT * degrees_of_freedom(&terms) {
+        (terms, fits) = without_worst(&terms, expected)?;
     }
-    let attitude = attitude(&terms, (&best, second.as_ref()), expected, share)?;
-    let (position_m, position_noise) = position(&terms, (best, second), expected, share)?;
+    let attitude = attitude(&terms, &fits, expected, share)?;
+    let (position_m, position_noise) = position(&terms, &fits, expected, share)?;
     let measurement = Measurement {
         time: first.time.plus_seconds(mean_s),
         position_m,
@@ -127,17 +128,20 @@ fn degrees_of_freedom(terms: &[RoundelTerm]) -> f64 {
 fn without_worst(
     terms: &[RoundelTerm],
     expected: Option<&PredictedPose>,
-) -> Option<(Vec<RoundelTerm>, Fit, Option<Fit>)> {
+) -> Option<(Vec<RoundelTerm>, Fits)> {
     let without = |index: usize| {
         let mut others = terms.to_vec();
         others.remove(index);
-        let (best, second) = best_fits(&others, expected)?;
+        let fits = best_fits(&others, expected)?;
         let prior_cost = expected.map_or(0.0, |expected| {
-            let off_m = best.position_m - expected.position_m;
-            mahalanobis_squared(&off_m, &(expected.position + Matrix3::from_diagonal_element(1e-4)))
-                .unwrap_or(0.0)
+            let off_m = fits.best.position_m - expected.position_m;
+            mahalanobis_squared(
+                &off_m,
+                &(expected.position_covariance + Matrix3::from_diagonal_element(1e-4)),
+            )
+            .unwrap_or(0.0)
         });
-        Some((best.cost + prior_cost, (others, best, second)))
+        Some((fits.best.cost + prior_cost, (others, fits)))
     };
     // In reverse, so that the first of equals is kept.
     let all = (0..terms.len()).rev().filter_map(without);
@@ -157,7 +161,7 @@ fn second_probability(best: f64, second: f64) -> f64 {
 /// Orientation by the frame alone.
 fn attitude(
     terms: &[RoundelTerm],
-    (best, second): (&Fit, Option<&Fit>),
+    fits: &Fits,
     expected: Option<&PredictedPose>,
     share: f64,
 ) -> Option<AttitudeMeasurement> {
@@ -181,10 +185,12 @@ fn attitude(
             timing_s: 0.0,
         })
     };
+    let Fits { best, second } = fits;
     let best_noise = noise(best)?;
     let is_whole = best_noise.total.trace() < UNKNOWN_RAD2;
-    let second =
-        second.filter(|second| second_probability(best.cost, second.cost) > MIN_SECOND_PROBABILITY);
+    let second = second
+        .as_ref()
+        .filter(|second| second_probability(best.cost, second.cost) > MIN_SECOND_PROBABILITY);
     let (other, other_noise) = match second {
         Some(second) => (second, noise(second)?),
         None => (best, best_noise),
@@ -206,14 +212,14 @@ fn attitude(
 /// Position by the frame and the predicted orientation.
 fn position(
     terms: &[RoundelTerm],
-    (best, second): (Fit, Option<Fit>),
+    &Fits { best, second }: &Fits,
     expected: Option<&PredictedPose>,
     share: f64,
 ) -> Option<(Vector3<f64>, Noise)> {
     let prior_cost = |fit: &Fit| {
         let Some(expected) = expected else { return 0.0 };
         let off = (expected.orientation * fit.orientation.inverse()).scaled_axis();
-        let spread = expected.rotation + Matrix3::from_diagonal_element(1e-4);
+        let spread = expected.rotation_covariance + Matrix3::from_diagonal_element(1e-4);
         mahalanobis_squared(&off, &spread).unwrap_or(0.0)
     };
     let (mut first, mut other) = (best, second);
@@ -250,7 +256,7 @@ fn position_for(
     share: f64,
 ) -> Option<(Vector3<f64>, Matrix3<f64>, Matrix3<f64>)> {
     let mut prior = Matrix6::zeros();
-    let mut pull = Vector6::zeros();
+    let mut gradient = Vector6::zeros();
     let mut alone = fit.information;
     (3..6).for_each(|axis| alone[(axis, axis)] += WEAK_INFORMATION);
     let is_determined = alone.cholesky()?.inverse().fixed_view::<3, 3>(3, 3).trace() < UNKNOWN_RAD2;
@@ -258,7 +264,7 @@ fn position_for(
         let information = expected.information();
         let off = (expected.orientation * fit.orientation.inverse()).scaled_axis();
         add(&mut prior, (3, 3), &information);
-        pull.fixed_rows_mut::<3>(3).copy_from(&(information * off));
+        gradient.fixed_rows_mut::<3>(3).copy_from(&(information * off));
     }
     let mut whole = fit.information + prior;
     (3..6).for_each(|axis| whole[(axis, axis)] += WEAK_INFORMATION);
@@ -278,15 +284,15 @@ fn position_for(
         add(&mut whole, (3, 3), &axis_information);
         covariance = whole.cholesky()?.inverse();
     }
-    position_m += (covariance * pull).fixed_rows::<3>(0);
-    let seen = block(&(covariance * fit.information * covariance), 0);
+    position_m += (covariance * gradient).fixed_rows::<3>(0);
+    let by_frame = block(&(covariance * fit.information * covariance), 0);
     // All cameras use the same prediction, while their systematic errors are treated as independent: the factor
     // makes their mean's error right. The other factor of two covers the origin, where the error of the
     // orientation adds to that of the position, from which it stems, while both are treated as independent.
     let shared = expected.map_or(1.0, |expected| 2.0 * expected.cameras);
     let predicted = block(&(covariance * prior * covariance), 0) * shared;
     let total = symmetric(&(block(&covariance, 0) + predicted * (1.0 - 1.0 / shared))) + circle;
-    Some((position_m, total, symmetric(&(seen * share + predicted)) + circle))
+    Some((position_m, total, symmetric(&(by_frame * share + predicted)) + circle))
 }
 
 fn symmetric(matrix: &Matrix3<f64>) -> Matrix3<f64> {

@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 use thiserror::Error;
 
-use super::{FusionParams, MotionClass, identity::CodeVote};
+use super::{FusionParams, MotionClass, height_check::ConstrainedHeight, identity::CodeVote};
 use crate::track::{Measurement, MotionModel};
 use roundel_vision::{
     id::{BodyId, CameraId, KindId, TrackNumber},
@@ -71,7 +71,7 @@ pub(super) struct MountRef {
 
 /// Code readings of one of a camera's tracks.
 #[derive(Clone, Copy, Debug)]
-struct CodeReading {
+struct CodeReadings {
     vote: CodeVote,
     newest: Timestamp,
 }
@@ -92,7 +92,7 @@ pub(super) struct Bodies {
     /// Centroids of their roundels, object frame.
     centroids_m: Vec<Vector3<f64>>,
     by_roundel: BTreeMap<(KindId, Option<Code>), MountRef>,
-    readings: BTreeMap<(CameraId, TrackNumber), CodeReading>,
+    readings: BTreeMap<(CameraId, TrackNumber), CodeReadings>,
     parts: Vec<PartMeasurement>,
 }
 
@@ -150,7 +150,7 @@ impl Bodies {
         for (camera, number, newest) in views {
             let mut vote = CodeVote::default();
             vote.set(code);
-            self.readings.insert((camera, number), CodeReading { vote, newest });
+            self.readings.insert((camera, number), CodeReadings { vote, newest });
         }
     }
 
@@ -195,11 +195,12 @@ impl Bodies {
     }
 
     /// Heights to which the centroid and the origin are constrained.
-    pub(super) fn heights_m(&self, body: BodyId) -> Option<(f64, f64)> {
+    pub(super) fn constrained_height(&self, body: BodyId) -> Option<ConstrainedHeight> {
         match self.bodies[body.0 as usize].motion {
-            MotionClass::Ground { height_m: Some(said_m) } => {
-                Some((said_m + self.centroids_m[body.0 as usize].z, said_m))
-            }
+            MotionClass::Ground { height_m: Some(height_m) } => Some(ConstrainedHeight {
+                tracked_m: height_m + self.centroids_m[body.0 as usize].z,
+                configured_m: height_m,
+            }),
             MotionClass::Ground { height_m: None } | MotionClass::Free => None,
         }
     }
@@ -216,10 +217,10 @@ impl Bodies {
         if first != kind || code.is_none() {
             return (first == kind).then_some((part, false));
         }
-        let changed = CodeReading { vote: CodeVote::default(), newest: now };
-        let reading = self.readings.entry((camera, detection.track)).or_insert(changed);
+        let unread = CodeReadings { vote: CodeVote::default(), newest: now };
+        let reading = self.readings.entry((camera, detection.track)).or_insert(unread);
         reading.newest = now;
-        let part = |reading: &CodeReading| {
+        let part = |reading: &CodeReadings| {
             let code = reading.vote.leader();
             code.and_then(|code| self.by_roundel.get(&(kind, Some(code))).copied())
         };
@@ -245,13 +246,13 @@ impl Bodies {
 
     /// Whether the current frame has a part with this number.
     pub(super) fn has_part(&self, number: TrackNumber) -> bool {
-        self.parts.iter().any(|seen| seen.measurement.number == number)
+        self.parts.iter().any(|part| part.measurement.number == number)
     }
 
     /// Takes the parts of the current frame, ordered by body.
     pub(super) fn take_parts(&mut self) -> Vec<PartMeasurement> {
         let mut parts = std::mem::take(&mut self.parts);
-        parts.sort_by_key(|seen| (seen.part, seen.measurement.number));
+        parts.sort_by_key(|part| (part.part, part.measurement.number));
         parts
     }
 }

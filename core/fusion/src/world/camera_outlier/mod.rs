@@ -150,39 +150,34 @@ enum Culprit {
 impl CameraOutliers {
     /// Forgets a camera whose pose has changed, and the baselines of the others, which were relative to it.
     pub(super) fn forget(&mut self, camera: CameraId) {
-        self.cameras.retain(|camera_record| camera_record.camera != camera);
-        self.retractions.retain(|(retractions, _)| *retractions != camera);
-        for camera_record in
-            self.cameras.iter_mut().filter(|camera_record| camera_record.hold.is_none())
-        {
-            camera_record.baseline = Baseline::default();
-            let warm = camera_record.learned.map(|learned| learned.plus_ns(WARM_UP_NS));
-            camera_record.from =
-                warm.map_or(camera_record.from, |warm| warm.max(camera_record.from));
+        self.cameras.retain(|record| record.camera != camera);
+        self.retractions.retain(|(retracted, _)| *retracted != camera);
+        for record in self.cameras.iter_mut().filter(|record| record.hold.is_none()) {
+            record.baseline = Baseline::default();
+            let warm = record.learned.map(|learned| learned.plus_ns(WARM_UP_NS));
+            record.from = warm.map_or(record.from, |warm| warm.max(record.from));
         }
     }
 
     /// Time since which a camera is held back.
     pub(super) fn held_since(&self, camera: CameraId) -> Option<Timestamp> {
-        let camera_record =
-            self.cameras.iter().find(|camera_record| camera_record.camera == camera)?;
-        camera_record.hold.map(|hold| hold.since)
+        let record = self.cameras.iter().find(|record| record.camera == camera)?;
+        record.hold.map(|hold| hold.since)
     }
 
     /// Cameras held back without confirmation, with the time from which detections may confirm it.
     pub(super) fn unconfirmed(&self) -> impl Iterator<Item = (CameraId, Timestamp)> {
-        let unconfirmed_count = |camera_record: &CameraRecord| {
-            let hold = camera_record.hold.filter(|hold| !hold.is_confirmed)?;
-            Some((camera_record.camera, hold.since.plus_ns(-RETRACTED_NS)))
+        let unconfirmed = |record: &CameraRecord| {
+            let hold = record.hold.filter(|hold| !hold.is_confirmed)?;
+            Some((record.camera, hold.since.plus_ns(-RETRACTED_NS)))
         };
-        self.cameras.iter().filter_map(unconfirmed_count)
+        self.cameras.iter().filter_map(unconfirmed)
     }
 
     /// Confirms a hold: another camera observes the objects where they are expected.
     pub(super) fn confirm(&mut self, camera: CameraId) {
-        let camera_record =
-            self.cameras.iter_mut().find(|camera_record| camera_record.camera == camera);
-        let Some(hold) = camera_record.and_then(|camera_record| camera_record.hold.as_mut()) else {
+        let record = self.cameras.iter_mut().find(|record| record.camera == camera);
+        let Some(hold) = record.and_then(|record| record.hold.as_mut()) else {
             return;
         };
         hold.is_confirmed = true;
@@ -210,25 +205,26 @@ impl CameraOutliers {
     /// is called only when needed.
     pub(super) fn judge(
         &mut self,
-        (camera, time): (CameraId, Timestamp),
+        camera: CameraId,
+        time: Timestamp,
         innovations: InnovationSum,
         max_held_ns: i64,
         gather: impl Fn(Query, &mut Vec<ObjectResidual>),
     ) -> Admission {
         let index = self.index(camera, time);
-        let camera_record = &self.cameras[index];
-        let is_usual = innovations.sum <= camera_record.usual * innovations.count as f64 + UNUSUAL;
+        let record = &self.cameras[index];
+        let is_usual = innovations.sum <= record.usual * innovations.count as f64 + UNUSUAL;
         let is_usual = is_usual && self.alarm.is_none_or(|alarm| time.ns_since(alarm) > ALARM_NS);
-        let is_due = camera_record.learned.is_none_or(|learned| time.ns_since(learned) >= LEARN_NS);
-        if camera_record.hold.is_none() && is_usual && !is_due {
+        let is_due = record.learned.is_none_or(|learned| time.ns_since(learned) >= LEARN_NS);
+        if record.hold.is_none() && is_usual && !is_due {
             self.cameras[index].update_usual(innovations);
             return Admission::Consistent;
         }
-        let is_quiet = camera_record.hold.is_none() && is_usual;
+        let is_quiet = record.hold.is_none() && is_usual;
         let mut residuals = std::mem::take(&mut self.residuals);
         let mut fitted = |query: Query| {
             gather(query, &mut residuals);
-            shift_of(&residuals, &camera_record.baseline)
+            shift_of(&residuals, &record.baseline)
         };
         let is_alarming = |it: &Shift| it.gain > ALARM_GAIN && it.moved_m > MIN_MOVE_M;
         let turn = (time.as_ns() / LEARN_NS).unsigned_abs();
@@ -242,7 +238,7 @@ impl CameraOutliers {
         let admission = if self.cameras[index].hold.is_some() {
             self.judge_held(index, time, max_held_ns, shift.map(|_| moved.is_some()))
         } else if let Some(shift) = moved.as_ref().filter(|_| time >= self.cameras[index].from) {
-            self.suspect(index, time, (shift, &mut residuals), gather)
+            self.suspect(index, time, shift, &mut residuals, gather)
         } else {
             self.cameras[index].update_usual(innovations);
             if moved.is_some() { Admission::Admitted } else { Admission::Consistent }
@@ -259,24 +255,23 @@ impl CameraOutliers {
         &mut self,
         index: usize,
         time: Timestamp,
-        (shift, residuals): (&Shift, &mut Vec<ObjectResidual>),
+        shift: &Shift,
+        residuals: &mut Vec<ObjectResidual>,
         gather: impl Fn(Query, &mut Vec<ObjectResidual>),
     ) -> Admission {
-        let sees = |camera_record: &&CameraRecord| {
-            residuals.iter().any(|weighted_sum| weighted_sum.is_by(camera_record.camera))
-        };
+        let is_queried =
+            |record: &&CameraRecord| residuals.iter().any(|residual| residual.is_by(record.camera));
         let (mut others, mut unconfirmed_count) = ([None; MAX_QUERIED], 1);
-        let seeing = self.cameras.iter().filter(sees);
-        for (camera_record, other) in seeing.zip(&mut others) {
-            *other = Some(camera_record.camera);
-            unconfirmed_count +=
-                usize::from(camera_record.hold.is_some_and(|hold| !hold.is_confirmed));
+        let seeing = self.cameras.iter().filter(is_queried);
+        for (record, other) in seeing.zip(&mut others) {
+            *other = Some(record.camera);
+            unconfirmed_count += usize::from(record.hold.is_some_and(|hold| !hold.is_confirmed));
         }
         let count = others.iter().flatten().count();
         if 2 * unconfirmed_count > count + 1 {
             // The objects moved.
-            for camera_record in &mut self.cameras {
-                camera_record.hold = camera_record.hold.filter(|hold| hold.is_confirmed);
+            for record in &mut self.cameras {
+                record.hold = record.hold.filter(|hold| hold.is_confirmed);
             }
             return Admission::Admitted;
         }
@@ -287,10 +282,9 @@ impl CameraOutliers {
                 Admission::Rejected
             }
             Culprit::Other(camera) => {
-                let of = |camera_record: &CameraRecord| {
-                    camera_record.camera == camera && camera_record.hold.is_none()
-                };
-                let other = self.cameras.iter().position(of);
+                let is_it =
+                    |record: &CameraRecord| record.camera == camera && record.hold.is_none();
+                let other = self.cameras.iter().position(is_it);
                 if let Some(other) = other.filter(|other| time >= self.cameras[*other].from) {
                     self.hold(other, time);
                 }
@@ -300,9 +294,9 @@ impl CameraOutliers {
     }
 
     fn hold(&mut self, index: usize, time: Timestamp) {
-        let camera_record = &mut self.cameras[index];
-        camera_record.hold = Some(Hold { since: time, is_confirmed: false, agreed: 0 });
-        self.retractions.push((camera_record.camera, time.plus_ns(-RETRACTED_NS)));
+        let record = &mut self.cameras[index];
+        record.hold = Some(Hold { since: time, is_confirmed: false, agreed: 0 });
+        self.retractions.push((record.camera, time.plus_ns(-RETRACTED_NS)));
     }
 
     /// Decides about a frame of a camera that is held back. `has_moved` is `None` where that is undetermined.
@@ -313,8 +307,8 @@ impl CameraOutliers {
         max_held_ns: i64,
         has_moved: Option<bool>,
     ) -> Admission {
-        let camera_record = &mut self.cameras[index];
-        let Some(hold) = &mut camera_record.hold else { return Admission::Admitted };
+        let record = &mut self.cameras[index];
+        let Some(hold) = &mut record.hold else { return Admission::Admitted };
         hold.agreed = match has_moved {
             Some(false) => hold.agreed + 1,
             Some(true) => 0,
@@ -329,12 +323,12 @@ impl CameraOutliers {
         } else {
             return Admission::Rejected;
         };
-        camera_record.hold = None;
+        record.hold = None;
         if step == HeldStep::InVain && is_confirmed {
-            camera_record.baseline = Baseline::default();
-            camera_record.from = time.plus_ns(EXEMPT_NS);
+            record.baseline = Baseline::default();
+            record.from = time.plus_ns(EXEMPT_NS);
         }
-        let camera = camera_record.camera;
+        let camera = record.camera;
         if is_confirmed {
             self.push_event(HeldBack { camera, since, step });
         }
@@ -342,9 +336,8 @@ impl CameraOutliers {
     }
 
     fn index(&mut self, camera: CameraId, time: Timestamp) -> usize {
-        let kalman_rate =
-            self.cameras.iter().position(|camera_record| camera_record.camera == camera);
-        kalman_rate.unwrap_or_else(|| {
+        let found = self.cameras.iter().position(|record| record.camera == camera);
+        found.unwrap_or_else(|| {
             self.cameras.push(CameraRecord {
                 camera,
                 usual: 0.0,

@@ -66,7 +66,7 @@ pub(in crate::world) fn compare(
     let middle = now.plus_ns(-DELAY_NS - WINDOW_NS / 2);
     let mut sums: Vec<Sums> = Vec::with_capacity(MAX_SOURCES);
     for measurement in history.measurements() {
-        let moved_s = measurement.late_s - clocks.offset_now_s(measurement.camera);
+        let moved_s = measurement.clock_correction_s - clocks.offset_now_s(measurement.camera);
         let time = (measurement.time.seconds_since(middle) + moved_s) / half_s;
         if time.abs() > 1.0 || !clocks.is_compared(measurement.camera, measurement.time) {
             continue;

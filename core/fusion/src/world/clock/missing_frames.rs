@@ -10,6 +10,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
+use super::frame_stamp::FrameStamp;
 use roundel_vision::{id::CameraId, time::Timestamp};
 
 /// Time after which a skipped number counts as missing.
@@ -38,18 +39,11 @@ pub(in crate::world) struct MissingFrames {
 #[derive(Clone, Debug)]
 struct Camera {
     /// Times of the highest number.
-    newest: FrameTimes,
+    newest: FrameStamp,
     /// Between successive numbers, oldest first.
     intervals_ns: VecDeque<i64>,
     /// Skipped numbers that may still arrive, oldest first.
     gaps: VecDeque<Gap>,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct FrameTimes {
-    frame: u64,
-    stamp: Timestamp,
-    received: Timestamp,
 }
 
 /// Numbers from `first` up to, but not including, `end`.
@@ -67,17 +61,11 @@ impl MissingFrames {
     }
 
     /// Notes a frame, whether it is used or not; returns the number of frames now found missing.
-    pub(in crate::world) fn observe(
-        &mut self,
-        camera: CameraId,
-        frame: u64,
-        (stamp, received): (Timestamp, Timestamp),
-    ) -> u64 {
-        let frame_times = FrameTimes { frame, stamp, received };
-        match self.cameras.get_mut(&camera) {
-            Some(camera) => camera.observe(frame_times),
+    pub(in crate::world) fn observe(&mut self, frame: FrameStamp) -> u64 {
+        match self.cameras.get_mut(&frame.camera) {
+            Some(camera) => camera.observe(frame),
             None => {
-                self.cameras.insert(camera, Camera::new(frame_times));
+                self.cameras.insert(frame.camera, Camera::new(frame));
                 0
             }
         }
@@ -85,43 +73,43 @@ impl MissingFrames {
 }
 
 impl Camera {
-    fn new(newest: FrameTimes) -> Self {
+    fn new(newest: FrameStamp) -> Self {
         let intervals_ns = VecDeque::with_capacity(INTERVALS);
         Self { newest, intervals_ns, gaps: VecDeque::new() }
     }
 
-    fn observe(&mut self, frame_times: FrameTimes) -> u64 {
+    fn observe(&mut self, frame: FrameStamp) -> u64 {
         let mut missing = 0;
         while let Some(gap) = self.gaps.front()
-            && (frame_times.received.ns_since(gap.since) > WAIT_NS || self.gaps.len() > MAX_GAPS)
+            && (frame.received.ns_since(gap.since) > WAIT_NS || self.gaps.len() > MAX_GAPS)
         {
             missing += gap.end - gap.first;
             self.gaps.pop_front();
         }
-        let steps = frame_times.frame.saturating_sub(self.newest.frame);
+        let steps = frame.number.saturating_sub(self.newest.number);
         if steps == 0 {
-            let is_old = frame_times.frame == self.newest.frame || self.fill(frame_times.frame);
-            if !is_old && self.span_ns(&frame_times).is_some_and(|span_ns| span_ns > 0) {
-                missing += self.restart(frame_times);
+            let is_old = frame.number == self.newest.number || self.fill(frame.number);
+            if !is_old && self.span_ns(&frame).is_some_and(|span_ns| span_ns > 0) {
+                missing += self.restart(frame);
             }
             return missing;
         }
         if steps > MAX_NUMBER_STEP {
-            return missing + self.restart(frame_times);
+            return missing + self.restart(frame);
         }
         if steps > 1 {
-            let first = self.newest.frame + 1;
-            self.gaps.push_back(Gap { first, end: frame_times.frame, since: frame_times.received });
+            let first = self.newest.number + 1;
+            self.gaps.push_back(Gap { first, end: frame.number, since: frame.received });
         }
-        missing += self.missing_by_interval(&frame_times, steps);
-        self.newest = frame_times;
+        missing += self.missing_by_interval(&frame, steps);
+        self.newest = frame;
         missing
     }
 
     /// Restarts the numbering; pending gaps count as missing.
-    fn restart(&mut self, frame_times: FrameTimes) -> u64 {
+    fn restart(&mut self, frame: FrameStamp) -> u64 {
         let missing = self.gaps.iter().map(|gap| gap.end - gap.first).sum();
-        *self = Self::new(frame_times);
+        *self = Self::new(frame);
         missing
     }
 
@@ -139,9 +127,9 @@ impl Camera {
     }
 
     /// Number of frames without a number that fit into the time since the last one.
-    fn missing_by_interval(&mut self, frame_times: &FrameTimes, steps: u64) -> u64 {
+    fn missing_by_interval(&mut self, frame: &FrameStamp, steps: u64) -> u64 {
         let is_plausible = |span_ns: &i64| (1..=MAX_PAUSE_NS).contains(span_ns);
-        let Some(span_ns) = self.span_ns(frame_times).filter(is_plausible) else { return 0 };
+        let Some(span_ns) = self.span_ns(frame).filter(is_plausible) else { return 0 };
         let regular_ns = self.regular_ns();
         if self.intervals_ns.len() == INTERVALS {
             self.intervals_ns.pop_front();
@@ -157,9 +145,9 @@ impl Camera {
     }
 
     /// Time since the newest frame by the stamps; `None` if the clock was set in between.
-    fn span_ns(&self, frame_times: &FrameTimes) -> Option<i64> {
-        let span_ns = frame_times.stamp.ns_since(self.newest.stamp);
-        let received_ns = frame_times.received.ns_since(self.newest.received);
+    fn span_ns(&self, frame: &FrameStamp) -> Option<i64> {
+        let span_ns = frame.stamp.ns_since(self.newest.stamp);
+        let received_ns = frame.received.ns_since(self.newest.received);
         let is_steady = span_ns.saturating_sub(received_ns).saturating_abs() < MAX_DELAY_CHANGE_NS;
         is_steady.then_some(span_ns)
     }
@@ -192,12 +180,13 @@ mod tests {
     fn missing(frames: impl IntoIterator<Item = (u64, i64)>) -> u64 {
         let mut missing_frames = MissingFrames::default();
         let mut last_ns = 0;
-        let observe = |(frame, time): (u64, i64)| {
+        let observe = |(number, time): (u64, i64)| {
             let stamp_ns = time * INTERVAL_NS;
             // A late frame is received right after the one before it.
             last_ns = (stamp_ns + 5_000_000).max(last_ns + 1);
             let received = Timestamp::from_ns(last_ns);
-            missing_frames.observe(CAMERA, frame, (Timestamp::from_ns(stamp_ns), received))
+            let stamp = Timestamp::from_ns(stamp_ns);
+            missing_frames.observe(FrameStamp { camera: CAMERA, number, stamp, received })
         };
         frames.into_iter().map(observe).sum()
     }
@@ -243,8 +232,14 @@ mod tests {
         for frame in 1..300 {
             let received_ns = frame as i64 * INTERVAL_NS;
             let set_ns = if (100..200).contains(&frame) { 3_600_000_000_000 } else { 0 };
-            let times = (Timestamp::from_ns(received_ns + set_ns), Timestamp::from_ns(received_ns));
-            count += missing_frames.observe(CAMERA, frame, times);
+            let stamp = Timestamp::from_ns(received_ns + set_ns);
+            let received = Timestamp::from_ns(received_ns);
+            count += missing_frames.observe(FrameStamp {
+                camera: CAMERA,
+                number: frame,
+                stamp,
+                received,
+            });
         }
         assert_eq!(count, 0);
     }

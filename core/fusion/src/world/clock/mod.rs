@@ -7,6 +7,7 @@
 mod comparison;
 mod estimator;
 mod evidence;
+mod frame_stamp;
 mod missing_frames;
 mod stamp;
 mod timeline;
@@ -15,6 +16,7 @@ pub(super) use comparison::{WINDOW_NS, compare};
 pub(super) use estimator::Clocks;
 pub use estimator::{ClockEstimate, ClockPrior};
 pub(super) use evidence::Comparison;
+pub(super) use frame_stamp::FrameStamp;
 pub(super) use missing_frames::MissingFrames;
 pub(super) use stamp::{StampCorrector, StampVerdict};
-pub(super) use timeline::{Timeline, Verdict};
+pub(super) use timeline::{TimeLimits, Timeline, Verdict};

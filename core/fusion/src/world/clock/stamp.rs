@@ -10,6 +10,7 @@
 
 use std::collections::BTreeMap;
 
+use super::frame_stamp::FrameStamp;
 use roundel_vision::{id::CameraId, time::Timestamp};
 
 /// Number of consecutive frames that confirm a step.
@@ -37,7 +38,7 @@ pub(in crate::world) enum StampVerdict {
 
 #[derive(Clone, Copy, Debug)]
 struct LastStamp {
-    frame: u64,
+    number: u64,
     stamp: Timestamp,
     /// Stamp less base less receiving time.
     ahead_ns: i64,
@@ -69,18 +70,13 @@ impl StampCorrector {
     }
 
     /// Judges a frame's stamp by its receiving time.
-    pub(in crate::world) fn judge(
-        &mut self,
-        (id, frame): (CameraId, u64),
-        stamp: Timestamp,
-        received: Timestamp,
-        max_lead_ns: i64,
-    ) -> StampVerdict {
+    pub(in crate::world) fn judge(&mut self, frame: &FrameStamp, max_lead_ns: i64) -> StampVerdict {
+        let FrameStamp { camera: id, number, stamp, received } = *frame;
         let raw_ns = stamp.ns_since(received);
         let Some(camera) = self.cameras.get_mut(&id) else {
             let is_foreign = raw_ns > max_lead_ns || raw_ns < -EPOCH_NS;
             let base_ns = if is_foreign { raw_ns.saturating_add(LATENCY_NS) } else { 0 };
-            let newest = LastStamp { frame, stamp, ahead_ns: raw_ns.saturating_sub(base_ns) };
+            let newest = LastStamp { number, stamp, ahead_ns: raw_ns.saturating_sub(base_ns) };
             self.cameras.insert(id, Camera { base_ns, newest, step: None });
             return if is_foreign {
                 StampVerdict::Stepped(base_ns)
@@ -90,7 +86,7 @@ impl StampCorrector {
         };
         let ahead_ns = raw_ns.saturating_sub(camera.base_ns);
         let newest = camera.newest;
-        let is_next = frame > newest.frame;
+        let is_next = number > newest.number;
         let went_back = is_next
             && stamp < newest.stamp
             && newest.ahead_ns.saturating_sub(ahead_ns) > MIN_STEP_NS;
@@ -99,7 +95,7 @@ impl StampCorrector {
         if ahead_ns <= max_lead_ns && !went_back && !agrees {
             camera.step = None;
             if is_next {
-                camera.newest = LastStamp { frame, stamp, ahead_ns };
+                camera.newest = LastStamp { number, stamp, ahead_ns };
             }
             return StampVerdict::Valid(camera.base_ns);
         }
@@ -114,7 +110,7 @@ impl StampCorrector {
         let moved_ns = step.ahead_ns.saturating_sub(newest.ahead_ns);
         camera.base_ns = camera.base_ns.saturating_add(moved_ns);
         camera.step = None;
-        camera.newest = LastStamp { frame, stamp, ahead_ns: ahead_ns.saturating_sub(moved_ns) };
+        camera.newest = LastStamp { number, stamp, ahead_ns: ahead_ns.saturating_sub(moved_ns) };
         StampVerdict::Stepped(camera.base_ns)
     }
 }

@@ -15,6 +15,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
+use super::frame_stamp::FrameStamp;
 use roundel_vision::{id::CameraId, time::Timestamp};
 
 /// Duration for which rejected frames must agree to restart the timeline.
@@ -23,6 +24,13 @@ const ADOPT_AFTER_NS: i64 = 1_000_000_000;
 const ADOPT_FRAMES: u32 = 10;
 /// Frames remembered per camera to detect duplicates; at 1 kHz they cover the late window.
 const REMEMBERED_FRAMES: usize = 512;
+
+/// Limits for the times of frames, as in [`FusionParams`](crate::world::FusionParams).
+#[derive(Clone, Copy, Debug)]
+pub(in crate::world) struct TimeLimits {
+    pub(in crate::world) late_window_ns: i64,
+    pub(in crate::world) max_lead_ns: i64,
+}
 
 /// Verdict about a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,22 +75,23 @@ impl Timeline {
         self.newest.map(|newest| newest.capture)
     }
 
-    /// Judges a frame and remembers it. `stamp` is the camera's, `capture` the corrected time.
+    /// Judges a frame and remembers it. `capture` is its corrected time.
     pub(in crate::world) fn judge(
         &mut self,
-        (camera, frame, stamp): (CameraId, u64, Timestamp),
+        frame: &FrameStamp,
         capture: Timestamp,
-        received: Timestamp,
-        (late_window_ns, max_lead_ns): (i64, i64),
+        limits: TimeLimits,
     ) -> Verdict {
+        let FrameStamp { camera, number, stamp, received } = *frame;
+        let TimeLimits { late_window_ns, max_lead_ns } = limits;
         let frames = self.recent_frames.entry(camera).or_default();
-        if frames.iter().any(|&(number, time)| number == frame || time == stamp) {
+        if frames.iter().any(|&(other, time)| other == number || time == stamp) {
             return Verdict::Duplicate;
         }
         if frames.len() == REMEMBERED_FRAMES {
             frames.pop_front();
         }
-        frames.push_back((frame, stamp));
+        frames.push_back((number, stamp));
         let now = FrameInstant { capture, received };
         let Some(newest) = self.newest else {
             self.newest = Some(now);
@@ -148,8 +157,8 @@ fn lead_ns(now: &FrameInstant, then: &FrameInstant) -> i64 {
 mod tests {
     use super::*;
 
-    const LATE_WINDOW_NS: i64 = 100_000_000;
-    const MAX_LEAD_NS: i64 = 1_000_000_000;
+    const LIMITS: TimeLimits =
+        TimeLimits { late_window_ns: 100_000_000, max_lead_ns: 1_000_000_000 };
     const FRAME_NS: i64 = 66_000_000;
 
     struct Feed(Timeline, u64);
@@ -158,8 +167,9 @@ mod tests {
         fn frame(&mut self, camera: u32, capture_ns: i64, received_ns: i64) -> Verdict {
             self.1 += 1;
             let [capture, received] = [capture_ns, received_ns].map(Timestamp::from_ns);
-            let source = (CameraId(camera), self.1, capture);
-            self.0.judge(source, capture, received, (LATE_WINDOW_NS, MAX_LEAD_NS))
+            let camera = CameraId(camera);
+            let frame = FrameStamp { camera, number: self.1, stamp: capture, received };
+            self.0.judge(&frame, capture, LIMITS)
         }
     }
 

@@ -11,7 +11,9 @@ use crate::{
         identity::Subject,
         identity::body_number,
         lifecycle::Track,
-        measurement::{MeasurementReject, StampCorrection, add_camera_pose_error, measure},
+        measurement::{
+            FrameId, MeasurementReject, StampCorrection, add_camera_pose_error, measure,
+        },
     },
 };
 use roundel_vision::{
@@ -22,7 +24,7 @@ use roundel_vision::{
 };
 
 impl FusionCounts {
-    pub(super) fn count_refused(&mut self, reject: MeasurementReject) {
+    pub(super) fn count_reject(&mut self, reject: MeasurementReject) {
         match reject {
             MeasurementReject::NoPose => self.no_pose += 1,
             MeasurementReject::Invalid => self.invalid += 1,
@@ -41,22 +43,23 @@ impl Fusion {
     pub(super) fn take_part(
         &mut self,
         detection: &Detection,
-        (camera, frame): (CameraId, u64),
+        frame: FrameId,
         camera_pose: &ExposurePose,
-        (correction, now): (StampCorrection, Timestamp),
+        correction: StampCorrection,
+        now: Timestamp,
     ) -> bool {
-        let Some((part, is_new)) = self.bodies.part_of(detection, camera, now) else {
+        let Some((part, is_new)) = self.bodies.part_of(detection, frame.camera, now) else {
             return false;
         };
         // The error of the camera pose is common to all parts: it is added last.
         let zero = Covariance6::zeros();
         let exact = ExposurePose { systematic: zero, fresh: zero, ..*camera_pose };
-        match measure(detection, (camera, frame), &exact, correction, &self.params) {
+        match measure(detection, frame, &exact, correction, &self.params) {
             Ok(measurement) => self.bodies.add_part(part, measurement),
-            Err(reject) => self.counts.count_refused(reject),
+            Err(reject) => self.counts.count_reject(reject),
         }
         if is_new {
-            self.absorb(camera, detection.track, now);
+            self.absorb(frame.camera, detection.track, now);
         }
         true
     }
@@ -70,7 +73,11 @@ impl Fusion {
             let of_body = self.tracks.iter().filter(|track| track.subject == subject);
             let track = of_body.max_by_key(|track| (!track.is_tentative(), track.newest));
             let expected = track.map(|track| {
-                PredictedPose::of(track, &parts[0].measurement, self.params.predicted_after_ns)
+                PredictedPose::from_track(
+                    track,
+                    &parts[0].measurement,
+                    self.params.predicted_after_ns,
+                )
             });
             let share = self.params.systematic_share.clamp(0.0, 1.0);
             let Some((measurement, left_out)) = joint_measurement(parts, expected.as_ref(), share)

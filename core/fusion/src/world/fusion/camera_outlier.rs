@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::Fusion;
 use crate::{
-    track::{Kalman, Measurement, Retraction, invert_positive},
+    track::{Measurement, Retraction, invert_positive},
     world::{
         HeldBack,
         association::{Decision, Sighting},
@@ -65,7 +65,8 @@ impl Fusion {
     /// Whether the frame with these sightings is used.
     pub(super) fn admits(
         &mut self,
-        (camera, time): (CameraId, Timestamp),
+        camera: CameraId,
+        time: Timestamp,
         decisions: &[Decision],
     ) -> bool {
         let max_held_ns = self.params.held_back_ns;
@@ -94,8 +95,8 @@ impl Fusion {
                     && exempt.binary_search(&other).is_err()
                     && trust.rank(other) >= rank
             };
-            let inquired = sightings.iter().zip(decisions).skip(skipped).step_by(every);
-            let each = inquired.filter_map(|(sighting, decision)| {
+            let selected = sightings.iter().zip(decisions).skip(skipped).step_by(every);
+            let each = selected.filter_map(|(sighting, decision)| {
                 let index = decision.map(|(track, _)| track);
                 let track = &tracks[index.or_else(|| claimed_track(tracks, sighting))?];
                 let residual = object_residual(track, sighting, queried, clocks)?;
@@ -107,8 +108,7 @@ impl Fusion {
             residuals.clear();
             residuals.extend(each);
         };
-        let admission =
-            self.camera_outliers.judge((camera, time), innovations, max_held_ns, gather);
+        let admission = self.camera_outliers.judge(camera, time, innovations, max_held_ns, gather);
         if admission == Admission::Consistent {
             self.confirm(decisions);
         }
@@ -123,9 +123,9 @@ impl Fusion {
             let shared = decisions.iter().flatten().filter(|(track, _)| is_shared(*track));
             shared.count() >= MIN_CONFIRMED
         };
-        let supporting =
+        let confirmed =
             self.camera_outliers.unconfirmed().find(|(camera, since)| sees(*camera, *since));
-        if let Some((camera, _)) = supporting {
+        if let Some((camera, _)) = confirmed {
             self.camera_outliers.confirm(camera);
         }
     }
@@ -176,24 +176,25 @@ fn object_residual(
     is_queried: impl Fn(CameraId) -> bool,
     clocks: &Clocks,
 ) -> Option<ObjectResidual> {
-    let seen = &sighting.measurement;
+    let measurement = &sighting.measurement;
     if track.is_tentative() {
         return None;
     }
     // PERF: measurements lie most of a kilobyte apart in memory, so the search stops when all expected cameras
     // are found.
-    let since = seen.time.plus_seconds(-MAX_VIEW_AGE_S);
+    let since = measurement.time.plus_seconds(-MAX_VIEW_AGE_S);
     let expected = track.seen_since(since).filter(|&camera| is_queried(camera)).count();
     let expected = expected.min(MAX_OTHERS);
     let kalman = &track.history.newest().motion.agile().kalman;
     let mut others = [None; MAX_OTHERS];
     let (mut count, mut precision, mut weighted_sum) = (0, Matrix3::zeros(), Vector3::zeros());
-    let kalman_rate = (kalman, invert_positive(&kalman.spread.rate).map(|(weight, _)| weight));
+    let track_velocity = Velocity { rate_m_s: kalman.rate, covariance: kalman.covariance.rate };
+    let track_weight = invert_positive(&track_velocity.covariance).map(|(weight, _)| weight);
     let acceleration_m2_s4 = track.model.acceleration_density_m2_s3 * ACCELERATION_RATE_HZ;
     let mut views = track.history.measurements().rev().take(2 * MAX_MEASUREMENTS);
     for _ in 0..MAX_MEASUREMENTS {
         let Some(view) = views.next().filter(|_| count < expected) else { break };
-        let dt = seen.time.seconds_since(view.time);
+        let dt = measurement.time.seconds_since(view.time);
         if dt > MAX_VIEW_AGE_S {
             break;
         }
@@ -202,23 +203,30 @@ fn object_residual(
             continue;
         }
         let curvature = acceleration_m2_s4 * (0.25 * dt.powi(4));
-        let (rate, rate_covariance) =
-            velocity(view, views.clone(), &kalman_rate, &acceleration_m2_s4);
-        let timing_s = clocks.deviation_s(seen.camera, view.camera);
+        let Velocity { rate_m_s, covariance: rate_covariance } =
+            velocity(view, views.clone(), &track_velocity, track_weight, &acceleration_m2_s4);
+        let timing_s = clocks.deviation_s(measurement.camera, view.camera);
         let covariance = view.position_noise.total
             + rate_covariance * (dt * dt)
             + kalman.rate * kalman.rate.transpose() * (timing_s * timing_s)
             + Matrix3::from_diagonal(&curvature);
         let Some((weight, _)) = invert_positive(&covariance) else { continue };
         precision += weight;
-        weighted_sum += weight * (view.position_m + rate * dt);
+        weighted_sum += weight * (view.position_m + rate_m_s * dt);
         others[count] = Some(view.camera);
         count += 1;
     }
     let (covariance, _) = invert_positive(&precision)?;
-    let (weight, _) = invert_positive(&(covariance + seen.position_noise.total))?;
-    let residual_m = seen.position_m - covariance * weighted_sum;
-    Some(ObjectResidual { arm_m: seen.position_m, residual_m, weight, others })
+    let (weight, _) = invert_positive(&(covariance + measurement.position_noise.total))?;
+    let residual_m = measurement.position_m - covariance * weighted_sum;
+    Some(ObjectResidual { arm_m: measurement.position_m, residual_m, weight, others })
+}
+
+/// Velocity of an object with its covariance.
+#[derive(Clone, Copy)]
+struct Velocity {
+    rate_m_s: Vector3<f64>,
+    covariance: Matrix3<f64>,
 }
 
 /// Velocity of the object at a view, with its covariance: from the same camera's view just before, joined with
@@ -227,14 +235,14 @@ fn object_residual(
 fn velocity<'a>(
     view: &Measurement,
     mut earlier: impl Iterator<Item = &'a Measurement>,
-    (kalman, known_weight): &(&Kalman, Option<Matrix3<f64>>),
+    track: &Velocity,
+    track_weight: Option<Matrix3<f64>>,
     acceleration_m2_s4: &Vector3<f64>,
-) -> (Vector3<f64>, Matrix3<f64>) {
-    let (known_m_s, kalman_rate) = (kalman.rate, kalman.spread.rate);
+) -> Velocity {
     let is_before = |it: &&Measurement| it.camera == view.camera && it.time < view.time;
     let before = earlier.find(is_before);
     let Some(before) = before.filter(|it| view.time.seconds_since(it.time) < MAX_STEP_S) else {
-        return (known_m_s, kalman_rate);
+        return *track;
     };
     let step_s = view.time.seconds_since(before.time);
     let fresh = |it: &Measurement| {
@@ -245,10 +253,11 @@ fn velocity<'a>(
     let curvature = Matrix3::from_diagonal(&(acceleration_m2_s4 * (0.25 * step_s * step_s)));
     let own = (fresh(view) + fresh(before)) / (step_s * step_s) + curvature;
     let own_m_s = (view.position_m - before.position_m) / step_s;
-    let joined = invert_positive(&own).zip(*known_weight).and_then(|((own_weight, _), weight)| {
+    let joined = invert_positive(&own).zip(track_weight).and_then(|((own_weight, _), weight)| {
         let (covariance, _) = invert_positive(&(own_weight + weight))?;
-        Some((covariance * (own_weight * own_m_s + weight * known_m_s), covariance))
+        let rate_m_s = covariance * (own_weight * own_m_s + weight * track.rate_m_s);
+        // Its error is correlated with the view's.
+        Some(Velocity { rate_m_s, covariance: covariance * 2.0 })
     });
-    // Its error is correlated with the view's.
-    joined.map_or((known_m_s, kalman_rate), |(rate_m_s, covariance)| (rate_m_s, covariance * 2.0))
+    joined.unwrap_or(*track)
 }

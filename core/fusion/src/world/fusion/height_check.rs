@@ -1,7 +1,7 @@
 //! Configured heights of objects on a floor, compared with what cameras measure.
 
 use super::{Fusion, MotionClass};
-use crate::world::{WrongHeight, identity::Subject};
+use crate::world::{WrongHeight, height_check::ConstrainedHeight, identity::Subject};
 
 impl Fusion {
     /// Takes the wrong heights found since the last call. Each is reported once, until cameras agree with it
@@ -14,19 +14,21 @@ impl Fusion {
     pub(super) fn check_heights(&mut self) {
         for index in 0..self.sightings.len() {
             let subject = self.sightings[index].subject;
-            if let Some(heights_m) = self.heights_m(&subject) {
-                self.height_checks.observe(subject, &self.sightings[index].measurement, heights_m);
+            if let Some(heights) = self.constrained_height(&subject) {
+                self.height_checks.observe(subject, &self.sightings[index].measurement, heights);
             }
         }
     }
 
     /// Heights to which the tracked point and the origin of a subject are constrained.
-    fn heights_m(&self, subject: &Subject) -> Option<(f64, f64)> {
+    fn constrained_height(&self, subject: &Subject) -> Option<ConstrainedHeight> {
         if let Some(body) = subject.body {
-            return self.bodies.heights_m(body);
+            return self.bodies.constrained_height(body);
         }
         match self.classes.get(&subject.kind?)? {
-            MotionClass::Ground { height_m: Some(height_m) } => Some((*height_m, *height_m)),
+            MotionClass::Ground { height_m: Some(height_m) } => {
+                Some(ConstrainedHeight { tracked_m: *height_m, configured_m: *height_m })
+            }
             MotionClass::Ground { height_m: None } | MotionClass::Free => None,
         }
     }

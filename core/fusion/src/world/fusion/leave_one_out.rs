@@ -33,12 +33,14 @@ impl Fusion {
     pub fn compare(
         &self,
         camera: CameraId,
-        (now, window_ns): (Timestamp, i64),
-        (turn, most): (usize, usize),
+        now: Timestamp,
+        window_ns: i64,
+        first: usize,
+        max: usize,
     ) -> Vec<Compared> {
         let since = now.plus_ns(-window_ns);
         let count = self.tracks.len().max(1);
-        let (before, after) = self.tracks.split_at(turn % count);
+        let (before, after) = self.tracks.split_at(first % count);
         let tracks = after.iter().chain(before);
         let seen = tracks.filter(|track| {
             !track.is_tentative() && track.seen_by(camera).is_some_and(|time| time >= since)
@@ -59,7 +61,7 @@ impl Fusion {
             let others_m = others.estimate(time, &track.model).motion.position_m;
             Some(Compared { time, seen_m, others_m })
         });
-        compared.take(most).collect()
+        compared.take(max).collect()
     }
 }
 
@@ -134,7 +136,7 @@ mod tests {
     fn a_camera_that_is_off_is_off_from_the_others() {
         let (fusion, end) = seen_by(&[0.0, 0.0, 0.006]);
         let off_m = |camera| {
-            let compared = fusion.compare(CameraId(camera), (end, WINDOW_NS), (0, 8));
+            let compared = fusion.compare(CameraId(camera), end, WINDOW_NS, 0, 8);
             assert_eq!(compared.len(), 1, "one object is there");
             compared[0].seen_m.x - compared[0].others_m.x
         };
@@ -148,15 +150,16 @@ mod tests {
     fn one_alone_has_nothing_to_be_compared_with() {
         let (mut fusion, end) = seen_by(&[0.0]);
         assert_eq!(fusion.snapshot(end.plus_ns(20_000_000)).objects.len(), 1, "it is followed");
-        assert_eq!(fusion.compare(CameraId(0), (end, WINDOW_NS), (0, 8)), Vec::new());
+        assert_eq!(fusion.compare(CameraId(0), end, WINDOW_NS, 0, 8), Vec::new());
     }
 
     #[test]
     fn what_was_seen_before_is_left_out_and_no_more_told_than_wanted() {
         let (fusion, end) = seen_by(&[0.0, 0.0]);
         let late = end.plus_ns(2 * WINDOW_NS);
-        let count =
-            |camera, now, turn| fusion.compare(CameraId(camera), (now, WINDOW_NS), turn).len();
+        let count = |camera, now, (first, max)| {
+            fusion.compare(CameraId(camera), now, WINDOW_NS, first, max).len()
+        };
         assert_eq!(count(0, end, (0, 8)), 1);
         assert_eq!(count(0, end, (5, 8)), 1, "turns go round");
         assert_eq!(count(0, end, (0, 0)), 0);

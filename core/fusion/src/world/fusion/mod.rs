@@ -25,20 +25,16 @@ use super::{
     association::{Scratch, Sighting, associate},
     body::Bodies,
     camera_outlier::CameraOutliers,
-    clock::MissingFrames,
-    clock::{ClockEstimate, ClockPrior, Clocks},
-    clock::{StampCorrector, StampVerdict},
-    clock::{Timeline, Verdict},
+    clock::{
+        ClockEstimate, ClockPrior, Clocks, FrameStamp, MissingFrames, StampCorrector, StampVerdict,
+        TimeLimits, Timeline, Verdict,
+    },
     counts::FusionCounts,
     height_check::HeightChecks,
-    identity::CARRIER_NUMBER,
-    identity::{Mark, Subject},
-    lifecycle::Track,
-    lifecycle::Trust,
-    lifecycle::{Claim, IdRegistry},
+    identity::{CARRIER_NUMBER, Mark, Subject},
+    lifecycle::{Claim, IdRegistry, Track, Trust},
     measurement::StampCorrection,
-    mobile_camera::Landmark,
-    mobile_camera::MobileCameras,
+    mobile_camera::{Landmark, MobileCameras},
     snapshot::object_state,
 };
 use crate::track::{Inserted, Measurement};
@@ -169,17 +165,19 @@ impl Fusion {
         let detections = frame.detections.len() as u64;
         self.counts.frames += 1;
         self.counts.detections += detections;
-        let times = (frame.capture_time, frame.received_time);
-        self.counts.missing_frames += self.missing_frames.observe(frame.camera, frame.frame, times);
-        let limits = (self.params.late_window_ns, self.params.max_lead_ns);
-        let Some(correction) = self.stamp_correction(frame) else {
+        let stamp = FrameStamp::from(frame);
+        self.counts.missing_frames += self.missing_frames.observe(stamp);
+        let limits = TimeLimits {
+            late_window_ns: self.params.late_window_ns,
+            max_lead_ns: self.params.max_lead_ns,
+        };
+        let Some(correction) = self.stamp_correction(&stamp) else {
             self.counts.jumped_frames += 1;
             self.counts.jumped += detections;
             return;
         };
         let capture_time = correction.corrected(frame.capture_time);
-        let source = (frame.camera, frame.frame, frame.capture_time);
-        match self.timeline.judge(source, capture_time, frame.received_time, limits) {
+        match self.timeline.judge(&stamp, capture_time, limits) {
             Verdict::Use => {}
             Verdict::Restart => self.restart(),
             Verdict::Duplicate => {
@@ -247,37 +245,31 @@ impl Fusion {
     }
 
     /// Correction of the frame's stamps; `None` if they are rejected.
-    fn stamp_correction(&mut self, frame: &FrameObservations) -> Option<StampCorrection> {
-        let (source, received) = ((frame.camera, frame.frame), frame.received_time);
-        let stamp = frame.capture_time;
-        self.clocks.find_or_insert(frame.camera);
-        let base_ns =
-            match self.stamp_corrector.judge(source, stamp, received, self.params.max_lead_ns) {
-                StampVerdict::Valid(base_ns) => base_ns,
-                StampVerdict::Stepped(base_ns) => {
-                    self.counts.clock_steps += 1;
-                    let offset_s = self.clocks.offset_s(frame.camera, received);
-                    let correction = StampCorrection { base_ns, offset_s };
-                    self.clocks.note_clock_step(frame.camera, correction.corrected(stamp));
-                    base_ns
-                }
-                StampVerdict::Rejected => return None,
-            };
-        Some(StampCorrection { base_ns, offset_s: self.clocks.offset_s(frame.camera, received) })
+    fn stamp_correction(&mut self, frame: &FrameStamp) -> Option<StampCorrection> {
+        let &FrameStamp { camera, stamp, received, .. } = frame;
+        self.clocks.find_or_insert(camera);
+        let base_ns = match self.stamp_corrector.judge(frame, self.params.max_lead_ns) {
+            StampVerdict::Valid(base_ns) => base_ns,
+            StampVerdict::Stepped(base_ns) => {
+                self.counts.clock_steps += 1;
+                let offset_s = self.clocks.offset_s(camera, received);
+                let correction = StampCorrection { base_ns, offset_s };
+                self.clocks.note_clock_step(camera, correction.corrected(stamp));
+                base_ns
+            }
+            StampVerdict::Rejected => return None,
+        };
+        Some(StampCorrection { base_ns, offset_s: self.clocks.offset_s(camera, received) })
     }
 
     /// Assigns each sighting to a track, or starts one. With `complete_at`, the sightings are all that the camera
     /// detected in its frame of that time.
     fn assign(&mut self, camera: CameraId, complete_at: Option<Timestamp>, now: Timestamp) {
         let is_mobile = self.mobile_cameras.contains(camera);
-        let decisions = associate(
-            &self.tracks,
-            &self.sightings,
-            (&self.params, &self.clocks),
-            &mut self.scratch,
-        );
+        let decisions =
+            associate(&self.tracks, &self.sightings, &self.params, &self.clocks, &mut self.scratch);
         if let Some(time) = complete_at.filter(|_| !is_mobile)
-            && !self.admits((camera, time), &decisions)
+            && !self.admits(camera, time, &decisions)
         {
             self.counts.held_frames += 1;
             self.counts.held += self.sightings.len() as u64;
@@ -287,14 +279,14 @@ impl Fusion {
         let forgotten = now.plus_ns(-self.params.late_window_ns);
         let known = self.tracks.len();
         let mut claims = Vec::new();
-        let mut measurement = vec![false; known];
+        let mut is_observed = vec![false; known];
         // Taken out to avoid copies.
         let mut sightings = std::mem::take(&mut self.sightings);
         for (sighting, decision) in sightings.iter_mut().zip(&decisions) {
             let is_mobile = is_mobile && sighting.measurement.number != CARRIER_NUMBER;
             if is_mobile && self.mobile_cameras.is_carrier(&sighting.subject, sighting.code) {
                 self.counts.of_carriers += 1;
-                decision.iter().for_each(|&(track, _)| measurement[track] = true);
+                decision.iter().for_each(|&(track, _)| is_observed[track] = true);
                 continue;
             }
             let Some((track, innovation)) = *decision else {
@@ -303,7 +295,7 @@ impl Fusion {
                 }
                 continue;
             };
-            measurement[track] = true;
+            is_observed[track] = true;
             let track = &mut self.tracks[track];
             if self.trust.is_outranked(camera, track, sighting.measurement.time) {
                 self.counts.outranked += 1;
@@ -342,8 +334,8 @@ impl Fusion {
             }
         }
         self.sightings = sightings;
-        for (track, measurement) in self.tracks[..known].iter_mut().zip(measurement) {
-            if let Some(time) = complete_at.filter(|_| !measurement) {
+        for (track, is_observed) in self.tracks[..known].iter_mut().zip(is_observed) {
+            if let Some(time) = complete_at.filter(|_| !is_observed) {
                 track.miss(camera, time);
             }
         }
@@ -357,9 +349,9 @@ impl Fusion {
     fn identify(&mut self, id: ObjectId, mark: Mark, event: Option<Event>, now: Timestamp) {
         let Some(index) = self.tracks.iter().position(|track| track.id == id) else { return };
         self.tracks[index].claimed_mark = Some(mark);
-        let fresh = (now, self.params.predicted_after_ns);
+        let fresh_since = now.plus_ns(-self.params.predicted_after_ns);
         let (object, kind, replaced) =
-            match self.id_registry.claim(&self.tracks, index, mark, &self.trust, fresh) {
+            match self.id_registry.claim(&self.tracks, index, mark, &self.trust, fresh_since) {
                 Claim::Own => return event.into_iter().for_each(|event| self.push_event(event)),
                 Claim::Ambiguous => {
                     self.counts.ambiguous_codes += 1;

@@ -12,20 +12,32 @@ use super::{Fusion, FusionParams, MotionClass};
 use crate::world::{
     Body, BodyError, Carrier, Mount,
     body::Bodies,
-    identity::CodeVote,
-    identity::body_number,
-    identity::{Mark, Subject},
+    identity::{CodeVote, Mark, Subject, body_number},
+    lifecycle::Track,
 };
 use roundel_vision::{
     id::{BodyId, KindId},
     marker::Code,
 };
 
-/// Kind and code of a body that is a single coded roundel with the same orientation.
-fn single_roundel(shape: Option<&Body>) -> Option<(KindId, Code)> {
-    let Body { mounts, .. } = shape?;
+/// A roundel that its kind and code identify.
+#[derive(Clone, Copy)]
+struct CodedRoundel {
+    kind: KindId,
+    code: Code,
+}
+
+impl CodedRoundel {
+    fn mark(self) -> (Option<KindId>, Mark) {
+        (Some(self.kind), Mark::Code(self.code))
+    }
+}
+
+/// The roundel of a body that is a single coded roundel with the same orientation.
+fn single_roundel(body: Option<&Body>) -> Option<CodedRoundel> {
+    let Body { mounts, .. } = body?;
     let [Mount { kind, code: Some(code), object_from_roundel }] = mounts[..] else { return None };
-    (object_from_roundel.rotation.angle() < 1e-9).then_some((kind, code))
+    (object_from_roundel.rotation.angle() < 1e-9).then_some(CodedRoundel { kind, code })
 }
 
 impl Fusion {
@@ -81,35 +93,35 @@ impl Fusion {
         let (old_single, new_single) = (single_roundel(old.as_ref()), single_roundel(new.as_ref()));
         let mark = (subject.kind, Mark::Body(id));
         match old_single.filter(|_| new.as_ref().is_some_and(|new| new.mounts.is_empty())) {
-            Some((kind, code)) => {
-                self.id_registry.remove(Some(kind), Mark::Code(code));
-                self.id_registry.alias(mark, (Some(kind), Mark::Code(code)));
+            Some(roundel) => {
+                let (kind, code_mark) = roundel.mark();
+                self.id_registry.remove(kind, code_mark);
+                self.id_registry.alias(mark, roundel.mark());
                 self.id_registry.remove(mark.0, mark.1);
                 let motion = old.map(|old| old.motion).unwrap_or_default();
-                self.follow_as_code(id, (kind, code), motion);
+                self.follow_as_code(id, roundel, motion);
             }
             None => {
                 let kind = self.bodies.kind(id);
                 self.id_registry.alias(mark, (kind, Mark::Body(id)));
-                if let Some((kind, code)) = new_single {
-                    let mark = (Some(kind), Mark::Code(code));
-                    self.id_registry.alias(mark, (Some(kind), Mark::Body(id)));
+                if let Some(roundel) = new_single {
+                    self.id_registry.alias(roundel.mark(), (Some(roundel.kind), Mark::Body(id)));
                 }
             }
         }
         self.end_all(&subject);
-        if let Some((kind, code)) = new_single {
-            self.follow_as_body(id, (kind, code), new.map(|new| new.motion).unwrap_or_default());
+        if let Some(roundel) = new_single {
+            self.follow_as_body(id, roundel, new.map(|new| new.motion).unwrap_or_default());
         }
     }
 
     /// Continues the track of a code as that of the body with this roundel.
-    fn follow_as_body(&mut self, id: BodyId, (kind, code): (KindId, Code), motion: MotionClass) {
+    fn follow_as_body(&mut self, id: BodyId, roundel: CodedRoundel, motion: MotionClass) {
+        let CodedRoundel { kind, code } = roundel;
         let subject = Subject { kind: Some(kind), body: None };
         let class = self.classes.get(&kind).copied().unwrap_or_default();
-        let is_followed = |track: &&mut super::Track| {
-            track.subject == subject && track.codes.settled() == Some(code)
-        };
+        let is_followed =
+            |track: &&mut Track| track.subject == subject && track.codes.settled() == Some(code);
         let Some(track) =
             self.tracks.iter_mut().filter(is_followed).max_by_key(|track| track.newest)
         else {
@@ -129,7 +141,8 @@ impl Fusion {
     }
 
     /// Continues the track of a body as that of its code.
-    fn follow_as_code(&mut self, id: BodyId, (kind, code): (KindId, Code), motion: MotionClass) {
+    fn follow_as_code(&mut self, id: BodyId, roundel: CodedRoundel, motion: MotionClass) {
+        let CodedRoundel { kind, code } = roundel;
         let subject = Subject { kind: Some(kind), body: Some(id) };
         let class = self.classes.get(&kind).copied().unwrap_or_default();
         if motion != class || self.bodies.find_roundel(kind, code).is_some() {
@@ -146,7 +159,9 @@ impl Fusion {
         let bodies = &self.bodies;
         track.views.retain_mut(|view| {
             let number = bodies.number_at(view.camera, code);
-            number.into_iter().for_each(|number| view.number = number);
+            if let Some(number) = number {
+                view.number = number;
+            }
             number.is_some()
         });
         track.refresh();
@@ -156,7 +171,7 @@ impl Fusion {
         self.end_where(|track| track.subject == *subject);
     }
 
-    fn end_where(&mut self, ends: impl Fn(&super::Track) -> bool) {
+    fn end_where(&mut self, ends: impl Fn(&Track) -> bool) {
         while let Some(index) = self.tracks.iter().position(&ends) {
             let mut gone = self.tracks.remove(index);
             let known = !gone.is_tentative();

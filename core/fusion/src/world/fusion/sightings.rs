@@ -6,7 +6,7 @@ use crate::world::{
     association::Sighting,
     camera_pose::ExposurePose,
     identity::Subject,
-    measurement::{StampCorrection, measure},
+    measurement::{FrameId, StampCorrection, measure},
     mobile_camera::Landmark,
     mobile_camera::LocalizationInput,
     mobile_camera::{CameraMount, Carrier, CarrierState, Unplaced},
@@ -39,12 +39,12 @@ impl Fusion {
     /// [`Self::set_camera`].
     pub fn set_mount(&mut self, camera: CameraId, mount: Option<CameraMount>) {
         self.clocks.set_moving(camera, mount.is_some());
-        let mount = mount.map(|mount| self.on_what_is_followed(mount));
+        let mount = mount.map(|mount| self.relative_to_tracked_point(mount));
         self.mobile_cameras.set(camera, mount);
     }
 
     /// The mount relative to the point that the track follows; on the body that has the roundel, if there is one.
-    fn on_what_is_followed(&self, mut mount: CameraMount) -> CameraMount {
+    fn relative_to_tracked_point(&self, mut mount: CameraMount) -> CameraMount {
         if let Carrier::Roundel { kind, code } = mount.carrier
             && let Some((body, object_from_roundel)) = self.bodies.find_roundel(kind, code)
         {
@@ -73,7 +73,7 @@ impl Fusion {
             return self.cameras.get(&camera).copied().ok_or(Unplaced::Unknown);
         }
         let (world_from_camera, covariance) =
-            self.mobile_cameras.carrier_state(camera, &mut self.tracks, (time, 0.0))?.mean_pose();
+            self.mobile_cameras.carrier_state(camera, &mut self.tracks, time, 0.0)?.mean_pose();
         Ok(CameraPlacement { world_from_camera, covariance })
     }
 
@@ -100,7 +100,7 @@ impl Fusion {
                 (Subject { kind: self.bodies.kind(body), body: Some(body) }, None)
             }
         };
-        let view = LocalizationInput {
+        let input = LocalizationInput {
             frame,
             correction,
             mount,
@@ -110,7 +110,7 @@ impl Fusion {
             landmarks,
             params,
         };
-        let found = mobile.localizer.localize(&view);
+        let found = mobile.localizer.localize(&input);
         self.counts.of_landmarks += found.landmarks.len() as u64;
         self.sightings.clear();
         self.sightings.extend(found.sighting);
@@ -128,11 +128,11 @@ impl Fusion {
     ) -> Result<CarrierState, Unplaced> {
         let clock = self.clocks.estimate(camera);
         let clock_s = clock.map_or(0.0, |clock| clock.deviation_s);
-        self.mobile_cameras.carrier_state(camera, &mut self.tracks, (time, clock_s))
+        self.mobile_cameras.carrier_state(camera, &mut self.tracks, time, clock_s)
     }
 
     /// Pose of the camera at the time of a frame, and the state of its carrier.
-    fn place(
+    fn exposure_pose(
         &mut self,
         camera: CameraId,
         time: Timestamp,
@@ -161,8 +161,8 @@ impl Fusion {
         landmarks: &[TrackNumber],
     ) -> bool {
         let (mut camera_pose, carrier) =
-            match self.place(frame.camera, correction.corrected(frame.capture_time)) {
-                Ok(place) => place,
+            match self.exposure_pose(frame.camera, correction.corrected(frame.capture_time)) {
+                Ok(pose) => pose,
                 Err(reason) => {
                     self.counts.count_unplaced(reason, frame.detections.len() - landmarks.len());
                     return false;
@@ -189,22 +189,22 @@ impl Fusion {
                 self.counts.duplicate += 1;
                 continue;
             }
-            let source = (frame.camera, frame.frame);
+            let frame_id = FrameId { camera: frame.camera, number: frame.frame };
             let ring = &detection.ring;
             let code = ring.code.map(|reading| reading.code);
             if let Some(carrier) = &carrier {
                 camera_pose = carrier.pose_at(correction.corrected(detection.capture_time));
             }
-            if self.take_part(detection, source, &camera_pose, (correction, now)) {
+            if self.take_part(detection, frame_id, &camera_pose, correction, now) {
                 continue;
             }
-            match measure(detection, source, &camera_pose, correction, &self.params) {
+            match measure(detection, frame_id, &camera_pose, correction, &self.params) {
                 Ok(measurement) => {
                     let subject = Subject { kind: ring.kind, body: None };
                     self.numbers.push(detection.track);
                     self.sightings.push(Sighting { subject, code, measurement });
                 }
-                Err(reject) => self.counts.count_refused(reject),
+                Err(reject) => self.counts.count_reject(reject),
             }
         }
         self.join_parts(&camera_pose);

@@ -55,15 +55,15 @@ impl IdRegistry {
         self.by_mark.remove(&(kind, mark));
     }
 
-    /// Decides whether the track at `index` gets the id of its mark. A track counts as observed for `fresh_ns`,
-    /// except one of the same body that was not observed since this one began.
+    /// Decides whether the track at `index` gets the id of its mark. A track counts as observed if it was so
+    /// since `fresh_since`, except one of the same body that was not observed since this one began.
     pub(in crate::world) fn claim(
         &mut self,
         tracks: &[Track],
         index: usize,
         mark: Mark,
         trust: &Trust,
-        (now, fresh_ns): (Timestamp, i64),
+        fresh_since: Timestamp,
     ) -> Claim {
         let track = &tracks[index];
         let id = *self.by_mark.entry((track.subject.kind, mark)).or_insert(track.id);
@@ -76,7 +76,7 @@ impl IdRegistry {
                 let newest = tracks[other].newest;
                 let is_other_track_old = track.subject.body.is_some() && newest < track.first;
                 let is_outranked = trust.of_track(&tracks[other]) < trust.of_track(track);
-                if is_other_track_old || is_outranked || now.ns_since(newest) > fresh_ns {
+                if is_other_track_old || is_outranked || newest < fresh_since {
                     Claim::Moved(other, id)
                 } else {
                     Claim::Ambiguous

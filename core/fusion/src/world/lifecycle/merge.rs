@@ -62,7 +62,7 @@ fn are_in_one_frame(a: &Track, b: &Track) -> bool {
 fn are_at_one_place(a: &Track, b: &Track, apart_m: &Vector3<f64>, now: Timestamp) -> bool {
     let [of_a, of_b] = [a, b].map(|track| {
         let newest = track.history.newest();
-        let mut spread = newest.motion.agile().kalman.spread;
+        let mut spread = newest.motion.agile().kalman.covariance;
         let dt = now.seconds_since(newest.time);
         spread.predict(dt, &track.model.acceleration_density_m2_s3);
         spread.value

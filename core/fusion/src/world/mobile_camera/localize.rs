@@ -332,7 +332,7 @@ impl LocalizationInput<'_> {
             code: self.code,
             measurement: Measurement {
                 time: self.time(),
-                late_s: self.correction.offset_s,
+                clock_correction_s: self.correction.offset_s,
                 camera: self.frame.camera,
                 frame: self.frame.frame,
                 number: CARRIER_NUMBER,

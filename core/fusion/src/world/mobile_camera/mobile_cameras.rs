@@ -70,15 +70,16 @@ impl MobileCameras {
         &self,
         camera: CameraId,
         tracks: &mut [Track],
-        (time, clock_s): (Timestamp, f64),
+        time: Timestamp,
+        clock_s: f64,
     ) -> Result<CarrierState, Unplaced> {
         let mobile = self.cameras.get(&camera).ok_or(Unplaced::Unknown)?;
         let index =
             find_carrier_track(&mobile.mount.carrier, tracks).ok_or(Unplaced::CarrierUnseen)?;
         let track = &mut tracks[index];
         let model = track.model;
-        let estimate = track.history.state_at(time, &model);
-        let attitude = estimate.attitude.estimate(0.0, &model);
+        let state = track.history.state_at(time, &model);
+        let attitude = state.attitude.estimate(0.0, &model);
         if attitude.yaw_symmetry != Some(1) {
             return Err(Unplaced::CarrierWithoutYaw);
         }
@@ -86,12 +87,6 @@ impl MobileCameras {
         if turn > MAX_ROTATION_DEVIATION_RAD * MAX_ROTATION_DEVIATION_RAD {
             return Err(Unplaced::CarrierUncertain);
         }
-        Ok(CarrierState {
-            estimate,
-            model,
-            mount: mobile.mount,
-            period_s: mobile.period_s,
-            clock_s,
-        })
+        Ok(CarrierState { state, model, mount: mobile.mount, period_s: mobile.period_s, clock_s })
     }
 }

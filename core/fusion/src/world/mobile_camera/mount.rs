@@ -86,7 +86,7 @@ pub enum Unplaced {
 /// State of a carrier at the time of a frame.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::world) struct CarrierState {
-    pub(super) estimate: FilterState,
+    pub(super) state: FilterState,
     pub(super) model: MotionModel,
     pub(super) mount: CameraMount,
     /// Interval from the camera's frame before, seconds.
@@ -121,9 +121,9 @@ pub(in crate::world) fn find_carrier_track(carrier: &Carrier, tracks: &[Track]) 
 impl CarrierState {
     /// Camera pose at the exposure of a row.
     pub(in crate::world) fn pose_at(&self, time: Timestamp) -> ExposurePose {
-        let mut estimate = self.estimate;
-        estimate.predict(time, &self.model);
-        let Estimate { motion, attitude, .. } = estimate.estimate(time, &self.model);
+        let mut state = self.state;
+        state.predict(time, &self.model);
+        let Estimate { motion, attitude, .. } = state.estimate(time, &self.model);
         let mount = &self.mount;
         let arm_m = attitude.orientation * mount.object_from_camera.translation.vector;
         let world_from_camera = Rigid::from_parts(
@@ -134,9 +134,9 @@ impl CarrierState {
         let turn = attitude.covariance.fixed_view::<3, 3>(0, 0).into_owned();
         let mut parts = [Covariance6::zeros(); 2];
         let systematic =
-            [estimate.motion.systematic_covariance(), estimate.attitude.systematic_covariance()];
+            [state.motion.systematic_covariance(), state.attitude.systematic_covariance()];
         let rates = [motion.velocity_m_s, attitude.angular_velocity_rad_s];
-        let totals = [(motion.spread.value, motion.spread.rate), (turn, turning)];
+        let totals = [(motion.covariance.value, motion.covariance.rate), (turn, turning)];
         for (block, ((value, rate), systematic)) in totals.into_iter().zip(systematic).enumerate() {
             let rest = value - systematic;
             let fresh = rest * self.inflation(&rest, &rate);
@@ -154,14 +154,14 @@ impl CarrierState {
     /// Camera pose at the frame's time, with the covariance of its whole error.
     pub(in crate::world) fn mean_pose(&self) -> (Rigid, Covariance6) {
         let alone = Self { period_s: None, ..*self };
-        let camera_pose = alone.pose_at(self.estimate.time);
+        let camera_pose = alone.pose_at(self.state.time);
         (camera_pose.world_from_camera, camera_pose.systematic + camera_pose.fresh)
     }
 
     /// Standard deviations of the carrier's velocity, m/s, and angular velocity, rad/s, per axis.
     pub(in crate::world) fn rate_deviations(&self) -> (f64, f64) {
-        let motion = self.estimate.motion.estimate(0.0, &self.model).spread.rate;
-        let turning = self.estimate.attitude.estimate(0.0, &self.model).covariance;
+        let motion = self.state.motion.estimate(0.0, &self.model).covariance.rate;
+        let turning = self.state.attitude.estimate(0.0, &self.model).covariance;
         let turning = turning.fixed_view::<3, 3>(3, 3).trace();
         ((motion.trace() / 3.0).max(0.0).sqrt(), (turning / 3.0).max(0.0).sqrt())
     }

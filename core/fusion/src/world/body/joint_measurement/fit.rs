@@ -37,12 +37,12 @@ pub(in crate::world) struct RoundelTerm {
 }
 
 impl RoundelTerm {
-    pub(in crate::world) fn of(
-        seen: &PartMeasurement,
+    pub(in crate::world) fn new(
+        part: &PartMeasurement,
         dt: f64,
         expected: Option<&PredictedPose>,
     ) -> Option<Self> {
-        let PartMeasurement { body_from_roundel: mount, measurement, .. } = *seen;
+        let PartMeasurement { body_from_roundel: mount, measurement, .. } = *part;
         let attitude = &measurement.attitude;
         let first = attitude.likelihood.clamp(1e-3, 1.0 - 1e-3);
         let normal = |index: usize| {
@@ -102,18 +102,25 @@ pub(in crate::world) struct Fit {
     pub(in crate::world) cost: f64,
 }
 
+/// Fits of the best and of the second best choice of normals, if there is one.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::world) struct Fits {
+    pub(in crate::world) best: Fit,
+    pub(in crate::world) second: Option<Fit>,
+}
+
 /// Fits of the best and the second best choice of normals.
 pub(in crate::world) fn best_fits(
     terms: &[RoundelTerm],
     expected: Option<&PredictedPose>,
-) -> Option<(Fit, Option<Fit>)> {
+) -> Option<Fits> {
     let count = terms.len();
     if count > MAX_EXHAUSTIVE {
-        return greedy(terms, expected).map(|fit| (fit, None));
+        return greedy(terms, expected).map(|best| Fits { best, second: None });
     }
     let mut all: Vec<Fit> = (0..1u64 << count).filter_map(|c| fit(terms, c, expected)).collect();
     all.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-    Some((*all.first()?, all.get(1).copied()))
+    Some(Fits { best: *all.first()?, second: all.get(1).copied() })
 }
 
 /// Starts with the likelier normals and switches one at a time while that improves the fit.
