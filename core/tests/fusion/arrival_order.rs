@@ -1,4 +1,4 @@
-//! Within the late window, the order of arrival does not matter.
+//! Within the late window, the order of arrival does not change the result.
 
 use proptest::prelude::*;
 use roundel_core::world::{FusionParams, Snapshot};

@@ -1,4 +1,4 @@
-//! Tracks from first sight to loss, and two tracks of one object.
+//! Tracks from the first detection to loss, and two tracks of one object.
 
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use roundel_core::{
@@ -24,7 +24,7 @@ fn only(objects: &[ObjectState]) -> &ObjectState {
 }
 
 #[test]
-fn an_object_carries_the_code_that_most_cameras_read() {
+fn an_object_has_its_most_frequent_code() {
     let arena = Arena::new(one_still());
     let mut fusion = fusion_of(&arena, FusionParams::default());
     let reading = |number| CodeReading::certain(Code { bits: 8, number }, PixelPoint::default());
@@ -45,30 +45,30 @@ fn an_object_carries_the_code_that_most_cameras_read() {
     let last = frames[frames.len() - 1].capture_time;
     let code = Some(Code { bits: 8, number: 12 });
     assert_eq!(only(&fusion.snapshot(last).objects).code, code);
-    // It keeps it where it is not seen, and until the end.
+    // The code stays while it is not observed, and until it is lost.
     for seconds in [0.5, 2.1] {
         assert_eq!(only(&fusion.snapshot(last.plus_seconds(seconds)).objects).code, code);
     }
 }
 
 #[test]
-fn from_first_sight_to_loss() {
+fn from_first_detection_to_loss() {
     let arena = Arena::new(one_still());
     let mut fusion = fusion_of(&arena, FusionParams::default());
     let frames = arena.frames(1.0);
-    let seen: Vec<_> = frames.iter().filter(|frame| !frame.detections.is_empty()).collect();
-    fusion.observe(seen[0]);
-    let at = seen[0].capture_time;
+    let frames: Vec<_> = frames.iter().filter(|frame| !frame.detections.is_empty()).collect();
+    fusion.observe(frames[0]);
+    let at = frames[0].capture_time;
     assert_eq!(only(&fusion.snapshot(at).objects).stage, LifeStage::Tentative);
     assert_eq!(fusion.drain_events().count(), 0);
-    for frame in &seen[1..] {
+    for frame in &frames[1..] {
         fusion.observe(frame);
     }
-    let last = seen.last().unwrap().capture_time;
+    let last = frames.last().unwrap().capture_time;
     let snapshot = fusion.snapshot(last);
     let object = only(&snapshot.objects);
     assert_eq!((object.stage, object.id), (LifeStage::Tracked, ObjectId(1)));
-    assert_eq!(object.observations, seen.len() as u64);
+    assert_eq!(object.observations, frames.len() as u64);
     assert!(object.cameras.len() > 1 && object.cameras.is_sorted());
     assert_eq!(snapshot.capture_time, Some(last));
     let near = only(&fusion.snapshot(last.plus_seconds(0.1)).objects).covariance.trace();
@@ -83,8 +83,8 @@ fn from_first_sight_to_loss() {
     assert_eq!(kinds, [EventKind::Appeared, EventKind::Predicted, EventKind::Lost]);
     assert_eq!(events[1].time, last.plus_seconds(0.15));
     assert_eq!(events[2].time, last.plus_seconds(2.0));
-    // A new sight of it is a new object.
-    let mut again = seen[0].clone();
+    // Detected again, it is a new object.
+    let mut again = frames[0].clone();
     let shift_s = 4.0;
     again.frame += 1000;
     again.capture_time = again.capture_time.plus_seconds(shift_s);
@@ -95,7 +95,7 @@ fn from_first_sight_to_loss() {
 }
 
 #[test]
-fn clutter_goes_silently() {
+fn clutter_ends_without_events() {
     let setting = Setting { clutter: 1.0, ..one_still() };
     let arena = Arena::new(setting);
     let mut fusion = fusion_of(&arena, FusionParams::default());
@@ -109,7 +109,7 @@ fn clutter_goes_silently() {
 }
 
 #[test]
-fn two_tracks_of_one_object_become_one() {
+fn two_tracks_of_one_object_are_merged() {
     let arena = Arena::new(one_still());
     let mut fusion = fusion_of(&arena, FusionParams::default());
     let cameras: Vec<CameraId> = arena
@@ -118,7 +118,7 @@ fn two_tracks_of_one_object_become_one() {
         .filter(|frame| !frame.detections.is_empty())
         .map(|frame| frame.camera)
         .collect();
-    // One camera stands elsewhere than is believed, and is set right bit by bit.
+    // One camera's stated pose is wrong and is corrected step by step.
     let wrong = cameras[0];
     let right = arena.placements[wrong.0 as usize];
     let mut both = false;
@@ -144,7 +144,7 @@ fn two_tracks_of_one_object_become_one() {
 }
 
 #[test]
-fn a_camera_of_uncertain_place_says_so() {
+fn the_covariance_includes_the_camera_pose() {
     let arena = Arena::new(one_still());
     let frames = arena.frames(3.0);
     let spread = |covariance: Covariance6| {
@@ -159,8 +159,8 @@ fn a_camera_of_uncertain_place_says_so() {
         let snapshot = fusion.snapshot(START.plus_seconds(3.0));
         only(&snapshot.objects).covariance.fixed_view::<3, 3>(0, 0).trace().sqrt()
     };
-    // 5 mm and 1 mrad from 5 m: no number of frames makes the mean of four cameras better than
-    // about 5 mm · √3 / √4.
+    // 5 mm and 1 mrad from 5 m: no number of frames makes the mean of four cameras better than about half of
+    // that.
     let uncertain = spread(Covariance6::from_diagonal_element(25e-6));
     assert!(spread(Covariance6::zeros()) < 0.002);
     assert!(uncertain > 0.004, "{uncertain}");
@@ -181,7 +181,7 @@ fn the_tracked_point_is_offset_along_the_normal() {
     let moved = fusion.snapshot(time).objects[0].clone();
     let expected = plain.position_m + plain.orientation * Vector3::new(0.0, 0.0, -0.1);
     assert!((moved.position_m - expected).norm() < 1e-9);
-    // Without yaw the level part lies on a circle of 50 mm.
+    // Without a yaw the horizontal part lies on a circle of 50 mm.
     let normal = plain.orientation * Vector3::z();
     let level = UnitQuaternion::rotation_between(&Vector3::z(), &normal).unwrap() * Vector3::x();
     let grown = moved.covariance - plain.covariance;
@@ -190,17 +190,17 @@ fn the_tracked_point_is_offset_along_the_normal() {
     assert!(moved.covariance.cholesky().is_some());
 }
 
-/// Its code is read in each frame, and nothing else says who it is.
+/// Frames whose code is always read and alone identifies the object.
 fn coded(arena: &Arena, seconds: f64, number: u16) -> Vec<FrameObservations> {
     let mut frames = arena.frames(seconds);
     let reading = CodeReading::certain(Code { bits: 8, number }, PixelPoint::default());
     for frame in &mut frames {
-        frame.detections.iter_mut().for_each(|seen| seen.ring.code = Some(reading));
+        frame.detections.iter_mut().for_each(|detection| detection.ring.code = Some(reading));
     }
     frames
 }
 
-/// The same, so many seconds later, somewhere else in the world.
+/// The same frames some seconds later at another place.
 fn again(
     arena: &Arena,
     mut frames: Vec<FrameObservations>,
@@ -212,11 +212,11 @@ fn again(
         frame.frame += 100_000;
         frame.capture_time = frame.capture_time.plus_seconds(seconds);
         frame.received_time = frame.received_time.plus_seconds(seconds);
-        for seen in &mut frame.detections {
-            seen.capture_time = seen.capture_time.plus_seconds(seconds);
-            // The camera's tracker has lost it and counts on.
-            seen.track.0 += 1000;
-            let pose = seen.pose.as_mut().unwrap();
+        for detection in &mut frame.detections {
+            detection.capture_time = detection.capture_time.plus_seconds(seconds);
+            // The camera's tracker has lost it and assigns a new number.
+            detection.track.0 += 1000;
+            let pose = detection.pose.as_mut().unwrap();
             pose.position_m += place.rotation.inverse() * moved_m;
         }
     }
@@ -224,10 +224,10 @@ fn again(
 }
 
 #[test]
-fn a_coded_object_that_comes_back_is_the_same() {
+fn a_returning_coded_object_keeps_its_id() {
     use EventKind::{Appeared, Lost, Predicted, Recovered};
     let arena = Arena::new(one_still());
-    // After it was lost, and while it is still predicted where it was seen last.
+    // After it was lost, and while it is still predicted at its old place.
     let cases =
         [(6.0, vec![Appeared, Lost, Appeared]), (2.0, vec![Appeared, Predicted, Recovered])];
     for (pause_s, kinds) in cases {
@@ -250,7 +250,8 @@ fn a_coded_object_that_comes_back_is_the_same() {
     }
 }
 
-/// A robot that comes into view where another may be by now is itself, even if its code is not read at first.
+/// A robot that comes into view where another one may be by now keeps its identity, even if its code is not read
+/// at first.
 #[test]
 fn another_code_where_one_is_predicted_is_another_object() {
     let arena = Arena::new(one_still());
@@ -259,7 +260,7 @@ fn another_code_where_one_is_predicted_is_another_object() {
         coded(&arena, 1.0, 7).iter().for_each(|frame| fusion.observe(frame));
         let mut other = again(&arena, coded(&arena, 1.0, 8), 2.0);
         let without = other.iter_mut().take(unread).flat_map(|frame| &mut frame.detections);
-        without.for_each(|seen| seen.ring.code = None);
+        without.for_each(|detection| detection.ring.code = None);
         other.iter().for_each(|frame| fusion.observe(frame));
         let snapshot = fusion.snapshot(other.last().unwrap().capture_time);
         let number = |object: &ObjectState| object.code.map(|code| code.number);
@@ -274,7 +275,7 @@ fn another_code_where_one_is_predicted_is_another_object() {
 }
 
 #[test]
-fn a_code_that_is_there_twice_stays_two_objects() {
+fn a_duplicate_code_stays_two_objects() {
     let arena = Arena::new(one_still());
     let mut fusion = fusion_of(&arena, FusionParams::default());
     let twin = again(&arena, coded(&arena, 1.0, 7), 0.0);
@@ -288,22 +289,23 @@ fn a_code_that_is_there_twice_stays_two_objects() {
     assert_eq!((fusion.counts().ambiguous_codes, fusion.counts().returned), (1, 0));
 }
 
-/// Two coded robots so near one another that places alone cannot tell them apart.
+/// Two coded robots too near each other to be distinguished by position.
 #[test]
 fn codes_decide_between_neighbours() {
-    // Errors of 40 mm rms: more, and one state in some thousands would be a ghost, 0.12 m off, by mere chance.
+    // Errors of 40 mm rms: with more, one state in some thousands would be 0.12 m off by chance and count as
+    // false.
     let setting = Setting { passing: true, random: false, noise_px: 6.0, ..Setting::default() };
     let arena = Arena::new(Setting { objects: 8, ..setting });
     let run = |with_codes: bool| {
         let mut fusion = fusion_of(&arena, FusionParams::default());
         let mut score = Score::default();
         for mut frame in arena.frames(8.0) {
-            for seen in &mut frame.detections {
-                let code = Code { bits: 8, number: seen.track.0 as u16 };
+            for detection in &mut frame.detections {
+                let code = Code { bits: 8, number: detection.track.0 as u16 };
                 let reading = CodeReading::certain(code, PixelPoint::default());
-                seen.ring.code = with_codes.then_some(reading);
-                // The camera's tracker loses them again and again.
-                seen.track.0 += 1000 * (frame.frame / 15);
+                detection.ring.code = with_codes.then_some(reading);
+                // The camera's tracker loses them repeatedly.
+                detection.track.0 += 1000 * (frame.frame / 15);
             }
             fusion.observe(&frame);
             if frame.frame > 30 {

@@ -1,4 +1,4 @@
-//! Cameras that move: what they see is placed by what carries them.
+//! Cameras on moving objects: their detections are located through their carriers.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use roundel_core::{
@@ -11,12 +11,12 @@ use roundel_core::{
 use super::{
     arena::START,
     roundel_camera::{
-        ABOARD, DRONE, Eye, KIND, STANDING, Tally, carrier, code, downwards, frame, fusion, mount,
-        own, standing_camera,
+        DRONE, ErrorStatistics, KIND, ONBOARD, RoundelCamera, STATIONARY, carrier, code, downwards,
+        frame, fusion, mount, own, stationary_camera,
     },
 };
 
-/// A drone that goes to and fro, turns and leans.
+/// A drone that moves to and fro, turns and leans.
 fn drone(t: f64) -> Rigid {
     let place =
         Vector3::new(1.2 * (0.9 * t).sin(), 0.9 * (0.7 * t).cos(), 2.0 + 0.2 * (1.1 * t).sin());
@@ -25,7 +25,7 @@ fn drone(t: f64) -> Rigid {
     Rigid::from_parts(place.into(), lean)
 }
 
-/// One robot on the floor, driving slowly.
+/// A robot that drives slowly on the floor.
 fn robot(number: u16, t: f64) -> Rigid {
     let at = f64::from(number);
     let place = Vector3::new(
@@ -38,41 +38,44 @@ fn robot(number: u16, t: f64) -> Rigid {
 
 const ROBOTS: std::ops::RangeInclusive<u16> = 11..=14;
 
-/// Twelve frames of each standing camera for one in six of the drone's; `with_code`: the drone's is read.
+/// Twelve frames of each stationary camera for every six of the drone's; `with_code`: whether the drone's code is
+/// read.
 fn fly(
     fusion: &mut Fusion,
     seconds: f64,
     with_code: bool,
-    mut look: impl FnMut(&mut Fusion, Timestamp),
+    mut observe: impl FnMut(&mut Fusion, Timestamp),
 ) {
-    let mut eyes: Vec<Eye> = (0..5).map(|seed| Eye::new(seed + 1)).collect();
+    let mut sensors: Vec<RoundelCamera> = (0..5).map(|seed| RoundelCamera::new(seed + 1)).collect();
     for step in 0..(seconds * 120.0) as u64 {
         let t = step as f64 / 120.0;
         let time = START.plus_seconds(t);
         if step % 4 == 2 {
-            let seen = (drone(t) * downwards(0.1)).inverse();
-            let look = |number: u16| (seen * robot(number, t), number);
+            let camera_from_roundel = (drone(t) * downwards(0.1)).inverse();
+            let observe = |number: u16| (camera_from_roundel * robot(number, t), number);
             let detections = ROBOTS
-                .map(look)
-                .map(|(seen, number)| eyes[4].see(&seen, time, number.into(), Some(code(number))))
+                .map(observe)
+                .map(|(camera_from_roundel, number)| {
+                    sensors[4].detect(&camera_from_roundel, time, number.into(), Some(code(number)))
+                })
                 .collect();
-            fusion.observe(&frame(ABOARD, step / 4 + 1, time, detections));
+            fusion.observe(&frame(ONBOARD, step / 4 + 1, time, detections));
         } else if step % 4 != 3 {
             let camera = (step % 4 + step / 4 % 2 * 2) as usize % 4;
-            let seen = standing_camera(STANDING[camera]).inverse() * drone(t);
+            let camera_from_roundel = stationary_camera(STATIONARY[camera]).inverse() * drone(t);
             let read = with_code.then(|| code(DRONE));
-            let detection = eyes[camera].see(&seen, time, 1, read);
+            let detection = sensors[camera].detect(&camera_from_roundel, time, 1, read);
             fusion.observe(&frame(CameraId(camera as u32), step + 1, time, vec![detection]));
         }
-        look(fusion, time);
+        observe(fusion, time);
     }
 }
 
 #[test]
-fn what_a_drone_sees_is_where_it_is() {
+fn a_drones_detections_are_consistent() {
     let mut fusion = fusion();
-    fusion.set_mount(ABOARD, Some(mount()));
-    let (mut robots, mut place) = (Tally::default(), Tally::default());
+    fusion.set_mount(ONBOARD, Some(mount()));
+    let (mut robots, mut place) = (ErrorStatistics::default(), ErrorStatistics::default());
     fly(&mut fusion, 20.0, true, |fusion, time| {
         let t = time.seconds_since(START);
         if t < 1.0 {
@@ -83,7 +86,7 @@ fn what_a_drone_sees_is_where_it_is() {
             robots.add(own(&snapshot.objects, number).unwrap(), |t| robot(number, t), t);
         }
         place.add(own(&snapshot.objects, DRONE).unwrap(), drone, t);
-        let camera = fusion.camera_place(ABOARD, time).unwrap();
+        let camera = fusion.camera_place(ONBOARD, time).unwrap();
         let off = camera.world_from_camera.inverse() * drone(t) * downwards(0.1);
         assert!(off.translation.vector.norm() < 0.05 && off.rotation.angle() < 0.1, "{off}");
     });
@@ -94,10 +97,9 @@ fn what_a_drone_sees_is_where_it_is() {
     assert_eq!(fusion.counts().begun, 5, "{:?}", fusion.counts());
 }
 
-/// A drone that is configured by its roundel's place on it, and the camera's, from its middle or from the
-/// roundel, which is the drone's and no object by itself.
+/// A drone configured as a body, with its roundel and camera relative to its centre.
 #[test]
-fn what_carries_a_camera_may_be_a_body() {
+fn a_body_may_carry_a_camera() {
     for by_roundel in [false, true] {
         let mut fusion = fusion();
         let turn = UnitQuaternion::from_euler_angles(0.1, 0.0, 0.7);
@@ -106,8 +108,8 @@ fn what_carries_a_camera_may_be_a_body() {
         let body = fusion.add_body(Body { motion: MotionClass::Free, mounts }).unwrap();
         let object_from_camera = object_from_roundel * downwards(0.1);
         let on_body = CameraMount { carrier: Carrier::Body(body), object_from_camera, ..mount() };
-        fusion.set_mount(ABOARD, Some(if by_roundel { mount() } else { on_body }));
-        let mut robots = Tally::default();
+        fusion.set_mount(ONBOARD, Some(if by_roundel { mount() } else { on_body }));
+        let mut robots = ErrorStatistics::default();
         fly(&mut fusion, 4.0, true, |fusion, time| {
             let t = time.seconds_since(START);
             if t > 1.0 {
@@ -115,7 +117,7 @@ fn what_carries_a_camera_may_be_a_body() {
                 for number in ROBOTS {
                     robots.add(own(&snapshot.objects, number).unwrap(), |t| robot(number, t), t);
                 }
-                let camera = fusion.camera_place(ABOARD, time).unwrap();
+                let camera = fusion.camera_place(ONBOARD, time).unwrap();
                 let off = camera.world_from_camera.inverse() * drone(t) * downwards(0.1);
                 let (off_m, off_rad) = (off.translation.vector.norm(), off.rotation.angle());
                 assert!(off_m < 0.05 && off_rad < 0.1, "{off}");
@@ -126,67 +128,72 @@ fn what_carries_a_camera_may_be_a_body() {
     }
 }
 
-/// Of the carrier's normal alone nothing follows about what its camera sees.
+/// The carrier's normal alone locates nothing.
 #[test]
-fn without_a_yaw_nothing_is_placed_and_that_is_counted() {
+fn without_a_yaw_detections_are_counted_and_not_used() {
     let mut fusion = fusion();
-    fusion.set_mount(ABOARD, Some(mount()));
+    fusion.set_mount(ONBOARD, Some(mount()));
     fly(&mut fusion, 2.0, false, |_, _| {});
     let counts = fusion.counts();
     assert_eq!((counts.begun, counts.no_camera_pose), (1, 4 * 60));
-    // A carrier is known by its code, which nobody has read.
+    // A carrier is identified by its code, which was never read.
     assert_eq!(counts.carrier_unseen, counts.no_camera_pose);
     let end = START.plus_seconds(2.0);
-    assert_eq!(fusion.camera_place(ABOARD, end), Err(Unplaced::CarrierUnseen));
+    assert_eq!(fusion.camera_place(ONBOARD, end), Err(Unplaced::CarrierUnseen));
     assert_eq!(fusion.camera_place(CameraId(77), end), Err(Unplaced::Unknown));
     assert!(fusion.camera_place(CameraId(0), end).is_ok());
 }
 
-/// A code that is not read once leaves the yaw known; one that is not read for long, the normal alone.
+/// The yaw survives a frame without a code, but not a long time without one.
 #[test]
-fn a_yaw_that_is_not_observed_any_more_places_nothing() {
+fn an_expired_yaw_locates_nothing() {
     let mut fusion = fusion();
-    fusion.set_mount(ABOARD, Some(mount()));
+    fusion.set_mount(ONBOARD, Some(mount()));
     fly(&mut fusion, 1.0, true, |_, _| {});
-    let mut eye = Eye::new(5);
+    let mut sensor = RoundelCamera::new(5);
     let mut places = Vec::new();
     for number in 0..120u32 {
         let t = 1.0 + f64::from(number) / 60.0;
         let time = START.plus_seconds(t);
-        let seen = standing_camera(STANDING[0]).inverse() * drone(t);
-        let mut unread = eye.see(&seen, time, 1, None);
+        let camera_from_roundel = stationary_camera(STATIONARY[0]).inverse() * drone(t);
+        let mut unread = sensor.detect(&camera_from_roundel, time, 1, None);
         unread.pose.as_mut().unwrap().normal_likelihood = 0.99;
         fusion.observe(&frame(CameraId(0), 1000 + u64::from(number), time, vec![unread]));
-        places.push(fusion.camera_place(ABOARD, time).map(|_| ()));
+        places.push(fusion.camera_place(ONBOARD, time).map(|_| ()));
     }
     assert_eq!(places[0], Ok(()));
     assert_eq!(*places.last().unwrap(), Err(Unplaced::CarrierWithoutYaw), "{places:?}");
 }
 
-/// Two drones in sight of each other: each is located by cameras that stand alone.
+/// Two drones that detect each other: each is located by stationary cameras only.
 #[test]
-fn carriers_do_not_make_each_other_sure() {
+fn carriers_do_not_reinforce_each_other() {
     let covariances = [false, true].map(|looks| {
         let mut fusion = fusion();
         let other = CameraMount { carrier: carrier(2), ..mount() };
-        fusion.set_mount(ABOARD, Some(mount()));
+        fusion.set_mount(ONBOARD, Some(mount()));
         fusion.set_mount(CameraId(10), Some(other));
-        let mut eye = Eye::new(3);
+        let mut sensor = RoundelCamera::new(3);
         let beside = Rigid::translation(0.0, 0.3, -1.0) * drone(0.0);
         for step in 0..240 {
             let time = START.plus_seconds(step as f64 / 120.0);
             let drones = [(drone(0.0), DRONE), (beside, 2)];
             let camera = step as usize % 4;
-            let seen = drones.map(|(place, number)| {
-                let seen = standing_camera(STANDING[camera]).inverse() * place;
-                eye.see(&seen, time, u64::from(number), Some(code(number)))
+            let camera_from_roundel = drones.map(|(place, number)| {
+                let camera_from_roundel = stationary_camera(STATIONARY[camera]).inverse() * place;
+                sensor.detect(&camera_from_roundel, time, u64::from(number), Some(code(number)))
             });
-            fusion.observe(&frame(CameraId(camera as u32), step + 1, time, seen.to_vec()));
+            fusion.observe(&frame(
+                CameraId(camera as u32),
+                step + 1,
+                time,
+                camera_from_roundel.to_vec(),
+            ));
             if looks {
-                let mut aside = Eye::new(step);
-                let seen = (drone(0.0) * downwards(0.1)).inverse() * beside;
-                let detection = aside.see(&seen, time, 1, Some(code(2)));
-                fusion.observe(&frame(ABOARD, step + 1, time, vec![detection]));
+                let mut aside = RoundelCamera::new(step);
+                let camera_from_roundel = (drone(0.0) * downwards(0.1)).inverse() * beside;
+                let detection = aside.detect(&camera_from_roundel, time, 1, Some(code(2)));
+                fusion.observe(&frame(ONBOARD, step + 1, time, vec![detection]));
             }
         }
         assert_eq!(fusion.counts().of_carriers > 200, looks, "{:?}", fusion.counts());

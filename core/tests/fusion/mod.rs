@@ -1,4 +1,4 @@
-//! Fusion in virtual time: whole scenarios against their truth, and every fault of a stream.
+//! Fusion in virtual time: scenarios against ground truth, and every fault of a stream.
 
 mod arena;
 mod arrival_order;

@@ -1,4 +1,4 @@
-//! Objects that are named, changed and forgotten while they drive.
+//! Objects that are named, changed and removed while they drive.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use roundel_core::{
@@ -20,7 +20,7 @@ fn body(mounts: Vec<Mount>) -> Body {
     Body { motion: MotionClass::Free, mounts }
 }
 
-/// Takes the frames of one second, and gives what is followed at its end, and what happened.
+/// Processes the frames of one second; returns the tracked objects at its end, and the events.
 fn second(
     fusion: &mut Fusion,
     frames: &[FrameObservations],
@@ -44,14 +44,14 @@ fn assert_at(state: &ObjectState, point: Vector3<f64>, newest_s: f64) {
     assert!(off_m < 0.03, "{off_m} m off at {newest_s} s: {state:?}");
 }
 
-/// Seconds of the last of these frames before that time.
+/// Time of the last of these frames before a time, seconds.
 fn last_s(frames: &[FrameObservations], before_s: f64) -> f64 {
     let seconds = frames.iter().map(|frame| frame.capture_time.seconds_since(START));
     seconds.filter(|at_s| *at_s < before_s).fold(0.0, f64::max)
 }
 
 #[test]
-fn what_is_known_by_a_code_goes_on_when_it_is_named_and_when_its_name_is_taken() {
+fn a_coded_track_continues_as_body_and_back() {
     let at = flat(0.2, 0.0, 0.0);
     let world = World::new(vec![coded(3, at)]);
     let frames = world.frames(6.0);
@@ -64,7 +64,7 @@ fn what_is_known_by_a_code_goes_on_when_it_is_named_and_when_its_name_is_taken()
     let center_m = at.translation.vector;
     assert_at(&states[0], center_m, end(1.0));
 
-    // Its origin is where the robot's is; then 5 cm above it.
+    // The origin is that of the robot; then 5 cm above it.
     let above = at * Rigid::translation(0.0, 0.0, -0.05);
     let named = [(at, Vector3::zeros()), (above, Vector3::z() * 0.05)];
     for (from_s, (mount, point)) in [1.0, 2.0].into_iter().zip(named) {
@@ -85,7 +85,7 @@ fn what_is_known_by_a_code_goes_on_when_it_is_named_and_when_its_name_is_taken()
     assert_eq!((state.id, state.body, state.code), (ObjectId(1), None, Some(code(3))));
     assert_at(state, center_m, end(4.0));
 
-    // As another object, it is the same one still.
+    // Under another body id it is still the same object.
     assert_eq!(fusion.set_bodies(&[(BodyId(1), body(vec![coded(3, at)]))]), Ok(()));
     let (states, events) = second(&mut fusion, &frames, 4.0);
     assert_eq!(events, []);
@@ -93,7 +93,7 @@ fn what_is_known_by_a_code_goes_on_when_it_is_named_and_when_its_name_is_taken()
 }
 
 #[test]
-fn another_mount_begins_its_object_anew_and_no_other_one() {
+fn a_changed_mount_restarts_only_its_object() {
     let (front, back) = (flat(0.2, 0.0, 0.0), flat(-0.2, 0.0, 0.0));
     let world = World::new(vec![coded(3, front), coded(4, back)]);
     let frames = world.frames(5.0);
@@ -106,32 +106,32 @@ fn another_mount_begins_its_object_anew_and_no_other_one() {
     let object_of = |states: &[ObjectState], body: BodyId| {
         states.iter().find(|state| state.body == Some(body)).map(|state| state.id).unwrap()
     };
-    let known = ids.map(|id| object_of(&states, id));
+    let objects = ids.map(|id| object_of(&states, id));
 
-    // The one in front is said to be turned.
+    // The front one is configured with another orientation.
     let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.5);
     let turned = Rigid::from_parts(front.translation, turn);
     fusion.set_bodies(&[(ids[0], body(vec![coded(3, turned)]))]).unwrap();
     let (states, events) = second(&mut fusion, &frames, 1.0);
-    let told: Vec<_> = events.iter().map(|event| (event.object, event.kind)).collect();
-    assert_eq!(told, [(known[0], EventKind::Lost), (known[0], EventKind::Appeared)]);
-    assert_eq!(ids.map(|id| object_of(&states, id)), known);
+    let changes: Vec<_> = events.iter().map(|event| (event.object, event.kind)).collect();
+    assert_eq!(changes, [(objects[0], EventKind::Lost), (objects[0], EventKind::Appeared)]);
+    assert_eq!(ids.map(|id| object_of(&states, id)), objects);
 
-    // One at a time they cannot exchange codes, both at once they can; an error changes nothing.
+    // Codes cannot be exchanged one at a time, only both at once; an error changes nothing.
     let alone = fusion.set_bodies(&[(ids[0], body(vec![coded(4, back)]))]);
     assert_eq!(alone, Err(BodyError::Taken { mount: 0 }));
     let (_, events) = second(&mut fusion, &frames, 2.0);
     assert_eq!(events, []);
     fusion.set_bodies(&carry(coded(4, back), coded(3, front))).unwrap();
     let (states, events) = second(&mut fusion, &frames, 3.0);
-    assert_eq!(ids.map(|id| object_of(&states, id)), known, "{events:?}");
+    assert_eq!(ids.map(|id| object_of(&states, id)), objects, "{events:?}");
     for state in &states {
         assert_at(state, Vector3::zeros(), last_s(&frames, 4.0));
     }
 }
 
 #[test]
-fn another_way_to_move_begins_a_kind_anew() {
+fn a_changed_motion_class_restarts_its_kind() {
     let world = World::new(vec![coded(3, flat(0.0, 0.0, 0.0))]);
     let frames = world.frames(3.0);
     let mut fusion = fusion_of(&world.arena, FusionParams::default());

@@ -1,4 +1,4 @@
-//! What a camera makes of coded roundels near it, and objects held against where they truly are.
+//! A camera that detects coded roundels at short range, and statistics of objects against the truth.
 
 use std::f64::consts::PI;
 
@@ -24,9 +24,9 @@ use roundel_core::{
 pub const KIND: KindId = KindId(0);
 /// χ² of 3 degrees of freedom at 95 %.
 const CHI3: f64 = 7.815;
-/// The camera on board, and what stands.
-pub const ABOARD: CameraId = CameraId(9);
-pub const STANDING: [[f64; 2]; 4] = [[-2.5, -2.0], [2.5, -2.0], [-2.5, 2.0], [2.5, 2.0]];
+/// The camera on board, and the positions of the stationary ones.
+pub const ONBOARD: CameraId = CameraId(9);
+pub const STATIONARY: [[f64; 2]; 4] = [[-2.5, -2.0], [2.5, -2.0], [-2.5, 2.0], [2.5, 2.0]];
 pub const DRONE: u16 = 1;
 
 pub fn code(number: u16) -> Code {
@@ -37,20 +37,20 @@ pub fn carrier(number: u16) -> Carrier {
     Carrier::Roundel { kind: KIND, code: code(number) }
 }
 
-/// Looking down, the image's right along the x of what carries it, so much below its roundel.
+/// Looks down, with the image's right along the x axis of the carrier, `depth_m` below its roundel.
 pub fn downwards(depth_m: f64) -> Rigid {
     let turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
     Rigid::from_parts(Vector3::new(0.05, 0.0, -depth_m).into(), turn)
 }
 
-/// What a camera makes of roundels: errors as fresh in each frame as it states.
-pub struct Eye {
+/// Detections of roundels with errors that are fresh in each frame, as stated.
+pub struct RoundelCamera {
     random: ChaCha8Rng,
     noise_px: f64,
     tilt_rad: f64,
 }
 
-impl Eye {
+impl RoundelCamera {
     pub fn new(seed: u64) -> Self {
         Self { random: ChaCha8Rng::seed_from_u64(seed), noise_px: 0.1, tilt_rad: 0.02 }
     }
@@ -59,24 +59,24 @@ impl Eye {
         Vector3::from_fn(|_, _| StandardNormal.sample(&mut self.random))
     }
 
-    /// `code`: none if it is not read, and no yaw with it.
-    pub fn see(
+    /// `code`: `None` if it is not read; then there is no yaw either.
+    pub fn detect(
         &mut self,
-        seen: &Rigid,
+        camera_from_roundel: &Rigid,
         time: Timestamp,
         number: u64,
         code: Option<Code>,
     ) -> Detection {
-        let place_m = seen.translation.vector;
+        let place_m = camera_from_roundel.translation.vector;
         let distance_m = place_m.norm();
-        let sight = place_m / distance_m;
+        let line_of_sight = place_m / distance_m;
         let across_m = self.noise_px * distance_m / 600.0;
         let along_m = across_m * distance_m / 0.16;
-        let along = sight * sight.transpose();
+        let along = line_of_sight * line_of_sight.transpose();
         let root = (Matrix3::identity() - along) * across_m + along * along_m;
         let position_m = place_m + root * self.draw();
         let slip = self.draw() * self.tilt_rad;
-        let turn = UnitQuaternion::from_scaled_axis(slip) * seen.rotation;
+        let turn = UnitQuaternion::from_scaled_axis(slip) * camera_from_roundel.rotation;
         let (x, z) = (turn * Vector3::x(), turn * Vector3::z());
         let level = orientation_of_normal(&z).inverse() * x;
         let mut covariance = Covariance6::zeros();
@@ -96,7 +96,7 @@ impl Eye {
             position_m,
             normal: z,
             normal_likelihood: 0.8,
-            other_normal: (sight * (2.0 * sight.dot(&z)) - z).normalize(),
+            other_normal: (line_of_sight * (2.0 * line_of_sight.dot(&z)) - z).normalize(),
             yaw_rad: code.map(|_| level.y.atan2(level.x)),
             yaw_symmetry: 1,
             covariance,
@@ -121,18 +121,18 @@ pub fn frame(
     }
 }
 
-/// Errors as fresh as [`Eye`] makes them.
+/// A machine for errors as [`Eye`] makes them.
 pub fn fusion() -> Fusion {
     let mut fusion = Fusion::new(FusionParams { systematic_share: 0.0, ..FusionParams::default() });
-    for (index, standing) in STANDING.iter().enumerate() {
-        let world_from_camera = standing_camera(*standing);
+    for (index, standing) in STATIONARY.iter().enumerate() {
+        let world_from_camera = stationary_camera(*standing);
         let placement = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
         fusion.set_camera(CameraId(index as u32), Some(placement));
     }
     fusion
 }
 
-pub fn standing_camera([x, y]: [f64; 2]) -> Rigid {
+pub fn stationary_camera([x, y]: [f64; 2]) -> Rigid {
     let turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
     Rigid::from_parts(Vector3::new(x, y, 5.0).into(), turn)
 }
@@ -158,15 +158,15 @@ pub fn error(object: &ObjectState, truth: &Rigid) -> Vector6<f64> {
     Vector6::new(off.x, off.y, off.z, turn.x, turn.y, turn.z)
 }
 
-/// Shares of positions, velocities and rotations within 95 %, and the rms error of positions.
+/// Shares of positions, velocities and rotations within 95 %, and the rms position error.
 #[derive(Default)]
-pub struct Tally {
+pub struct ErrorStatistics {
     count: usize,
     inside: [usize; 3],
     square_m2: f64,
 }
 
-impl Tally {
+impl ErrorStatistics {
     pub fn add(&mut self, object: &ObjectState, truth: impl Fn(f64) -> Rigid, t: f64) {
         let error = error(object, &truth(t));
         let ahead_m = truth(t + 1e-4).translation.vector - truth(t - 1e-4).translation.vector;

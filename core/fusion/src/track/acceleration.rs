@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn an_acceleration_that_stays_is_found_and_trusted() {
+    fn a_constant_acceleration_is_estimated() {
         let (acceleration_m_s2, mut velocity) = (Vector3::new(1.5, -0.3, 0.0), Vector3::zeros());
         let mut acceleration = begin();
         let mut simulate =
@@ -227,18 +227,17 @@ mod tests {
         assert!((acceleration.mean_m_s2() - acceleration_m_s2).norm() < 1e-3, "{acceleration:?}");
         simulate(&mut acceleration, acceleration_m_s2, 5.0);
         let max_variance = acceleration.variance.expected().amax();
-        assert!(
-            max_variance < 0.02,
-            "of {}, what it began with, {max_variance}",
-            10.0 * CAPABILITY_M2_S3
-        );
+        assert!(max_variance < 0.02, "initial {}, now {max_variance}", 10.0 * CAPABILITY_M2_S3);
         simulate(&mut acceleration, Vector3::zeros(), 1.0);
-        assert!(acceleration.mean_m_s2().norm() < 1e-3, "it is over: {acceleration:?}");
+        assert!(
+            acceleration.mean_m_s2().norm() < 1e-3,
+            "expected no acceleration: {acceleration:?}"
+        );
     }
 
     /// Stated variances of predicted velocities match the errors, for accelerations that last 0.1 to 2 s.
     #[test]
-    fn what_is_not_foreseen_is_as_much_as_is_said() {
+    fn prediction_errors_match_their_variance() {
         const AHEAD: usize = 7;
         for lasts_s in [0.1, 0.4, 2.0] {
             let mut rng = ChaCha8Rng::seed_from_u64(5);
@@ -276,7 +275,7 @@ mod tests {
     /// Measurement noise of an object at rest is not taken for acceleration, except for its part in â. Counting
     /// it would give twice the noise's variance or more.
     #[test]
-    fn noise_is_no_acceleration() {
+    fn noise_is_not_taken_for_acceleration() {
         for bandwidth_hz in [5.0f64, 20.0, 60.0] {
             let mut rng = ChaCha8Rng::seed_from_u64(6);
             let (deviation_m, mut acceleration) = (0.001, begin());
@@ -304,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn a_filter_that_does_not_follow_tells_of_none() {
+    fn extreme_bandwidths_stay_finite() {
         let mut acceleration = begin();
         for bandwidth_hz in [0.0, f64::INFINITY] {
             acceleration.fade(0.06);
@@ -319,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn two_steps_are_one() {
+    fn integration_is_additive() {
         let acceleration_m_s2 = Vector3::new(1.0, 2.0, -0.5);
         let (once, speed) = integrate_acceleration(&acceleration_m_s2, 0.08);
         let (first, gained) = integrate_acceleration(&acceleration_m_s2, 0.05);

@@ -194,9 +194,9 @@ impl Attitude {
             let [normal, other] = [orientation, other].map(|turned| turned * Vector3::z());
             let weight = 1.0
                 / (1.0 + decay_log_odds(self.log_odds, dt, prior(&normal, &other, model)).exp());
-            let apart = smallest_turn(&normal, &other);
+            let rotation = smallest_turn(&normal, &other);
             covariance.value +=
-                (reported.value - covariance.value + apart * apart.transpose()) * weight;
+                (reported.value - covariance.value + rotation * rotation.transpose()) * weight;
             covariance.rate += (reported.rate - covariance.rate) * weight;
             covariance.cross += (reported.cross - covariance.cross) * weight;
         }
@@ -295,12 +295,15 @@ impl Attitude {
             self.best = rival;
             self.log_odds = -self.log_odds;
         }
-        let apart = smallest_turn(&self.best.normal(), &rival.normal());
-        let apart = if self.log_odds >= 0.0 { apart } else { -apart };
+        let rotation = smallest_turn(&self.best.normal(), &rival.normal());
+        let rotation = if self.log_odds >= 0.0 { rotation } else { -rotation };
         let both = self.best.kalman.covariance.value + rival.kalman.covariance.value;
-        let length_squared = apart.norm_squared();
-        let variance =
-            if length_squared > 0.0 { apart.dot(&(both * apart)) / length_squared } else { 0.0 };
+        let length_squared = rotation.norm_squared();
+        let variance = if length_squared > 0.0 {
+            rotation.dot(&(both * rotation)) / length_squared
+        } else {
+            0.0
+        };
         if length_squared <= variance || self.log_odds > DECIDED_LOG_ODDS {
             self.rival = None;
         }

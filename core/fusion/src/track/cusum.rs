@@ -46,15 +46,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_measurement_is_no_manoeuvre_and_two_may_be() {
+    fn one_measurement_is_not_enough() {
         let mut cusum = Cusum::default();
         assert!(!cusum.is_raised_by(1e9));
         assert!(cusum.is_raised_by(2.5), "6 and 2.5 are more than 8");
-        assert!(!cusum.is_raised_by(6.0), "the first ones are forgotten");
+        assert!(!cusum.is_raised_by(6.0), "the sum was reset");
     }
 
     #[test]
-    fn what_speaks_against_it_never_counts_for_later() {
+    fn evidence_against_does_not_accumulate() {
         let mut cusum = Cusum::default();
         (0..1000).for_each(|_| assert!(!cusum.is_raised_by(-5.0)));
         assert!(!cusum.is_raised_by(5.0));
@@ -62,9 +62,9 @@ mod tests {
     }
 
     #[test]
-    fn a_logarithm_is_asked_for_only_where_it_counts() {
+    fn the_ratio_is_computed_only_when_needed() {
         let mut cusum = Cusum::default();
-        assert!(!cusum.is_raised_by_bounded(-1.0, || panic!("it is below none anyway")));
+        assert!(!cusum.is_raised_by_bounded(-1.0, || panic!("the sum stays at zero")));
         assert!(!cusum.is_raised_by_bounded(9.0, || 5.0));
         assert!(!cusum.is_raised_by_bounded(-2.0, || -3.0), "2 are left");
         assert!(!cusum.is_raised_by_bounded(-2.0, || panic!("nothing is left")));

@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn the_density_of_white_noise_is_learned_and_errors_are_as_told() {
+    fn the_density_of_white_noise_is_learned_and_errors_match() {
         for (cameras, systematic_share) in [(1, 0.0), (4, 0.0), (4, 0.5), (8, 0.5)] {
             for density in [1e-4, 1e-2, 0.2] {
                 let trial = Trial { cameras, systematic_share, density };

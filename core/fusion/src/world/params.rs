@@ -106,7 +106,7 @@ impl Default for FusionParams {
 impl FusionParams {
     /// The filter's model for objects of this motion class.
     pub(super) fn motion_model(&self, class: &MotionClass) -> MotionModel {
-        let density = |most: f64| most * most * ACCELERATION_TIME_S;
+        let density = |rms: f64| rms * rms * ACCELERATION_TIME_S;
         let level = density(self.acceleration_m_s2);
         let turning = density(self.angular_acceleration_rad_s2);
         let free = MotionModel {

@@ -83,8 +83,8 @@ impl FitBound {
         let further = self.distance_squared - innovation.distance_squared;
         let ratio = self.weight * innovation.determinant / (probability * probability);
         // NaN counts as possibly better.
-        let is_less = |least: f64| least >= 0.0;
-        !is_less(further + 1.0 - ratio) && !is_less(further - ratio.ln())
+        let is_certain = |lower_bound: f64| lower_bound >= 0.0;
+        !is_certain(further + 1.0 - ratio) && !is_certain(further - ratio.ln())
     }
 }
 
@@ -210,18 +210,18 @@ impl Hypothesis {
         let fresh = noise.total - noise.systematic_root * noise.systematic_root.transpose();
         let determinant = fresh.determinant();
         let axis = rotation.axis();
-        let mut both = axis.dot(&(self.kalman.covariance.value * axis));
-        both += measurement.variance_along(index, &axis);
+        let mut variance = axis.dot(&(self.kalman.covariance.value * axis));
+        variance += measurement.variance_along(index, &axis);
         if measurement.yaw_symmetry.is_none() {
-            both += axis.dot(normal).powi(2) * unread_rad2;
+            variance += axis.dot(normal).powi(2) * unread_rad2;
         }
         // The bound does not cover clock errors.
-        if noise.timing_s > 0.0 || !(determinant > 0.0 && both > 0.0) {
+        if noise.timing_s > 0.0 || !(determinant > 0.0 && variance > 0.0) {
             return FitBound::UNBOUNDED;
         }
         let probability = measurement.probability(index);
         FitBound {
-            distance_squared: rotation.chord_squared() * axis.norm_squared() / (2.0 * both),
+            distance_squared: rotation.chord_squared() * axis.norm_squared() / (2.0 * variance),
             weight: probability * probability / determinant,
         }
     }
@@ -343,7 +343,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_candidate_taken_is_the_better_of_both(
+        fn the_better_candidate_is_taken(
             steps in proptest::collection::vec(
                 (vector(0.2), vector(1.0), 0.5..1.0f64, 0.01..0.2f64, 0..3u32),
                 2..12,

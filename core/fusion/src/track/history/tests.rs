@@ -20,7 +20,7 @@ fn model() -> MotionModel {
     }
 }
 
-fn seen(camera: u32, frame: u64, off_m: f64) -> Measurement {
+fn measurement(camera: u32, frame: u64, off_m: f64) -> Measurement {
     let total = Matrix3::identity() * 1e-6;
     let noise = Noise { total, systematic_root: Matrix3::identity() * 5e-4, timing_s: 0.0 };
     let time = Timestamp::from_ns(frame as i64 * 16_000_000 + i64::from(camera) * 5_000_000);
@@ -38,12 +38,15 @@ fn seen(camera: u32, frame: u64, off_m: f64) -> Measurement {
 }
 
 /// Frames of two cameras; from frame `spoiled` on the second one is off by `off_m`, or absent.
-fn history(frames: u64, spoiled: u64, off_m: Option<f64>) -> History {
+fn history(frames: u64, disturbed: u64, off_m: Option<f64>) -> History {
     let model = model();
-    let mut history = History::begin(seen(0, 0, 0.0), &model);
+    let mut history = History::begin(measurement(0, 0, 0.0), &model);
     for frame in 0..frames {
-        let own = if frame < spoiled { Some(0.0) } else { off_m };
-        let both = [(frame > 0).then(|| seen(0, frame, 0.0)), own.map(|off| seen(1, frame, off))];
+        let own = if frame < disturbed { Some(0.0) } else { off_m };
+        let both = [
+            (frame > 0).then(|| measurement(0, frame, 0.0)),
+            own.map(|off| measurement(1, frame, off)),
+        ];
         for measurement in both.into_iter().flatten() {
             history.insert(&measurement, &model);
         }
@@ -53,10 +56,10 @@ fn history(frames: u64, spoiled: u64, off_m: Option<f64>) -> History {
 }
 
 #[test]
-fn what_is_taken_back_was_never_there() {
+fn a_retracted_measurement_has_no_effect() {
     let model = model();
     let mut removed = history(60, 55, Some(0.02));
-    let since = seen(1, 55, 0.0).time;
+    let since = measurement(1, 55, 0.0).time;
     assert_eq!(removed.retract(CameraId(1), since, &model), Retraction::Removed(5));
     let mut without = history(60, 55, None);
     let time = Timestamp::from_ns(61 * 16_000_000);
@@ -68,12 +71,12 @@ fn what_is_taken_back_was_never_there() {
 }
 
 #[test]
-fn what_lies_beyond_the_window_is_taken_back_too() {
+fn retraction_reaches_beyond_the_window() {
     let model = model();
     let mut history = history(60, 10, Some(0.02));
     let time = Timestamp::from_ns(60 * 16_000_000);
     let before = history.state_at(time, &model).motion.agile().position_m;
-    assert!((before.x - 0.96).abs() > 2e-3, "it was spoiled: {before}");
+    assert!((before.x - 0.96).abs() > 2e-3, "expected a disturbed state: {before}");
     let removed = history.retract(CameraId(1), Timestamp::from_ns(0), &model);
     assert!(matches!(removed, Retraction::Removed(count) if count > 10), "{removed:?}");
     let after = history.state_at(time, &model).motion.agile().position_m;
@@ -81,7 +84,7 @@ fn what_lies_beyond_the_window_is_taken_back_too() {
 }
 
 #[test]
-fn what_nobody_else_saw_stays() {
+fn the_only_camera_is_not_retracted() {
     let mut history = history(60, 0, Some(0.0));
     let model = model();
     history.retract(CameraId(0), Timestamp::from_ns(0), &model);

@@ -280,7 +280,7 @@ impl ConsideredErrors {
     }
 
     pub(super) fn find(&self, camera: CameraId) -> Option<usize> {
-        self.cameras[..self.len].iter().position(|known| *known == camera)
+        self.cameras[..self.len].iter().position(|other| *other == camera)
     }
 
     /// Place of a camera. A new one starts uncorrelated; if there is no free place, it replaces the camera

@@ -65,21 +65,23 @@ impl Plain {
     }
 
     /// Joseph's form, valid for any gain.
-    fn update(&mut self, seen: &Vector3<f64>, noise: &Noise, camera: usize) {
-        let mut looks = DMatrix::zeros(3, SIZE);
-        looks.view_mut((0, 0), (3, 3)).fill_with_identity();
-        looks.view_mut((0, 6 + 3 * camera), (3, 3)).copy_from(&noise.systematic_root);
+    fn update(&mut self, measured: &Vector3<f64>, noise: &Noise, camera: usize) {
+        let mut observation_matrix = DMatrix::zeros(3, SIZE);
+        observation_matrix.view_mut((0, 0), (3, 3)).fill_with_identity();
+        observation_matrix.view_mut((0, 6 + 3 * camera), (3, 3)).copy_from(&noise.systematic_root);
         let rate = self.state.rows(3, 3).clone_owned();
-        looks.view_mut((0, CLOCKS + camera), (3, 1)).copy_from(&-rate);
+        observation_matrix.view_mut((0, CLOCKS + camera), (3, 1)).copy_from(&-rate);
         let fresh = noise.total - noise.systematic_root * noise.systematic_root.transpose()
             + self.rate_of_known_clocks() * noise.timing_s.powi(2);
         let fresh = DMatrix::from_column_slice(3, 3, fresh.as_slice());
-        let innovation = &looks * &self.covariance * looks.transpose() + &fresh;
-        let mut gain = &self.covariance * looks.transpose() * innovation.try_inverse().unwrap();
+        let innovation =
+            &observation_matrix * &self.covariance * observation_matrix.transpose() + &fresh;
+        let mut gain =
+            &self.covariance * observation_matrix.transpose() * innovation.try_inverse().unwrap();
         gain.view_mut((6, 0), (4 * CAMERAS, 3)).fill(0.0);
-        let seen = DVector::from_column_slice(seen.as_slice());
-        self.state += &gain * (seen - &looks * &self.state);
-        let left = DMatrix::identity(SIZE, SIZE) - &gain * looks;
+        let measured = DVector::from_column_slice(measured.as_slice());
+        self.state += &gain * (measured - &observation_matrix * &self.state);
+        let left = DMatrix::identity(SIZE, SIZE) - &gain * observation_matrix;
         self.covariance =
             &left * &self.covariance * left.transpose() + &gain * fresh * gain.transpose();
     }
@@ -99,8 +101,8 @@ fn direction() -> impl Strategy<Value = Vector3<f64>> {
 }
 
 fn step() -> impl Strategy<Value = (usize, f64, Vector3<f64>, Vector3<f64>)> {
-    let seen = prop::array::uniform3(-0.1..0.1f64).prop_map(Vector3::from);
-    (0..CAMERAS, 0.0..0.1f64, direction(), seen)
+    let measured = prop::array::uniform3(-0.1..0.1f64).prop_map(Vector3::from);
+    (0..CAMERAS, 0.0..0.1f64, direction(), measured)
 }
 
 proptest! {
@@ -118,15 +120,15 @@ proptest! {
             let index = kalman.considered.find_or_insert(CameraId(camera as u32));
             kalman.considered.set_timing(index, *timing_s);
         }
-        for (camera, dt, direction, seen) in &steps {
+        for (camera, dt, direction, measured) in &steps {
             let timing_s = clocks_s[*camera];
             let noise = Noise { timing_s, ..noise(0.001, 0.02, direction, share) };
             value += kalman.rate * *dt;
             kalman.predict(*dt, &Vector3::repeat(0.2), 1.0);
             plain.predict(*dt, 0.2, 1.0);
             let camera_id = CameraId(*camera as u32);
-            value += kalman.update(&(seen - value), &noise, camera_id, f64::INFINITY).value;
-            plain.update(seen, &noise, *camera);
+            value += kalman.update(&(measured - value), &noise, camera_id, f64::INFINITY).value;
+            plain.update(measured, &noise, *camera);
         }
         let expected = plain.covariance.view((0, 0), (6, 6)).clone_owned();
         let found = kalman.reported().matrix();
@@ -151,13 +153,13 @@ proptest! {
     ) {
         let first = noise(1.0, 1.0, &Vector3::z(), share);
         let mut kalman = Kalman::begin(&first, CameraId(0), &Vector3::repeat(9.0));
-        for ((camera, dt, direction, seen), across, along) in &steps {
+        for ((camera, dt, direction, measured), across, along) in &steps {
             let timing_s = if *camera == 1 { 0.05 } else { 0.0 };
             let noise = noise(10f64.powf(*across), 10f64.powf(*along), direction, share);
             let noise = Noise { timing_s, ..noise };
             kalman.predict(*dt * 20.0, &Vector3::new(0.2, 0.2, 1e-6), 1.0);
             let camera = CameraId(*camera as u32);
-            let Correction { innovation, .. } = kalman.update(seen, &noise, camera, 16.3);
+            let Correction { innovation, .. } = kalman.update(measured, &noise, camera, 16.3);
             prop_assert!(innovation.distance_squared.is_finite());
             prop_assert!(kalman.covariance.matrix().cholesky().is_some(), "{:?}", kalman.covariance);
         }
@@ -166,41 +168,41 @@ proptest! {
 
 /// Two measurements of one camera with half of the variance systematic leave three quarters of it.
 #[test]
-fn the_first_measurement_errs_as_the_second_does() {
-    let seen = noise(0.01, 0.01, &Vector3::z(), 0.5);
-    let mut kalman = Kalman::begin(&seen, CameraId(0), &Vector3::zeros());
-    kalman.update(&Vector3::zeros(), &seen, CameraId(0), 16.3);
+fn systematic_errors_of_two_measurements_are_common() {
+    let error = noise(0.01, 0.01, &Vector3::z(), 0.5);
+    let mut kalman = Kalman::begin(&error, CameraId(0), &Vector3::zeros());
+    kalman.update(&Vector3::zeros(), &error, CameraId(0), 16.3);
     let left = kalman.covariance.value[(0, 0)] / 1e-4;
     assert!((left - 0.75).abs() < 1e-6, "{left}");
 }
 
 #[test]
-fn one_camera_never_averages_its_systematic_error_away() {
-    let seen = noise(0.001, 0.001, &Vector3::z(), 0.5);
-    let mut kalman = Kalman::begin(&seen, CameraId(0), &Vector3::repeat(9.0));
+fn a_single_camera_keeps_its_systematic_error() {
+    let error = noise(0.001, 0.001, &Vector3::z(), 0.5);
+    let mut kalman = Kalman::begin(&error, CameraId(0), &Vector3::repeat(9.0));
     let still = Vector3::repeat(1e-12);
     for _ in 0..1000 {
         kalman.predict(0.01, &still, 1e6);
-        kalman.update(&Vector3::zeros(), &seen, CameraId(0), 16.3);
+        kalman.update(&Vector3::zeros(), &error, CameraId(0), 16.3);
     }
     let one = kalman.covariance.value[(0, 0)];
     assert!((one / 0.5e-6 - 1.0).abs() < 0.1, "{one:e}");
     // A second camera has an independent error: the mean of both is twice as good.
     for frame in 0..2000 {
         kalman.predict(0.005, &still, 1e6);
-        kalman.update(&Vector3::zeros(), &seen, CameraId(frame % 2), 16.3);
+        kalman.update(&Vector3::zeros(), &error, CameraId(frame % 2), 16.3);
     }
     let two = kalman.covariance.value[(0, 0)];
     assert!(two < 0.6 * one, "{two:e} of {one:e}");
 }
 
 #[test]
-fn the_camera_heard_of_longest_ago_gives_way() {
-    let seen = noise(0.001, 0.001, &Vector3::z(), 0.5);
-    let mut kalman = Kalman::begin(&seen, CameraId(0), &Vector3::repeat(9.0));
+fn the_camera_without_measurements_for_longest_is_replaced() {
+    let error = noise(0.001, 0.001, &Vector3::z(), 0.5);
+    let mut kalman = Kalman::begin(&error, CameraId(0), &Vector3::repeat(9.0));
     for camera in 1..=MAX_SOURCES as u32 {
         kalman.predict(0.01, &Vector3::repeat(0.2), 1.0);
-        kalman.update(&Vector3::zeros(), &seen, CameraId(camera), 16.3);
+        kalman.update(&Vector3::zeros(), &error, CameraId(camera), 16.3);
     }
     assert_eq!(kalman.considered.find(CameraId(0)), None);
     assert!(kalman.considered.find(CameraId(1)).is_some());

@@ -185,7 +185,12 @@ mod tests {
     const LIMIT: f64 = 63.3;
 
     /// A measurement from 7 m along `sight`, with ten times the error in depth.
-    fn seen(time_s: f64, place_m: Vector3<f64>, sight: Vector3<f64>, timing_s: f64) -> Measurement {
+    fn measurement(
+        time_s: f64,
+        place_m: Vector3<f64>,
+        sight: Vector3<f64>,
+        timing_s: f64,
+    ) -> Measurement {
         let sight = sight.normalize();
         let along = sight * sight.transpose();
         let total = Matrix3::identity() * 1e-5 + along * 1e-3;
@@ -210,7 +215,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn nobody_within_the_gate_is_left_out(
+        fn no_track_within_the_gate_is_excluded(
             steps in proptest::collection::vec((0.001..0.05f64, vector(0.03), vector(1.0)), 1..12),
             off_m in vector(0.6),
             sight in vector(1.0),
@@ -221,17 +226,17 @@ mod tests {
             let model = FusionParams::default().motion_model(&MotionClass::Free);
             prop_assume!(sight.norm() > 0.1 && steps.iter().all(|step| step.2.norm() > 0.1));
             let mut time_s = 1.0;
-            let first = seen(time_s, Vector3::zeros(), steps[0].2, timing_s);
+            let first = measurement(time_s, Vector3::zeros(), steps[0].2, timing_s);
             let mut estimate = FilterState::begin(&first, &model);
             for (dt, error_m, sight) in &steps {
                 time_s += dt;
                 let moving_m = Vector3::new(2.0, 1.0, 0.0) * (time_s - 1.0);
-                estimate.update(&seen(time_s, moving_m + error_m, *sight, timing_s), &model);
+                estimate.update(&measurement(time_s, moving_m + error_m, *sight, timing_s), &model);
             }
             let agile = estimate.motion.agile();
             let dt = later_s + offset_s;
             let place_m = agile.position_m + agile.kalman.rate * dt + off_m;
-            let sighting = seen(time_s + dt, place_m, sight, timing_s);
+            let sighting = measurement(time_s + dt, place_m, sight, timing_s);
             let noise = &sighting.position_noise;
             let innovation = agile
                 .kalman

@@ -93,7 +93,7 @@ impl PredictedPose {
 /// the number of parts that were left out. `None` if nothing fits.
 pub(in crate::world) fn joint_measurement(
     parts: &[PartMeasurement],
-    expected: Option<&PredictedPose>,
+    prediction: Option<&PredictedPose>,
     share: f64,
 ) -> Option<(Measurement, usize)> {
     let first = &parts[0].measurement;
@@ -101,14 +101,14 @@ pub(in crate::world) fn joint_measurement(
     let mean_s = parts.iter().map(since_s).sum::<f64>() / parts.len() as f64;
     let mut terms = Vec::with_capacity(parts.len());
     for part in parts {
-        terms.push(RoundelTerm::new(part, mean_s - since_s(part), expected)?);
+        terms.push(RoundelTerm::new(part, mean_s - since_s(part), prediction)?);
     }
-    let mut fits = best_fits(&terms, expected)?;
+    let mut fits = best_fits(&terms, prediction)?;
     while terms.len() > 1 && fits.best.misfit > MAX_MISFIT * degrees_of_freedom(&terms) {
-        (terms, fits) = without_worst(&terms, expected)?;
+        (terms, fits) = without_worst(&terms, prediction)?;
     }
-    let attitude = attitude(&terms, &fits, expected, share)?;
-    let (position_m, position_noise) = position(&terms, &fits, expected, share)?;
+    let attitude = attitude(&terms, &fits, prediction, share)?;
+    let (position_m, position_noise) = position(&terms, &fits, prediction, share)?;
     let measurement = Measurement {
         time: first.time.plus_seconds(mean_s),
         position_m,
@@ -127,17 +127,17 @@ fn degrees_of_freedom(terms: &[RoundelTerm]) -> f64 {
 /// All roundels except the one whose absence leaves the best fit, taking the prediction into account.
 fn without_worst(
     terms: &[RoundelTerm],
-    expected: Option<&PredictedPose>,
+    prediction: Option<&PredictedPose>,
 ) -> Option<(Vec<RoundelTerm>, Fits)> {
     let without = |index: usize| {
         let mut others = terms.to_vec();
         others.remove(index);
-        let fits = best_fits(&others, expected)?;
-        let prior_cost = expected.map_or(0.0, |expected| {
-            let off_m = fits.best.position_m - expected.position_m;
+        let fits = best_fits(&others, prediction)?;
+        let prior_cost = prediction.map_or(0.0, |prediction| {
+            let off_m = fits.best.position_m - prediction.position_m;
             mahalanobis_squared(
                 &off_m,
-                &(expected.position_covariance + Matrix3::from_diagonal_element(1e-4)),
+                &(prediction.position_covariance + Matrix3::from_diagonal_element(1e-4)),
             )
             .unwrap_or(0.0)
         });
@@ -162,14 +162,14 @@ fn second_probability(best: f64, second: f64) -> f64 {
 fn attitude(
     terms: &[RoundelTerm],
     fits: &Fits,
-    expected: Option<&PredictedPose>,
+    prediction: Option<&PredictedPose>,
     share: f64,
 ) -> Option<AttitudeMeasurement> {
-    let known = expected.filter(|expected| expected.is_orientation_known());
+    let usable = prediction.filter(|prediction| prediction.is_orientation_known());
     // Far less than the track's own information, but enough that a rival normal, which starts with it, does not
     // blur it.
-    let weak = known.map_or(Matrix3::from_diagonal_element(WEAK_INFORMATION), |known| {
-        known.information() * WEAK_INFORMATION
+    let weak = usable.map_or(Matrix3::from_diagonal_element(WEAK_INFORMATION), |usable| {
+        usable.information() * WEAK_INFORMATION
     });
     let noise = |fit: &Fit| {
         let mut information = fit.information;
@@ -203,7 +203,7 @@ fn attitude(
     Some(AttitudeMeasurement {
         candidates: [best.orientation, other.orientation],
         likelihood: 1.0 - second.map_or(0.0, |second| second_probability(best.cost, second.cost)),
-        yaw_symmetry: (is_whole || known.is_some()).then_some(symmetry.unwrap_or(1)),
+        yaw_symmetry: (is_whole || usable.is_some()).then_some(symmetry.unwrap_or(1)),
         noise: best_noise,
         other_noise: Some(other_noise),
     })
@@ -213,13 +213,13 @@ fn attitude(
 fn position(
     terms: &[RoundelTerm],
     &Fits { best, second }: &Fits,
-    expected: Option<&PredictedPose>,
+    prediction: Option<&PredictedPose>,
     share: f64,
 ) -> Option<(Vector3<f64>, Noise)> {
     let prior_cost = |fit: &Fit| {
-        let Some(expected) = expected else { return 0.0 };
-        let off = (expected.orientation * fit.orientation.inverse()).scaled_axis();
-        let spread = expected.rotation_covariance + Matrix3::from_diagonal_element(1e-4);
+        let Some(prediction) = prediction else { return 0.0 };
+        let off = (prediction.orientation * fit.orientation.inverse()).scaled_axis();
+        let spread = prediction.rotation_covariance + Matrix3::from_diagonal_element(1e-4);
         mahalanobis_squared(&off, &spread).unwrap_or(0.0)
     };
     let (mut first, mut other) = (best, second);
@@ -229,11 +229,11 @@ fn position(
         (first, other) = (fit, Some(first));
         (cost, other_cost) = (lower, Some(cost));
     }
-    let (position_m, mut total, mut systematic) = position_for(terms, &first, expected, share)?;
+    let (position_m, mut total, mut systematic) = position_for(terms, &first, prediction, share)?;
     if let (Some(fit), Some(other_cost)) = (other, other_cost) {
         let weight = second_probability(cost, other_cost);
         if weight > MIN_SECOND_PROBABILITY {
-            let apart_m = position_for(terms, &fit, expected, share)?.0 - position_m;
+            let apart_m = position_for(terms, &fit, prediction, share)?.0 - position_m;
             let between = apart_m * apart_m.transpose() * weight;
             total += between;
             systematic += between;
@@ -252,7 +252,7 @@ fn position(
 fn position_for(
     terms: &[RoundelTerm],
     fit: &Fit,
-    expected: Option<&PredictedPose>,
+    prediction: Option<&PredictedPose>,
     share: f64,
 ) -> Option<(Vector3<f64>, Matrix3<f64>, Matrix3<f64>)> {
     let mut prior = Matrix6::zeros();
@@ -260,9 +260,9 @@ fn position_for(
     let mut alone = fit.information;
     (3..6).for_each(|axis| alone[(axis, axis)] += WEAK_INFORMATION);
     let is_determined = alone.cholesky()?.inverse().fixed_view::<3, 3>(3, 3).trace() < UNKNOWN_RAD2;
-    if let Some(expected) = expected.filter(|_| !is_determined) {
-        let information = expected.information();
-        let off = (expected.orientation * fit.orientation.inverse()).scaled_axis();
+    if let Some(prediction) = prediction.filter(|_| !is_determined) {
+        let information = prediction.information();
+        let off = (prediction.orientation * fit.orientation.inverse()).scaled_axis();
         add(&mut prior, (3, 3), &information);
         gradient.fixed_rows_mut::<3>(3).copy_from(&(information * off));
     }
@@ -289,7 +289,7 @@ fn position_for(
     // All cameras use the same prediction, while their systematic errors are treated as independent: the factor
     // makes their mean's error right. The other factor of two covers the origin, where the error of the
     // orientation adds to that of the position, from which it stems, while both are treated as independent.
-    let shared = expected.map_or(1.0, |expected| 2.0 * expected.cameras);
+    let shared = prediction.map_or(1.0, |prediction| 2.0 * prediction.cameras);
     let predicted = block(&(covariance * prior * covariance), 0) * shared;
     let total = symmetric(&(block(&covariance, 0) + predicted * (1.0 - 1.0 / shared))) + circle;
     Some((position_m, total, symmetric(&(by_frame * share + predicted)) + circle))

@@ -224,11 +224,11 @@ impl Bodies {
             let code = reading.vote.leader();
             code.and_then(|code| self.by_roundel.get(&(kind, Some(code))).copied())
         };
-        let known = part(reading);
+        let before = part(reading);
         if let Some(read) = detection.ring.code {
             reading.vote.add(read.code);
         }
-        part(reading).map(|part| (part, known != Some(part)))
+        part(reading).map(|part| (part, before != Some(part)))
     }
 
     /// Discards readings from before `since`.
@@ -277,11 +277,11 @@ fn checked_claims(
         if !it.object_from_roundel.to_homogeneous().iter().all(|number| number.is_finite()) {
             return Err(BodyError::NotFinite { mount });
         }
-        let known = taken.keys().copied();
+        let others = taken.keys().copied();
         let overlaps = |(kind, code): (KindId, Option<Code>)| {
             kind == it.kind && (code == it.code || code.is_none() || it.code.is_none())
         };
-        if known.chain(claims.iter().map(|(claim, _)| *claim)).any(overlaps) {
+        if others.chain(claims.iter().map(|(claim, _)| *claim)).any(overlaps) {
             return Err(BodyError::Taken { mount });
         }
         claims.push(((it.kind, it.code), MountRef { body: id, mount }));

@@ -46,7 +46,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn of_a_crowd_each_is_asked_about_in_turn() {
+    fn parts_cover_all_sightings_in_turn() {
         for sightings in [0, 1, MIN_SAMPLED, 2 * MIN_SAMPLED - 1] {
             assert!(Query::part(sightings, 7).is_none(), "{sightings}");
         }

@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn a_motion_is_found() {
+    fn a_motion_is_estimated() {
         let change = Vector6::new(0.01, -0.02, 0.005, 0.001, 0.002, -0.003);
         let shift = fit(&residuals(8, &change), &Baseline::default()).unwrap();
         assert!((shift.change - change).amax() < 1e-4, "{}", shift.change);
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn one_object_that_jumps_is_no_motion() {
+    fn a_single_jumping_object_has_little_weight() {
         let mut residuals = residuals(8, &Vector6::zeros());
         residuals[3].residual_m = Vector3::new(0.1, 0.0, 0.0);
         let shift = fit(&residuals, &Baseline::default()).unwrap();
@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_so_all_the_time_is_no_motion() {
+    fn a_constant_offset_becomes_the_baseline() {
         let change = Vector6::new(0.01, 0.0, 0.0, 0.0, 0.001, 0.0);
         let residuals = residuals(8, &change);
         let mut baseline = Baseline::default();

@@ -103,8 +103,8 @@ pub(in crate::world) fn compare(
     let acceleration_m_s2 = curvature.norm() * 2.0 / (weight * half_s * half_s);
     let cameras: Vec<CameraId> = fits.iter().map(|(sums, _)| sums.camera).collect();
     let views = fits.iter().map(|(sums, fit)| {
-        let apart = cameras.iter().map(|other| clocks.deviation_s(sums.camera, *other));
-        let curvature_error_m = 0.5 * acceleration_m_s2 * apart.fold(0.0, f64::max).powi(2);
+        let deviations_s = cameras.iter().map(|other| clocks.deviation_s(sums.camera, *other));
+        let curvature_error_m = 0.5 * acceleration_m_s2 * deviations_s.fold(0.0, f64::max).powi(2);
         let per_count = 1.0 / sums.count as f64;
         let covariance = sums.white * (fit.variances[0] * per_count)
             + sums.systematic * (repeats * per_count)

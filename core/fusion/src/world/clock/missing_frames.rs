@@ -196,9 +196,9 @@ mod tests {
     }
 
     #[test]
-    fn numbers_left_out_are_missing_when_they_do_not_come() {
+    fn skipped_numbers_count_as_missing_unless_they_arrive() {
         assert_eq!(missing(regular(1..400)), 0);
-        assert_eq!(missing(regular(1..50).chain(regular(53..100))), 0, "they may come still");
+        assert_eq!(missing(regular(1..50).chain(regular(53..100))), 0, "they may still arrive");
         assert_eq!(missing(regular(1..50).chain(regular(53..400))), 3);
         let in_disorder = regular(1..50).chain([(52, 52), (50, 50), (53, 53), (51, 51)]);
         assert_eq!(missing(in_disorder.chain(regular(54..400))), 0);
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_regular_camera_leaves_out_is_missing() {
+    fn gaps_of_a_regular_interval_count_as_missing() {
         let later = |frames: std::ops::Range<u64>, by: i64| {
             frames.map(move |frame| (frame, frame as i64 + by))
         };
@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_is_set_and_numbers_that_begin_anew_miss_nothing() {
+    fn clock_steps_and_restarted_numbers_count_nothing() {
         let restarted = (1..300).map(|frame| (frame, 50 + frame as i64));
         assert_eq!(missing(regular(1..50).chain(restarted)), 0);
         assert_eq!(missing(regular(1..50).chain([(u64::MAX, 50)])), 0);

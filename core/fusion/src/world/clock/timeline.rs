@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn late_frames_that_say_when_their_sender_had_them_are_late() {
+    fn late_frames_with_the_senders_receiving_time_are_late() {
         let mut feed = Feed(Timeline::default(), 0);
         let now_ns = 100 * FRAME_NS;
         assert_eq!(feed.frame(0, now_ns, now_ns), Verdict::Use);
@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_was_set_back_is_the_timeline_after_a_second() {
+    fn a_clock_step_back_restarts_the_timeline_after_a_second() {
         let mut feed = Feed(Timeline::default(), 0);
         assert_eq!(feed.frame(0, 1_000 * FRAME_NS, 0), Verdict::Use);
         let verdicts: Vec<_> =

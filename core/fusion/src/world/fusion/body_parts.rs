@@ -66,13 +66,13 @@ impl Fusion {
 
     /// Makes one sighting from all parts of each body in the frame.
     pub(super) fn join_parts(&mut self, camera_pose: &ExposurePose) {
-        let seen = self.bodies.take_parts();
-        for parts in seen.chunk_by(|a, b| a.body() == b.body()) {
+        let all_parts = self.bodies.take_parts();
+        for parts in all_parts.chunk_by(|a, b| a.body() == b.body()) {
             let body = parts[0].body();
             let subject = Subject { kind: self.bodies.kind(body), body: Some(body) };
             let of_body = self.tracks.iter().filter(|track| track.subject == subject);
             let track = of_body.max_by_key(|track| (!track.is_tentative(), track.newest));
-            let expected = track.map(|track| {
+            let prediction = track.map(|track| {
                 PredictedPose::from_track(
                     track,
                     &parts[0].measurement,
@@ -80,7 +80,8 @@ impl Fusion {
                 )
             });
             let share = self.params.systematic_share.clamp(0.0, 1.0);
-            let Some((measurement, left_out)) = joint_measurement(parts, expected.as_ref(), share)
+            let Some((measurement, left_out)) =
+                joint_measurement(parts, prediction.as_ref(), share)
             else {
                 self.counts.invalid += parts.len() as u64;
                 continue;
@@ -100,8 +101,8 @@ impl Fusion {
         let Some(index) = self.tracks.iter().position(is_it) else { return };
         let mut gone = self.tracks.remove(index);
         self.counts.merged += 1;
-        let known = !gone.is_tentative();
+        let is_confirmed = !gone.is_tentative();
         let event = gone.mark_lost(now);
-        self.end(gone, known.then_some(event));
+        self.end(gone, is_confirmed.then_some(event));
     }
 }

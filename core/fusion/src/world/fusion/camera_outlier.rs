@@ -148,9 +148,9 @@ impl Fusion {
                 }
                 Retraction::NothingLeft => {
                     let mut gone = self.tracks.remove(index);
-                    let is_known = !gone.is_tentative();
+                    let is_confirmed = !gone.is_tentative();
                     let event = gone.mark_lost(gone.newest);
-                    self.end(gone, is_known.then_some(event));
+                    self.end(gone, is_confirmed.then_some(event));
                 }
             }
         }

@@ -42,10 +42,10 @@ impl Fusion {
         let count = self.tracks.len().max(1);
         let (before, after) = self.tracks.split_at(first % count);
         let tracks = after.iter().chain(before);
-        let seen = tracks.filter(|track| {
+        let observed = tracks.filter(|track| {
             !track.is_tentative() && track.seen_by(camera).is_some_and(|time| time >= since)
         });
-        let compared = seen.filter_map(|track| {
+        let compared = observed.filter_map(|track| {
             let is_own = |measured: &&Measurement| measured.camera == camera;
             let newest = track.history.measurements().rev().find(is_own)?;
             let (time, seen_m) = (newest.time, newest.position_m);
@@ -110,7 +110,7 @@ mod tests {
     }
 
     /// A second of detections by cameras with these errors along x.
-    fn seen_by(offsets_m: &[f64]) -> (Fusion, Timestamp) {
+    fn fusion_with_offsets(offsets_m: &[f64]) -> (Fusion, Timestamp) {
         let mut fusion = Fusion::new(FusionParams::default());
         for (camera, offset_m) in (0..).zip(offsets_m) {
             let world_from_camera = Rigid::translation(*offset_m, 0.0, 0.0);
@@ -133,29 +133,29 @@ mod tests {
     const WINDOW_NS: i64 = 250_000_000;
 
     #[test]
-    fn a_camera_that_is_off_is_off_from_the_others() {
-        let (fusion, end) = seen_by(&[0.0, 0.0, 0.006]);
+    fn an_offset_camera_differs_from_the_others() {
+        let (fusion, end) = fusion_with_offsets(&[0.0, 0.0, 0.006]);
         let off_m = |camera| {
             let compared = fusion.compare(CameraId(camera), end, WINDOW_NS, 0, 8);
             assert_eq!(compared.len(), 1, "one object is there");
             compared[0].seen_m.x - compared[0].others_m.x
         };
         let [first, second, third] = [0, 1, 2].map(off_m);
-        assert!((-0.005..-0.001).contains(&first), "between two of whom one is off: {first}");
+        assert!((-0.005..-0.001).contains(&first), "halfway between the two others: {first}");
         assert!((-0.005..-0.001).contains(&second), "{second}");
         assert!((0.005..0.007).contains(&third), "both others are replaced: {third}");
     }
 
     #[test]
-    fn one_alone_has_nothing_to_be_compared_with() {
-        let (mut fusion, end) = seen_by(&[0.0]);
-        assert_eq!(fusion.snapshot(end.plus_ns(20_000_000)).objects.len(), 1, "it is followed");
+    fn a_single_camera_is_not_compared() {
+        let (mut fusion, end) = fusion_with_offsets(&[0.0]);
+        assert_eq!(fusion.snapshot(end.plus_ns(20_000_000)).objects.len(), 1, "it is tracked");
         assert_eq!(fusion.compare(CameraId(0), end, WINDOW_NS, 0, 8), Vec::new());
     }
 
     #[test]
-    fn what_was_seen_before_is_left_out_and_no_more_told_than_wanted() {
-        let (fusion, end) = seen_by(&[0.0, 0.0]);
+    fn the_window_and_the_limit_hold() {
+        let (fusion, end) = fusion_with_offsets(&[0.0, 0.0]);
         let late = end.plus_ns(2 * WINDOW_NS);
         let count = |camera, now, (first, max)| {
             fusion.compare(CameraId(camera), now, WINDOW_NS, first, max).len()
@@ -164,6 +164,6 @@ mod tests {
         assert_eq!(count(0, end, (5, 8)), 1, "turns go round");
         assert_eq!(count(0, end, (0, 0)), 0);
         assert_eq!(count(0, late, (0, 8)), 0);
-        assert_eq!(count(7, end, (0, 8)), 0, "nobody knows that camera");
+        assert_eq!(count(7, end, (0, 8)), 0, "the camera is unknown");
     }
 }

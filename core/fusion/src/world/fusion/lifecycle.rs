@@ -61,9 +61,9 @@ impl Fusion {
         self.next_merge = None;
         self.newest_used = None;
         for mut track in std::mem::take(&mut self.tracks) {
-            let known = !track.is_tentative();
+            let is_confirmed = !track.is_tentative();
             let event = track.mark_lost(track.newest);
-            self.end(track, known.then_some(event));
+            self.end(track, is_confirmed.then_some(event));
         }
     }
 
@@ -74,9 +74,9 @@ impl Fusion {
             self.tracks[stays].codes.merge(&gone.codes);
             self.tracks.remove(goes);
             self.counts.merged += 1;
-            let known = !gone.is_tentative();
+            let is_confirmed = !gone.is_tentative();
             let event = gone.mark_lost(now);
-            self.end(gone, known.then_some(event));
+            self.end(gone, is_confirmed.then_some(event));
         }
     }
 

@@ -277,9 +277,9 @@ impl Fusion {
         }
         self.check_heights();
         let forgotten = now.plus_ns(-self.params.late_window_ns);
-        let known = self.tracks.len();
+        let existing = self.tracks.len();
         let mut claims = Vec::new();
-        let mut is_observed = vec![false; known];
+        let mut is_observed = vec![false; existing];
         // Taken out to avoid copies.
         let mut sightings = std::mem::take(&mut self.sightings);
         for (sighting, decision) in sightings.iter_mut().zip(&decisions) {
@@ -290,7 +290,7 @@ impl Fusion {
                 continue;
             }
             let Some((track, innovation)) = *decision else {
-                if !self.is_contradiction(&sighting.measurement, known) {
+                if !self.is_contradiction(&sighting.measurement, existing) {
                     self.begin(sighting);
                 }
                 continue;
@@ -334,7 +334,7 @@ impl Fusion {
             }
         }
         self.sightings = sightings;
-        for (track, is_observed) in self.tracks[..known].iter_mut().zip(is_observed) {
+        for (track, is_observed) in self.tracks[..existing].iter_mut().zip(is_observed) {
             if let Some(time) = complete_at.filter(|_| !is_observed) {
                 track.miss(camera, time);
             }
@@ -380,9 +380,9 @@ impl Fusion {
 
     /// Whether a sighting that fits no track is an error about one of the first `known` tracks: its camera
     /// assigns it to that track, and other cameras observe the object where it is expected.
-    fn is_contradiction(&mut self, measurement: &Measurement, known: usize) -> bool {
+    fn is_contradiction(&mut self, measurement: &Measurement, existing: usize) -> bool {
         let Some(track) =
-            self.tracks[..known].iter().find(|track| track.is_continued_by(measurement))
+            self.tracks[..existing].iter().find(|track| track.is_continued_by(measurement))
         else {
             return false;
         };

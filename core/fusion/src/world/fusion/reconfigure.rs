@@ -54,8 +54,8 @@ impl Fusion {
         for mount in &mut mounts {
             let Carrier::Body(body) = mount.carrier else { continue };
             if changed.iter().any(|(id, _)| *id == body) {
-                let is_known = before.centred(body).is_some();
-                let origin_m = if is_known { before.origin_m(body) } else { Vector3::zeros() };
+                let existed = before.centred(body).is_some();
+                let origin_m = if existed { before.origin_m(body) } else { Vector3::zeros() };
                 let moved_m = self.bodies.origin_m(body) - origin_m;
                 mount.object_from_camera.translation.vector += moved_m;
             }
@@ -174,9 +174,9 @@ impl Fusion {
     fn end_where(&mut self, ends: impl Fn(&Track) -> bool) {
         while let Some(index) = self.tracks.iter().position(&ends) {
             let mut gone = self.tracks.remove(index);
-            let known = !gone.is_tentative();
+            let is_confirmed = !gone.is_tentative();
             let event = gone.mark_lost(gone.newest);
-            self.end(gone, known.then_some(event));
+            self.end(gone, is_confirmed.then_some(event));
         }
     }
 }

@@ -51,7 +51,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_known_of_one_that_has_left_and_the_others_go_on() {
+    fn a_removed_camera_is_forgotten_and_the_others_continue() {
         let mut fusion = Fusion::new(FusionParams::default());
         for (camera, offset_s) in [(0, 0.001), (1, 0.02), (2, 0.003)] {
             fusion.set_camera(CameraId(camera), Some(placement()));
@@ -80,11 +80,15 @@ mod tests {
             }
         }
         assert_eq!(fusion.counts().frames, counts.frames + 20);
-        assert_eq!(fusion.counts().missing_frames, counts.missing_frames, "nobody waits for it");
+        assert_eq!(
+            fusion.counts().missing_frames,
+            counts.missing_frames,
+            "its frames are not expected"
+        );
     }
 
     #[test]
-    fn frames_from_elsewhere_are_no_duplicates_and_no_clock_that_was_set() {
+    fn a_new_source_causes_no_duplicates_and_no_clock_step() {
         let mut fusion = Fusion::new(FusionParams::default());
         let start = Timestamp::from_ns(1_700_000_000_000_000_000);
         for number in 1..20_u32 {

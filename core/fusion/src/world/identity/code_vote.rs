@@ -92,27 +92,27 @@ mod tests {
     }
 
     #[test]
-    fn what_is_read_most_leads_and_the_first_is_known_at_once() {
+    fn the_most_frequent_reading_leads() {
         assert_eq!(leader(&vote([])), None);
         assert_eq!(leader(&vote([7])), Some(7));
         assert_eq!(leader(&vote([9, 7, 7, 3, 7, 7, 9])), Some(7));
     }
 
     #[test]
-    fn a_wrong_code_is_given_up_however_long_it_was_right() {
+    fn a_code_is_replaced_after_enough_other_readings() {
         let long = [7; 1000].into_iter();
         assert_eq!(leader(&vote(long.clone().chain([9; 60]))), Some(7));
         assert_eq!(leader(&vote(long.chain([9; 61]))), Some(9));
     }
 
     #[test]
-    fn what_is_read_again_was_misread_meanwhile() {
+    fn contradictions_reset_with_the_next_agreeing_reading() {
         assert_eq!(vote([7, 7, 7, 9, 9]).contradictions(), 2);
         assert_eq!(vote([7, 7, 7, 9, 9, 7]).contradictions(), 0);
     }
 
     #[test]
-    fn joined_tracks_have_what_most_of_both_have() {
+    fn merged_votes_keep_the_larger_lead() {
         let merge = |a: &[u16], b: &[u16]| {
             let mut joined = vote(a.iter().copied());
             joined.merge(&vote(b.iter().copied()));

@@ -56,18 +56,18 @@ impl Homography {
         if plane_m.len() < 4 || plane_m.len() != image.len() {
             return Err(HomographyError::TooFew { plane: plane_m.len(), image: image.len() });
         }
-        let seen: Vec<_> = image.iter().map(|p| Vector2::new(p.x, p.y)).collect();
-        for (index, (a, b)) in plane_m.iter().zip(&seen).enumerate() {
+        let image_points: Vec<_> = image.iter().map(|p| Vector2::new(p.x, p.y)).collect();
+        for (index, (a, b)) in plane_m.iter().zip(&image_points).enumerate() {
             if !a.iter().chain(b.iter()).all(|value| value.is_finite()) {
                 return Err(HomographyError::NotFinite { index });
             }
         }
         let to_unit_plane = normalization(plane_m).ok_or(HomographyError::Degenerate)?;
-        let to_unit_image = normalization(&seen).ok_or(HomographyError::Degenerate)?;
+        let to_unit_image = normalization(&image_points).ok_or(HomographyError::Degenerate)?;
         let mut design = SMatrix::<f64, 9, 9>::zeros();
-        for (plane, seen) in plane_m.iter().zip(&seen) {
+        for (plane, image_point) in plane_m.iter().zip(&image_points) {
             let p = to_unit_plane * plane.push(1.0);
-            let s = to_unit_image * seen.push(1.0);
+            let s = to_unit_image * image_point.push(1.0);
             // First two rows of p × (H s) = 0.
             let mut rows = [SVector::<f64, 9>::zeros(), SVector::<f64, 9>::zeros()];
             for k in 0..3 {
@@ -90,8 +90,9 @@ impl Homography {
         let from_unit_plane = to_unit_plane.try_inverse().ok_or(HomographyError::Degenerate)?;
         let mut plane_from_image = from_unit_plane * unit * to_unit_image;
         // The sign that makes the given points' third coordinate positive.
-        let depth: f64 = seen.iter().map(|s| (plane_from_image * s.push(1.0)).z.signum()).sum();
-        if depth.abs() < seen.len() as f64 - 0.5 {
+        let depth: f64 =
+            image_points.iter().map(|s| (plane_from_image * s.push(1.0)).z.signum()).sum();
+        if depth.abs() < image_points.len() as f64 - 0.5 {
             return Err(HomographyError::Degenerate);
         }
         plane_from_image *= depth.signum() / plane_from_image.norm();
@@ -153,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn the_sky_is_not_on_the_plane() {
+    fn points_beyond_the_horizon_are_rejected() {
         let image: Vec<_> = corners().iter().map(image_of).collect();
         let homography = Homography::new(&corners(), &image).unwrap();
         // The camera looks down at an angle: the horizon is far up in the image.
@@ -166,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn too_few_or_lined_up_points_are_refused() {
+    fn too_few_or_collinear_points_are_rejected() {
         let image: Vec<_> = corners().iter().map(image_of).collect();
         assert_eq!(
             Homography::new(&corners()[..3], &image[..3]),

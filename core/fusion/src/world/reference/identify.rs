@@ -28,22 +28,22 @@ const MAX_TRIALS: usize = 2_000_000;
 /// that do.
 pub fn identify(
     references: &[Reference],
-    seen: &[Sighting],
+    sightings: &[Sighting],
 ) -> Result<Vec<Option<usize>>, ReferenceError> {
     if references.len() < 3 {
         return Err(ReferenceError::TooFew { found: references.len() });
     }
-    if seen.len() < 3 {
-        return Err(ReferenceError::TooFewSeen { found: seen.len() });
+    if sightings.len() < 3 {
+        return Err(ReferenceError::TooFewSeen { found: sightings.len() });
     }
-    let most = references.len().min(seen.len());
+    let max_wanted = references.len().min(sightings.len());
     let mut best_failure = None;
-    for wanted in (3..=most).rev() {
-        let mut search = Search { references, seen, wanted, found: Vec::new(), trials: 0 };
+    for wanted in (3..=max_wanted).rev() {
+        let mut search = Search { references, sightings, wanted, found: Vec::new(), trials: 0 };
         search.extend(&mut Vec::with_capacity(references.len()), 0);
         let mut fitting = Vec::new();
         for arrangement in search.found {
-            match judge(references, seen, &arrangement) {
+            match judge(references, sightings, &arrangement) {
                 Ok(Verdict::Fits(cost)) => fitting.push((cost, arrangement)),
                 Ok(Verdict::Misses { index, residual_m }) => {
                     let failure = ReferenceError::Inconsistent { wanted, index, residual_m };
@@ -59,7 +59,7 @@ pub fn identify(
             return choose(fitting);
         }
     }
-    Err(missing_distance(references, seen)
+    Err(missing_distance(references, sightings)
         .or(best_failure)
         .unwrap_or(ReferenceError::Inconsistent { wanted: 3, index: 0, residual_m: f64::INFINITY }))
 }
@@ -67,7 +67,7 @@ pub fn identify(
 /// Depth-first search over references, each assigned a detection or none.
 struct Search<'a> {
     references: &'a [Reference],
-    seen: &'a [Sighting],
+    sightings: &'a [Sighting],
     wanted: usize,
     found: Vec<Vec<Option<usize>>>,
     trials: usize,
@@ -83,7 +83,7 @@ impl Search<'_> {
             return;
         }
         if matched < self.wanted {
-            for candidate in 0..self.seen.len() {
+            for candidate in 0..self.sightings.len() {
                 self.trials += 1;
                 if self.found.len() >= MAX_ARRANGEMENTS || self.trials >= MAX_TRIALS {
                     return;
@@ -105,7 +105,7 @@ impl Search<'_> {
     fn agrees(&self, given: &[Option<usize>], next: usize, candidate: usize) -> bool {
         given.iter().enumerate().all(|(other, &taken)| {
             let Some(taken) = taken else { return true };
-            let (a, b) = (&self.seen[candidate], &self.seen[taken]);
+            let (a, b) = (&self.sightings[candidate], &self.sightings[taken]);
             let distance = Distance::between(a, b);
             let expected_m =
                 (self.references[next].position_m - self.references[other].position_m).norm();
@@ -147,7 +147,7 @@ enum Verdict {
 
 fn judge(
     references: &[Reference],
-    seen: &[Sighting],
+    sightings: &[Sighting],
     arrangement: &[Option<usize>],
 ) -> Result<Verdict, ReferenceError> {
     let pairs: Vec<(usize, usize)> = arrangement
@@ -156,8 +156,8 @@ fn judge(
         .filter_map(|(reference, &sighting)| Some((reference, sighting?)))
         .collect();
     let world_m: Vec<_> = pairs.iter().map(|&(r, _)| references[r].position_m).collect();
-    let sightings: Vec<_> = pairs.iter().map(|&(_, s)| seen[s]).collect();
-    let placement = align(&world_m, &sightings)?;
+    let paired: Vec<_> = pairs.iter().map(|&(_, s)| sightings[s]).collect();
+    let placement = align(&world_m, &paired)?;
     let camera_m = placement.world_from_camera.translation.vector;
     let faces_away = pairs.iter().any(|&(r, _)| {
         references[r].normal.is_some_and(|n| n.dot(&(camera_m - references[r].position_m)) <= 0.0)
@@ -167,10 +167,9 @@ fn judge(
     }
     let mut cost = 0.0;
     for (place, (reference, sighting)) in
-        pairs.iter().map(|&(r, _)| r).zip(world_m.iter().zip(&sightings))
+        pairs.iter().map(|&(r, _)| r).zip(world_m.iter().zip(&paired))
     {
-        let (squared, along_m) = weigh(&placement, reference, sighting);
-        let residual_m = along_m;
+        let (squared, residual_m) = squared_residual(&placement, reference, sighting);
         let slack_m = SCALE_SLACK * sighting.position_m.norm();
         if squared > SIGMAS * SIGMAS * 3.0 && residual_m > slack_m {
             return Ok(Verdict::Misses { index: place, residual_m });
@@ -181,7 +180,11 @@ fn judge(
 }
 
 /// Squared residual in standard deviations, and its length in metres.
-fn weigh(placement: &Placement, world_m: &Vector3<f64>, sighting: &Sighting) -> (f64, f64) {
+fn squared_residual(
+    placement: &Placement,
+    world_m: &Vector3<f64>,
+    sighting: &Sighting,
+) -> (f64, f64) {
     let turn = placement.world_from_camera.rotation.to_rotation_matrix().into_inner();
     let there = turn * sighting.position_m + placement.world_from_camera.translation.vector;
     let residual = world_m - there;
@@ -209,14 +212,14 @@ fn choose(
 }
 
 /// Of all pairs of references whose distance no two detections have, the one that misses by most.
-fn missing_distance(references: &[Reference], seen: &[Sighting]) -> Option<ReferenceError> {
+fn missing_distance(references: &[Reference], sightings: &[Sighting]) -> Option<ReferenceError> {
     let mut worst: Option<(f64, ReferenceError)> = None;
     for second in 1..references.len() {
         for first in 0..second {
             let expected_m = (references[first].position_m - references[second].position_m).norm();
-            let nearest = (1..seen.len())
+            let nearest = (1..sightings.len())
                 .flat_map(|b| (0..b).map(move |a| (a, b)))
-                .map(|(a, b)| Distance::between(&seen[a], &seen[b]))
+                .map(|(a, b)| Distance::between(&sightings[a], &sightings[b]))
                 .min_by(|a, b| {
                     (a.length_m - expected_m).abs().total_cmp(&(b.length_m - expected_m).abs())
                 })?;
@@ -291,14 +294,14 @@ mod tests {
     }
 
     #[test]
-    fn three_of_four_suffice_where_they_are_unlike() {
+    fn three_of_four_suffice_without_symmetry() {
         let references = layout();
-        let seen = see_all(&references[1..]);
-        assert_eq!(identify(&references, &seen).unwrap(), [None, Some(0), Some(1), Some(2)]);
+        let sightings = see_all(&references[1..]);
+        assert_eq!(identify(&references, &sightings).unwrap(), [None, Some(0), Some(1), Some(2)]);
     }
 
     #[test]
-    fn a_rectangle_is_ambiguous_and_says_which() {
+    fn a_rectangle_is_reported_as_ambiguous() {
         let references =
             [[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 1.0, 0.0], [2.0, 1.0, 0.0]].map(reference);
         assert_eq!(
@@ -308,26 +311,26 @@ mod tests {
     }
 
     #[test]
-    fn an_isosceles_triangle_is_told_by_its_face_alone() {
+    fn an_isosceles_triangle_needs_its_normals() {
         let mut references = [[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [1.0, 1.5, 0.0]].map(reference);
-        let seen = see_all(&references);
-        assert_eq!(identify(&references, &seen).unwrap(), [Some(0), Some(1), Some(2)]);
+        let sightings = see_all(&references);
+        assert_eq!(identify(&references, &sightings).unwrap(), [Some(0), Some(1), Some(2)]);
         for reference in &mut references {
             reference.normal = None;
         }
         assert_eq!(
-            identify(&references, &seen),
+            identify(&references, &sightings),
             Err(ReferenceError::Ambiguous { indices: vec![0, 1] })
         );
     }
 
     #[test]
-    fn a_moved_reference_is_left_out_and_a_missing_distance_named() {
+    fn a_moved_reference_is_left_out_and_a_missing_distance_reported() {
         let references = layout();
-        let mut seen = see_all(&references);
-        seen[3] = see(&overhead(), Vector3::new(2.6, 1.9, 0.0));
+        let mut sightings = see_all(&references);
+        sightings[3] = see(&overhead(), Vector3::new(2.6, 1.9, 0.0));
         assert_eq!(
-            identify(&references, &seen).unwrap(),
+            identify(&references, &sightings).unwrap(),
             [Some(0), Some(1), Some(2), None],
             "the three that still agree"
         );
@@ -353,10 +356,16 @@ mod tests {
     }
 
     #[test]
-    fn too_few_are_refused() {
+    fn too_few_are_rejected() {
         let references = layout();
-        let seen = see_all(&references);
-        assert_eq!(identify(&references[..2], &seen), Err(ReferenceError::TooFew { found: 2 }));
-        assert_eq!(identify(&references, &seen[..2]), Err(ReferenceError::TooFewSeen { found: 2 }));
+        let sightings = see_all(&references);
+        assert_eq!(
+            identify(&references[..2], &sightings),
+            Err(ReferenceError::TooFew { found: 2 })
+        );
+        assert_eq!(
+            identify(&references, &sightings[..2]),
+            Err(ReferenceError::TooFewSeen { found: 2 })
+        );
     }
 }

@@ -150,13 +150,13 @@ pub enum ReferenceError {
 /// detection.
 pub fn place_camera(
     references: &[Reference],
-    seen: &[Sighting],
+    sightings: &[Sighting],
 ) -> Result<(Placement, Vec<Option<usize>>), ReferenceError> {
-    let found = identify(references, seen)?;
+    let found = identify(references, sightings)?;
     let (world_m, paired): (Vec<_>, Vec<_>) = references
         .iter()
         .zip(&found)
-        .filter_map(|(reference, &index)| Some((reference.position_m, seen[index?])))
+        .filter_map(|(reference, &index)| Some((reference.position_m, sightings[index?])))
         .unzip();
     Ok((align(&world_m, &paired)?, found))
 }

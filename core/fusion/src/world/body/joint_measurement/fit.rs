@@ -40,7 +40,7 @@ impl RoundelTerm {
     pub(in crate::world) fn new(
         part: &PartMeasurement,
         dt: f64,
-        expected: Option<&PredictedPose>,
+        prediction: Option<&PredictedPose>,
     ) -> Option<Self> {
         let PartMeasurement { body_from_roundel: mount, measurement, .. } = *part;
         let attitude = &measurement.attitude;
@@ -56,9 +56,9 @@ impl RoundelTerm {
             let likelihood = if index == 0 { first } else { 1.0 - first };
             Some(Normal { orientation, information, cost: -2.0 * likelihood.ln() })
         };
-        let moved_m = expected.map_or_else(Vector3::zeros, |expected| {
-            let arm_m = expected.orientation * mount.translation.vector;
-            (expected.velocity_m_s + expected.angular_velocity_rad_s.cross(&arm_m)) * dt
+        let moved_m = prediction.map_or_else(Vector3::zeros, |prediction| {
+            let arm_m = prediction.orientation * mount.translation.vector;
+            (prediction.velocity_m_s + prediction.angular_velocity_rad_s.cross(&arm_m)) * dt
         });
         Some(Self {
             mount,
@@ -112,25 +112,25 @@ pub(in crate::world) struct Fits {
 /// Fits of the best and the second best choice of normals.
 pub(in crate::world) fn best_fits(
     terms: &[RoundelTerm],
-    expected: Option<&PredictedPose>,
+    prediction: Option<&PredictedPose>,
 ) -> Option<Fits> {
     let count = terms.len();
     if count > MAX_EXHAUSTIVE {
-        return greedy(terms, expected).map(|best| Fits { best, second: None });
+        return greedy(terms, prediction).map(|best| Fits { best, second: None });
     }
-    let mut all: Vec<Fit> = (0..1u64 << count).filter_map(|c| fit(terms, c, expected)).collect();
+    let mut all: Vec<Fit> = (0..1u64 << count).filter_map(|c| fit(terms, c, prediction)).collect();
     all.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     Some(Fits { best: *all.first()?, second: all.get(1).copied() })
 }
 
 /// Starts with the likelier normals and switches one at a time while that improves the fit.
-fn greedy(terms: &[RoundelTerm], expected: Option<&PredictedPose>) -> Option<Fit> {
+fn greedy(terms: &[RoundelTerm], prediction: Option<&PredictedPose>) -> Option<Fit> {
     let count = terms.len().min(u64::BITS as usize);
     let mut choice = 0;
-    let mut best = fit(terms, choice, expected)?;
+    let mut best = fit(terms, choice, prediction)?;
     for _ in 0..count {
         let turned = (0..count).map(|index| choice ^ 1 << index);
-        let best_fits = turned.filter_map(|choice| Some((choice, fit(terms, choice, expected)?)));
+        let best_fits = turned.filter_map(|choice| Some((choice, fit(terms, choice, prediction)?)));
         match best_fits.min_by(|a, b| a.1.cost.total_cmp(&b.1.cost)) {
             Some((better, fit)) if fit.cost < best.cost => (choice, best) = (better, fit),
             _ => break,
@@ -140,12 +140,12 @@ fn greedy(terms: &[RoundelTerm], expected: Option<&PredictedPose>) -> Option<Fit
 }
 
 /// Pose for one choice of normals: bit i selects the normal of term i.
-fn fit(terms: &[RoundelTerm], choice: u64, expected: Option<&PredictedPose>) -> Option<Fit> {
+fn fit(terms: &[RoundelTerm], choice: u64, prediction: Option<&PredictedPose>) -> Option<Fit> {
     let chosen = |index: usize| -> &Normal {
         let bit = if index < u64::BITS as usize { choice >> index & 1 } else { 0 };
         &terms[index].normals[bit as usize]
     };
-    let orientation = initial_orientation(terms, chosen, expected);
+    let orientation = initial_orientation(terms, chosen, prediction);
     let position_m = terms[0].position_m - orientation * terms[0].mount.translation.vector;
     let mut fit =
         Fit { position_m, orientation, information: Matrix6::zeros(), misfit: 0.0, cost: 0.0 };
@@ -213,30 +213,30 @@ pub(in crate::world) fn block(whole: &Matrix6<f64>, from: usize) -> Matrix3<f64>
 fn initial_orientation<'a>(
     terms: &[RoundelTerm],
     chosen: impl Fn(usize) -> &'a Normal,
-    expected: Option<&PredictedPose>,
+    prediction: Option<&PredictedPose>,
 ) -> UnitQuaternion<f64> {
     let own = |index: usize| chosen(index).orientation * terms[index].mount.rotation.inverse();
     if let Some(index) = terms.iter().position(|term| term.yaw_symmetry == Some(1)) {
         return own(index);
     }
     let normal = chosen(0).orientation * Vector3::z();
-    let orientation = match expected {
-        Some(expected) => {
-            let mounted = expected.orientation * terms[0].mount.rotation * Vector3::z();
+    let orientation = match prediction {
+        Some(prediction) => {
+            let mounted = prediction.orientation * terms[0].mount.rotation * Vector3::z();
             let turn = smallest_turn(&mounted, &normal);
-            UnitQuaternion::from_scaled_axis(turn) * expected.orientation
+            UnitQuaternion::from_scaled_axis(turn) * prediction.orientation
         }
         None => own(0),
     };
     let across = |vector: Vector3<f64>| vector - normal * normal.dot(&vector);
-    let apart = |index: usize| {
+    let offset = |index: usize| {
         let mounts = [index, 0].map(|index| terms[index].mount.translation.vector);
         across(orientation * (mounts[0] - mounts[1]))
     };
     let far = (1..terms.len())
-        .max_by(|a, b| apart(*a).norm_squared().total_cmp(&apart(*b).norm_squared()));
-    let Some(far) = far.filter(|far| apart(*far).norm() > 1e-3) else { return orientation };
-    let (mounted, seen) = (apart(far), across(terms[far].position_m - terms[0].position_m));
-    let angle = normal.dot(&mounted.cross(&seen)).atan2(mounted.dot(&seen));
+        .max_by(|a, b| offset(*a).norm_squared().total_cmp(&offset(*b).norm_squared()));
+    let Some(far) = far.filter(|far| offset(*far).norm() > 1e-3) else { return orientation };
+    let (mounted, measured) = (offset(far), across(terms[far].position_m - terms[0].position_m));
+    let angle = normal.dot(&mounted.cross(&measured)).atan2(mounted.dot(&measured));
     UnitQuaternion::from_scaled_axis(normal * angle) * orientation
 }
