@@ -93,7 +93,7 @@ fn a_robot_localizes_by_coded_or_plain_landmarks() {
         assert!(statistics.rms_mm() < 15.0, "{}", statistics.rms_mm());
         let counts = fusion.counts();
         assert_eq!((counts.begun, counts.localized), (1, 240), "{counts:?}");
-        assert_eq!(counts.of_landmarks, counts.detections);
+        assert_eq!(counts.landmark_detections, counts.detections);
     }
 }
 

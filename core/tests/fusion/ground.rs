@@ -76,12 +76,12 @@ fn a_wrong_height_is_reported_once() {
     // False tracks that would otherwise appear without a report.
     assert!(fusion.counts().begun > 4 * begun, "{begun} {:?}", fusion.counts());
     let [wrong] = &heights[..] else { panic!("{heights:?}") };
-    assert_eq!((wrong.kind, wrong.body, wrong.said_m), (Some(KindId(0)), None, 0.1));
-    assert!((wrong.seen_m - 0.3).abs() < 0.01, "{wrong:?}");
+    assert_eq!((wrong.kind, wrong.body, wrong.configured_m), (Some(KindId(0)), None, 0.1));
+    assert!((wrong.measured_m - 0.3).abs() < 0.01, "{wrong:?}");
     assert!(wrong.cameras.len() > 1, "{heights:?}");
     // A single camera detects it too.
     frames.retain(|frame| frame.camera == CameraId(0));
     let (heights, _) = reported_heights(&arena, &frames, 0.5);
     assert_eq!((heights.len(), &heights[0].cameras[..]), (1, &[CameraId(0)][..]));
-    assert!((heights[0].seen_m - 0.3).abs() < 0.02, "{heights:?}");
+    assert!((heights[0].measured_m - 0.3).abs() < 0.02, "{heights:?}");
 }

@@ -86,7 +86,7 @@ fn a_drones_detections_are_consistent() {
             robots.add(own(&snapshot.objects, number).unwrap(), |t| robot(number, t), t);
         }
         place.add(own(&snapshot.objects, DRONE).unwrap(), drone, t);
-        let camera = fusion.camera_place(ONBOARD, time).unwrap();
+        let camera = fusion.camera_placement(ONBOARD, time).unwrap();
         let off = camera.world_from_camera.inverse() * drone(t) * downwards(0.1);
         assert!(off.translation.vector.norm() < 0.05 && off.rotation.angle() < 0.1, "{off}");
     });
@@ -117,7 +117,7 @@ fn a_body_may_carry_a_camera() {
                 for number in ROBOTS {
                     robots.add(own(&snapshot.objects, number).unwrap(), |t| robot(number, t), t);
                 }
-                let camera = fusion.camera_place(ONBOARD, time).unwrap();
+                let camera = fusion.camera_placement(ONBOARD, time).unwrap();
                 let off = camera.world_from_camera.inverse() * drone(t) * downwards(0.1);
                 let (off_m, off_rad) = (off.translation.vector.norm(), off.rotation.angle());
                 assert!(off_m < 0.05 && off_rad < 0.1, "{off}");
@@ -139,9 +139,9 @@ fn without_a_yaw_detections_are_counted_and_not_used() {
     // A carrier is identified by its code, which was never read.
     assert_eq!(counts.carrier_unseen, counts.no_camera_pose);
     let end = START.plus_seconds(2.0);
-    assert_eq!(fusion.camera_place(ONBOARD, end), Err(Unplaced::CarrierUnseen));
-    assert_eq!(fusion.camera_place(CameraId(77), end), Err(Unplaced::Unknown));
-    assert!(fusion.camera_place(CameraId(0), end).is_ok());
+    assert_eq!(fusion.camera_placement(ONBOARD, end), Err(Unplaced::CarrierUnseen));
+    assert_eq!(fusion.camera_placement(CameraId(77), end), Err(Unplaced::Unknown));
+    assert!(fusion.camera_placement(CameraId(0), end).is_ok());
 }
 
 /// The yaw survives a frame without a code, but not a long time without one.
@@ -159,7 +159,7 @@ fn an_expired_yaw_locates_nothing() {
         let mut unread = sensor.detect(&camera_from_roundel, time, 1, None);
         unread.pose.as_mut().unwrap().normal_likelihood = 0.99;
         fusion.observe(&frame(CameraId(0), 1000 + u64::from(number), time, vec![unread]));
-        places.push(fusion.camera_place(ONBOARD, time).map(|_| ()));
+        places.push(fusion.camera_placement(ONBOARD, time).map(|_| ()));
     }
     assert_eq!(places[0], Ok(()));
     assert_eq!(*places.last().unwrap(), Err(Unplaced::CarrierWithoutYaw), "{places:?}");
@@ -196,7 +196,7 @@ fn carriers_do_not_reinforce_each_other() {
                 fusion.observe(&frame(ONBOARD, step + 1, time, vec![detection]));
             }
         }
-        assert_eq!(fusion.counts().of_carriers > 200, looks, "{:?}", fusion.counts());
+        assert_eq!(fusion.counts().carrier_detections > 200, looks, "{:?}", fusion.counts());
         assert_eq!(fusion.counts().begun, 2);
         let snapshot = fusion.snapshot(START.plus_seconds(2.0));
         own(&snapshot.objects, 2).unwrap().covariance

@@ -6,7 +6,6 @@ use nalgebra::{Matrix3, Vector3};
 use roundel_core::{
     id::{CameraId, ObjectId},
     rigid::mahalanobis_squared,
-    time::Timestamp,
     world::{FrameObservations, Fusion, FusionParams, LifeStage, Snapshot},
 };
 

@@ -36,11 +36,11 @@ pub struct FusionCounts {
     /// Of these, detections of cameras whose carrier is not tracked.
     pub carrier_unseen: u64,
     /// Of these, detections of cameras whose carrier has no certain orientation.
-    pub carrier_unturned: u64,
+    pub carrier_orientation_unknown: u64,
     /// Detections of carriers by mobile cameras, which are not used.
-    pub of_carriers: u64,
+    pub carrier_detections: u64,
     /// Detections of landmarks by cameras that localize.
-    pub of_landmarks: u64,
+    pub landmark_detections: u64,
     /// Frames in which such a camera was localized.
     pub localized: u64,
     /// Frames of cameras that are held back because they disagree with all others.
@@ -48,7 +48,7 @@ pub struct FusionCounts {
     /// Detections in these frames.
     pub held: u64,
     /// Detections removed from tracks because their camera had moved.
-    pub taken_back: u64,
+    pub retracted: u64,
     /// Detections without a pose.
     pub no_pose: u64,
     /// Detections with numbers that are not finite or without a valid covariance.

@@ -41,9 +41,9 @@ pub struct WrongHeight {
     /// The body, if it is one.
     pub body: Option<BodyId>,
     /// Configured height of the kind's roundels, or of the body's origin, metres.
-    pub said_m: f64,
+    pub configured_m: f64,
     /// Height that the cameras measure, metres.
-    pub seen_m: f64,
+    pub measured_m: f64,
     /// Cameras that agree on it.
     pub cameras: Vec<CameraId>,
 }
@@ -212,8 +212,8 @@ impl HeightChecks {
             self.mismatches.push(WrongHeight {
                 kind: subject.kind,
                 body: subject.body,
-                said_m: heights.configured_m,
-                seen_m: heights.configured_m + agreed_m,
+                configured_m: heights.configured_m,
+                measured_m: heights.configured_m + agreed_m,
                 cameras: check.cameras.iter().filter_map(disagreeing).collect(),
             });
         }

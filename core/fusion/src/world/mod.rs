@@ -41,7 +41,7 @@ pub use camera_outlier::{HeldBack, HeldStep};
 pub use camera_pose::CameraPlacement;
 pub use clock::{ClockEstimate, ClockPrior};
 pub use counts::FusionCounts;
-pub use fusion::{Compared, Fusion};
+pub use fusion::{Fusion, LeaveOneOut};
 pub use height_check::WrongHeight;
 pub use measurement::seen_in_world;
 pub use mobile_camera::{CameraMount, Carrier, Landmark, TURN_SIGMA_RAD, Unplaced};

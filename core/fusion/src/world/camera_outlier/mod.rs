@@ -90,11 +90,11 @@ pub struct HeldBack {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HeldStep {
     /// Its frames are rejected from now on.
-    Begun,
+    Started,
     /// Its frames are used again, since it agrees with the others.
     Agreed,
     /// Its frames are used again without agreement, since no monitor reported a motion.
-    InVain,
+    TimedOut,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -182,7 +182,7 @@ impl CameraOutliers {
         };
         hold.is_confirmed = true;
         let since = hold.since;
-        self.push_event(HeldBack { camera, since, step: HeldStep::Begun });
+        self.push_event(HeldBack { camera, since, step: HeldStep::Started });
     }
 
     /// Takes a camera whose measurements must be retracted.
@@ -319,12 +319,12 @@ impl CameraOutliers {
         let step = if hold.agreed >= AGREED_FRAMES {
             HeldStep::Agreed
         } else if held_ns > max_held_ns || !is_confirmed && held_ns > CONFIRMATION_NS {
-            HeldStep::InVain
+            HeldStep::TimedOut
         } else {
             return Admission::Rejected;
         };
         record.hold = None;
-        if step == HeldStep::InVain && is_confirmed {
+        if step == HeldStep::TimedOut && is_confirmed {
             record.baseline = Baseline::default();
             record.from = time.plus_ns(EXEMPT_NS);
         }

@@ -44,13 +44,13 @@ impl Fusion {
 
     /// Sets whether a camera is exempt: never held back, nor compared with others. For cameras whose pose is
     /// approximate, so that they disagree with others although they stand still.
-    pub fn spare(&mut self, camera: CameraId, is_spared: bool) {
+    pub fn set_hold_back_exempt(&mut self, camera: CameraId, is_exempt: bool) {
         match self.exempt.binary_search(&camera) {
-            Err(index) if is_spared => {
+            Err(index) if is_exempt => {
                 self.exempt.insert(index, camera);
                 self.camera_outliers.forget(camera);
             }
-            Ok(index) if !is_spared => {
+            Ok(index) if !is_exempt => {
                 self.exempt.remove(index);
             }
             _ => {}
@@ -143,7 +143,7 @@ impl Fusion {
             let track = &mut self.tracks[index];
             match track.retract(camera, since) {
                 Retraction::Removed(count) => {
-                    self.counts.taken_back += count as u64;
+                    self.counts.retracted += count as u64;
                     index += 1;
                 }
                 Retraction::NothingLeft => {

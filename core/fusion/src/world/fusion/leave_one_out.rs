@@ -11,11 +11,11 @@ const FRESH_NS: i64 = 50_000_000;
 
 /// One object at the time of one camera's measurement, world frame, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Compared {
+pub struct LeaveOneOut {
     /// Time of the measurement.
     pub time: Timestamp,
     /// Position by that camera alone: the roundel's centre, or a body's origin.
-    pub seen_m: Vector3<f64>,
+    pub measured_m: Vector3<f64>,
     /// Position by the measurements of all other cameras until then.
     pub others_m: Vector3<f64>,
 }
@@ -30,14 +30,14 @@ impl Fusion {
     ///
     /// The others' estimate leaves out what this camera measured within the window: with it, the filter follows
     /// the newest measurement, and every camera would agree with itself.
-    pub fn compare(
+    pub fn leave_one_out(
         &self,
         camera: CameraId,
         now: Timestamp,
         window_ns: i64,
         first: usize,
         max: usize,
-    ) -> Vec<Compared> {
+    ) -> Vec<LeaveOneOut> {
         let since = now.plus_ns(-window_ns);
         let count = self.tracks.len().max(1);
         let (before, after) = self.tracks.split_at(first % count);
@@ -48,7 +48,7 @@ impl Fusion {
         let compared = observed.filter_map(|track| {
             let is_own = |measured: &&Measurement| measured.camera == camera;
             let newest = track.history.measurements().rev().find(is_own)?;
-            let (time, seen_m) = (newest.time, newest.position_m);
+            let (time, measured_m) = (newest.time, newest.position_m);
             let is_fresh =
                 |measured: &Measurement| (0..=FRESH_NS).contains(&time.ns_since(measured.time));
             if !track.history.measurements().any(|it| it.camera != camera && is_fresh(it)) {
@@ -59,7 +59,7 @@ impl Fusion {
                 return None;
             }
             let others_m = others.estimate(time, &track.model).motion.position_m;
-            Some(Compared { time, seen_m, others_m })
+            Some(LeaveOneOut { time, measured_m, others_m })
         });
         compared.take(max).collect()
     }
@@ -136,9 +136,9 @@ mod tests {
     fn an_offset_camera_differs_from_the_others() {
         let (fusion, end) = fusion_with_offsets(&[0.0, 0.0, 0.006]);
         let off_m = |camera| {
-            let compared = fusion.compare(CameraId(camera), end, WINDOW_NS, 0, 8);
+            let compared = fusion.leave_one_out(CameraId(camera), end, WINDOW_NS, 0, 8);
             assert_eq!(compared.len(), 1, "one object is there");
-            compared[0].seen_m.x - compared[0].others_m.x
+            compared[0].measured_m.x - compared[0].others_m.x
         };
         let [first, second, third] = [0, 1, 2].map(off_m);
         assert!((-0.005..-0.001).contains(&first), "halfway between the two others: {first}");
@@ -150,7 +150,7 @@ mod tests {
     fn a_single_camera_is_not_compared() {
         let (mut fusion, end) = fusion_with_offsets(&[0.0]);
         assert_eq!(fusion.snapshot(end.plus_ns(20_000_000)).objects.len(), 1, "it is tracked");
-        assert_eq!(fusion.compare(CameraId(0), end, WINDOW_NS, 0, 8), Vec::new());
+        assert_eq!(fusion.leave_one_out(CameraId(0), end, WINDOW_NS, 0, 8), Vec::new());
     }
 
     #[test]
@@ -158,7 +158,7 @@ mod tests {
         let (fusion, end) = fusion_with_offsets(&[0.0, 0.0]);
         let late = end.plus_ns(2 * WINDOW_NS);
         let count = |camera, now, (first, max)| {
-            fusion.compare(CameraId(camera), now, WINDOW_NS, first, max).len()
+            fusion.leave_one_out(CameraId(camera), now, WINDOW_NS, first, max).len()
         };
         assert_eq!(count(0, end, (0, 8)), 1);
         assert_eq!(count(0, end, (5, 8)), 1, "turns go round");

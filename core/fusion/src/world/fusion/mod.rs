@@ -13,7 +13,7 @@ mod reconfigure;
 mod remove_camera;
 mod sightings;
 
-pub use leave_one_out::Compared;
+pub use leave_one_out::LeaveOneOut;
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -285,7 +285,7 @@ impl Fusion {
         for (sighting, decision) in sightings.iter_mut().zip(&decisions) {
             let is_mobile = is_mobile && sighting.measurement.number != CARRIER_NUMBER;
             if is_mobile && self.mobile_cameras.is_carrier(&sighting.subject, sighting.code) {
-                self.counts.of_carriers += 1;
+                self.counts.carrier_detections += 1;
                 decision.iter().for_each(|&(track, _)| is_observed[track] = true);
                 continue;
             }
@@ -302,7 +302,7 @@ impl Fusion {
                 continue;
             }
             if is_mobile && self.mobile_cameras.is_carrier(&track.subject, track.codes.leader()) {
-                self.counts.of_carriers += 1;
+                self.counts.carrier_detections += 1;
                 continue;
             }
             let timing_s = track.timing_s(&sighting.measurement, &self.clocks);

@@ -10,7 +10,7 @@ impl Fusion {
     pub fn remove_camera(&mut self, camera: CameraId) {
         self.set_camera(camera, None);
         self.set_mount(camera, None);
-        self.spare(camera, false);
+        self.set_hold_back_exempt(camera, false);
         self.set_trust(camera, DEFAULT_TRUST);
         self.forget_source(camera);
     }
@@ -67,7 +67,7 @@ mod tests {
         let before = [0, 2].map(|camera| fusion.clock(CameraId(camera)).unwrap());
         fusion.remove_camera(CameraId(1));
         assert_eq!(fusion.clock(CameraId(1)), None);
-        assert!(fusion.camera_place(CameraId(1), start).is_err());
+        assert!(fusion.camera_placement(CameraId(1), start).is_err());
         let after = [0, 2].map(|camera| fusion.clock(CameraId(camera)).unwrap());
         // Differences of offsets determine the deviations that remain.
         assert_eq!(before.map(|it| it.offset_s), after.map(|it| it.offset_s));

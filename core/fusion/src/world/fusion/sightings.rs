@@ -28,7 +28,7 @@ impl FusionCounts {
             Unplaced::Unknown => {}
             Unplaced::CarrierUnseen => self.carrier_unseen += detections,
             Unplaced::CarrierWithoutYaw | Unplaced::CarrierUncertain => {
-                self.carrier_unturned += detections;
+                self.carrier_orientation_unknown += detections;
             }
         }
     }
@@ -64,7 +64,7 @@ impl Fusion {
     }
 
     /// Pose of a camera at a time.
-    pub fn camera_place(
+    pub fn camera_placement(
         &mut self,
         camera: CameraId,
         time: Timestamp,
@@ -111,7 +111,7 @@ impl Fusion {
             params,
         };
         let found = mobile.localizer.localize(&input);
-        self.counts.of_landmarks += found.landmarks.len() as u64;
+        self.counts.landmark_detections += found.landmarks.len() as u64;
         self.sightings.clear();
         self.sightings.extend(found.sighting);
         if found.sighting.is_some() {
