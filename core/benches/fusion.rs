@@ -1,8 +1,8 @@
-//! Time of fusion alone: `cargo bench -p roundel-core --bench fusion`.
+//! Throughput of fusion: `cargo bench -p roundel-core --bench fusion`.
 //!
-//! One iteration is one frame set: a frame of every camera, and the snapshot after it. Frame sets a
-//! second are the reciprocal. The world is that of `tests/fusion`: R4 with 24 objects, and 64 objects
-//! seen by 8 cameras at 100 Hz, synchronized and in order, then 0 to 40 ms late.
+//! One iteration is one frame set: a frame of every camera, and the snapshot after it. The world is that of
+//! `tests/fusion`: R4 with 24 objects, and 64 objects observed by 8 cameras at 100 Hz, synchronized and in order, then
+//! 0 to 40 ms late.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use roundel_core::{
@@ -44,7 +44,7 @@ fn fusion(criterion: &mut Criterion) {
     }
 }
 
-/// Runs so many frame sets, the recorded ones again and again into a fresh machine each time.
+/// Time of `sets` frame sets; the recorded ones are repeated, each time with a new machine.
 fn run(
     arena: &Arena,
     frames: &[roundel_core::world::FrameObservations],

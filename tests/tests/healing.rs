@@ -117,7 +117,7 @@ fn bumps_of_millimetres_heal() {
 #[test]
 fn nobody_is_held_back_without_a_bump() {
     let tracks = Healing::r4(5, 60.0, NOISE_PX).follow(FusionParams::default(), 60.0);
-    assert_eq!((tracks.counts.held_frames, tracks.counts.taken_back), (0, 0), "{tracks:?}");
+    assert_eq!((tracks.counts.held_frames, tracks.counts.retracted), (0, 0), "{tracks:?}");
 }
 
 #[test]

@@ -1,5 +1,5 @@
-//! A seeded world for fusion: objects on smooth paths, cameras that see them with errors of exactly
-//! the covariance that they state, and frames that arrive late and in disorder. No pixels.
+//! A seeded world for fusion: objects on smooth paths, cameras whose errors have exactly the stated covariance, and
+//! frames that arrive late and out of order. No pixels.
 
 use std::f64::consts::{PI, TAU};
 
@@ -17,38 +17,38 @@ use roundel_core::{
     world::{CameraPlacement, FrameObservations},
 };
 
-/// Where virtual time begins.
+/// Start of virtual time.
 pub const START: Timestamp = Timestamp::from_ns(1_800_000_000_000_000_000);
 
-/// What the world is like.
+/// Parameters of a world.
 #[derive(Clone, Copy, Debug)]
 pub struct Setting {
     pub seed: u64,
     pub objects: usize,
-    /// Every how manieth object stands still; 0: none.
+    /// Every how many objects one stands still; 0: none.
     pub still: usize,
     pub cameras: usize,
     pub rate_hz: f64,
-    /// Cameras' exposures are spread over the period, not at one time.
+    /// Spreads the cameras' exposures over the period.
     pub unsynchronized: bool,
     /// Latency is this plus or minus `jitter_s`, uniform.
     pub latency_s: f64,
     pub jitter_s: f64,
     pub dropout: f64,
-    /// False detections a frame.
+    /// Probability of a false detection per frame.
     pub clutter: f64,
-    /// Share of the error's variance that stays from frame to frame, and for how long.
+    /// Share of the error's variance that is systematic, and its correlation time.
     pub systematic_share: f64,
     pub systematic_time_s: f64,
-    pub greatest_acceleration_m_s2: f64,
-    /// Accelerations change at random (held together by a spring), instead of sines.
+    pub max_acceleration_m_s2: f64,
+    /// Random accelerations (bounded by a spring) instead of sines.
     pub random: bool,
     pub noise_px: f64,
-    /// Until then everything stands still where its path begins, and then sets off on it.
-    pub starts_s: f64,
-    /// Neighbours go round the same place and pass each other at 0.25 m.
+    /// Until then all objects stand at the start of their paths.
+    pub start_s: f64,
+    /// Neighbours move to and fro and pass each other at 0.25 m.
     pub passing: bool,
-    /// None of them flies.
+    /// No object flies.
     pub ground: bool,
 }
 
@@ -67,10 +67,10 @@ impl Default for Setting {
             clutter: 0.0,
             systematic_share: 0.5,
             systematic_time_s: 1.0,
-            greatest_acceleration_m_s2: 2.0,
+            max_acceleration_m_s2: 2.0,
             random: false,
             noise_px: 0.1,
-            starts_s: 0.0,
+            start_s: 0.0,
             passing: false,
             ground: false,
         }
@@ -85,25 +85,25 @@ pub struct Truth {
     pub normal: Vector3<f64>,
 }
 
-/// Two sines along each of two level axes, a slow one up and down.
+/// Sines along the axes, or a random path.
 #[derive(Clone, Debug)]
 struct Path {
     center_m: Vector3<f64>,
     waves: Vec<(Vector3<f64>, f64, f64)>,
-    /// Instead of waves: position, velocity, acceleration every [`GRID_S`], from the start.
+    /// Instead of waves: position, velocity and acceleration every [`GRID_S`], from the start.
     grid: Vec<[Vector3<f64>; 3]>,
     tilting: bool,
-    starts_s: f64,
+    start_s: f64,
 }
 
-/// A random path's acceleration is constant for so long.
+/// Time step of a random path.
 const GRID_S: f64 = 0.005;
-/// And random paths are so long.
+/// Length of a random path.
 const GRID_END_S: f64 = 70.0;
 
-/// Acceleration that forgets itself within 0.4 s, a spring and a damper that keep it in place, and
-/// nothing beyond `most`.
-fn random_grid(rng: &mut ChaCha8Rng, axes: &Vector3<f64>, most: f64) -> Vec<[Vector3<f64>; 3]> {
+/// Acceleration with a correlation time of 0.4 s, a spring and a damper that keep the object in place; at most
+/// `max`.
+fn random_grid(rng: &mut ChaCha8Rng, axes: &Vector3<f64>, max: f64) -> Vec<[Vector3<f64>; 3]> {
     let (mut position, mut velocity, mut push) =
         (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
     let kept: f64 = (-GRID_S / 0.4f64).exp();
@@ -111,10 +111,10 @@ fn random_grid(rng: &mut ChaCha8Rng, axes: &Vector3<f64>, most: f64) -> Vec<[Vec
     (0..steps)
         .map(|_| {
             push = push * kept
-                + gaussian3(rng).component_mul(axes) * (most * 0.45 * (1.0 - kept * kept).sqrt());
+                + gaussian3(rng).component_mul(axes) * (max * 0.45 * (1.0 - kept * kept).sqrt());
             let mut acceleration: Vector3<f64> = push - position * 6.0 - velocity * 2.0;
-            if acceleration.norm() > most {
-                acceleration *= most / acceleration.norm();
+            if acceleration.norm() > max {
+                acceleration *= max / acceleration.norm();
             }
             let knot = [position, velocity, acceleration];
             position += velocity * GRID_S + acceleration * (GRID_S * GRID_S / 2.0);
@@ -148,9 +148,8 @@ impl Path {
     }
 
     fn truth(&self, t: f64) -> Truth {
-        let (position_m, mut velocity_m_s, mut acceleration) =
-            self.at((t - self.starts_s).max(0.0));
-        if t < self.starts_s {
+        let (position_m, mut velocity_m_s, mut acceleration) = self.at((t - self.start_s).max(0.0));
+        if t < self.start_s {
             velocity_m_s = Vector3::zeros();
             acceleration = Vector3::zeros();
         }
@@ -200,15 +199,19 @@ impl Arena {
                     center_m
                 };
                 let (mut waves, mut grid) = (Vec::new(), Vec::new());
-                let most = setting.greatest_acceleration_m_s2;
+                let max_acceleration_m_s2 = setting.max_acceleration_m_s2;
                 if setting.random && !still {
                     let axes = Vector3::new(1.0, 1.0, if flying { 0.6 } else { 0.0 });
-                    grid = random_grid(&mut rng, &axes, most);
+                    grid = random_grid(&mut rng, &axes, max_acceleration_m_s2);
                 } else if setting.passing {
-                    // To and fro on neighbouring lines, each pair in opposite ways.
+                    // To and fro on neighbouring lines, each pair in opposite phase.
                     let amplitude = 0.45;
                     let phase = if index % 2 == 0 { 0.0 } else { PI };
-                    waves.push((Vector3::x() * amplitude, (most * 0.8 / amplitude).sqrt(), phase));
+                    waves.push((
+                        Vector3::x() * amplitude,
+                        (max_acceleration_m_s2 * 0.8 / amplitude).sqrt(),
+                        phase,
+                    ));
                 } else if !still {
                     for (axis, share) in
                         [(Vector3::x(), 0.6), (Vector3::y(), 0.6), (Vector3::z(), 0.3)]
@@ -217,17 +220,19 @@ impl Arena {
                             continue;
                         }
                         let amplitude = uniform(&mut rng, 0.3, 0.45) * cell.1;
-                        let omega = (most * share * uniform(&mut rng, 0.5, 1.0) / amplitude).sqrt();
+                        let omega = (max_acceleration_m_s2 * share * uniform(&mut rng, 0.5, 1.0)
+                            / amplitude)
+                            .sqrt();
                         waves.push((axis * amplitude, omega, uniform(&mut rng, 0.0, TAU)));
                     }
                 }
-                // A lean that jumps as a random acceleration does is nothing that a robot can do.
+                // A lean that jumps with a random acceleration would not be realistic.
                 Path {
                     center_m,
                     waves,
                     tilting: flying && !setting.passing && grid.is_empty(),
                     grid,
-                    starts_s: setting.starts_s,
+                    start_s: setting.start_s,
                 }
             })
             .collect();
@@ -239,7 +244,7 @@ impl Arena {
         self.paths[object].truth(time.seconds_since(START))
     }
 
-    /// All frames of `seconds`, in the order in which they arrive.
+    /// All frames of `seconds` in order of arrival.
     pub fn frames(&self, seconds: f64) -> Vec<FrameObservations> {
         let setting = &self.setting;
         let mut sent = Vec::new();
@@ -284,8 +289,8 @@ impl Arena {
             sensor.bias[object] = Some(bias);
             let state = self.paths[object].truth(t);
             let dropped = uniform(&mut sensor.rng, 0.0, 1.0) < setting.dropout;
-            let seen = self.see(camera, &state, &bias, &mut sensor.rng);
-            if let (Some(pose), false) = (seen, dropped) {
+            let pose = self.detect(camera, &state, &bias, &mut sensor.rng);
+            if let (Some(pose), false) = (pose, dropped) {
                 detections.push(detection(object as u64 + 1, time, Some(pose)));
             }
         }
@@ -300,7 +305,7 @@ impl Arena {
                 normal: Vector3::z(),
             };
             let none = [Vector3::zeros(); 2];
-            if let Some(pose) = self.see(camera, &place, &none, &mut sensor.rng) {
+            if let Some(pose) = self.detect(camera, &place, &none, &mut sensor.rng) {
                 detections.push(detection(1_000_000 + number, time, Some(pose)));
             }
         }
@@ -315,8 +320,8 @@ impl Arena {
         }
     }
 
-    /// A pose with an error drawn from the covariance that it states; `None` outside the image.
-    pub fn see(
+    /// A pose with an error drawn from its stated covariance; `None` outside the image.
+    pub fn detect(
         &self,
         camera: usize,
         truth: &Truth,
@@ -327,8 +332,8 @@ impl Arena {
         const DIAMETER_M: f64 = 0.16;
         let share = self.setting.systematic_share;
         let fresh = [gaussian3(rng), gaussian3(rng)];
-        let certain: f64 = uniform(rng, 0.55, 0.95);
-        let right = uniform(rng, 0.0, 1.0) < certain;
+        let likelihood: f64 = uniform(rng, 0.55, 0.95);
+        let is_right_normal = uniform(rng, 0.0, 1.0) < likelihood;
         let camera_from_world = self.placements[camera].world_from_camera.inverse();
         let center = (camera_from_world * Point3::from(truth.position_m)).coords;
         let normal = camera_from_world.rotation * truth.normal;
@@ -341,8 +346,8 @@ impl Arena {
         let across = self.setting.noise_px * distance / FOCAL_PX;
         let along = distance * self.setting.noise_px / (DIAMETER_M * FOCAL_PX / distance);
         let tilt: f64 = 0.05;
-        let sight = center / distance;
-        let axes = basis(&sight);
+        let line_of_sight = center / distance;
+        let axes = basis(&line_of_sight);
         let root = axes * Matrix3::from_diagonal(&Vector3::new(across, across, along));
         let mixed = |i: usize| bias[i] * share.sqrt() + fresh[i] * (1.0 - share).sqrt();
         let tangent = {
@@ -350,10 +355,11 @@ impl Arena {
             Matrix3::identity() - along
         };
         let turn = UnitQuaternion::from_scaled_axis(tangent * mixed(1) * tilt);
-        let seen = turn * normal;
-        let mirrored = |n: &Vector3<f64>| (sight * (2.0 * sight.dot(n)) - n).normalize();
-        let other = mirrored(&seen);
-        let first = if right { seen } else { other };
+        let right = turn * normal;
+        let mirrored =
+            |n: &Vector3<f64>| (line_of_sight * (2.0 * line_of_sight.dot(n)) - n).normalize();
+        let other = mirrored(&right);
+        let first = if is_right_normal { right } else { other };
         let mut covariance = Covariance6::zeros();
         covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&(root * root.transpose()));
         let about = first * first.transpose();
@@ -363,8 +369,8 @@ impl Arena {
         Some(RoundelPose {
             position_m: center + root * mixed(0),
             normal: first,
-            normal_likelihood: certain,
-            other_normal: if right { other } else { seen },
+            normal_likelihood: likelihood,
+            other_normal: if is_right_normal { other } else { right },
             yaw_rad: None,
             yaw_symmetry: 1,
             covariance,
@@ -384,21 +390,22 @@ fn basis(z: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::from_columns(&[x, z.cross(&x), *z])
 }
 
-/// R4's four places; with more cameras, pairs of them side by side.
+/// R4's four camera poses; further cameras stand beside them.
 fn placement(index: usize) -> CameraPlacement {
     let side = |bit: usize| if index & bit == 0 { -1.0 } else { 1.0 };
     let shift = (index / 4) as f64 * 0.6;
-    let eye = Vector3::new(side(1) * (2.5 - shift), side(2) * (2.0 - shift), 5.0);
+    let position_m = Vector3::new(side(1) * (2.5 - shift), side(2) * (2.0 - shift), 5.0);
     let target = Vector3::new(side(1) * 1.25, side(2), 0.0);
-    let forward = (target - eye).normalize();
-    let right = forward.cross(&Vector3::z()).normalize();
-    let down = forward.cross(&right);
-    let rotation = UnitQuaternion::from_matrix(&Matrix3::from_columns(&[right, down, forward]));
-    let world_from_camera: Rigid = Isometry3::from_parts(Translation3::from(eye), rotation);
+    let forward = (target - position_m).normalize();
+    let is_right_normal = forward.cross(&Vector3::z()).normalize();
+    let down = forward.cross(&is_right_normal);
+    let rotation =
+        UnitQuaternion::from_matrix(&Matrix3::from_columns(&[is_right_normal, down, forward]));
+    let world_from_camera: Rigid = Isometry3::from_parts(Translation3::from(position_m), rotation);
     CameraPlacement { world_from_camera, covariance: Covariance6::zeros() }
 }
 
-/// A detection of the one kind there is.
+/// A detection of kind 0.
 pub fn detection(number: u64, time: Timestamp, pose: Option<RoundelPose>) -> Detection {
     let rim = |semi_px: f64| Ellipse {
         center: PixelPoint { u: 0.0, v: 0.0 },

@@ -1,4 +1,5 @@
-//! Objects that carry several roundels: one object each, and better than any of its roundels.
+//! Objects with several roundels: one object each, with a better heading than a single roundel gives, and correct
+//! covariances.
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
@@ -23,16 +24,16 @@ use super::{
 /// χ² of 3 degrees of freedom at 95 %.
 const CHI3: f64 = 7.815;
 const BAND: std::ops::RangeInclusive<f64> = 0.92..=0.98;
-/// Deviation of a coded roundel's yaw.
+/// Standard deviation of a coded roundel's yaw.
 const YAW_RAD: f64 = 0.02;
-/// The plain kind; `arena` makes all of kind 0, which is coded here.
+/// The plain kind; `arena` uses kind 0 for all, which is coded here.
 const PLAIN: KindId = KindId(1);
 
 pub(crate) fn code(number: u16) -> Code {
     Code { bits: 8, number }
 }
 
-/// A flat print, so far ahead and to the left of the origin, 0.1 m above it.
+/// A flat print at this distance ahead and to the left of the origin, 0.1 m above it.
 pub(crate) fn flat(x_m: f64, y_m: f64, yaw_rad: f64) -> Rigid {
     Rigid::new(Vector3::new(x_m, y_m, 0.1), Vector3::z() * yaw_rad)
 }
@@ -50,7 +51,7 @@ fn two() -> Vec<Mount> {
     vec![coded(3, flat(0.2, 0.0, 0.0)), coded(4, flat(-0.2, 0.0, 2.0))]
 }
 
-/// Where the robot is after so many seconds.
+/// Pose of the robot after `t` seconds.
 pub(crate) fn truth(t: f64) -> Rigid {
     let place =
         Vector3::new(0.8 * (0.9 * t).sin(), 0.6 * (1.1 * t + 1.0).sin(), 0.25 + 0.05 * t.sin());
@@ -59,12 +60,25 @@ pub(crate) fn truth(t: f64) -> Rigid {
     Rigid::from_parts(place.into(), tilt * heading)
 }
 
-/// Four cameras and a robot that carries these.
+/// Four cameras and a robot with these roundels.
 pub(crate) struct World {
     pub(crate) arena: Arena,
     mounts: Vec<Mount>,
-    /// Which of them are not seen after so many seconds.
+    /// Whether a roundel is hidden after some seconds.
     hidden: fn(usize, f64) -> bool,
+}
+
+/// A roundel of the robot at one time.
+struct MountedRoundel<'a> {
+    mount: &'a Mount,
+    world_from_roundel: Rigid,
+}
+
+/// Errors of one detection, in standard deviations.
+struct SensorError<'a> {
+    /// Systematic errors of position, normal and yaw.
+    bias: &'a [Vector3<f64>; 3],
+    yaw: f64,
 }
 
 impl World {
@@ -80,7 +94,7 @@ impl World {
         fusion
     }
 
-    /// All frames of so many seconds, in the order of their times.
+    /// All frames of `seconds` in order of their times.
     pub(crate) fn frames(&self, seconds: f64) -> Vec<FrameObservations> {
         let (rate_hz, share) = (30.0, self.arena.setting.systematic_share);
         let kept = (-1.0 / (rate_hz * self.arena.setting.systematic_time_s)).exp();
@@ -98,11 +112,13 @@ impl World {
                     }
                     let fresh = gaussian3(&mut rng).x;
                     let yaw = biases[index][2].x * share.sqrt() + fresh * (1.0 - share).sqrt();
-                    let at = truth(t) * mount.object_from_roundel;
-                    let seen = self.see(camera, (at, mount), (&biases[index], yaw), time, &mut rng);
-                    if let Some(mut seen) = seen.filter(|_| !(self.hidden)(index, t)) {
-                        seen.track.0 = index as u64 + 1;
-                        detections.push(seen);
+                    let world_from_roundel = truth(t) * mount.object_from_roundel;
+                    let roundel = MountedRoundel { mount, world_from_roundel };
+                    let error = SensorError { bias: &biases[index], yaw };
+                    let detection = self.detect(camera, &roundel, &error, time, &mut rng);
+                    if let Some(mut detection) = detection.filter(|_| !(self.hidden)(index, t)) {
+                        detection.track.0 = index as u64 + 1;
+                        detections.push(detection);
                     }
                 }
                 frames.push(FrameObservations {
@@ -119,29 +135,31 @@ impl World {
         frames
     }
 
-    fn see(
+    fn detect(
         &self,
         camera: usize,
-        (at, mount): (Rigid, &Mount),
-        (bias, yaw): (&[Vector3<f64>; 3], f64),
+        roundel: &MountedRoundel<'_>,
+        error: &SensorError<'_>,
         time: Timestamp,
         rng: &mut ChaCha8Rng,
     ) -> Option<Detection> {
+        let (mount, at) = (roundel.mount, &roundel.world_from_roundel);
+        let SensorError { bias, yaw } = error;
         let truth = Truth {
             position_m: at.translation.vector,
             velocity_m_s: Vector3::zeros(),
             normal: at.rotation * Vector3::z(),
         };
-        let mut pose = self.arena.see(camera, &truth, &[bias[0], bias[1]], rng)?;
+        let mut pose = self.arena.detect(camera, &truth, &[bias[0], bias[1]], rng)?;
         let mut reading = None;
         if let Some(code) = mount.code {
             let camera_from_world = self.arena.placements[camera].world_from_camera.inverse();
             let turned = camera_from_world.rotation * at.rotation;
             let (x, z) = (turned * Vector3::x(), turned * Vector3::z());
-            // With the other normal it points the same way in the picture.
-            let sight = pose.position_m.normalize();
+            // The other normal has the same direction in the image.
+            let line_of_sight = pose.position_m.normalize();
             let is_right = pose.normal.dot(&z) > pose.other_normal.dot(&z);
-            let x = if is_right { x } else { x - sight * (2.0 * sight.dot(&x)) };
+            let x = if is_right { x } else { x - line_of_sight * (2.0 * line_of_sight.dot(&x)) };
             let in_plane = orientation_of_normal(&pose.normal).inverse() * x;
             pose.yaw_rad = Some(in_plane.y.atan2(in_plane.x) + YAW_RAD * yaw);
             let about = pose.normal * pose.normal.transpose();
@@ -149,10 +167,10 @@ impl World {
             rotation += about * (YAW_RAD * YAW_RAD - UNKNOWN_ANGLE_VARIANCE_RAD2);
             reading = Some(CodeReading::certain(code, PixelPoint::default()));
         }
-        let mut seen = detection(1, time, Some(pose));
-        seen.ring.kind = Some(mount.kind);
-        seen.ring.code = reading;
-        Some(seen)
+        let mut detection = detection(1, time, Some(pose));
+        detection.ring.kind = Some(mount.kind);
+        detection.ring.code = reading;
+        Some(detection)
     }
 }
 
@@ -198,7 +216,7 @@ impl Score {
         self.inside.map(|inside| inside as f64 / self.states as f64)
     }
 
-    /// Angles are filtered as if they could change in any way at any time, which these do less.
+    /// Angles are filtered for arbitrary changes, and these change less, so their covariance may be too large.
     fn assert_honest(&self) {
         let [position, rotation] = self.shares();
         assert!(BAND.contains(&position) && rotation > 0.92, "{}", self.summary());
@@ -237,12 +255,12 @@ fn scored(name: &str, fusion: &mut Fusion, frames: &[FrameObservations]) -> Scor
 }
 
 #[test]
-fn two_roundels_are_one_object_that_knows_its_heading_better() {
+fn two_roundels_give_one_object_with_a_better_heading() {
     let world = World::new(two());
     let frames = world.frames(30.0);
     let both = scored("both", &mut world.fusion(&two()), &frames);
     let mut front = frames.clone();
-    front.iter_mut().for_each(|frame| frame.detections.retain(|seen| seen.track.0 == 1));
+    front.iter_mut().for_each(|frame| frame.detections.retain(|detection| detection.track.0 == 1));
     let front = scored("front", &mut world.fusion(&two()), &front);
     for score in [&both, &front] {
         assert_eq!((score.states, score.others), (3359, 0));
@@ -252,7 +270,7 @@ fn two_roundels_are_one_object_that_knows_its_heading_better() {
 }
 
 #[test]
-fn one_of_two_is_hidden_half_the_time() {
+fn one_of_two_roundels_is_hidden_half_the_time() {
     let hidden =
         |index, t: f64| t.rem_euclid(2.0) < 1.0 && (t.rem_euclid(4.0) < 2.0) == (index == 0);
     let world = World { hidden, ..World::new(two()) };
@@ -266,7 +284,7 @@ fn one_of_two_is_hidden_half_the_time() {
 fn a_plain_roundel_beside_a_coded_one() {
     let mounts = vec![coded(3, flat(0.0, 0.0, 0.3)), plain(flat(-0.4, 0.1, 0.0))];
     let world = World {
-        // The plain one alone for half a second in each two.
+        // Only the plain one for half a second in every two.
         hidden: |index, t| index == 0 && t.rem_euclid(2.0) < 0.5,
         ..World::new(mounts.clone())
     };
@@ -276,9 +294,9 @@ fn a_plain_roundel_beside_a_coded_one() {
     score.assert_honest();
 }
 
-/// Too many for all choices of normals to be tried.
+/// Too many roundels for an exhaustive search over normals.
 #[test]
-fn six_roundels_know_it_better_than_two() {
+fn six_roundels_are_more_precise_than_two() {
     let round = |index: u16| {
         let angle = f64::from(index);
         coded(3 + index, flat(0.2 * angle.cos(), 0.2 * angle.sin(), angle))
@@ -293,7 +311,7 @@ fn six_roundels_know_it_better_than_two() {
     assert!(score.rms_mm() < 0.8 * of_two.rms_mm());
 }
 
-/// A stranger with the code of another roundel of the robot, and one of its own read as another's.
+/// A stray roundel with the code of another one of the robot, and a misread one of its own.
 #[test]
 fn a_misread_code_is_left_out() {
     let world = World::new(two());
@@ -302,21 +320,25 @@ fn a_misread_code_is_left_out() {
     let mut frames = clean.clone();
     let mut misread = 0;
     for frame in frames.iter_mut().filter(|frame| frame.capture_time > START.plus_seconds(1.0)) {
-        // For half of the frames the camera's tracker holds on to nothing.
+        // In half of the frames the camera's tracker has lost all roundels.
         if frame.frame % 2 == 0 {
-            for seen in &mut frame.detections {
-                seen.track.0 += 100 * frame.frame;
+            for detection in &mut frame.detections {
+                detection.track.0 += 100 * frame.frame;
             }
         }
         if frame.frame % 4 == 0 && frame.detections.len() == 2 {
-            // The one behind is read as the one in front.
+            // The rear roundel is misread as the front one.
             frame.detections[1].ring.code = frame.detections[0].ring.code;
             misread += 1;
         }
         if frame.frame % 4 == 1 {
-            // And the first one, followed for long, as something else.
+            // The front one, tracked for long, is misread as a stray code.
             let stray = CodeReading::certain(code(9), PixelPoint::default());
-            frame.detections.iter_mut().take(1).for_each(|seen| seen.ring.code = Some(stray));
+            frame
+                .detections
+                .iter_mut()
+                .take(1)
+                .for_each(|detection| detection.ring.code = Some(stray));
         }
     }
     let mut fusion = world.fusion(&two());
@@ -329,7 +351,7 @@ fn a_misread_code_is_left_out() {
 }
 
 #[test]
-fn who_comes_back_is_the_same_object() {
+fn a_returning_body_keeps_its_id() {
     use EventKind::{Appeared, Lost, Predicted, Recovered};
     let hidden = |_, t: f64| (2.0..3.0).contains(&t) || (4.0..7.0).contains(&t);
     let world = World { hidden, ..World::new(two()) };
@@ -346,18 +368,18 @@ fn who_comes_back_is_the_same_object() {
     assert_eq!((object.id, object.body, object.code), (ObjectId(1), Some(BodyId(0)), None));
 }
 
-/// A robot that is carried elsewhere while nobody looks.
+/// A robot that is carried elsewhere unobserved.
 #[test]
-fn who_turns_up_elsewhere_is_the_same_object() {
+fn a_body_that_reappears_elsewhere_keeps_its_id() {
     let world = World::new(two());
     let mut fusion = world.fusion(&two());
     for frame in &mut world.frames(4.0) {
         if frame.capture_time > START.plus_seconds(2.0) {
             let place = &world.arena.placements[frame.camera.0 as usize].world_from_camera;
-            for seen in &mut frame.detections {
-                let pose = seen.pose.as_mut().unwrap();
+            for detection in &mut frame.detections {
+                let pose = detection.pose.as_mut().unwrap();
                 pose.position_m += place.rotation.inverse() * Vector3::new(0.5, 0.8, 0.0);
-                seen.track.0 += 100;
+                detection.track.0 += 100;
             }
         }
         fusion.observe(frame);
@@ -369,35 +391,35 @@ fn who_turns_up_elsewhere_is_the_same_object() {
     assert!((object.position_m - expected_m).norm() < 0.02, "{object:?}");
 }
 
-/// A roundel whose teeth are not read at first was an object of its own until then.
+/// A roundel whose code is not read at first is an object of its own until then.
 #[test]
-fn what_was_not_read_at_first_ends_when_it_is() {
+fn an_unread_roundel_is_absorbed_when_it_is_read() {
     let world = World::new(two());
     let mut fusion = world.fusion(&two());
     for frame in &mut world.frames(3.0) {
-        for seen in &mut frame.detections {
-            // The front one is read after half a second, the one behind now and then.
-            let is_read = if seen.track.0 == 1 {
+        for detection in &mut frame.detections {
+            // The front one is read after half a second, the rear one now and then.
+            let is_read = if detection.track.0 == 1 {
                 frame.capture_time > START.plus_seconds(0.5)
             } else {
                 frame.frame % 10 == 1
             };
-            seen.ring.code = seen.ring.code.filter(|_| is_read);
+            detection.ring.code = detection.ring.code.filter(|_| is_read);
         }
         fusion.observe(frame);
     }
-    // What was lost is named once.
+    // The lost object is in one snapshot.
     fusion.snapshot(START.plus_seconds(3.0));
     let snapshot = fusion.snapshot(START.plus_seconds(3.0));
     let [object] = &snapshot.objects[..] else { panic!("{snapshot:?}") };
     assert_eq!(object.body, Some(BodyId(0)));
-    // Of 360 frames all show the one behind, but for a quarter of them the front one as well.
+    // All 360 frames show the rear roundel, and three quarters of them the front one.
     let counts = fusion.counts();
     assert!(counts.joined > 290 && counts.merged > 0, "{counts:?}");
 }
 
 #[test]
-fn one_coded_roundel_is_told_by_its_code_at_the_tracked_point() {
+fn a_body_of_one_coded_roundel_has_its_code_and_tracked_point() {
     let mounts = vec![coded(3, flat(0.05, 0.0, 0.5))];
     let world = World::new(mounts.clone());
     let mut fusion = world.fusion(&mounts);
@@ -408,21 +430,21 @@ fn one_coded_roundel_is_told_by_its_code_at_the_tracked_point() {
 }
 
 #[test]
-fn what_drives_keeps_its_origin_at_its_height() {
+fn a_driving_body_keeps_its_origin_at_its_height() {
     let world = World::new(two());
     let held_m = 0.4;
     let motion = MotionClass::Ground { height_m: Some(held_m) };
     let mut fusion = fusion_of(&world.arena, FusionParams::default());
     fusion.add_body(Body { motion, mounts: two() }).unwrap();
-    // A single camera, which knows the height less well than the floor does.
+    // A single camera is less certain of the height than the floor.
     let mut frames = world.frames(3.0);
     frames.retain(|frame| frame.camera == CameraId(0));
     for frame in &mut frames {
         let t = frame.capture_time.seconds_since(START);
         let place = &world.arena.placements[0].world_from_camera;
         let lift_m = Vector3::new(0.0, 0.0, held_m - truth(t).translation.z);
-        for seen in &mut frame.detections {
-            let pose = seen.pose.as_mut().unwrap();
+        for detection in &mut frame.detections {
+            let pose = detection.pose.as_mut().unwrap();
             pose.position_m += place.rotation.inverse() * lift_m;
             pose.covariance *= 100.0;
         }
@@ -433,9 +455,9 @@ fn what_drives_keeps_its_origin_at_its_height() {
     assert!((height_m - held_m).abs() < 0.01, "{height_m}");
 }
 
-/// Its place is as uncertain as that of the only camera.
+/// The covariance includes that of the only camera's pose.
 #[test]
-fn a_camera_of_uncertain_place_says_so() {
+fn the_covariance_includes_the_camera_pose() {
     let world = World::new(two());
     let mut fusion = world.fusion(&two());
     for (index, placement) in world.arena.placements.iter().enumerate() {
@@ -450,7 +472,7 @@ fn a_camera_of_uncertain_place_says_so() {
 }
 
 #[test]
-fn a_roundel_is_on_one_object_once() {
+fn a_roundel_belongs_to_one_body_once() {
     let mut fusion = Fusion::new(FusionParams::default());
     let mut add = |mounts| fusion.add_body(Body { motion: MotionClass::Free, mounts });
     let place = flat(0.0, 0.0, 0.0);
@@ -460,7 +482,7 @@ fn a_roundel_is_on_one_object_once() {
     assert_eq!(add(vec![coded(3, place), plain(place)]), Ok(BodyId(0)));
     assert_eq!(add(vec![coded(4, place), coded(3, place)]), taken(1));
     assert_eq!(add(vec![plain(place)]), taken(0));
-    // What failed has taken nothing.
+    // The failed call has claimed nothing.
     assert_eq!(add(vec![coded(4, place)]), Ok(BodyId(1)));
     let nowhere = Rigid::translation(f64::NAN, 0.0, 0.0);
     assert_eq!(add(vec![coded(5, nowhere)]), Err(BodyError::NotFinite { mount: 0 }));

@@ -1,4 +1,4 @@
-//! Cameras that see landmarks: these place what carries the camera.
+//! Cameras that detect landmarks and thereby localize their carriers.
 
 use std::f64::consts::PI;
 
@@ -12,13 +12,13 @@ use roundel_core::{
 
 use super::{
     arena::START,
-    sight::{
-        ABOARD, DRONE, Eye, KIND, STANDING, Tally, carrier, code, error, frame, fusion, mount, own,
-        standing_camera,
+    roundel_camera::{
+        DRONE, ErrorStatistics, KIND, ONBOARD, RoundelCamera, STATIONARY, carrier, code, error,
+        frame, fusion, mount, own, stationary_camera,
     },
 };
 
-/// Four landmarks on a wall, facing those who come along x.
+/// Four landmarks on a wall, visible from -x.
 fn station(coded: bool) -> Vec<Landmark> {
     let faces = UnitQuaternion::from_euler_angles(0.0, -PI / 2.0, 0.0);
     [[-0.3, 0.2], [0.3, 0.25], [-0.25, 0.7], [0.35, 0.6]]
@@ -33,7 +33,7 @@ fn station(coded: bool) -> Vec<Landmark> {
         .collect()
 }
 
-/// The camera of a robot that drives: forwards, 0.3 m before its roundel and 0.1 m below.
+/// Camera of a driving robot: looks forwards, 0.3 m ahead of its roundel and 0.1 m below.
 fn forwards() -> CameraMount {
     let axes = Matrix3::from_columns(&[-Vector3::y(), -Vector3::z(), Vector3::x()]);
     let turn = UnitQuaternion::from_matrix(&axes);
@@ -56,11 +56,11 @@ fn dock(
     carrier: Carrier,
     landmarks: &[Landmark],
     seconds: f64,
-    mut look: impl FnMut(&mut Fusion, Timestamp),
+    mut observe: impl FnMut(&mut Fusion, Timestamp),
 ) {
-    fusion.set_mount(ABOARD, Some(CameraMount { carrier, ..forwards() }));
+    fusion.set_mount(ONBOARD, Some(CameraMount { carrier, ..forwards() }));
     fusion.set_landmarks(landmarks.to_vec());
-    let mut eye = Eye::new(8);
+    let mut sensor = RoundelCamera::new(8);
     for step in 0..(seconds * 30.0) as u64 {
         let t = step as f64 / 30.0;
         let time = START.plus_seconds(t);
@@ -68,59 +68,59 @@ fn dock(
         let detections = landmarks.iter().zip(1..).map(|(landmark, number)| {
             let place = landmark.position_m.into();
             let stands = Rigid::from_parts(place, landmark.orientation.unwrap());
-            eye.see(&(camera.inverse() * stands), time, number, landmark.code)
+            sensor.detect(&(camera.inverse() * stands), time, number, landmark.code)
         });
-        fusion.observe(&frame(ABOARD, step + 1, time, detections.collect()));
-        look(fusion, time);
+        fusion.observe(&frame(ONBOARD, step + 1, time, detections.collect()));
+        observe(fusion, time);
     }
 }
 
 #[test]
-fn a_robot_finds_itself_by_landmarks_coded_or_plain() {
+fn a_robot_localizes_by_coded_or_plain_landmarks() {
     for coded in [true, false] {
         let mut fusion = fusion();
-        let mut tally = Tally::default();
+        let mut statistics = ErrorStatistics::default();
         dock(&mut fusion, carrier(DRONE), &station(coded), 8.0, |fusion, time| {
             let t = time.seconds_since(START);
             if t > 0.5 {
                 let snapshot = fusion.snapshot(time);
-                tally.add(own(&snapshot.objects, DRONE).unwrap(), docking, t);
+                statistics.add(own(&snapshot.objects, DRONE).unwrap(), docking, t);
             }
         });
-        let shares = tally.shares();
-        println!("coded {coded}: {shares:.3?}, {:.2} mm", tally.rms_mm());
+        let shares = statistics.shares();
+        println!("coded {coded}: {shares:.3?}, {:.2} mm", statistics.rms_mm());
         assert!(shares.iter().all(|share| *share >= 0.92), "{shares:?}");
-        assert!(tally.rms_mm() < 15.0, "{}", tally.rms_mm());
+        assert!(statistics.rms_mm() < 15.0, "{}", statistics.rms_mm());
         let counts = fusion.counts();
         assert_eq!((counts.begun, counts.localized), (1, 240), "{counts:?}");
-        assert_eq!(counts.of_landmarks, counts.detections);
+        assert_eq!(counts.landmark_detections, counts.detections);
     }
 }
 
-/// A robot that nothing is printed on is an object all the same.
+/// A robot without a roundel is an object as well.
 #[test]
-fn a_robot_without_a_roundel_finds_itself() {
+fn a_robot_without_a_roundel_localizes() {
     let mut fusion = fusion();
     let motion = MotionClass::Ground { height_m: Some(0.5) };
     let body = fusion.add_body(Body { motion, mounts: vec![] }).unwrap();
-    let mut tally = Tally::default();
+    let mut statistics = ErrorStatistics::default();
     dock(&mut fusion, Carrier::Body(body), &station(true), 8.0, |fusion, time| {
         let t = time.seconds_since(START);
         if t > 0.5 {
             let snapshot = fusion.snapshot(time);
             let [object] = &snapshot.objects[..] else { panic!("{snapshot:?}") };
             assert_eq!((object.body, object.kind, object.code), (Some(body), None, None));
-            tally.add(object, docking, t);
+            statistics.add(object, docking, t);
         }
     });
-    let shares = tally.shares();
+    let shares = statistics.shares();
     assert!(shares.iter().all(|share| *share >= 0.92), "{shares:?}");
-    assert!(tally.rms_mm() < 15.0, "{}", tally.rms_mm());
+    assert!(statistics.rms_mm() < 15.0, "{}", statistics.rms_mm());
 }
 
-/// One landmark has two normals: nothing is said until one of them is sure, and then the right one.
+/// One landmark has two normals: nothing is reported until one is certain, and then the right one.
 #[test]
-fn one_landmark_is_enough_once_its_normal_is_known() {
+fn one_landmark_suffices_once_its_normal_is_certain() {
     let mut fusion = fusion();
     let mut first = None;
     dock(&mut fusion, carrier(DRONE), &station(true)[..1], 8.0, |fusion, time| {
@@ -138,19 +138,19 @@ fn one_landmark_is_enough_once_its_normal_is_known() {
     assert_eq!(fusion.counts().begun, 1);
 }
 
-/// Seen by a camera that stands as well, it is still one object, and better known.
+/// A robot that a stationary camera observes too is still one object, with a smaller error.
 #[test]
-fn own_and_others_sight_go_to_one_track() {
+fn own_and_external_cameras_share_one_track() {
     let mut fusion = fusion();
-    let mut eye = Eye::new(4);
+    let mut sensor = RoundelCamera::new(4);
     let mut number = 0;
     let mut sizes = Vec::new();
     dock(&mut fusion, carrier(DRONE), &station(true), 4.0, |fusion, time| {
         let t = time.seconds_since(START);
         number += 1;
         if t > 2.0 {
-            let seen = standing_camera(STANDING[1]).inverse() * docking(t);
-            let detection = eye.see(&seen, time, 1, Some(code(DRONE)));
+            let camera_from_roundel = stationary_camera(STATIONARY[1]).inverse() * docking(t);
+            let detection = sensor.detect(&camera_from_roundel, time, 1, Some(code(DRONE)));
             fusion.observe(&frame(CameraId(1), number, time, vec![detection]));
         }
         let snapshot = fusion.snapshot(time);
@@ -161,6 +161,6 @@ fn own_and_others_sight_go_to_one_track() {
         }
     });
     let (cameras, size) = sizes.last().unwrap();
-    assert_eq!(cameras[..], [CameraId(1), ABOARD]);
+    assert_eq!(cameras[..], [CameraId(1), ONBOARD]);
     assert!(*size < 0.9 * sizes[sizes.len() / 3].1, "{sizes:?}");
 }

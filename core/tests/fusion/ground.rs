@@ -1,4 +1,5 @@
-//! What drives, held to its floor: with one camera alone, where it helps most, and with all.
+//! The floor constraint: with a single camera, where it helps, and with many, where it does no harm; and a wrong
+//! height, which is reported.
 
 use roundel_core::{
     id::{CameraId, KindId},
@@ -10,7 +11,7 @@ use super::{
     score::{Score, fusion_of, run},
 };
 
-/// All of them drive, their roundels 0.3 m high.
+/// All objects drive, with roundels at a height of 0.3 m.
 fn driving() -> Arena {
     Arena::new(Setting { random: true, ground: true, rate_hz: 60.0, ..Setting::default() })
 }
@@ -18,14 +19,14 @@ fn driving() -> Arena {
 fn scored(arena: &Arena, frames: &[FrameObservations], class: MotionClass) -> Score {
     let mut fusion: Fusion = fusion_of(arena, FusionParams::default());
     fusion.set_motion(KindId(0), class);
-    let score = run(arena, &mut fusion, frames, (1.5, 60.0));
+    let score = run(arena, &mut fusion, frames, 1.5);
     println!("{class:?}: {}", score.summary());
     assert_eq!(score.swaps, 0, "{class:?}");
     score
 }
 
 #[test]
-fn one_camera_alone_knows_a_driving_robot_by_its_floor() {
+fn a_single_camera_locates_a_robot_on_its_floor() {
     let arena = driving();
     let mut frames = arena.frames(8.0);
     frames.retain(|frame| frame.camera == CameraId(0));
@@ -39,7 +40,7 @@ fn one_camera_alone_knows_a_driving_robot_by_its_floor() {
 }
 
 #[test]
-fn all_cameras_lose_nothing_by_the_floor() {
+fn the_floor_does_no_harm_with_all_cameras() {
     let arena = driving();
     let frames = arena.frames(8.0);
     let free = scored(&arena, &frames, MotionClass::Free);
@@ -48,35 +49,39 @@ fn all_cameras_lose_nothing_by_the_floor() {
     assert!(held.shares().into_iter().all(|share| share > 0.92), "{}", held.summary());
 }
 
-/// What is said of heights while these frames are taken in, of robots that are held at `height_m`.
-fn told(arena: &Arena, frames: &[FrameObservations], height_m: f64) -> (Vec<WrongHeight>, Fusion) {
+/// Wrong heights reported for these frames, with robots constrained to `height_m`.
+fn reported_heights(
+    arena: &Arena,
+    frames: &[FrameObservations],
+    height_m: f64,
+) -> (Vec<WrongHeight>, Fusion) {
     let mut fusion: Fusion = fusion_of(arena, FusionParams::default());
     fusion.set_motion(KindId(0), MotionClass::Ground { height_m: Some(height_m) });
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     for frame in frames {
         fusion.observe(frame);
-        told.extend(fusion.drain_wrong_heights());
+        reported.extend(fusion.drain_wrong_heights());
     }
-    (told, fusion)
+    (reported, fusion)
 }
 
 #[test]
-fn a_wrong_height_is_told_once_with_the_right_one() {
+fn a_wrong_height_is_reported_once() {
     let arena = driving();
     let mut frames = arena.frames(30.0);
-    let (wrong, fusion) = told(&arena, &frames, 0.3);
-    assert!(wrong.is_empty(), "{wrong:?}");
+    let (heights, fusion) = reported_heights(&arena, &frames, 0.3);
+    assert!(heights.is_empty(), "{heights:?}");
     let begun = fusion.counts().begun;
-    let (wrong, fusion) = told(&arena, &frames, 0.1);
-    // These are the ghosts that would go without a word.
+    let (heights, fusion) = reported_heights(&arena, &frames, 0.1);
+    // False tracks that would otherwise appear without a report.
     assert!(fusion.counts().begun > 4 * begun, "{begun} {:?}", fusion.counts());
-    let [wrong] = &wrong[..] else { panic!("{wrong:?}") };
-    assert_eq!((wrong.kind, wrong.body, wrong.said_m), (Some(KindId(0)), None, 0.1));
-    assert!((wrong.seen_m - 0.3).abs() < 0.01, "{wrong:?}");
-    assert!(wrong.cameras.len() > 1, "{wrong:?}");
-    // One camera alone sees it too.
+    let [wrong] = &heights[..] else { panic!("{heights:?}") };
+    assert_eq!((wrong.kind, wrong.body, wrong.configured_m), (Some(KindId(0)), None, 0.1));
+    assert!((wrong.measured_m - 0.3).abs() < 0.01, "{wrong:?}");
+    assert!(wrong.cameras.len() > 1, "{heights:?}");
+    // A single camera detects it too.
     frames.retain(|frame| frame.camera == CameraId(0));
-    let (wrong, _) = told(&arena, &frames, 0.5);
-    assert_eq!((wrong.len(), &wrong[0].cameras[..]), (1, &[CameraId(0)][..]));
-    assert!((wrong[0].seen_m - 0.3).abs() < 0.02, "{wrong:?}");
+    let (heights, _) = reported_heights(&arena, &frames, 0.5);
+    assert_eq!((heights.len(), &heights[0].cameras[..]), (1, &[CameraId(0)][..]));
+    assert!((heights[0].measured_m - 0.3).abs() < 0.02, "{heights:?}");
 }

@@ -1,4 +1,4 @@
-//! Headings that look the same when turned by half a turn: one is taken up and kept.
+//! Headings with a symmetry of half a turn: the first one is kept, and the tracked point lies to one side or the other.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
@@ -16,7 +16,7 @@ use super::{
 };
 
 const RATE_RAD_S: f64 = 1.3;
-/// Deviation of a heading.
+/// Standard deviation of a heading.
 const NOISE_RAD: f64 = 0.02;
 
 fn setting() -> Setting {
@@ -30,18 +30,19 @@ fn truth(arena: &Arena, time: Timestamp) -> UnitQuaternion<f64> {
         * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading_rad)
 }
 
-/// Half a turn about its normal changes nothing of what is seen: yaws are told from -π/2 to π/2.
+/// Reports yaws from -π/2 to π/2, since half a turn about the normal is invisible.
 fn with_headings(arena: &Arena, frames: &mut [FrameObservations]) {
     for (count, frame) in frames.iter_mut().enumerate() {
         let placement = arena.placements[frame.camera.0 as usize].world_from_camera;
         for detection in &mut frame.detections {
             let Some(pose) = &mut detection.pose else { continue };
-            let seen = placement.rotation.inverse() * truth(arena, detection.capture_time);
-            let (x, z) = (seen * Vector3::x(), seen * Vector3::z());
-            // With the other normal, it points the same way in the picture.
-            let sight = pose.position_m.normalize();
+            let camera_from_roundel =
+                placement.rotation.inverse() * truth(arena, detection.capture_time);
+            let (x, z) = (camera_from_roundel * Vector3::x(), camera_from_roundel * Vector3::z());
+            // The other normal has the same direction in the image.
+            let line_of_sight = pose.position_m.normalize();
             let is_right = pose.normal.dot(&z) > pose.other_normal.dot(&z);
-            let x = if is_right { x } else { x - sight * (2.0 * sight.dot(&x)) };
+            let x = if is_right { x } else { x - line_of_sight * (2.0 * line_of_sight.dot(&x)) };
             let in_plane = orientation_of_normal(&pose.normal).inverse() * x;
             let noise_rad = NOISE_RAD * (1.7 * count as f64).sin() * 2f64.sqrt();
             let yaw_rad = in_plane.y.atan2(in_plane.x) + noise_rad;
@@ -64,7 +65,7 @@ fn a_heading_is_kept_through_half_turns() {
     for frame in &frames {
         fusion.observe(frame);
         let time = frame.capture_time;
-        // Until its turning is known, it is predicted to stand still.
+        // Until the angular velocity is known, the prediction stands still.
         if time < START.plus_seconds(2.0) {
             continue;
         }

@@ -1,18 +1,18 @@
-//! Fusion in virtual time: whole scenarios against their truth, and every fault of a stream.
+//! Fusion in virtual time: scenarios against ground truth, and every fault of a stream.
 
 mod arena;
+mod arrival_order;
 mod body;
 mod clock;
 mod consistency;
 mod docking;
-mod fault;
 mod ground;
 mod heading;
-mod life;
+mod lifecycle;
+mod mobile_camera;
 mod normal;
-mod order;
-mod renew;
-mod rider;
+mod reconfigure;
+mod roundel_camera;
 mod score;
-mod sight;
+mod stream_faults;
 mod trust;

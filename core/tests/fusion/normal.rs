@@ -1,4 +1,4 @@
-//! The two normals of an ellipse: views and motion decide, and a verdict can be undone.
+//! The two normals of an ellipse: views and motion decide between them, and a decision can be reversed.
 
 use nalgebra::Vector3;
 use roundel_core::world::{FrameObservations, FusionParams};
@@ -12,7 +12,7 @@ fn setting(cameras: usize) -> Setting {
     Setting { objects: 1, still: 1, cameras, dropout: 0.0, ..Setting::default() }
 }
 
-/// Every detection of these frames names the wrong normal first, with this likelihood.
+/// Makes every detection list the wrong normal first, with this likelihood.
 fn misled(arena: &Arena, frames: &mut [FrameObservations], likelihood: f64) {
     for frame in frames {
         let placement = arena.placements[frame.camera.0 as usize].world_from_camera;
@@ -55,7 +55,7 @@ fn several_views_outvote_wrong_likelihoods() {
 }
 
 #[test]
-fn one_view_believes_its_likelihood_but_can_turn_back() {
+fn one_view_follows_its_likelihood_and_can_reverse() {
     let mut arena = Arena::new(setting(4));
     let camera = arena.frames(0.1).iter().find(|f| !f.detections.is_empty()).unwrap().camera;
     arena.setting.cameras = 4;
@@ -69,7 +69,7 @@ fn one_view_believes_its_likelihood_but_can_turn_back() {
 }
 
 #[test]
-fn undecided_normals_show_in_the_covariance() {
+fn undecided_normals_widen_the_covariance() {
     let arena = Arena::new(setting(4));
     let mut frames = arena.frames(2.0);
     let camera = frames.iter().find(|f| !f.detections.is_empty()).unwrap().camera;

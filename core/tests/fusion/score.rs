@@ -1,4 +1,4 @@
-//! Runs a world through fusion and holds the snapshots against the truth.
+//! Runs a world through fusion and scores the snapshots against the truth.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -6,7 +6,6 @@ use nalgebra::{Matrix3, Vector3};
 use roundel_core::{
     id::{CameraId, ObjectId},
     rigid::mahalanobis_squared,
-    time::Timestamp,
     world::{FrameObservations, Fusion, FusionParams, LifeStage, Snapshot},
 };
 
@@ -16,24 +15,27 @@ use super::arena::{Arena, START};
 const CHI3: f64 = 7.815;
 const CHI2: f64 = 5.991;
 
-/// A state further than this from its object is none of it.
+/// Rate of scored snapshots.
+const SNAPSHOT_RATE_HZ: f64 = 60.0;
+
+/// Largest distance of a state from its object.
 const NEAR_M: f64 = 0.12;
 
-/// What snapshots were worth.
+/// Scores of all snapshots.
 #[derive(Clone, Debug, Default)]
 pub struct Score {
-    /// States of tracked objects that were judged.
+    /// Scored states of tracked objects.
     pub states: usize,
     position_inside: usize,
     velocity_inside: usize,
     normal_inside: usize,
     square_error_m2: f64,
     square_normal_rad2: f64,
-    /// States that are far from the object that their id was first seen on.
+    /// States far from the object that their id was first assigned to.
     pub swaps: usize,
-    /// States that are far from every object.
+    /// States far from every object.
     pub ghosts: usize,
-    /// Ids that were trusted at some time.
+    /// Ids of confirmed tracks.
     pub ids: BTreeSet<ObjectId>,
     owner: BTreeMap<ObjectId, usize>,
 }
@@ -50,7 +52,7 @@ impl Score {
                 .min_by(|a, b| distance(a).total_cmp(&distance(b)))
                 .unwrap();
             self.ids.insert(object.id);
-            // Unseen, it may be anywhere that its covariance says.
+            // A predicted object may be anywhere within its covariance.
             if object.stage != LifeStage::Tracked {
                 continue;
             }
@@ -111,7 +113,7 @@ impl Score {
     }
 }
 
-/// A fusion that knows the arena's cameras.
+/// A machine with the arena's cameras.
 pub fn fusion_of(arena: &Arena, params: FusionParams) -> Fusion {
     let mut fusion = Fusion::new(params);
     for (index, placement) in arena.placements.iter().enumerate() {
@@ -120,25 +122,16 @@ pub fn fusion_of(arena: &Arena, params: FusionParams) -> Fusion {
     fusion
 }
 
-/// Hands the frames over as they arrive, with a snapshot `rate_hz` times a second from `from_s` on.
-pub fn run(
-    arena: &Arena,
-    fusion: &mut Fusion,
-    frames: &[FrameObservations],
-    (from_s, rate_hz): (f64, f64),
-) -> Score {
+/// Processes the frames as they arrive, with scored snapshots from `from_s` on.
+pub fn run(arena: &Arena, fusion: &mut Fusion, frames: &[FrameObservations], from_s: f64) -> Score {
     let mut score = Score::default();
     let mut next = START.plus_seconds(from_s);
     for frame in frames {
         while frame.received_time > next {
             score.add(arena, &fusion.snapshot(next));
-            next = step(next, rate_hz);
+            next = next.plus_seconds(1.0 / SNAPSHOT_RATE_HZ);
         }
         fusion.observe(frame);
     }
     score
-}
-
-fn step(time: Timestamp, rate_hz: f64) -> Timestamp {
-    time.plus_seconds(1.0 / rate_hz)
 }

@@ -1,4 +1,4 @@
-//! A camera that lies about what others see does not move it.
+//! A camera that reports wrong positions does not move what more trusted cameras observe.
 
 use std::f64::consts::PI;
 
@@ -11,17 +11,17 @@ use roundel_core::{
 
 use super::{
     arena::{Arena, START, Setting},
+    roundel_camera,
     score::fusion_of,
-    sight,
 };
 
-/// Reports up to 100 mm beside the truth, and states 0.02 mm.
+/// Reports up to 100 mm beside the truth and states 0.02 mm.
 const LIAR: CameraId = CameraId(3);
 const LIE_M: f64 = 0.1;
-/// Error of an object that a single camera sees from far, metres, is below this.
+/// Bound for the error of an object that a single distant camera observes, metres.
 const HONEST_M: f64 = 0.04;
 
-/// A lie that grows slowly stays within the gates.
+/// A slowly growing offset, which stays within the gates.
 #[derive(Clone, Copy)]
 struct Lie {
     begins_s: f64,
@@ -35,7 +35,7 @@ fn shift(frame: &mut FrameObservations, by_m: f64) {
     }
 }
 
-/// Largest distance from an object to the nearest trusted track, metres, after two seconds.
+/// Largest distance from an object to the nearest trusted track after two seconds, metres.
 fn largest_error_m(trust: u8, lie: Lie) -> (f64, Fusion) {
     let arena = Arena::new(Setting { objects: 9, ..Setting::default() });
     let mut fusion = fusion_of(&arena, FusionParams::default());
@@ -65,7 +65,7 @@ fn largest_error_m(trust: u8, lie: Lie) -> (f64, Fusion) {
 }
 
 #[test]
-fn a_camera_of_lower_rank_moves_nothing_that_others_see() {
+fn a_camera_of_lower_rank_does_not_move_observed_objects() {
     let slow = Lie { begins_s: 1.0, grows_m_s: 0.1 };
     for lie in [Lie { begins_s: 0.0, grows_m_s: 1e9 }, Lie { begins_s: 1.0, grows_m_s: 1e9 }, slow]
     {
@@ -89,11 +89,11 @@ fn below() -> Rigid {
     Rigid::from_parts(Vector3::new(0.0, 0.0, 2.0).into(), turn)
 }
 
-/// Two cameras, of which the second has rank 0, report code 7 at places 5 m apart, each from a time until another, seconds.
+/// Two cameras, the second of rank 0, report code 7 at places 5 m apart, each during an interval of time.
 fn robot_by(cameras: [(CameraId, f64, f64); 2]) -> Vec<ObjectState> {
-    let mut fusion = sight::fusion();
+    let mut fusion = roundel_camera::fusion();
     fusion.set_trust(CameraId(1), 0);
-    let mut eye = sight::Eye::new(1);
+    let mut sensor = roundel_camera::RoundelCamera::new(1);
     for number in 1..90_u64 {
         let time_s = number as f64 / 30.0;
         for (camera, from_s, until_s) in cameras {
@@ -101,8 +101,8 @@ fn robot_by(cameras: [(CameraId, f64, f64); 2]) -> Vec<ObjectState> {
                 continue;
             }
             let time = START.plus_seconds(time_s);
-            let detection = eye.see(&below(), time, 1, Some(sight::code(7)));
-            fusion.observe(&sight::frame(camera, number, time, vec![detection]));
+            let detection = sensor.detect(&below(), time, 1, Some(roundel_camera::code(7)));
+            fusion.observe(&roundel_camera::frame(camera, number, time, vec![detection]));
         }
     }
     fusion.snapshot(START.plus_seconds(3.0)).objects
@@ -113,13 +113,13 @@ fn ids(objects: &[ObjectState], trust: u8) -> Vec<u64> {
 }
 
 #[test]
-fn a_robot_that_only_a_camera_of_low_rank_sees_is_marked() {
+fn a_robot_seen_only_by_a_low_rank_is_marked() {
     let objects = robot_by([(CameraId(1), 0.0, 3.0), (CameraId(0), 9.0, 9.0)]);
     assert_eq!((objects.len(), objects[0].trust), (1, 0), "{objects:?}");
 }
 
 #[test]
-fn a_spoofed_robot_gives_its_id_to_the_true_one() {
+fn a_spoofed_robot_yields_its_id_to_the_true_one() {
     let objects = robot_by([(CameraId(1), 0.0, 3.0), (CameraId(0), 1.0, 3.0)]);
     // The spoof had the id of code 7 for a second.
     assert_eq!(ids(&objects, 1), [1], "{objects:?}");
@@ -127,25 +127,25 @@ fn a_spoofed_robot_gives_its_id_to_the_true_one() {
 }
 
 #[test]
-fn a_spoof_does_not_take_the_id_of_a_robot_that_is_seen() {
+fn a_spoof_does_not_take_the_id_of_an_observed_robot() {
     let objects = robot_by([(CameraId(1), 1.0, 3.0), (CameraId(0), 0.0, 3.0)]);
     assert_eq!(ids(&objects, 1), [1], "{objects:?}");
     assert!(!ids(&objects, 0).contains(&1), "{objects:?}");
 }
 
 #[test]
-fn ranks_are_forgotten_with_their_camera() {
-    let mut fusion = sight::fusion();
+fn removing_a_camera_resets_its_rank() {
+    let mut fusion = roundel_camera::fusion();
     fusion.set_trust(CameraId(0), 0);
     fusion.remove_camera(CameraId(0));
-    let world_from_camera = sight::standing_camera(sight::STANDING[0]);
+    let world_from_camera = roundel_camera::stationary_camera(roundel_camera::STATIONARY[0]);
     let placement = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
     fusion.set_camera(CameraId(0), Some(placement));
-    let mut eye = sight::Eye::new(1);
+    let mut sensor = roundel_camera::RoundelCamera::new(1);
     for number in 1..10_u64 {
         let time = START.plus_seconds(number as f64 / 30.0);
-        let detection = eye.see(&below(), time, 1, None);
-        fusion.observe(&sight::frame(CameraId(0), number, time, vec![detection]));
+        let detection = sensor.detect(&below(), time, 1, None);
+        fusion.observe(&roundel_camera::frame(CameraId(0), number, time, vec![detection]));
     }
     assert_eq!(fusion.snapshot(START.plus_seconds(0.35)).objects[0].trust, 1);
 }

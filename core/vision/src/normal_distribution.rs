@@ -1,8 +1,9 @@
-//! The standard normal distribution: density φ, distribution function Φ, and the logarithm of its
-//! tail.
+//! The standard normal distribution: density φ, distribution function Φ, the logarithm of its tail, and how much of a
+//! blurred edge lies beyond a cut.
 //!
-//! Φ is the rational approximation of Abramowitz and Stegun, 26.2.17, with an absolute error below
-//! 7.5e-8. [`Table`] interpolates it for inner loops, to 2e-6.
+//! Φ is the rational approximation of Abramowitz and Stegun, 26.2.17, with an absolute error below 7.5e-8. [`Table`]
+//! interpolates it for inner loops, to 2e-6; [`normal_each`] and [`Beyond`] use 26.2.16, to 1e-5, for code that runs in
+//! vector lanes.
 
 use std::f64::consts::TAU;
 

@@ -201,8 +201,9 @@ fn write_fusion_counts(page: &mut MetricsText, counts: &FusionCounts) {
     let help = "Frames handed to fusion, by outcome.";
     page.labelled("roundel_fusion_frames_total", help, "outcome", outcomes);
     // Each detection has one outcome. Two reasons for a missing pose have outcomes of their own.
-    let unknown_place =
-        counts.no_camera_pose.saturating_sub(counts.carrier_unseen + counts.carrier_unturned);
+    let unknown_place = counts
+        .no_camera_pose
+        .saturating_sub(counts.carrier_unseen + counts.carrier_orientation_unknown);
     let outcomes = [
         ("used", counts.used),
         ("late", counts.late),
@@ -210,9 +211,9 @@ fn write_fusion_counts(page: &mut MetricsText, counts: &FusionCounts) {
         ("jumped", counts.jumped),
         ("no_camera_pose", unknown_place),
         ("carrier_unseen", counts.carrier_unseen),
-        ("carrier_unturned", counts.carrier_unturned),
-        ("of_landmark", counts.of_landmarks),
-        ("of_carrier", counts.of_carriers),
+        ("carrier_unturned", counts.carrier_orientation_unknown),
+        ("of_landmark", counts.landmark_detections),
+        ("of_carrier", counts.carrier_detections),
         ("no_pose", counts.no_pose),
         ("invalid", counts.invalid),
         ("contradicted", counts.contradicted),
@@ -248,7 +249,7 @@ fn write_fusion_counts(page: &mut MetricsText, counts: &FusionCounts) {
         (
             "roundel_fusion_taken_back_total",
             "Detections removed from tracks because their camera had moved.",
-            counts.taken_back,
+            counts.retracted,
         ),
         ("roundel_fusion_tracks_begun_total", "Detections that began a track.", counts.begun),
         ("roundel_fusion_tracks_merged_total", "Tracks merged into another one.", counts.merged),

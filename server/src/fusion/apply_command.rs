@@ -45,7 +45,9 @@ impl FusionTask {
                     camera_monitor.set(camera, *placement, false);
                 }
             }
-            CameraChange::HoldBackExempt(is_exempt) => self.fusion.spare(camera, is_exempt),
+            CameraChange::HoldBackExempt(is_exempt) => {
+                self.fusion.set_hold_back_exempt(camera, is_exempt);
+            }
             CameraChange::Quarantined => self.fusion.quarantine(camera),
         }
     }

@@ -93,7 +93,8 @@ impl CameraMonitor {
     pub(super) fn advance(&mut self, now: Timestamp, fusion: &mut Fusion, hub: &Hub) {
         for held in fusion.drain_held_back() {
             log_held_back(hub.installation().camera_name(held.camera), held.step);
-            self.monitor_thread.note(MonitorInput::Held(held.camera, held.step == HeldStep::Begun));
+            self.monitor_thread
+                .note(MonitorInput::Held(held.camera, held.step == HeldStep::Started));
         }
         if let Some(findings) = self.monitor_thread.findings() {
             self.apply_findings(findings, now, (fusion, hub));
@@ -102,7 +103,7 @@ impl CameraMonitor {
         for (&camera, &MonitoredCamera { is_exempt, .. }) in &self.cameras {
             let change = CameraChange::HoldBackExempt(is_exempt);
             hub.tap().update_camera(CameraUpdate { camera, change });
-            fusion.spare(camera, is_exempt);
+            fusion.set_hold_back_exempt(camera, is_exempt);
         }
     }
 
@@ -209,12 +210,12 @@ fn describe(event: &WatchEvent, installation: &Installation) -> (EventKind, Stri
 /// Cameras are held back only for moments; a confirmed movement becomes an event.
 fn log_held_back(camera: &str, step: HeldStep) {
     match step {
-        HeldStep::Begun => tracing::info!(
+        HeldStep::Started => tracing::info!(
             camera,
             "seems to have moved suddenly: it is held back until that is certain"
         ),
         HeldStep::Agreed => tracing::info!(camera, "agrees with the others again and is used"),
-        HeldStep::InVain => tracing::warn!(
+        HeldStep::TimedOut => tracing::warn!(
             camera,
             "still disagrees with the others, but too little for a bump: it is used again"
         ),
@@ -293,9 +294,9 @@ mod tests {
         ];
         let findings = Findings { events: undecided.into(), cameras: Vec::new() };
         camera_monitor.apply_findings(findings, clock.now(), (&mut fusion, &hub));
-        assert!(fusion.camera_place(NORTH, clock.now()).is_ok());
+        assert!(fusion.camera_placement(NORTH, clock.now()).is_ok());
         camera_monitor.apply_findings(bumped(NORTH), clock.now(), (&mut fusion, &hub));
-        assert!(fusion.camera_place(NORTH, clock.now()).is_err());
+        assert!(fusion.camera_placement(NORTH, clock.now()).is_err());
         let pose = hub.camera(NORTH).unwrap().pose;
         assert_eq!((pose.status, pose.placement), (PoseStatus::Quarantined, None));
         assert!(pose.reason.contains("bumped"), "{}", pose.reason);

@@ -41,9 +41,9 @@ pub(super) fn height_mismatch(installation: &Installation, wrong: &WrongHeight) 
     format!(
         "{what}: seen at a height of {:.2} m by {}, and `height_m` says {:.2}. Correct it, or the diameters \
          or the cameras' poses; until then positions are wrong, and false objects may appear.",
-        wrong.seen_m,
+        wrong.measured_m,
         cameras.join(", "),
-        wrong.said_m
+        wrong.configured_m
     )
 }
 

@@ -49,7 +49,7 @@ impl MountedCameras {
     ) {
         for mounted in &mut self.cameras {
             let camera = mounted.camera;
-            let pose = pose_state(&mounted.mount, fusion.camera_place(camera, time), time);
+            let pose = pose_state(&mounted.mount, fusion.camera_placement(camera, time), time);
             let is_placed = pose.placement.is_some();
             if mounted.is_news(is_placed, time, gives_frames(camera)) {
                 let installation = hub.installation();

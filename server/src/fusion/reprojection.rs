@@ -9,7 +9,7 @@ use roundel_core::{
     camera::Camera,
     id::CameraId,
     time::Timestamp,
-    world::{Compared, Fusion},
+    world::{Fusion, LeaveOneOut},
 };
 
 use crate::model::hub::Hub;
@@ -74,14 +74,15 @@ fn squared_errors_px2(
     turn: usize,
     fusion: &mut Fusion,
 ) -> Vec<f64> {
-    let compared = fusion.compare(camera, (now, MAX_AGE_NS), (turn, OBJECTS_PER_UPDATE));
-    let squared_error_px2 = |seen: Compared| {
-        let world_from_camera = fusion.camera_place(camera, seen.time).ok()?.world_from_camera;
+    let compared = fusion.leave_one_out(camera, now, MAX_AGE_NS, turn, OBJECTS_PER_UPDATE);
+    let squared_error_px2 = |compared: LeaveOneOut| {
+        let world_from_camera =
+            fusion.camera_placement(camera, compared.time).ok()?.world_from_camera;
         let pixel = |point_m: nalgebra::Vector3<f64>| {
             let own = world_from_camera.inverse_transform_point(&point_m.into());
             lens.project(&own.coords).ok().filter(|_| own.z > 0.0)
         };
-        let (own, others) = (pixel(seen.seen_m)?, pixel(seen.others_m)?);
+        let (own, others) = (pixel(compared.measured_m)?, pixel(compared.others_m)?);
         Some((own.u - others.u).powi(2) + (own.v - others.v).powi(2))
     };
     compared.into_iter().filter_map(squared_error_px2).collect()

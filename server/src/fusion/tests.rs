@@ -101,8 +101,8 @@ fn a_wrong_height_is_an_event() {
     let wrong = WrongHeight {
         kind: Some(KindId(0)),
         body: Some(BodyId(0)),
-        said_m: 0.0,
-        seen_m: 0.2,
+        configured_m: 0.0,
+        measured_m: 0.2,
         cameras: vec![CameraId(0)],
     };
     let message = messages::height_mismatch(&hub.installation(), &wrong);

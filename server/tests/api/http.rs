@@ -342,7 +342,7 @@ async fn metrics_cover_cameras_objects_and_clients() {
         left_out: 4,
         held: 7,
         held_frames: 2,
-        taken_back: 9,
+        retracted: 9,
         clock_steps: 5,
         ..Default::default()
     });

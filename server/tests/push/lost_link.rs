@@ -33,9 +33,16 @@ fn assert_counts_add_up(report: &NodeReport) {
 /// new track or is contradicted.
 fn sum_of_outcomes(counts: &FusionCounts) -> u64 {
     let FusionCounts { used, late, duplicate, jumped, no_camera_pose, held, .. } = *counts;
-    let FusionCounts { of_carriers, of_landmarks, no_pose, invalid, contradicted, .. } = *counts;
+    let FusionCounts {
+        carrier_detections,
+        landmark_detections,
+        no_pose,
+        invalid,
+        contradicted,
+        ..
+    } = *counts;
     let FusionCounts { outranked, over_max_objects, joined, left_out, .. } = *counts;
-    let accepted = [used, joined, left_out, of_carriers, of_landmarks];
+    let accepted = [used, joined, left_out, carrier_detections, landmark_detections];
     let rejected = [late, duplicate, jumped, no_camera_pose, held, no_pose, invalid];
     let removed_later = [contradicted, outranked, over_max_objects];
     accepted.iter().chain(&rejected).chain(&removed_later).sum()

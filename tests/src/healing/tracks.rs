@@ -64,10 +64,10 @@ impl Healing {
             fusion.observe(&frame);
             let now = frame.received_time;
             for held in fusion.drain_held_back() {
-                watch.hold(held.camera, held.step == HeldStep::Begun);
+                watch.hold(held.camera, held.step == HeldStep::Started);
             }
             for camera in (0..self.believed.len()).map(|index| CameraId(index as u32)) {
-                fusion.spare(camera, !watch.is_trusted(camera));
+                fusion.set_hold_back_exempt(camera, !watch.is_trusted(camera));
             }
             for event in watch.advance(now) {
                 match event {

@@ -1,30 +1,28 @@
-//! How an object is turned: orientation and angular velocity, with both normals kept in play.
+//! Orientation and angular velocity of an object, with both normals that an ellipse allows.
 //!
-//! The error state is a small rotation δθ on the left (true R = exp([δθ]×) R, world frame) and the
-//! angular velocity's error; [`super::Kernel`] filters them, and each correction goes into the quaternion
-//! at once (a multiplicative Kalman filter: Lefferts, Markley, Shuster, 1982).
+//! The error state is a small rotation δθ on the left (true R = exp([δθ]×) R, world frame) and the angular velocity's
+//! error. [`super::Kalman`] filters them, and each correction is applied to the quaternion at once (multiplicative
+//! Kalman filter: Lefferts, Markley, Shuster, 1982).
 //!
-//! A plain roundel shows its normal only ([`AttitudeMeasurement`]). A coded one whose code is not read now and
-//! then is measured as a plain one then; its yaw goes on from before, and is told until it is too old or its
-//! covariance has grown too large.
+//! A plain roundel shows its normal only ([`AttitudeMeasurement`]). A coded roundel whose code is not read in a frame
+//! is measured as a plain one. Its yaw is predicted meanwhile and reported until it is too old or too uncertain.
 //!
-//! An elliptical disc looks the same turned by half a turn about its normal. Of both orientations each
-//! measurement is the one nearer to the prediction, so that a heading once taken up is kept.
+//! An elliptical disc looks the same after half a turn about its normal. Each measurement is taken as the orientation
+//! nearer to the prediction, so a heading once adopted is kept.
 //!
-//! How strongly a normal is turned is learned ([`super::density`]): most objects stay upright. A heading is not: it
-//! turns and stops within a second, and what is learned would follow too late. Where a normal is turned, that
-//! lasts, so that more of it is told than white noise would leave (`hypothesis`; the argument is
-//! [`super::Motion`]'s). Of bodies with a yaw nothing is learned: where a single plain roundel shows one, its place hangs
-//! on its orientation, and with learned normals places lie in 90 % of cases inside their 95 % instead of 92.
+//! The process noise of the normal is learned ([`super::process_noise`]), since most objects stay upright. That of the
+//! heading is not: it turns and stops within a second, too fast for learning. Rotations of the normal last, so the
+//! reported covariance contains more of the process noise than for white noise (`hypothesis`; the argument is that of
+//! [`super::Motion`]). Nothing is learned for bodies with a yaw: where a single plain roundel shows one, its position
+//! depends on its orientation, and with a learned density only 90 % of positions lie inside their 95 % instead of 92.
 //!
-//! An ellipse allows two normals, mirrored at the line of sight. The wrong one changes with the
-//! view, the right one does not. So up to two hypotheses are filtered, each taking from every
-//! measurement the normal that suits it better; the log-odds between them gather
-//! w · (e₀ - e₁), eₕ = max over normals k of (ln Lₖ - d²ₕₖ/2 - ½ ln det Sₕ), and forget with a
-//! second's time constant towards the prior that printed faces look up, so that no verdict stands
-//! without views to hold it. When only one hypothesis is left and it fits badly, or its verdict has
-//! grown old, the normal it did not take stands up as its rival again. Both are shown by the
-//! covariance, as long as the second is not negligible (moments of the mixture).
+//! An ellipse allows two normals, mirrored at the line of sight. The wrong one changes with the view, the right one
+//! does not. Up to two hypotheses are therefore filtered, each taking from every measurement the normal that fits it
+//! better. The log-odds between them accumulate w · (e₀ - e₁), eₕ = max over normals k of (ln Lₖ - d²ₕₖ/2 - ½ ln det
+//! Sₕ), and decay with a time constant of a second towards the prior that printed faces look up, so that a decision
+//! needs continuing evidence. When only one hypothesis is left and fits badly, or its evidence has decayed, the normal
+//! that it rejected becomes its rival again. The reported covariance is that of the mixture while the second hypothesis
+//! is not negligible.
 
 mod hypothesis;
 mod measurement;
@@ -32,10 +30,10 @@ mod measurement;
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 
 use super::{
-    Ground, MotionModel, Spread,
-    alarm::{Alarm, UNSEEN_S},
-    density::Densities,
-    kernel::decayed,
+    BlockCovariance, Ground, MotionModel,
+    cusum::{Cusum, UNOBSERVED_S},
+    kalman::decayed,
+    process_noise::Densities,
 };
 use hypothesis::{Fit, Hypothesis, begin};
 pub use measurement::AttitudeMeasurement;
@@ -46,81 +44,83 @@ use roundel_vision::{
     },
 };
 
-/// Successive frames share most of their error, so each counts only for this part of a fresh one.
+/// Weight of each frame's evidence, since successive frames share most of their error.
 const EVIDENCE_WEIGHT: f64 = 0.25;
-/// What a single measurement may say at most, before its weight.
-const EVIDENCE_LIMIT: f64 = 8.0;
-/// Log-odds never exceed this, so that a mistake can be undone.
-const ODDS_LIMIT: f64 = 12.0;
-/// Above these odds the rival is let go; below the lower ones it may stand up again.
-const SETTLED_ODDS: f64 = 8.0;
-const RIVAL_ODDS: f64 = 5.0;
-/// Verdicts fade with this time constant.
+/// Limit of a single measurement's evidence, before its weight.
+const MAX_EVIDENCE: f64 = 8.0;
+/// Limit of the log-odds, so that a wrong decision can be reversed.
+const MAX_LOG_ODDS: f64 = 12.0;
+/// The rival is dropped above the first log-odds, and created again below the second.
+const DECIDED_LOG_ODDS: f64 = 8.0;
+const RIVAL_LOG_ODDS: f64 = 5.0;
+/// Time constant with which log-odds decay to the prior, seconds.
 const VERDICT_TIME_S: f64 = 1.0;
-/// Variance about the normal of an unread code while the yaw is known from before: that of an unknown angle would
-/// be information, which averages sixty times a second, and the yaw would never be forgotten. (Without a yaw
-/// to forget, an unknown angle's keeps the filter from drifting about it.)
+/// Variance about the normal of an unread code while the yaw is predicted. The variance of an unknown angle would
+/// be information, averaged sixty times a second, and the yaw would never become uncertain. (Without a yaw, that
+/// variance keeps the filter from drifting about the normal.)
 const UNREAD_VARIANCE_RAD2: f64 = 300.0;
-/// The yaw is told while its deviation is below this and the newest measurement that had one is no older.
-const KNOWN_YAW_RAD: f64 = 0.3;
-const KNOWN_YAW_S: f64 = 0.5;
+/// The yaw is reported while its standard deviation is below the first and its newest measurement not older than
+/// the second.
+const MAX_YAW_DEVIATION_RAD: f64 = 0.3;
+const MAX_YAW_AGE_S: f64 = 0.5;
 
-/// Orientation and angular velocity of one object, with both normals while both are possible.
+/// Orientation and angular velocity of one object, with up to two hypotheses about the normal.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Attitude {
     best: Hypothesis,
     rival: Option<Hypothesis>,
     /// ln(likelihood of `best` / likelihood of the other normal).
     log_odds: f64,
-    /// Of the newest measurement that had a yaw …
+    /// Symmetry of the newest measurement with a yaw.
     yaw_symmetry: Option<u32>,
-    /// … and how old it is, seconds.
+    /// Age of that measurement, seconds.
     yaw_age_s: f64,
-    /// How strongly it is turned.
+    /// Learned process noise.
     densities: Densities,
-    alarm: Alarm,
-    unseen_s: f64,
+    manoeuvre: Cusum,
+    unobserved_s: f64,
 }
 
-/// What is told about an orientation.
+/// Estimate of orientation and angular velocity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AttitudeEstimate {
     /// world_from_roundel.
     pub orientation: UnitQuaternion<f64>,
-    /// `None` while only the normal is known; else in how many evenly spaced yaws it looks the same, of
-    /// which this is the one nearest to those before.
+    /// `None` while only the normal is known; else the number of evenly spaced yaws that look the same, of which
+    /// this is the one nearest to earlier ones.
     pub yaw_symmetry: Option<u32>,
-    /// World frame, rad/s; across the normal only while the yaw is not observed.
+    /// World frame, rad/s; only across the normal while the yaw is not observed.
     pub angular_velocity_rad_s: Vector3<f64>,
     /// Over (rotation, angular velocity), world frame, left perturbation.
     pub covariance: Matrix6<f64>,
-    /// Spectral density of the white angular acceleration that it grows by, rad²/s³.
+    /// Spectral density of white angular acceleration by which the covariance grows, rad²/s³.
     pub density_rad2_s3: Vector3<f64>,
 }
 
 impl Attitude {
-    /// What one measurement tells.
-    pub fn begin(seen: &AttitudeMeasurement, camera: CameraId, model: &MotionModel) -> Self {
+    /// State after a first measurement.
+    pub fn begin(measurement: &AttitudeMeasurement, camera: CameraId, model: &MotionModel) -> Self {
         let hypothesis = |index: usize| Hypothesis {
-            orientation: seen.nearest(index, &seen.completed(0)),
-            kernel: begin(seen, index, camera, model),
+            orientation: measurement.nearest_symmetric(index, &measurement.full_orientation(0)),
+            kalman: begin(measurement, index, camera, model),
         };
         let mut attitude = Self {
             best: hypothesis(0),
             rival: Some(hypothesis(1)),
             log_odds: 0.0,
-            yaw_symmetry: seen.yaw_symmetry,
+            yaw_symmetry: measurement.yaw_symmetry,
             yaw_age_s: 0.0,
             densities: Densities::begin(&model.angular_density_rad2_s3, 0.0),
-            alarm: Alarm::default(),
-            unseen_s: 0.0,
+            manoeuvre: Cusum::default(),
+            unobserved_s: 0.0,
         };
-        attitude.log_odds = attitude.prior(model) + (seen.chance(0) / seen.chance(1)).ln();
-        attitude.settle();
+        attitude.log_odds =
+            attitude.prior(model) + (measurement.probability(0) / measurement.probability(1)).ln();
+        attitude.resolve();
         attitude
     }
 
-    /// Becomes another, without the kilobytes of a rival that is not there.
+    /// Copies without the kilobytes of an absent rival.
     pub(super) fn copy_from(&mut self, other: &Self) {
         self.best = other.best;
         match &other.rival {
@@ -129,138 +129,147 @@ impl Attitude {
         }
         (self.log_odds, self.yaw_symmetry, self.yaw_age_s) =
             (other.log_odds, other.yaw_symmetry, other.yaw_age_s);
-        (self.densities, self.alarm, self.unseen_s) =
-            (other.densities, other.alarm, other.unseen_s);
+        (self.densities, self.manoeuvre, self.unobserved_s) =
+            (other.densities, other.manoeuvre, other.unobserved_s);
     }
 
-    /// Moves on by `dt` seconds, either way.
+    /// Predicts by `dt` seconds, either sign.
     pub fn predict(&mut self, dt: f64, model: &MotionModel) {
         let density = self.density(0.0, model);
         for hypothesis in std::iter::once(&mut self.best).chain(self.rival.as_mut()) {
-            let turn = turn_by(&(hypothesis.kernel.rate * dt));
+            let turn = turn_by(&(hypothesis.kalman.rate * dt));
             hypothesis.orientation = turn * hypothesis.orientation;
-            hypothesis.kernel.predict(dt, &density, model.systematic_time_s);
+            hypothesis.kalman.predict(dt, &density, model.systematic_time_s);
         }
-        self.densities.forget(dt);
-        self.unseen_s += dt;
+        self.densities.fade(dt);
+        self.unobserved_s += dt;
         self.yaw_age_s += dt;
-        self.log_odds = faded(self.log_odds, dt, self.prior(model));
+        self.log_odds = decay_log_odds(self.log_odds, dt, self.prior(model));
     }
 
-    /// Takes in a measurement at the present time.
-    pub fn update(&mut self, seen: &AttitudeMeasurement, camera: CameraId, model: &MotionModel) {
-        let knows_yaw = self.yaw_symmetry.is_some() && self.yaw_age_s < KNOWN_YAW_S;
-        let unread_rad2 =
-            if knows_yaw { UNREAD_VARIANCE_RAD2 } else { UNKNOWN_ANGLE_VARIANCE_RAD2 };
-        if seen.yaw_symmetry.is_some() {
-            if !knows_yaw {
-                // What was held about the normal meanwhile says nothing.
+    /// Adds a measurement at the present time.
+    pub fn update(
+        &mut self,
+        measurement: &AttitudeMeasurement,
+        camera: CameraId,
+        model: &MotionModel,
+    ) {
+        let has_yaw = self.yaw_symmetry.is_some() && self.yaw_age_s < MAX_YAW_AGE_S;
+        let unread_rad2 = if has_yaw { UNREAD_VARIANCE_RAD2 } else { UNKNOWN_ANGLE_VARIANCE_RAD2 };
+        if measurement.yaw_symmetry.is_some() {
+            if !has_yaw {
+                // The filter's angle about the normal is arbitrary until the first yaw.
                 let hypotheses = std::iter::once(&mut self.best).chain(self.rival.as_mut());
                 hypotheses.for_each(|hypothesis| hypothesis.forget_yaw(model));
             }
-            (self.yaw_symmetry, self.yaw_age_s) = (seen.yaw_symmetry, 0.0);
+            (self.yaw_symmetry, self.yaw_age_s) = (measurement.yaw_symmetry, 0.0);
         }
-        self.unseen_s = 0.0;
-        let (fit, taken) = self.best.update((seen, unread_rad2), camera, model);
+        self.unobserved_s = 0.0;
+        let (fit, taken) = self.best.update(measurement, unread_rad2, camera, model);
         if self.rival.is_none() {
             self.adapt(&fit, model);
         }
         let evidence = match &mut self.rival {
-            Some(rival) => fit.evidence_over(&rival.update((seen, unread_rad2), camera, model).0),
-            // No rival stands: the best one is held against a normal that would just fit.
+            Some(rival) => {
+                fit.evidence_over(&rival.update(measurement, unread_rad2, camera, model).0)
+            }
+            // Without a rival, the reference is a normal that just fits.
             None => fit.evidence_over_fitting(),
         };
-        let fresh = evidence.clamp(-EVIDENCE_LIMIT, EVIDENCE_LIMIT);
-        self.log_odds = (self.log_odds + EVIDENCE_WEIGHT * fresh).clamp(-ODDS_LIMIT, ODDS_LIMIT);
-        if self.rival.is_none() && self.log_odds < RIVAL_ODDS {
-            self.raise_rival(seen, 1 - taken, camera, model);
+        let fresh = evidence.clamp(-MAX_EVIDENCE, MAX_EVIDENCE);
+        self.log_odds =
+            (self.log_odds + EVIDENCE_WEIGHT * fresh).clamp(-MAX_LOG_ODDS, MAX_LOG_ODDS);
+        if self.rival.is_none() && self.log_odds < RIVAL_LOG_ODDS {
+            self.raise_rival(measurement, 1 - taken, camera, model);
         }
-        self.settle();
+        self.resolve();
     }
 
-    /// The estimate `dt` seconds from now, either way; both normals show in the covariance while both are
-    /// possible.
+    /// Estimate `dt` seconds from now, either sign. The covariance covers both normals while both are possible.
     pub fn estimate(&self, dt: f64, model: &MotionModel) -> AttitudeEstimate {
         let density = self.density(dt, model);
-        let (orientation, mut spread) = self.best.told(dt, &density, model);
+        let (orientation, mut covariance) = self.best.report(dt, &density, model);
         if let Some(rival) = &self.rival {
-            let (other, told) = rival.told(dt, &density, model);
+            let (other, reported) = rival.report(dt, &density, model);
             let [normal, other] = [orientation, other].map(|turned| turned * Vector3::z());
-            let weight =
-                1.0 / (1.0 + faded(self.log_odds, dt, prior(&normal, &other, model)).exp());
-            let apart = smallest_turn(&normal, &other);
-            spread.value += (told.value - spread.value + apart * apart.transpose()) * weight;
-            spread.rate += (told.rate - spread.rate) * weight;
-            spread.cross += (told.cross - spread.cross) * weight;
+            let weight = 1.0
+                / (1.0 + decay_log_odds(self.log_odds, dt, prior(&normal, &other, model)).exp());
+            let rotation = smallest_turn(&normal, &other);
+            covariance.value +=
+                (reported.value - covariance.value + rotation * rotation.transpose()) * weight;
+            covariance.rate += (reported.rate - covariance.rate) * weight;
+            covariance.cross += (reported.cross - covariance.cross) * weight;
         }
         let normal = orientation * Vector3::z();
-        let is_known = self.yaw_age_s + dt < KNOWN_YAW_S
-            && normal.dot(&(spread.value * normal)) < KNOWN_YAW_RAD * KNOWN_YAW_RAD;
+        let is_known = self.yaw_age_s + dt < MAX_YAW_AGE_S
+            && normal.dot(&(covariance.value * normal))
+                < MAX_YAW_DEVIATION_RAD * MAX_YAW_DEVIATION_RAD;
         let mut estimate = AttitudeEstimate {
             orientation,
             yaw_symmetry: self.yaw_symmetry.filter(|_| is_known),
-            angular_velocity_rad_s: self.best.kernel.rate,
-            covariance: spread.matrix(),
+            angular_velocity_rad_s: self.best.kalman.rate,
+            covariance: covariance.matrix(),
             density_rad2_s3: density,
         };
         if estimate.yaw_symmetry.is_none() {
             estimate.orientation = orientation_of_normal(&normal);
             estimate.angular_velocity_rad_s -=
                 normal * normal.dot(&estimate.angular_velocity_rad_s);
-            spread = without_yaw(&spread, &normal);
-            estimate.covariance = spread.matrix();
+            covariance = without_yaw(&covariance, &normal);
+            estimate.covariance = covariance.matrix();
         }
         estimate
     }
 
-    /// Of the estimate's covariance of the rotation, what the cameras' systematic errors have made.
-    pub fn systematic(&self) -> Matrix3<f64> {
-        let best = self.best.kernel.systematic();
+    /// Part of the rotation's covariance that stems from the cameras' systematic errors.
+    pub fn systematic_covariance(&self) -> Matrix3<f64> {
+        let best = self.best.kalman.systematic_covariance();
         let Some(rival) = &self.rival else { return best };
         let weight = 1.0 / (1.0 + self.log_odds.exp());
-        best + (rival.kernel.systematic() - best) * weight
+        best + (rival.kalman.systematic_covariance() - best) * weight
     }
 
-    /// Holds it upright.
-    pub fn hold(&mut self, ground: &Ground) {
+    /// Applies the constraint on the normal.
+    pub fn constrain_to_floor(&mut self, ground: &Ground) {
         for hypothesis in std::iter::once(&mut self.best).chain(self.rival.as_mut()) {
             let turn = smallest_turn(&hypothesis.normal(), &Vector3::z());
-            let correction = ground.hold_upright(&mut hypothesis.kernel, &turn);
+            let correction = ground.constrain_tilt(&mut hypothesis.kalman, &turn);
             hypothesis.orientation = turn_by(&correction) * hypothesis.orientation;
         }
     }
 
-    /// Learns how strongly it is turned, from how a normal fits that nothing rivals.
+    /// Learns the process noise from the fit of an undisputed normal.
     fn adapt(&mut self, fit: &Fit, model: &MotionModel) {
-        if model.learns_turning {
-            self.densities.learn_across(&fit.slope, &self.best.normal());
+        if model.learns_rotation_density {
+            self.densities.learn_tilt(&fit.slope, &self.best.normal());
         } else {
             self.densities.learn(&fit.slope);
         }
-        if self.alarm.is_raised_by(fit.surprise()) {
+        if self.manoeuvre.is_raised_by(fit.manoeuvre_log_ratio()) {
             self.densities = Densities::begin(&model.angular_density_rad2_s3, 0.0);
         }
     }
 
-    /// What it is turned by until `dt` seconds from now; unseen, it may have begun to turn, and of two normals one
-    /// is wrong, and moves as no object does.
+    /// Density of process noise until `dt` seconds from now. At least the configured one while the object is not
+    /// observed, since it may begin to turn, and while two normals are possible, since the wrong one moves as no
+    /// object does.
     fn density(&self, dt: f64, model: &MotionModel) -> Vector3<f64> {
         let capability = &model.angular_density_rad2_s3;
         let density = if self.yaw_symmetry.is_none() {
             self.densities.expected()
-        } else if model.learns_turning {
-            self.densities.across(&self.best.normal(), capability)
+        } else if model.learns_rotation_density {
+            self.densities.expected_for_rotation(&self.best.normal(), capability)
         } else {
             *capability
         };
-        if self.rival.is_some() || self.unseen_s + dt > UNSEEN_S {
+        if self.rival.is_some() || self.unobserved_s + dt > UNOBSERVED_S {
             density.sup(capability)
         } else {
             density
         }
     }
 
-    /// Log-odds of the best normal against the rival's before any evidence.
+    /// Prior log-odds of the best normal against the rival's.
     fn prior(&self, model: &MotionModel) -> f64 {
         let of_rival = |rival: &Hypothesis| prior(&self.best.normal(), &rival.normal(), model);
         self.rival.as_ref().map_or(0.0, of_rival)
@@ -268,56 +277,59 @@ impl Attitude {
 
     fn raise_rival(
         &mut self,
-        seen: &AttitudeMeasurement,
+        measurement: &AttitudeMeasurement,
         index: usize,
         camera: CameraId,
         model: &MotionModel,
     ) {
-        let kernel = begin(seen, index, camera, model);
-        let orientation = seen.nearest(index, &self.best.orientation);
-        self.rival = Some(Hypothesis { orientation, kernel });
+        let kalman = begin(measurement, index, camera, model);
+        let orientation = measurement.nearest_symmetric(index, &self.best.orientation);
+        self.rival = Some(Hypothesis { orientation, kalman });
     }
 
-    /// Puts the likelier hypothesis first and lets go of a rival that is beaten or the same.
-    fn settle(&mut self) {
+    /// Puts the likelier hypothesis first and drops a rival that is decided against or equal.
+    fn resolve(&mut self) {
         let Some(rival) = self.rival else { return };
         if self.log_odds < 0.0 {
             self.rival = Some(self.best);
             self.best = rival;
             self.log_odds = -self.log_odds;
         }
-        let apart = smallest_turn(&self.best.normal(), &rival.normal());
-        let apart = if self.log_odds >= 0.0 { apart } else { -apart };
-        let both = self.best.kernel.spread.value + rival.kernel.spread.value;
-        let length_squared = apart.norm_squared();
-        let variance =
-            if length_squared > 0.0 { apart.dot(&(both * apart)) / length_squared } else { 0.0 };
-        if length_squared <= variance || self.log_odds > SETTLED_ODDS {
+        let rotation = smallest_turn(&self.best.normal(), &rival.normal());
+        let rotation = if self.log_odds >= 0.0 { rotation } else { -rotation };
+        let both = self.best.kalman.covariance.value + rival.kalman.covariance.value;
+        let length_squared = rotation.norm_squared();
+        let variance = if length_squared > 0.0 {
+            rotation.dot(&(both * rotation)) / length_squared
+        } else {
+            0.0
+        };
+        if length_squared <= variance || self.log_odds > DECIDED_LOG_ODDS {
             self.rival = None;
         }
     }
 }
 
-/// The covariance of a rotation and its rate when nothing is known about the rotation about
-/// `normal`: the variance of an unknown angle there, and no correlation with the rest.
-pub(crate) fn without_yaw(spread: &Spread, normal: &Vector3<f64>) -> Spread {
+/// Covariance of a rotation and its rate with an unknown angle about `normal`: the variance of an unknown angle
+/// there, and no correlation with the rest.
+pub(crate) fn without_yaw(covariance: &BlockCovariance, normal: &Vector3<f64>) -> BlockCovariance {
     let along = normal * normal.transpose();
     let across = Matrix3::identity() - along;
-    let rate_variance = normal.dot(&(spread.rate * normal));
-    Spread {
-        value: across * spread.value * across + along * UNKNOWN_ANGLE_VARIANCE_RAD2,
-        cross: across * spread.cross * across,
-        rate: across * spread.rate * across + along * rate_variance,
+    let rate_variance = normal.dot(&(covariance.rate * normal));
+    BlockCovariance {
+        value: across * covariance.value * across + along * UNKNOWN_ANGLE_VARIANCE_RAD2,
+        cross: across * covariance.cross * across,
+        rate: across * covariance.rate * across + along * rate_variance,
     }
 }
 
-/// Log-odds of one normal against another before any evidence.
+/// Prior log-odds of one normal against another.
 fn prior(best: &Vector3<f64>, other: &Vector3<f64>, model: &MotionModel) -> f64 {
     model.upright_log_odds * (best.z - other.z)
 }
 
-/// Log-odds `dt` seconds later, on their way to the prior.
-fn faded(log_odds: f64, dt: f64, prior: f64) -> f64 {
+/// Log-odds `dt` seconds later, after decay towards the prior.
+fn decay_log_odds(log_odds: f64, dt: f64, prior: f64) -> f64 {
     prior + (log_odds - prior) * decayed(dt.abs() / VERDICT_TIME_S)
 }
 
@@ -332,7 +344,7 @@ pub(crate) fn smallest_turn(from: &Vector3<f64>, to: &Vector3<f64>) -> Vector3<f
     if sine > 1e-12 {
         cross * (sine.atan2(cosine) / sine)
     } else {
-        // Opposite: any axis across will do; this one is the same every time.
+        // Opposite vectors: any perpendicular axis is right; this choice is deterministic.
         let axis = if from.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
         from.cross(&axis).normalize() * std::f64::consts::PI
     }

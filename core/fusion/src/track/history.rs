@@ -1,156 +1,154 @@
-//! The rewind buffer: a window of measurements and the estimates between them, so that a late
-//! measurement is put where it belongs and what came after it is filtered again.
+//! Rewind buffer: a window of measurements with filter states between them. A late measurement is inserted at its place
+//! and the later ones are filtered again.
 //!
-//! The result depends on the measurements' times alone, not on the order in which they came. A
-//! measurement is put in its place at once, but the filtering waits until the estimate is asked for: the next
-//! measurement, of another camera, often belongs before this one. Until then [`History::newest`] lacks those
-//! that wait, which is good enough for gating as long as they are few ([`WAITING_MOST`]) and recent
-//! ([`WAITING_NS`]), and the velocity is known ([`WAITING_FROM`]).
+//! The result depends on the measurements' times only, not on their order of arrival. A measurement is inserted at once
+//! but filtered only when an estimate is requested, since the next one of another camera often belongs before it. Until
+//! then [`History::newest`] lacks the pending measurements. For gating this is accurate enough while they are few
+//! ([`MAX_PENDING`]) and recent ([`MAX_PENDING_NS`]) and the velocity is established ([`MIN_COUNT_TO_DEFER`]).
 //!
-//! Full estimates are kept only here and there, the rest is computed again when needed: one before as many
-//! measurements as late ones were put before of late, and others at distances that double with their age, since few
+//! Only some filter states are kept as checkpoints; others are computed again from these. One checkpoint lies as many
+//! measurements back as late ones were inserted recently, the others at distances that double with age, since few
 //! measurements are very late.
 
 use std::collections::VecDeque;
 
-use super::{Estimate, Look, Measurement, MotionModel};
+use super::{Estimate, FilterState, Measurement, MotionModel};
 use roundel_vision::{id::CameraId, time::Timestamp};
 
-/// Measurements from one kept estimate to the next at most. PERF: each kept estimate costs some kilobytes of copying,
-/// each one not kept a few filter steps when something is late; measure with `cargo bench -p roundel-core --bench
-/// fusion`.
-const CHECKPOINT_EVERY: u64 = 8;
-/// The same where so many measurements in a row were filtered in their order …
-const IN_ORDER: u64 = 512;
-/// … and as old ones are let go.
-const CHECKPOINT_EVERY_AT_MOST: u64 = 32;
+/// Largest spacing of checkpoints, measurements. PERF: a checkpoint costs some kilobytes of copying, a missing
+/// one a few filter steps per late measurement; measure with `cargo bench -p roundel-core --bench fusion`.
+const CHECKPOINT_SPACING: u64 = 8;
+/// After this many measurements in order the larger spacing applies.
+const IN_ORDER_COUNT: u64 = 512;
+/// Largest spacing of old checkpoints, and of new ones while measurements arrive in order.
+const MAX_CHECKPOINT_SPACING: u64 = 32;
 
-/// Measurements that may wait for the filter. PERF: with measurements 0 to 40 ms late, each
-/// would otherwise cost some twenty filter steps; of cameras in order whose rolling shutters see an object at
-/// different times, 1.3 (eight synchronized ones) to 1.5 (four that are not).
-const WAITING_MOST: usize = 16;
-/// And for so long: what is later than the newest estimate by more does not wait.
-const WAITING_NS: i64 = 30_000_000;
-/// An object's first so many measurements do not wait.
-const WAITING_FROM: u64 = 16;
+/// Largest number of pending measurements. PERF: without deferral, measurements 0 to 40 ms late would cost some
+/// twenty filter steps each; cameras in order with rolling shutters cost 1.3 (eight synchronized) to 1.5 (four
+/// unsynchronized).
+const MAX_PENDING: usize = 16;
+/// A measurement later than the filtered state by more than this is filtered at once.
+const MAX_PENDING_NS: i64 = 30_000_000;
+/// The first measurements of an object are filtered at once.
+const MIN_COUNT_TO_DEFER: u64 = 16;
 
-/// What became of a measurement.
+/// Result of an insertion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Inserted {
-    /// It is the newest.
+    /// Newest measurement.
     InOrder,
-    /// It went in before measurements that had come earlier.
+    /// Inserted before measurements that arrived earlier.
     OutOfOrder,
-    /// It is older than all that is remembered.
+    /// Older than the window.
     TooLate,
-    /// It was there already.
+    /// Already in the window.
     Duplicate,
 }
 
-/// What became of a camera's measurements that were to be taken back.
+/// Result of retracting a camera's measurements.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TakenBack {
-    /// So many, and all that they had done is undone.
-    All(usize),
-    /// There is nothing without them; they are still there.
-    NothingElse,
+pub enum Retraction {
+    /// Number of measurements that were removed, with all their effects.
+    Removed(usize),
+    /// No other measurement remains; nothing was removed.
+    NothingLeft,
 }
 
 #[derive(Clone, Debug)]
 struct Checkpoint {
-    /// Measurements in the estimate, counted from the track's first.
+    /// Measurements in the state, counted from the track's first.
     applied: u64,
-    /// The estimate's.
     time: Timestamp,
-    estimate: Box<Estimate>,
+    state: Box<FilterState>,
 }
 
-/// One object's measurements of the window and its newest estimate.
+/// Measurements of one object within the window, and its newest filter state.
 #[derive(Clone, Debug)]
 pub struct History {
     entries: VecDeque<Measurement>,
     /// Number of the first entry, counted from the track's first.
     first: u64,
-    /// Ascending; the first one covers what has left the window.
+    /// Ascending; the first one contains the measurements that left the window.
     checkpoints: VecDeque<Checkpoint>,
-    /// Memory of those let go.
-    spare: Vec<Box<Estimate>>,
-    newest: Box<Estimate>,
-    /// Measurements put in their place and not filtered yet.
-    waiting: usize,
-    /// Number of the oldest of these.
-    oldest_waiting: u64,
-    /// Filtered measurements that had late ones put before them, of late.
-    reach: u64,
-    /// Measurements there were when that happened last.
-    overtaken: u64,
-    /// Measurements in the newest estimate.
+    /// Allocations for reuse.
+    free: Vec<Box<FilterState>>,
+    newest: Box<FilterState>,
+    /// Number of inserted measurements that are not filtered yet.
+    pending: usize,
+    /// Number of the oldest pending measurement.
+    oldest_pending: u64,
+    /// Decaying maximum of how many filtered measurements a late one preceded.
+    overtaken_recently: u64,
+    /// Count of measurements when that happened last.
+    last_overtaken: u64,
+    /// Measurements in the newest state.
     applied: u64,
 }
 
 impl History {
-    /// Starts with one measurement.
+    /// History with one measurement.
     pub fn begin(measurement: Measurement, model: &MotionModel) -> Self {
-        let newest = Box::new(Estimate::begin(&measurement, model));
+        let newest = Box::new(FilterState::begin(&measurement, model));
         Self {
             entries: VecDeque::from([measurement]),
             first: 0,
             checkpoints: VecDeque::new(),
-            spare: Vec::new(),
+            free: Vec::new(),
             newest,
-            waiting: 0,
-            oldest_waiting: u64::MAX,
-            reach: 0,
-            overtaken: 0,
+            pending: 0,
+            oldest_pending: u64::MAX,
+            overtaken_recently: 0,
+            last_overtaken: 0,
             applied: 1,
         }
     }
 
-    /// The estimate after the newest measurement that was filtered; those that wait are not in it.
-    pub fn newest(&self) -> &Estimate {
+    /// State after the newest filtered measurement, without pending ones.
+    pub fn newest(&self) -> &FilterState {
         &self.newest
     }
 
-    /// When the newest measurement was made, filtered or not.
+    /// Time of the newest measurement, filtered or not.
     pub fn newest_time(&self) -> Timestamp {
         self.entries.back().map_or(self.newest.time, |entry| entry.time)
     }
 
-    /// The measurements of the window, oldest first.
+    /// Measurements of the window, oldest first.
     pub fn measurements(&self) -> impl DoubleEndedIterator<Item = &Measurement> + Clone {
         self.entries.iter()
     }
 
-    /// What is told of `time`, as [`History::at`] has it; nothing of what only the filter needs is computed.
-    pub fn look(&mut self, time: Timestamp, model: &MotionModel) -> Look {
-        self.settle(model);
+    /// Estimate at `time`, as from [`History::state_at`]; cheaper, since nothing that only the filter needs is
+    /// computed.
+    pub fn estimate(&mut self, time: Timestamp, model: &MotionModel) -> Estimate {
+        self.filter_pending(model);
         if time >= self.newest.time {
-            self.newest.look(time, model)
+            self.newest.estimate(time, model)
         } else {
             let until = self.entries.partition_point(|entry| entry.time <= time);
-            self.replayed(until.max(1), model).look(time, model)
+            self.replay(until.max(1), model).estimate(time, model)
         }
     }
 
-    /// The estimate at `time` from what was measured until then; before the window, the oldest
-    /// estimate there is, predicted back.
-    pub fn at(&mut self, time: Timestamp, model: &MotionModel) -> Estimate {
-        self.settle(model);
-        let mut estimate = if time >= self.newest.time {
+    /// Filter state at `time` from the measurements until then; before the window, the oldest state predicted
+    /// back.
+    pub fn state_at(&mut self, time: Timestamp, model: &MotionModel) -> FilterState {
+        self.filter_pending(model);
+        let mut state = if time >= self.newest.time {
             *self.newest
         } else {
             let until = self.entries.partition_point(|entry| entry.time <= time);
-            self.replayed(until.max(1), model)
+            self.replay(until.max(1), model)
         };
-        estimate.predict(time, model);
-        estimate
+        state.predict(time, model);
+        state
     }
 
-    /// Puts a measurement in its place.
+    /// Inserts a measurement at its place.
     pub fn insert(&mut self, measurement: &Measurement, model: &MotionModel) -> Inserted {
         let key = measurement.key();
         let newer = self.entries.iter().rev().take_while(|entry| entry.key() > key).count();
-        // All before `place` have the same key or lower ones.
+        // All entries before `place` have the same key or lower ones.
         let place = self.entries.len() - newer;
         if place > 0 && self.entries[place - 1].key() == key {
             return Inserted::Duplicate;
@@ -159,192 +157,202 @@ impl History {
             return Inserted::TooLate;
         }
         let number = self.first + place as u64;
-        while self.kept() > number {
-            self.spare.extend(self.checkpoints.pop_back().map(|kept| kept.estimate));
+        while self.last_checkpoint() > number {
+            self.free.extend(self.checkpoints.pop_back().map(|checkpoint| checkpoint.state));
         }
         if newer == 0 {
             self.entries.push_back(*measurement);
         } else {
             self.entries.insert(place, *measurement);
         }
-        self.waiting += 1;
-        self.oldest_waiting = self.oldest_waiting.min(number);
+        self.pending += 1;
+        self.oldest_pending = self.oldest_pending.min(number);
         let ahead_ns = self.newest_time().ns_since(self.newest.time);
-        if self.waiting >= WAITING_MOST || ahead_ns > WAITING_NS || self.count() <= WAITING_FROM {
-            self.settle(model);
+        if self.pending >= MAX_PENDING
+            || ahead_ns > MAX_PENDING_NS
+            || self.count() <= MIN_COUNT_TO_DEFER
+        {
+            self.filter_pending(model);
         }
         if newer > 0 { Inserted::OutOfOrder } else { Inserted::InOrder }
     }
 
-    /// Takes back what a camera measured from `since` on, as if it had never been there. Where that reaches
-    /// beyond what is remembered, the estimate begins anew with what others measured within the window.
-    pub fn take_back(
+    /// Removes a camera's measurements from `since` on, as if they had never been there. Where that reaches
+    /// beyond the window, the filter restarts from the other measurements of the window.
+    pub fn retract(
         &mut self,
         camera: CameraId,
         since: Timestamp,
         model: &MotionModel,
-    ) -> TakenBack {
-        let is_gone = |entry: &Measurement| entry.camera == camera && entry.time >= since;
-        let Some(place) = self.entries.iter().position(is_gone) else { return TakenBack::All(0) };
-        let taken = self.entries.iter().filter(|entry| is_gone(entry)).count();
-        if taken == self.entries.len() && self.first == 0 {
-            return TakenBack::NothingElse;
+    ) -> Retraction {
+        let is_retracted = |entry: &Measurement| entry.camera == camera && entry.time >= since;
+        let Some(place) = self.entries.iter().position(is_retracted) else {
+            return Retraction::Removed(0);
+        };
+        let removed = self.entries.iter().filter(|entry| is_retracted(entry)).count();
+        if removed == self.entries.len() && self.first == 0 {
+            return Retraction::NothingLeft;
         }
         let number = self.first + place as u64;
-        let is_before = |kept: &Checkpoint| kept.applied <= number;
+        let is_before = |checkpoint: &Checkpoint| checkpoint.applied <= number;
         if self.first > 0 && !self.checkpoints.front().is_some_and(is_before) {
-            return self.begin_without(camera, since, model);
+            return self.rebuild_without(camera, since, model);
         }
-        while self.kept() > number {
-            self.spare.extend(self.checkpoints.pop_back().map(|kept| kept.estimate));
+        while self.last_checkpoint() > number {
+            self.free.extend(self.checkpoints.pop_back().map(|checkpoint| checkpoint.state));
         }
-        self.entries.retain(|entry| !is_gone(entry));
-        (self.waiting, self.oldest_waiting) = (0, u64::MAX);
-        // Who is left sees it worse, maybe: how quietly it moves is not known any more.
-        if let Some(kept) = self.checkpoints.back_mut() {
-            kept.estimate.motion.doubt(model);
+        self.entries.retain(|entry| !is_retracted(entry));
+        (self.pending, self.oldest_pending) = (0, u64::MAX);
+        // The remaining cameras may be less precise, so the learned process noise no longer applies.
+        if let Some(checkpoint) = self.checkpoints.back_mut() {
+            checkpoint.state.motion.reset_adaptation(model);
         }
         self.rewind(model);
         self.filter(model);
-        TakenBack::All(taken)
+        Retraction::Removed(removed)
     }
 
-    /// Begins anew with the measurements of the window, but for a camera's from `since` on.
-    fn begin_without(
+    /// Restarts from the window's measurements without a camera's from `since` on.
+    fn rebuild_without(
         &mut self,
         camera: CameraId,
         since: Timestamp,
         model: &MotionModel,
-    ) -> TakenBack {
+    ) -> Retraction {
         let stays = |entry: &&Measurement| entry.camera != camera || entry.time < since;
-        let mut staying = self.entries.iter().filter(stays);
-        let Some(first) = staying.next() else { return TakenBack::NothingElse };
-        let mut anew = Self::begin(*first, model);
-        staying.for_each(|entry| {
-            anew.insert(entry, model);
+        let mut remaining = self.entries.iter().filter(stays);
+        let Some(first) = remaining.next() else { return Retraction::NothingLeft };
+        let mut rebuilt = Self::begin(*first, model);
+        remaining.for_each(|entry| {
+            rebuilt.insert(entry, model);
         });
-        let taken = self.entries.len() - anew.entries.len();
-        *self = anew;
-        TakenBack::All(taken)
+        let removed = self.entries.len() - rebuilt.entries.len();
+        *self = rebuilt;
+        Retraction::Removed(removed)
     }
 
-    /// Filters what waits, from the last checkpoint on.
-    fn settle(&mut self, model: &MotionModel) {
-        if self.waiting == 0 {
+    /// Filters pending measurements, from the last suitable checkpoint on.
+    fn filter_pending(&mut self, model: &MotionModel) {
+        if self.pending == 0 {
             return;
         }
         let count = self.count();
-        let overtaken = count - self.oldest_waiting - self.waiting as u64;
-        self.reach = overtaken.max(self.reach.saturating_sub(1));
-        if self.oldest_waiting < self.applied {
-            self.overtaken = count;
-            self.go_back(model);
+        let last_overtaken = count - self.oldest_pending - self.pending as u64;
+        self.overtaken_recently = last_overtaken.max(self.overtaken_recently.saturating_sub(1));
+        if self.oldest_pending < self.applied {
+            self.last_overtaken = count;
+            self.rewind_and_reuse(model);
         }
-        (self.waiting, self.oldest_waiting) = (0, u64::MAX);
+        (self.pending, self.oldest_pending) = (0, u64::MAX);
         self.filter(model);
     }
 
-    /// As [`Self::rewind`], where the estimate that is kept next is a later one.
+    /// As [`Self::rewind`], for the case that a later checkpoint will replace the last one.
     ///
-    /// PERF: that one stands in for the last one kept, which need not be copied then.
-    fn go_back(&mut self, model: &MotionModel) {
-        let is_replaced = self.kept() + self.reach < self.count() && self.checkpoints.len() > 1;
+    /// PERF: the state is moved instead of copied.
+    fn rewind_and_reuse(&mut self, model: &MotionModel) {
+        let is_replaced = self.last_checkpoint() + self.overtaken_recently < self.count()
+            && self.checkpoints.len() > 1;
         if !is_replaced {
             return self.rewind(model);
         }
-        let Some(kept) = self.checkpoints.pop_back() else { return };
-        self.spare.push(std::mem::replace(&mut self.newest, kept.estimate));
-        self.applied = kept.applied;
+        let Some(checkpoint) = self.checkpoints.pop_back() else { return };
+        self.free.push(std::mem::replace(&mut self.newest, checkpoint.state));
+        self.applied = checkpoint.applied;
     }
 
-    /// Takes into the newest estimate what comes after it.
+    /// Filters the entries after the newest state.
     fn filter(&mut self, model: &MotionModel) {
         let count = self.count();
         while self.applied < count {
             self.newest.update(&self.entries[(self.applied - self.first) as usize], model);
             self.applied += 1;
-            let is_reached = self.reach > 0 && self.reach == count - self.applied;
-            let is_in_order = self.applied.saturating_sub(self.overtaken) >= IN_ORDER;
-            let most = if is_in_order { CHECKPOINT_EVERY_AT_MOST } else { CHECKPOINT_EVERY };
-            if is_reached || self.applied - self.kept() >= most {
-                self.keep();
+            let is_reached =
+                self.overtaken_recently > 0 && self.overtaken_recently == count - self.applied;
+            let is_in_order = self.applied.saturating_sub(self.last_overtaken) >= IN_ORDER_COUNT;
+            let spacing = if is_in_order { MAX_CHECKPOINT_SPACING } else { CHECKPOINT_SPACING };
+            if is_reached || self.applied - self.last_checkpoint() >= spacing {
+                self.add_checkpoint();
             }
         }
     }
 
-    /// Makes the last kept estimate the newest.
+    /// Restores the newest state from the last checkpoint.
     fn rewind(&mut self, model: &MotionModel) {
         match self.checkpoints.back() {
-            Some(kept) => {
-                self.newest.copy_from(&kept.estimate);
-                self.applied = kept.applied;
+            Some(checkpoint) => {
+                self.newest.copy_from(&checkpoint.state);
+                self.applied = checkpoint.applied;
             }
             None => {
-                *self.newest = Estimate::begin(&self.entries[0], model);
+                *self.newest = FilterState::begin(&self.entries[0], model);
                 self.applied = self.first + 1;
             }
         }
     }
 
-    /// Measurements so far.
+    /// Measurements since the track began.
     fn count(&self) -> u64 {
         self.first + self.entries.len() as u64
     }
 
-    /// Lets go of measurements from before `time`, as far as a kept estimate covers them.
-    pub fn forget(&mut self, time: Timestamp) {
+    /// Discards measurements before `time` that a checkpoint covers.
+    pub fn discard_before(&mut self, time: Timestamp) {
         while self.checkpoints.len() > 1 && self.checkpoints[1].time < time {
-            self.spare.extend(self.checkpoints.pop_front().map(|kept| kept.estimate));
+            self.free.extend(self.checkpoints.pop_front().map(|checkpoint| checkpoint.state));
         }
-        let Some(kept) = self.checkpoints.front().filter(|kept| kept.time < time) else {
+        let Some(checkpoint) = self.checkpoints.front().filter(|checkpoint| checkpoint.time < time)
+        else {
             return;
         };
-        // One entry stays, so that there is something to place others before or after.
-        while self.first + 1 < kept.applied && self.entries.len() > 1 {
+        // One entry remains as a reference for the place of others.
+        while self.first + 1 < checkpoint.applied && self.entries.len() > 1 {
             self.entries.pop_front();
             self.first += 1;
         }
     }
 
-    /// Measurements in the last kept estimate.
-    fn kept(&self) -> u64 {
-        self.checkpoints.back().map_or(0, |kept| kept.applied)
+    /// Measurements in the last checkpoint.
+    fn last_checkpoint(&self) -> u64 {
+        self.checkpoints.back().map_or(0, |checkpoint| checkpoint.applied)
     }
 
-    /// Keeps the newest estimate, and lets go of one that its neighbours can stand in for.
-    fn keep(&mut self) {
+    /// Adds the newest state as a checkpoint and drops one that its neighbours can replace.
+    fn add_checkpoint(&mut self) {
         let applied = self.applied;
-        let estimate = match self.spare.pop() {
-            Some(mut spare) => {
-                spare.copy_from(&self.newest);
-                spare
+        let state = match self.free.pop() {
+            Some(mut free) => {
+                free.copy_from(&self.newest);
+                free
             }
             None => self.newest.clone(),
         };
-        self.checkpoints.push_back(Checkpoint { applied, time: estimate.time, estimate });
-        let is_between = |middle: &usize| {
-            let [before, after] = [middle - 1, middle + 1].map(|at| self.checkpoints[at].applied);
-            after - before <= (applied - after).min(CHECKPOINT_EVERY_AT_MOST)
+        self.checkpoints.push_back(Checkpoint { applied, time: state.time, state });
+        let is_redundant = |middle: &usize| {
+            let [before, after] =
+                [middle - 1, middle + 1].map(|index| self.checkpoints[index].applied);
+            after - before <= (applied - after).min(MAX_CHECKPOINT_SPACING)
         };
-        let dispensable = (1..self.checkpoints.len() - 1).rev().find(is_between);
-        if let Some(middle) = dispensable {
-            self.spare.extend(self.checkpoints.remove(middle).map(|kept| kept.estimate));
+        let redundant = (1..self.checkpoints.len() - 1).rev().find(is_redundant);
+        if let Some(middle) = redundant {
+            self.free.extend(self.checkpoints.remove(middle).map(|checkpoint| checkpoint.state));
         }
     }
 
-    /// The estimate after the first `count` entries (at least one).
-    fn replayed(&self, count: usize, model: &MotionModel) -> Estimate {
+    /// State after the first `count` entries of the window (at least one).
+    fn replay(&self, count: usize, model: &MotionModel) -> FilterState {
         let number = self.first + count as u64;
-        let kept = self.checkpoints.iter().rev().find(|kept| kept.applied <= number);
-        let (mut done, mut estimate) = match kept.or(self.checkpoints.front()) {
-            Some(kept) => ((kept.applied - self.first) as usize, *kept.estimate),
-            None => (1, Estimate::begin(&self.entries[0], model)),
+        let checkpoint =
+            self.checkpoints.iter().rev().find(|checkpoint| checkpoint.applied <= number);
+        let (mut done, mut state) = match checkpoint.or(self.checkpoints.front()) {
+            Some(checkpoint) => ((checkpoint.applied - self.first) as usize, *checkpoint.state),
+            None => (1, FilterState::begin(&self.entries[0], model)),
         };
         while done < count {
-            estimate.update(&self.entries[done], model);
+            state.update(&self.entries[done], model);
             done += 1;
         }
-        estimate
+        state
     }
 }
 

@@ -1,33 +1,32 @@
-//! One object's motion over time: what measurements come in, the estimate that comes out.
+//! State estimation for one object: measurements in, position and orientation with rates and covariances out.
 //!
-//! A track estimates apart where the roundel's centre is and how fast it moves ([`Motion`]), and how
-//! it is turned ([`Attitude`], with both normals that an ellipse allows). Both build on one filter of
-//! a value and its rate ([`Kernel`]). [`History`] keeps the measurements of a window, so that a late one is put in
-//! its place and the past is filtered again.
+//! [`Motion`] estimates position and velocity, [`Attitude`] orientation and angular velocity, with both normals that an
+//! ellipse allows. Both use the same filter of a value and its rate ([`Kalman`]). [`History`] keeps the measurements of
+//! a time window, so that a late measurement is inserted at its place and the later ones are filtered again.
 //!
-//! Motion model: constant velocity, disturbed by white acceleration of spectral density q,
-//! F = [I dt·I; 0 I], Q = q [dt³/3·I dt²/2·I; dt²/2·I dt·I] (Bar-Shalom, Li, Kirubarajan,
-//! *Estimation with Applications to Tracking and Navigation*, 2001, section 6.2.2).
+//! Motion model: constant velocity disturbed by white acceleration of spectral density q, F = [I dt·I; 0 I], Q = q
+//! [dt³/3·I dt²/2·I; dt²/2·I dt·I] (Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to Tracking and
+//! Navigation*, 2001, section 6.2.2).
 
 mod acceleration;
-mod alarm;
 mod attitude;
-mod density;
-mod ground;
+mod covariance;
+mod cusum;
+mod floor;
 mod history;
-mod kernel;
+mod kalman;
 mod motion;
-mod spread;
+mod process_noise;
 
-pub(crate) use acceleration::{added_by, left_after};
+pub(crate) use acceleration::{decay_acceleration, integrate_acceleration};
 pub use attitude::{Attitude, AttitudeEstimate, AttitudeMeasurement};
 pub(crate) use attitude::{smallest_turn, without_yaw};
-pub use history::{History, Inserted, TakenBack};
-pub use kernel::invert_positive;
-pub(crate) use kernel::positive_root;
-pub use kernel::{Correction, Innovation, Kernel, MAX_SOURCES, Noise};
-pub use motion::{Filter, Motion, MotionEstimate};
-pub use spread::Spread;
+pub use covariance::{BlockCovariance, BlockTraces};
+pub use history::{History, Inserted, Retraction};
+pub(crate) use kalman::cholesky_lower;
+pub use kalman::invert_positive;
+pub use kalman::{Correction, ErrorSource, Innovation, Kalman, MAX_SOURCES, Noise};
+pub use motion::{Motion, MotionEstimate, PositionFilter};
 
 use nalgebra::Vector3;
 
@@ -36,110 +35,111 @@ use roundel_vision::{
     time::Timestamp,
 };
 
-/// How objects can move, and how measurements err; equal for all tracks of a kind.
+/// Motion and error model of a track.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionModel {
     /// Spectral density of the white acceleration along each axis of the world, m²/s³.
     pub acceleration_density_m2_s3: Vector3<f64>,
     /// Spectral density of the white angular acceleration about each axis of the world, rad²/s³.
     pub angular_density_rad2_s3: Vector3<f64>,
-    /// Standard deviation of an unseen velocity along each axis, m/s.
+    /// Standard deviation of the initial velocity along each axis, m/s.
     pub speed_m_s: Vector3<f64>,
-    /// Standard deviation of an unseen angular velocity about each axis, rad/s.
+    /// Standard deviation of the initial angular velocity about each axis, rad/s.
     pub angular_speed_rad_s: Vector3<f64>,
-    /// Time in which a camera's systematic error forgets itself, s.
+    /// Correlation time of a camera's systematic error, s.
     pub systematic_time_s: f64,
-    /// Innovations beyond this squared Mahalanobis length are held back to it.
+    /// Squared Mahalanobis length above which an innovation is down-weighted (Huber).
     pub robust_distance_squared: f64,
-    /// Log-odds by which a normal straight up is preferred to a level one before any evidence.
+    /// Prior log-odds of a normal that points straight up against a horizontal one.
     pub upright_log_odds: f64,
-    /// Whether the density of what turns its normal is learned while its yaw is observed.
-    pub learns_turning: bool,
-    /// The floor that it keeps to.
+    /// Whether the density of the normal's rotation is learned while the yaw is observed.
+    pub learns_rotation_density: bool,
+    /// Constraint for objects that drive on a floor.
     pub ground: Option<Ground>,
 }
 
-/// What holds an object that drives.
+/// Floor constraint of an object that drives.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ground {
-    /// Height of the roundel's centre, metres; `None`: the same all the time, but not known.
+    /// Height of the roundel's centre, metres; `None` if it is constant but unknown.
     pub height_m: Option<f64>,
-    /// Standard deviation of it, over the unevenness of floor and robots, metres.
+    /// Standard deviation of the height from unevenness of floor and robots, metres.
     pub deviation_m: f64,
-    /// Standard deviation of the normal from straight up, each of its two angles, radians.
+    /// Standard deviation of each of the normal's two tilt angles, radians.
     pub tilt_rad: f64,
 }
 
-/// One detection, carried into the world frame.
+/// One detection in the world frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measurement {
-    /// When it was exposed …
+    /// Time of exposure, with the camera's clock corrected.
     pub time: Timestamp,
-    /// … by a stamp that was put back by so much, seconds.
-    pub late_s: f64,
-    /// Who saw it.
+    /// Correction that was subtracted from the camera's stamp, seconds.
+    pub clock_correction_s: f64,
+    /// Camera that made the detection.
     pub camera: CameraId,
-    /// In which of its frames.
+    /// Number of the camera's frame.
     pub frame: u64,
-    /// As which of its tracks.
+    /// Track number in the camera's tracker.
     pub number: TrackNumber,
     /// Roundel's centre, metres.
     pub position_m: Vector3<f64>,
-    /// Its error.
+    /// Error of the position.
     pub position_noise: Noise,
-    /// How the roundel is turned.
+    /// Orientation of the roundel and its error.
     pub attitude: AttitudeMeasurement,
 }
 
 impl Measurement {
-    /// Says how uncertain its camera's clock is, seconds.
+    /// Sets the standard deviation of the camera's clock, seconds.
     pub fn set_timing(&mut self, timing_s: f64) {
         self.position_noise.timing_s = timing_s;
         self.attitude.set_timing(timing_s);
     }
 
-    /// What orders measurements of one object, whatever the order in which they came.
+    /// Sort key that does not depend on the order of arrival.
     fn key(&self) -> (Timestamp, CameraId, u64, TrackNumber) {
         (self.time, self.camera, self.frame, self.number)
     }
 }
 
-/// All that is known of one object at one instant.
+/// Filter state of one object at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Estimate {
-    /// The instant.
+pub struct FilterState {
+    /// Time of the state.
     pub time: Timestamp,
     /// Position and velocity of the roundel's centre.
     pub motion: Motion,
     /// Orientation and angular velocity.
     pub attitude: Attitude,
-    /// Newest position innovation's squared Mahalanobis length over its 3 degrees of freedom.
+    /// Squared Mahalanobis length of the newest position innovation over its 3 degrees of freedom.
     pub residual: f64,
 }
 
-/// What is told of one object at one instant.
+/// Estimate of one object at one time, as reported to clients.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Look {
+pub struct Estimate {
     /// Position and velocity of the roundel's centre.
     pub motion: MotionEstimate,
     /// Orientation and angular velocity.
     pub attitude: AttitudeEstimate,
-    /// As in [`Estimate`].
+    /// As in [`FilterState`].
     pub residual: f64,
 }
 
-impl Estimate {
-    /// What is told of another instant, as after [`Estimate::predict`].
-    pub fn look(&self, time: Timestamp, model: &MotionModel) -> Look {
+impl FilterState {
+    /// Estimate at another time. Gives the same as [`FilterState::predict`] followed by an estimate, without
+    /// changing the filters.
+    pub fn estimate(&self, time: Timestamp, model: &MotionModel) -> Estimate {
         let dt = time.seconds_since(self.time);
-        Look {
+        Estimate {
             motion: self.motion.estimate(dt, model),
             attitude: self.attitude.estimate(dt, model),
             residual: self.residual,
         }
     }
 
-    /// What one measurement tells; the velocity is the model's prior.
+    /// State after a first measurement. The velocity is that of the model's prior.
     pub fn begin(measurement: &Measurement, model: &MotionModel) -> Self {
         let mut estimate = Self {
             time: measurement.time,
@@ -147,27 +147,27 @@ impl Estimate {
             attitude: Attitude::begin(&measurement.attitude, measurement.camera, model),
             residual: 1.0,
         };
-        estimate.hold(model);
+        estimate.constrain_to_floor(model);
         estimate
     }
 
-    /// Becomes another, without what of it is not there.
+    /// Copies without the rival normal's state where there is none.
     fn copy_from(&mut self, other: &Self) {
         let Self { time, motion, attitude, residual } = other;
         (self.time, self.motion, self.residual) = (*time, *motion, *residual);
         self.attitude.copy_from(attitude);
     }
 
-    /// Holds what drives to its floor.
-    fn hold(&mut self, model: &MotionModel) {
+    /// Applies the floor constraint, if the model has one.
+    fn constrain_to_floor(&mut self, model: &MotionModel) {
         if let Some(ground) = &model.ground {
-            self.motion.hold(ground);
-            self.attitude.hold(ground);
+            self.motion.constrain_to_floor(ground);
+            self.attitude.constrain_to_floor(ground);
         }
     }
 
-    /// The same object at another instant. Going back spreads the covariance as much as going
-    /// forward, which is more than is true, never less.
+    /// Predicts to another time. Going back adds as much process noise as going forward, which overstates the
+    /// covariance and never understates it.
     pub fn predict(&mut self, time: Timestamp, model: &MotionModel) {
         let dt = time.seconds_since(self.time);
         if dt == 0.0 {
@@ -178,12 +178,12 @@ impl Estimate {
         self.attitude.predict(dt, model);
     }
 
-    /// Takes in a measurement made at or after this estimate's time.
+    /// Adds a measurement made at or after this state's time.
     pub fn update(&mut self, measurement: &Measurement, model: &MotionModel) {
         self.predict(measurement.time, model);
         let innovation = self.motion.update(measurement, model);
         self.residual = innovation.distance_squared / 3.0;
         self.attitude.update(&measurement.attitude, measurement.camera, model);
-        self.hold(model);
+        self.constrain_to_floor(model);
     }
 }

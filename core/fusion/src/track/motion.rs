@@ -1,105 +1,105 @@
-//! Where an object is and how it moves, with the process noise that suits what is seen of it.
+//! Position and velocity of an object, with process noise that adapts to its motion.
 //!
-//! Two filters run side by side. The adapted one is disturbed as strongly as suits what is seen
-//! ([`super::density`]); it is the estimate. The agile one always expects what objects are capable of. It
-//! decides which measurements can be the object's, it stands in when the object is not seen (it may have
-//! begun to move), and when it has foreseen the measurements so much better than the adapted one that a manoeuvre
-//! must have begun (`alarm`), the other starts again from it.
+//! Two filters run side by side. The adapted filter uses the process noise learned from its innovations
+//! ([`super::process_noise`]); it gives the estimate. The agile filter always uses the process noise of the configured
+//! capability. It gates measurements, gives the estimate while the object is not observed, and restarts the adapted
+//! filter when its likelihood shows a manoeuvre ([`super::cusum`]).
 //!
-//! What moves is not disturbed by white noise, though: accelerations last. The q that foresees best is then one
-//! whose lag and noise are in balance, and errors are other than a filter of white noise with that q believes.
-//! For an acceleration a that stays, the filter's lag is a/ω² in position and √2a/ω in velocity, ω = (q/r)^¼
-//! how quickly it follows. Least lag² + noise is at q = 3.7 a²/ω; then of the part M of the covariance that
-//! process noise has made ([`Kernel::told_sharing`]) half is true in velocity, ¾ in position. So the filter goes on as
-//! it does, but what is told has such shares of M: a half of the velocity's ([`RATE_SHARE`]), and more of the
-//! position's ([`VALUE_SHARE`]), since accelerations last neither for ever nor equally long, which q follows late.
-//! What is told of a later moment counts on the acceleration of now, and grows by how unsteady that is
-//! ([`super::acceleration`]), not by q. `core/tests/fusion/consistency.rs` and `tests/src/scenario` show the result.
+//! Real accelerations are not white, they last. The q with the best predictions then balances lag against noise, and
+//! the errors differ from those that a filter with white noise of that q states. For a constant acceleration a the lag
+//! is a/ω² in position and √2a/ω in velocity, with the bandwidth ω = (q/r)^¼. The minimum of lag² + noise is at q = 3.7
+//! a²/ω. There, of the covariance part M that process noise contributes ([`Kalman::reported_with_shares`]), half is
+//! real in velocity and ¾ in position. Reported covariances therefore contain M times [`RATE_SHARE`] and
+//! [`VALUE_SHARE`]. The latter exceeds ¾ because accelerations do not last forever and q follows their changes late.
+//! Predictions use the present acceleration and grow with its variance ([`super::acceleration`]), not with q.
+//! `core/tests/fusion/consistency.rs` and `tests/src/scenario` show the resulting consistency.
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
-    Correction, Ground, Innovation, Kernel, Measurement, MotionModel, Spread,
-    acceleration::{Acceleration, Known, added_by, left_after},
-    alarm::{Alarm, UNSEEN_S},
-    density::Densities,
+    BlockCovariance, Correction, Ground, Innovation, Kalman, Measurement, MotionModel,
+    acceleration::{Acceleration, VelocityEstimate, decay_acceleration, integrate_acceleration},
+    cusum::{Cusum, UNOBSERVED_S},
+    process_noise::Densities,
 };
 
-/// Accelerations may be e to half of this times what objects are said to be capable of.
+/// Learned accelerations are at most e^(LOG_CEILING / 2) times the configured capability.
 const LOG_CEILING: f64 = 2.8;
-/// Shares of the process noise's part in the covariances of position and velocity that are told.
+/// Shares of the process noise's part in the reported covariances of position and velocity.
 const VALUE_SHARE: f64 = 1.5;
 const RATE_SHARE: f64 = 0.5;
-/// Of what is not seen, whose acceleration nobody knows, the density over a horizon is that expected times this …
+/// Density over a prediction of an unobserved object: the expected density times this, …
 const GROWTH_SHARE: f64 = 0.6;
-/// … and this for each unit of bandwidth times horizon.
-const GROWTH_LASTING: f64 = 0.2;
-/// Subscribers' horizons, seconds, for which the density is told.
+/// … plus this times bandwidth · horizon.
+const GROWTH_PER_PHASE: f64 = 0.2;
+/// Typical prediction horizon of subscribers, seconds; the reported density applies to it.
 const HORIZON_S: f64 = 0.05;
 
-/// Position with velocity and covariance.
+/// Position with its Kalman filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Filter {
+pub struct PositionFilter {
     /// Roundel's centre, world frame, metres.
     pub position_m: Vector3<f64>,
     /// Velocity and covariance.
-    pub kernel: Kernel,
+    pub kalman: Kalman,
 }
 
-/// What is told about a motion.
+/// Estimate of position and velocity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionEstimate {
     /// Roundel's centre, world frame, metres.
     pub position_m: Vector3<f64>,
     /// World frame, m/s.
     pub velocity_m_s: Vector3<f64>,
-    /// By which the velocity goes on to change for some tenths of a second ([`added_by`]), world frame, m/s².
+    /// Change of the velocity over the next tenths of a second, world frame, m/s². Decays as in
+    /// [`integrate_acceleration`].
     pub acceleration_m_s2: Vector3<f64>,
     /// Over (position, velocity).
-    pub spread: Spread,
-    /// Spectral density of the white acceleration that it grows by over the next hundredths of a second, m²/s³.
+    pub covariance: BlockCovariance,
+    /// Spectral density of white acceleration by which the covariance grows over the next hundredths of a second,
+    /// m²/s³.
     pub density_m2_s3: Vector3<f64>,
 }
 
-/// The two filters of one object.
+/// The adapted and the agile filter of one object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
-    adapted: Filter,
-    agile: Filter,
-    /// Of the adapted one.
+    adapted: PositionFilter,
+    agile: PositionFilter,
+    /// Mean acceleration by the adapted filter.
     acceleration: Acceleration,
     densities: Densities,
-    alarm: Alarm,
-    unseen_s: f64,
+    manoeuvre: Cusum,
+    unobserved_s: f64,
 }
 
-impl Filter {
+impl PositionFilter {
     fn predict(&mut self, dt: f64, density: &Vector3<f64>, model: &MotionModel) {
-        self.position_m += self.kernel.rate * dt;
-        self.kernel.predict(dt, density, model.systematic_time_s);
+        self.position_m += self.kalman.rate * dt;
+        self.kalman.predict(dt, density, model.systematic_time_s);
     }
 
-    /// Position and covariance `dt` seconds from now, and the density of the noise that it grows by from then on, if of
-    /// the noise that it expects only this share is there; `growth` gives the density by the horizon.
-    fn told(
+    /// Position and covariance `dt` seconds from now, with `share` of the expected process noise counted as real.
+    /// Also returns the density of the covariance's further growth; `growth` gives the density by horizon.
+    fn report(
         &self,
         dt: f64,
         share: &Vector3<f64>,
         growth: impl Fn(f64) -> Vector3<f64>,
-    ) -> (Vector3<f64>, Spread, Vector3<f64>) {
-        let of_value = share * VALUE_SHARE;
-        let of_rate = share * RATE_SHARE;
-        let mut spread = self.kernel.told_sharing(&of_value, &of_rate);
-        spread.predict(dt, &growth(dt.abs()));
-        let position_m = self.position_m + self.kernel.rate * dt;
-        (position_m, spread, growth(dt.abs() + HORIZON_S))
+    ) -> (Vector3<f64>, BlockCovariance, Vector3<f64>) {
+        let value_share = share * VALUE_SHARE;
+        let rate_share = share * RATE_SHARE;
+        let mut covariance = self.kalman.reported_with_shares(&value_share, &rate_share);
+        covariance.predict(dt, &growth(dt.abs()));
+        let position_m = self.position_m + self.kalman.rate * dt;
+        (position_m, covariance, growth(dt.abs() + HORIZON_S))
     }
 
-    fn update(&mut self, seen: &Measurement, model: &MotionModel) -> Correction {
-        let correction = self.kernel.update(
-            &(seen.position_m - self.position_m),
-            &seen.position_noise,
-            seen.camera,
+    fn update(&mut self, measurement: &Measurement, model: &MotionModel) -> Correction {
+        let correction = self.kalman.update(
+            &(measurement.position_m - self.position_m),
+            &measurement.position_noise,
+            measurement.camera,
             model.robust_distance_squared,
         );
         self.position_m += correction.value;
@@ -108,120 +108,122 @@ impl Filter {
 }
 
 impl Motion {
-    /// What one measurement tells.
-    pub fn begin(seen: &Measurement, model: &MotionModel) -> Self {
+    /// State after a first measurement.
+    pub fn begin(measurement: &Measurement, model: &MotionModel) -> Self {
         let speed = model.speed_m_s.component_mul(&model.speed_m_s);
-        let kernel = Kernel::begin(&seen.position_noise, seen.camera, &speed);
-        let filter = Filter { position_m: seen.position_m, kernel };
+        let kalman = Kalman::begin(&measurement.position_noise, measurement.camera, &speed);
+        let filter = PositionFilter { position_m: measurement.position_m, kalman };
         Self {
             adapted: filter,
             agile: filter,
             acceleration: Acceleration::begin(&model.acceleration_density_m2_s3),
             densities: Densities::begin(&model.acceleration_density_m2_s3, LOG_CEILING),
-            alarm: Alarm::default(),
-            unseen_s: 0.0,
+            manoeuvre: Cusum::default(),
+            unobserved_s: 0.0,
         }
     }
 
-    /// The filter that expects everything objects are capable of.
-    pub fn agile(&self) -> &Filter {
+    /// The filter with the process noise of the configured capability.
+    pub fn agile(&self) -> &PositionFilter {
         &self.agile
     }
 
-    /// What told how strongly it is disturbed was wrong: everything objects are capable of is to be expected.
-    pub fn doubt(&mut self, model: &MotionModel) {
-        self.alarm.forget();
+    /// Restarts the adapted filter from the agile one and discards the learned process noise.
+    pub fn reset_adaptation(&mut self, model: &MotionModel) {
+        self.manoeuvre.reset();
         self.adapted = self.agile;
         self.acceleration = Acceleration::begin(&model.acceleration_density_m2_s3);
         self.densities = Densities::begin(&model.acceleration_density_m2_s3, LOG_CEILING);
     }
 
-    /// Moves on by `dt` seconds, either way.
+    /// Predicts by `dt` seconds, either sign.
     pub fn predict(&mut self, dt: f64, model: &MotionModel) {
         let density = self.densities.expected();
         self.adapted.predict(dt, &density, model);
         self.agile.predict(dt, &density.sup(&model.acceleration_density_m2_s3), model);
-        self.acceleration.forget(dt);
-        self.densities.forget(dt);
-        self.unseen_s += dt;
+        self.acceleration.fade(dt);
+        self.densities.fade(dt);
+        self.unobserved_s += dt;
     }
 
-    /// Takes in a measurement at the present time; gives how the adapted filter had foreseen it.
-    pub fn update(&mut self, seen: &Measurement, model: &MotionModel) -> Innovation {
-        self.unseen_s = 0.0;
-        let before_m_s = self.adapted.kernel.rate;
-        let Correction { innovation, slope, .. } = self.adapted.update(seen, model);
-        let kernel = &self.adapted.kernel;
-        self.acceleration.learn(&(kernel.rate - before_m_s), || Known {
-            velocity_m_s: kernel.rate,
-            noise_m2_s2: kernel.rate_noise(),
-            bandwidth_hz: kernel.bandwidth_hz(),
+    /// Adds a measurement at the present time; returns the adapted filter's innovation.
+    pub fn update(&mut self, measurement: &Measurement, model: &MotionModel) -> Innovation {
+        self.unobserved_s = 0.0;
+        let previous_m_s = self.adapted.kalman.rate;
+        let Correction { innovation, slope, .. } = self.adapted.update(measurement, model);
+        let kalman = &self.adapted.kalman;
+        self.acceleration.learn(&(kalman.rate - previous_m_s), || VelocityEstimate {
+            velocity_m_s: kalman.rate,
+            noise_m2_s2: kalman.rate_measurement_noise(),
+            bandwidth_hz: kalman.bandwidth_hz(),
         });
-        let agile = self.agile.update(seen, model).innovation;
+        let agile = self.agile.update(measurement, model).innovation;
         self.densities.learn(&slope);
-        let most = agile.most_log_ratio(&innovation);
-        if self.alarm.is_raised_at_most(most, || agile.log_ratio(&innovation)) {
-            self.doubt(model);
+        let max_log_ratio = agile.max_log_ratio(&innovation);
+        if self.manoeuvre.is_raised_by_bounded(max_log_ratio, || agile.log_ratio(&innovation)) {
+            self.reset_adaptation(model);
         }
         innovation
     }
 
-    /// Holds it to its floor.
-    pub fn hold(&mut self, ground: &Ground) {
+    /// Applies the height constraint.
+    pub fn constrain_to_floor(&mut self, ground: &Ground) {
         for filter in [&mut self.adapted, &mut self.agile] {
-            filter.position_m += ground.hold_height(&mut filter.kernel, filter.position_m.z);
+            filter.position_m += ground.constrain_height(&mut filter.kalman, filter.position_m.z);
         }
     }
 
-    /// The estimate `dt` seconds from now, either way.
+    /// Estimate `dt` seconds from now, either sign.
     pub fn estimate(&self, dt: f64, model: &MotionModel) -> MotionEstimate {
-        if self.unseen_s + dt > UNSEEN_S {
-            return self.unseen(dt, model);
+        if self.unobserved_s + dt > UNOBSERVED_S {
+            return self.estimate_unobserved(dt, model);
         }
         let share = self.densities.share();
-        let bandwidth_hz = self.adapted.kernel.bandwidth_hz();
+        let bandwidth_hz = self.adapted.kalman.bandwidth_hz();
         let growth = |ahead_s: f64| self.acceleration.growth_m2_s3(ahead_s, &bandwidth_hz);
-        let (position_m, spread, density_m2_s3) = self.adapted.told(dt, &share, growth);
+        let (position_m, covariance, density_m2_s3) = self.adapted.report(dt, &share, growth);
         let acceleration_m_s2 = self.acceleration.mean_m_s2();
-        let (further_m, faster_m_s) = added_by(&acceleration_m_s2, dt);
+        let (moved_m, gained_m_s) = integrate_acceleration(&acceleration_m_s2, dt);
         MotionEstimate {
-            position_m: position_m + further_m,
-            velocity_m_s: self.adapted.kernel.rate + faster_m_s,
-            acceleration_m_s2: left_after(&acceleration_m_s2, dt),
-            spread,
+            position_m: position_m + moved_m,
+            velocity_m_s: self.adapted.kalman.rate + gained_m_s,
+            acceleration_m_s2: decay_acceleration(&acceleration_m_s2, dt),
+            covariance,
             density_m2_s3,
         }
     }
 
-    /// That of what was not seen lately, and may have begun to move.
-    fn unseen(&self, dt: f64, model: &MotionModel) -> MotionEstimate {
+    /// Estimate of an object that was not observed lately and may be manoeuvring.
+    fn estimate_unobserved(&self, dt: f64, model: &MotionModel) -> MotionEstimate {
         let density = self.densities.expected().sup(&model.acceleration_density_m2_s3);
-        let lasting = self.agile.kernel.bandwidth_hz() * GROWTH_LASTING;
-        let growth =
-            |ahead_s: f64| density.component_mul(&(lasting * ahead_s).add_scalar(GROWTH_SHARE));
-        let (position_m, spread, density_m2_s3) =
-            self.agile.told(dt, &Vector3::repeat(1.0), growth);
-        let velocity_m_s = self.agile.kernel.rate;
+        let bandwidth_share = self.agile.kalman.bandwidth_hz() * GROWTH_PER_PHASE;
+        let growth = |ahead_s: f64| {
+            density.component_mul(&(bandwidth_share * ahead_s).add_scalar(GROWTH_SHARE))
+        };
+        let (position_m, covariance, density_m2_s3) =
+            self.agile.report(dt, &Vector3::repeat(1.0), growth);
+        let velocity_m_s = self.agile.kalman.rate;
         let acceleration_m_s2 = Vector3::zeros();
-        MotionEstimate { position_m, velocity_m_s, acceleration_m_s2, spread, density_m2_s3 }
+        MotionEstimate { position_m, velocity_m_s, acceleration_m_s2, covariance, density_m2_s3 }
     }
 
-    /// Of the estimate's covariance of position, what the cameras' systematic errors have made.
-    pub fn systematic(&self) -> Matrix3<f64> {
-        let filter = if self.unseen_s > UNSEEN_S { &self.agile } else { &self.adapted };
-        filter.kernel.systematic()
+    /// Part of the position's covariance that stems from the cameras' systematic errors.
+    pub fn systematic_covariance(&self) -> Matrix3<f64> {
+        let filter = if self.unobserved_s > UNOBSERVED_S { &self.agile } else { &self.adapted };
+        filter.kalman.systematic_covariance()
     }
 }
 
 impl Innovation {
-    /// No less than [`Self::log_ratio`], without a logarithm: ln x ≤ x - 1.
-    fn most_log_ratio(&self, other: &Innovation) -> f64 {
+    /// Upper bound of [`Self::log_ratio`] without a logarithm: ln x ≤ x - 1.
+    fn max_log_ratio(&self, other: &Innovation) -> f64 {
         let determinants = other.determinant / self.determinant;
-        let most = 0.5 * (other.distance_squared - self.distance_squared + determinants - 1.0);
-        if most.is_finite() { most } else { f64::INFINITY }
+        let max_log_ratio =
+            0.5 * (other.distance_squared - self.distance_squared + determinants - 1.0);
+        if max_log_ratio.is_finite() { max_log_ratio } else { f64::INFINITY }
     }
 
-    /// ln of this one's likelihood over the other's. Infinite distances (no covariance) say nothing.
+    /// ln of the ratio of this likelihood to the other. 0 if a covariance was not positive definite.
     fn log_ratio(&self, other: &Innovation) -> f64 {
         let ratio = 0.5
             * (other.distance_squared - self.distance_squared

@@ -1,54 +1,51 @@
-//! All objects in the world frame, from all cameras: the fusion machine.
+//! Fusion of all cameras' detections into tracks in the world frame.
 //!
-//! [`Fusion`] takes what cameras saw, each observation with its own time and covariance, in any
-//! order, and gives snapshots and events. It is a pure state machine: it reads no clock, and the
-//! same calls give the same bits. What is where: `timeline` judges frames by their times, `gap` counts those
-//! that never came,
-//! `observation` carries detections into the world, `association` says which object each one is
-//! of, [`crate::track`] estimates, `life` tells new from trusted from lost, `merge` joins two
-//! tracks of one object, `vote` counts the codes that it was seen with, `identity` gives an object that returns its
-//! id again, `snapshot` shows the result at an instant. `body` knows the objects that carry several
-//! roundels, and `assembly` makes one measurement of these. Cameras that move are placed by what carries them (`rider`), and place it by landmarks
-//! that they see (`landmark`, `localize`). `floor` tells when what drives is not as high as was said; `guard` holds
-//! cameras back that suddenly disagree with all others; `trust` keeps less trusted cameras from moving what others see.
+//! [`Fusion`] takes the observations of all cameras, each with its own time and covariance, in any order, and returns
+//! snapshots and events. It is a pure state machine: it reads no clock, and the same calls give the same bits.
+//!
+//! A frame passes these stages, in this order:
+//!
+//! | module | stage |
+//! | --- | --- |
+//! | `clock` | corrects stamps, judges frames by their times, counts missing frames, estimates clock offsets |
+//! | `mobile_camera` | pose of a camera that moves with an object, and of the object from landmarks that the camera detects |
+//! | `measurement` | transforms detections into the world frame |
+//! | `body` | joins the detections of an object with several roundels into one measurement |
+//! | `association` | assigns measurements to tracks |
+//! | `camera_outlier` | rejects frames of a camera that suddenly disagrees with all others |
+//! | `height_check` | reports a configured height that the cameras contradict |
+//! | [`crate::track`] | filters one object |
+//! | `lifecycle` | confirms, loses and merges tracks; keeps ids; ranks cameras by trust |
+//! | `snapshot` | predicts all tracks to one time |
+//!
+//! `identity` holds what identifies an object, `fusion` the state machine that calls these stages. [`mod@reference`]
+//! computes the pose of a camera from roundels at known positions.
 
-mod anchor;
-mod assembly;
-mod assignment;
 mod association;
 mod body;
+mod camera_outlier;
+mod camera_pose;
 mod clock;
-mod coarse;
-mod comparison;
-mod count;
-mod floor;
+mod counts;
 mod fusion;
-mod gap;
-mod gate;
-mod guard;
+mod height_check;
 mod identity;
-mod landmark;
-mod life;
-mod localize;
-mod merge;
-mod observation;
-mod param;
-mod rider;
+mod lifecycle;
+mod measurement;
+mod mobile_camera;
+mod params;
 mod snapshot;
-mod timeline;
-mod trust;
-mod vote;
 
 pub use body::{Body, BodyError, Mount};
+pub use camera_outlier::{HeldBack, HeldStep};
+pub use camera_pose::CameraPlacement;
 pub use clock::{ClockEstimate, ClockPrior};
-pub use count::FusionCounts;
-pub use floor::WrongHeight;
-pub use fusion::{CameraPlacement, Compared, Fusion};
-pub use guard::{HeldBack, HeldStep};
-pub use landmark::{Landmark, TURN_SIGMA_RAD};
-pub use observation::seen_in_world;
-pub use param::{FusionParams, MotionClass};
-pub use rider::{CameraMount, Carrier, Unplaced};
+pub use counts::FusionCounts;
+pub use fusion::{Fusion, LeaveOneOut};
+pub use height_check::WrongHeight;
+pub use measurement::seen_in_world;
+pub use mobile_camera::{CameraMount, Carrier, Landmark, TURN_SIGMA_RAD, Unplaced};
+pub use params::{FusionParams, MotionClass};
 
 pub mod reference;
 
@@ -62,48 +59,49 @@ use roundel_vision::{
     time::Timestamp,
 };
 
-/// One camera's detections of one frame: what a worker hands to fusion.
+/// One camera's detections of one frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameObservations {
-    /// Which camera.
+    /// Camera that took the frame.
     pub camera: CameraId,
-    /// Frames that the worker took from its source so far, from 1.
+    /// Number of frames that the worker has taken from its source, from 1.
     pub frame: u64,
     /// Middle of the exposure at the middle row.
     pub capture_time: Timestamp,
-    /// When the worker had the frame.
+    /// Time at which the worker received the frame.
     pub received_time: Timestamp,
     /// Version of the calibration that the poses were computed with.
     pub calibration_version: u64,
-    /// What was found, each roundel once.
+    /// Detected roundels, each once.
     pub detections: Vec<Detection>,
 }
 
-/// A track's life stage.
+/// Life stage of a track.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LifeStage {
-    /// Seen too seldom yet to be trusted.
+    /// Too few detections to be confirmed.
     Tentative,
-    /// Observed now.
+    /// Observed at present.
     Tracked,
-    /// Not observed now; the motion model's pose.
+    /// Not observed at present; the pose is predicted.
     Predicted,
-    /// Given up.
+    /// Ended.
     Lost,
 }
 
-/// One object's estimate at a snapshot's pose time.
+/// State of one object at a snapshot's pose time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ObjectState {
-    /// Given at first sight.
+    /// Assigned with the first detection.
     pub id: ObjectId,
-    /// Its kind of roundel; of a body that of its first one.
+    /// Kind of its roundel; of its first roundel for a body.
     pub kind: Option<KindId>,
-    /// Which body, if its roundels are those of one: then position and orientation are its origin's and axes'.
+    /// The body, for an object with configured roundels. Position and orientation are then those of its origin
+    /// and axes.
     pub body: Option<BodyId>,
-    /// The code that it was seen with most of late; `None` before one was read.
+    /// Code of most recent readings; `None` before the first reading.
     pub code: Option<Code>,
-    /// Where in its life.
+    /// Life stage.
     pub stage: LifeStage,
     /// Tracked point, world frame, metres.
     pub position_m: Vector3<f64>,
@@ -111,12 +109,12 @@ pub struct ObjectState {
     pub orientation: UnitQuaternion<f64>,
     /// False while the rotation about the normal is not observed.
     pub yaw_observed: bool,
-    /// In how many evenly spaced yaws it looks the same while that is observed: 2 with an elliptical disc,
-    /// of which the one first taken up is kept, else 1.
+    /// Number of evenly spaced yaws that look the same, while the yaw is observed: 2 for an elliptical disc,
+    /// whose first adopted yaw is kept, else 1.
     pub yaw_symmetry: u32,
     /// World frame, m/s.
     pub velocity_m_s: Vector3<f64>,
-    /// By which the velocity goes on to change for some tenths of a second, world frame, m/s².
+    /// Change of the velocity over the next tenths of a second, world frame, m/s².
     pub acceleration_m_s2: Vector3<f64>,
     /// World frame, rad/s.
     pub angular_velocity_rad_s: Vector3<f64>,
@@ -126,24 +124,23 @@ pub struct ObjectState {
     pub motion_covariance: Covariance6,
     /// Over (rotation, angular velocity), world frame; its first block is the last of `covariance`.
     pub rotation_covariance: Covariance6,
-    /// By which both grow when the state is predicted.
+    /// Process noise by which the covariances grow in predictions.
     pub process_noise: ProcessNoise,
     /// Cameras that contributed within the last 200 ms, ascending.
     pub cameras: Vec<CameraId>,
-    /// Highest rank ([`Fusion::set_trust`]) of the cameras that see it, or were the last to see it.
+    /// Highest rank ([`Fusion::set_trust`]) of the cameras that observe it, or observed it last.
     pub trust: u8,
     /// Capture time of the newest observation used.
     pub newest_observation: Timestamp,
-    /// Newest innovation's Mahalanobis distance squared over its degrees of freedom.
+    /// Squared Mahalanobis length of the newest innovation over its degrees of freedom.
     pub residual: f64,
-    /// First sight's capture time.
+    /// Capture time of the first detection.
     pub first_observation: Timestamp,
-    /// Detections used since then.
+    /// Number of detections used.
     pub observations: u64,
 }
 
-/// What an object may do that constant velocity does not foresee: spectral densities of white
-/// acceleration and white angular acceleration along the axes of the world.
+/// Spectral densities of white acceleration and white angular acceleration along the axes of the world.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ProcessNoise {
     /// m²/s³.
@@ -152,37 +149,37 @@ pub struct ProcessNoise {
     pub angular_density_rad2_s3: Vector3<f64>,
 }
 
-/// Every track at one instant.
+/// All tracks at one time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Snapshot {
-    /// What every state is predicted to.
+    /// Time of every state.
     pub pose_time: Timestamp,
     /// Newest observation used; `None` before the first.
     pub capture_time: Option<Timestamp>,
-    /// By id.
+    /// In ascending order of id.
     pub objects: Vec<ObjectState>,
 }
 
-/// Something that happened to a track.
+/// Kind of an [`Event`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EventKind {
-    /// A tentative track has become trusted.
+    /// A tentative track was confirmed.
     Appeared,
-    /// No camera sees it any more.
+    /// No camera observes it any more.
     Predicted,
-    /// Seen again after it was predicted.
+    /// Observed again after it was predicted.
     Recovered,
-    /// Given up.
+    /// Ended.
     Lost,
 }
 
-/// A change in a track's life.
+/// Change of a track's life stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Event {
-    /// When, on the observations' time.
+    /// Time of the change, on the time scale of observations.
     pub time: Timestamp,
-    /// Whose.
+    /// The object.
     pub object: ObjectId,
-    /// What.
+    /// The change.
     pub kind: EventKind,
 }

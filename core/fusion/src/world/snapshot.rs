@@ -1,24 +1,25 @@
-//! What clients see: tracks predicted to one instant, and the tracked point of each object.
+//! Object states at one time: predicted tracks, moved to the tracked point of each object.
 //!
-//! The filter follows a roundel's centre c; the tracked point is p = c + R o with the configured
-//! offset o. With r = R o, δp = δc - [r]× δθ and δv = δv_c - [ω]×[r]× δθ - [r]× δω, which carries
-//! the covariances over. Of a plain roundel's offset only the part along the normal has a known
-//! place; the rest, of length l, lies somewhere on a circle: the centre of that circle is told, with
-//! the variance l²/2 along each of its axes. Of one with an elliptical disc the rest lies to one side or the
-//! other: between both, with the variance l² along it.
+//! The filter estimates a roundel's centre c. The tracked point is p = c + R o with the configured offset o. With r = R
+//! o, δp = δc - [r]× δθ and δv = δv_c - [ω]×[r]× δθ - [r]× δω, which transforms the covariances. For a plain roundel
+//! only the component of o along the normal has a known direction; the rest, of length l, lies on a circle: its centre
+//! is reported with variance l²/2 along each of the circle's axes. For an elliptical disc the rest points to one side
+//! or the other: the middle is reported, with variance l² along that direction.
 
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
-use super::{ObjectState, ProcessNoise, Snapshot, life::Track};
-use crate::track::{AttitudeEstimate, Look, Spread, added_by, left_after};
+use super::{ObjectState, ProcessNoise, Snapshot, lifecycle::Track};
+use crate::track::{
+    AttitudeEstimate, BlockCovariance, Estimate, decay_acceleration, integrate_acceleration,
+};
 use roundel_vision::{id::CameraId, rigid::orientation_of_normal, time::Timestamp};
 
-/// Cameras that contributed within this time are named.
+/// Cameras with a detection within this time are listed.
 const CONTRIBUTING_NS: i64 = 200_000_000;
 
 impl Snapshot {
-    /// The same objects so many seconds later, their accelerations ending (earlier, if negative, by constant velocity), the
-    /// covariances grown by the same process noise as within fusion. Not finite: unchanged.
+    /// The same objects `seconds` later, with decaying accelerations (earlier if negative, by constant velocity).
+    /// The covariances grow by the same process noise as within fusion. Unchanged if `seconds` is not finite.
     pub fn predicted(&self, seconds: f64) -> Snapshot {
         let mut snapshot = self.clone();
         if seconds.is_finite() && seconds != 0.0 {
@@ -33,16 +34,16 @@ impl Snapshot {
 
 impl ObjectState {
     fn predict(&mut self, seconds: f64) {
-        let (further_m, faster_m_s) = added_by(&self.acceleration_m_s2, seconds);
-        self.position_m += self.velocity_m_s * seconds + further_m;
-        self.velocity_m_s += faster_m_s;
-        self.acceleration_m_s2 = left_after(&self.acceleration_m_s2, seconds);
+        let (moved_m, gained_m_s) = integrate_acceleration(&self.acceleration_m_s2, seconds);
+        self.position_m += self.velocity_m_s * seconds + moved_m;
+        self.velocity_m_s += gained_m_s;
+        self.acceleration_m_s2 = decay_acceleration(&self.acceleration_m_s2, seconds);
         let turn =
             nalgebra::UnitQuaternion::from_scaled_axis(self.angular_velocity_rad_s * seconds);
         self.orientation = turn * self.orientation;
-        let mut motion = Spread::from_matrix(&self.motion_covariance);
+        let mut motion = BlockCovariance::from_matrix(&self.motion_covariance);
         motion.predict(seconds, &self.process_noise.acceleration_density_m2_s3);
-        let mut rotation = Spread::from_matrix(&self.rotation_covariance);
+        let mut rotation = BlockCovariance::from_matrix(&self.rotation_covariance);
         rotation.predict(seconds, &self.process_noise.angular_density_rad2_s3);
         if !self.yaw_observed {
             let normal = self.orientation * Vector3::z();
@@ -56,10 +57,14 @@ impl ObjectState {
     }
 }
 
-/// A track's state at `time`; `offset_m` is the tracked point in the roundel's frame.
-pub(super) fn state_of(track: &mut Track, time: Timestamp, offset_m: &Vector3<f64>) -> ObjectState {
+/// State of a track at `time`; `offset_m` is the tracked point in the roundel's frame.
+pub(super) fn object_state(
+    track: &mut Track,
+    time: Timestamp,
+    offset_m: &Vector3<f64>,
+) -> ObjectState {
     let model = track.model;
-    let Look { motion, attitude, residual } = track.history.look(time, &model);
+    let Estimate { motion, attitude, residual } = track.history.estimate(time, &model);
     track.refresh();
     let mut state = ObjectState {
         id: track.id,
@@ -75,20 +80,20 @@ pub(super) fn state_of(track: &mut Track, time: Timestamp, offset_m: &Vector3<f6
         acceleration_m_s2: motion.acceleration_m_s2,
         angular_velocity_rad_s: attitude.angular_velocity_rad_s,
         covariance: Matrix6::zeros(),
-        motion_covariance: motion.spread.matrix(),
+        motion_covariance: motion.covariance.matrix(),
         rotation_covariance: attitude.covariance,
         process_noise: ProcessNoise {
             acceleration_density_m2_s3: motion.density_m2_s3,
             angular_density_rad2_s3: attitude.density_rad2_s3,
         },
-        cameras: contributing(track, time),
+        cameras: contributing_cameras(track, time),
         trust: 0,
         newest_observation: track.newest,
         residual,
         first_observation: track.first,
         observations: track.observations,
     };
-    let cross = move_to(&mut state, &attitude, offset_m);
+    let cross = shift_to_tracked_point(&mut state, &attitude, offset_m);
     let (moved, turned) = (&state.motion_covariance, &attitude.covariance);
     state.covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&moved.fixed_view::<3, 3>(0, 0));
     state.covariance.fixed_view_mut::<3, 3>(3, 3).copy_from(&turned.fixed_view::<3, 3>(0, 0));
@@ -97,9 +102,9 @@ pub(super) fn state_of(track: &mut Track, time: Timestamp, offset_m: &Vector3<f6
     state
 }
 
-/// Moves position, velocity and their covariance from the roundel's centre to the tracked point;
-/// gives the covariance of position and rotation.
-fn move_to(
+/// Moves position, velocity and their covariance from the roundel's centre to the tracked point; returns the
+/// covariance of position and rotation.
+fn shift_to_tracked_point(
     state: &mut ObjectState,
     attitude: &AttitudeEstimate,
     offset_m: &Vector3<f64>,
@@ -135,7 +140,7 @@ fn move_to(
     arm * attitude.covariance.fixed_view::<3, 3>(0, 0)
 }
 
-fn contributing(track: &Track, time: Timestamp) -> Vec<CameraId> {
+fn contributing_cameras(track: &Track, time: Timestamp) -> Vec<CameraId> {
     track
         .views
         .iter()

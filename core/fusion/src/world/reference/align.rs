@@ -1,4 +1,4 @@
-//! The rigid motion that takes sightings to their references.
+//! Camera pose by weighted least squares from detections of references.
 
 use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, UnitQuaternion, Vector3};
 
@@ -8,32 +8,35 @@ use super::{
 };
 use roundel_vision::rigid::{Covariance6, Rigid};
 
-/// Points this close to one line, relative to their spread along it, give no plane.
+/// Smallest extent of points across a line, relative to that along it.
 const COLLINEAR: f64 = 0.02;
-/// Gauss and Newton's steps; the start is already the least-squares answer for round covariances.
+/// Number of Gauss-Newton steps; the start is the solution for isotropic covariances.
 const STEPS: usize = 5;
 
-/// `world_from_camera` by weighted least squares over three or more pairs not in one line.
+/// `world_from_camera` by weighted least squares over three or more pairs that are not on one line.
 ///
-/// Starts from the closed form for round covariances ([`mod@kabsch`]), then weighs each pair by its whole
-/// covariance, in which depth is looser than bearing, and that of the stated place ([`PLACE_SIGMA_M`]).
-pub fn align(world_m: &[Vector3<f64>], seen: &[Sighting]) -> Result<Placement, ReferenceError> {
+/// Starts from the closed form for isotropic covariances ([`mod@kabsch`]), then weights each pair by its whole
+/// covariance, in which depth is less certain than bearing, and that of the stated position ([`PLACE_SIGMA_M`]).
+pub fn align(
+    world_m: &[Vector3<f64>],
+    sightings: &[Sighting],
+) -> Result<Placement, ReferenceError> {
     let stated: Vec<_> = world_m.iter().map(|place_m| (*place_m, PLACE_SIGMA_M)).collect();
-    align_stated(&stated, seen)
+    align_stated(&stated, sightings)
 }
 
-/// The same with a standard deviation for each stated place's coordinates, metres.
+/// The same with a standard deviation of each stated position's coordinates, metres.
 pub fn align_stated(
     stated: &[(Vector3<f64>, f64)],
-    seen: &[Sighting],
+    sightings: &[Sighting],
 ) -> Result<Placement, ReferenceError> {
     let world_m: Vec<Vector3<f64>> = stated.iter().map(|(place_m, _)| *place_m).collect();
-    check(&world_m, seen)?;
+    check(&world_m, sightings)?;
     let variances: Vec<f64> = stated.iter().map(|(_, deviation_m)| deviation_m.powi(2)).collect();
-    let weights: Vec<f64> = std::iter::zip(seen, &variances)
+    let weights: Vec<f64> = std::iter::zip(sightings, &variances)
         .map(|(sighting, variance)| 1.0 / (sighting.covariance.trace() + variance))
         .collect();
-    let pairs: Vec<[Vector3<f64>; 2]> = std::iter::zip(&world_m, seen)
+    let pairs: Vec<[Vector3<f64>; 2]> = std::iter::zip(&world_m, sightings)
         .map(|(world, sighting)| [*world, sighting.position_m])
         .collect();
     let (mut rotation, mut origin_m, scale) = kabsch(&pairs, &weights);
@@ -41,7 +44,7 @@ pub fn align_stated(
     for _ in 0..STEPS {
         let mut information = Covariance6::zeros();
         let mut gradient = SVector::<f64, 6>::zeros();
-        for (index, (world, sighting)) in world_m.iter().zip(seen).enumerate() {
+        for (index, (world, sighting)) in world_m.iter().zip(sightings).enumerate() {
             let turned = rotation * sighting.position_m;
             let turn = rotation.matrix();
             let error = turn * sighting.covariance * turn.transpose()
@@ -54,26 +57,26 @@ pub fn align_stated(
             information += weighted * jacobian;
             gradient += weighted * (world - turned - origin_m);
         }
-        // Not in one line, so nothing can move freely; what rounding breaks is that.
+        // The points are not on one line, so only rounding can make this singular.
         let factor = information.cholesky().ok_or(ReferenceError::Collinear { spread_m: 0.0 })?;
         let change = factor.solve(&gradient);
         origin_m += change.fixed_rows::<3>(0);
         rotation = Rotation3::new(change.fixed_rows::<3>(3).into_owned()) * rotation;
         covariance = factor.inverse();
     }
-    Ok(placement(&world_m, seen, rotation, origin_m, scale, covariance))
+    Ok(placement(&world_m, sightings, rotation, origin_m, scale, covariance))
 }
 
-/// The paper's section 4.4.1, made rigid: from each triplet of pairs not in one line, the motion that
-/// takes the triplet's frame in the camera to that in the world, and of these the mean.
+/// The paper's section 4.4.1 as a rigid motion: for each triplet of pairs not on one line, the motion from the
+/// triplet's frame in the camera to that in the world; the result is the mean over triplets.
 ///
-/// A triplet's frame is orthonormal: origin in its first point, x towards the second, z across all
-/// three. The mean rotation is the chordal one. The covariance is that of [`align`].
+/// A triplet's frame is orthonormal: origin at its first point, x towards the second, z normal to all three. The
+/// mean rotation is the chordal one. The covariance is that of [`align`].
 pub fn mean_over_triplets(
     world_m: &[Vector3<f64>],
-    seen: &[Sighting],
+    sightings: &[Sighting],
 ) -> Result<Placement, ReferenceError> {
-    let aligned = align(world_m, seen)?;
+    let aligned = align(world_m, sightings)?;
     let mut rotations = Matrix3::zeros();
     let mut origin_m = Vector3::zeros();
     let mut triplets = 0.0;
@@ -81,7 +84,7 @@ pub fn mean_over_triplets(
     for (i, j, k) in
         (0..n).flat_map(|i| (i + 1..n).flat_map(move |j| (j + 1..n).map(move |k| (i, j, k))))
     {
-        let camera = [i, j, k].map(|index| seen[index].position_m);
+        let camera = [i, j, k].map(|index| sightings[index].position_m);
         let (Some(world_axes), Some(camera_axes)) =
             (triplet_axes(&[world_m[i], world_m[j], world_m[k]]), triplet_axes(&camera))
         else {
@@ -97,10 +100,10 @@ pub fn mean_over_triplets(
     }
     let rotation = nearest_rotation(&rotations);
     let Placement { covariance, scale, .. } = aligned;
-    Ok(placement(world_m, seen, rotation, origin_m / triplets, scale, covariance))
+    Ok(placement(world_m, sightings, rotation, origin_m / triplets, scale, covariance))
 }
 
-/// Orthonormal axes, as columns, of three points; `None` if they are in one line.
+/// Orthonormal axes of three points as columns; `None` if they are on one line.
 fn triplet_axes(points: &[Vector3<f64>; 3]) -> Option<Matrix3<f64>> {
     let (first, second) = (points[1] - points[0], points[2] - points[0]);
     let across = first.cross(&second);
@@ -111,20 +114,23 @@ fn triplet_axes(points: &[Vector3<f64>; 3]) -> Option<Matrix3<f64>> {
     Some(Matrix3::from_columns(&[x, z.cross(&x), z]))
 }
 
-fn check(world_m: &[Vector3<f64>], seen: &[Sighting]) -> Result<(), ReferenceError> {
-    if world_m.len() != seen.len() {
-        return Err(ReferenceError::Unpaired { references: world_m.len(), sightings: seen.len() });
+fn check(world_m: &[Vector3<f64>], sightings: &[Sighting]) -> Result<(), ReferenceError> {
+    if world_m.len() != sightings.len() {
+        return Err(ReferenceError::Unpaired {
+            references: world_m.len(),
+            sightings: sightings.len(),
+        });
     }
     if world_m.len() < 3 {
         return Err(ReferenceError::TooFew { found: world_m.len() });
     }
-    for (index, (world, sighting)) in world_m.iter().zip(seen).enumerate() {
+    for (index, (world, sighting)) in world_m.iter().zip(sightings).enumerate() {
         let finite = world.iter().chain(&sighting.position_m).all(|value| value.is_finite());
         if !finite || sighting.covariance.cholesky().is_none() {
             return Err(ReferenceError::NotFinite { index });
         }
     }
-    for points in [world_m.to_vec(), seen.iter().map(|s| s.position_m).collect()] {
+    for points in [world_m.to_vec(), sightings.iter().map(|s| s.position_m).collect()] {
         let [along_m, across_m] = spread(&points, &vec![1.0; points.len()]);
         if across_m <= COLLINEAR * along_m {
             return Err(ReferenceError::Collinear { spread_m: across_m });
@@ -135,7 +141,7 @@ fn check(world_m: &[Vector3<f64>], seen: &[Sighting]) -> Result<(), ReferenceErr
 
 fn placement(
     world_m: &[Vector3<f64>],
-    seen: &[Sighting],
+    sightings: &[Sighting],
     rotation: Rotation3<f64>,
     origin_m: Vector3<f64>,
     scale: f64,
@@ -144,7 +150,7 @@ fn placement(
     let rotation = UnitQuaternion::from_rotation_matrix(&rotation);
     let residuals_m: Vec<f64> = world_m
         .iter()
-        .zip(seen)
+        .zip(sightings)
         .map(|(world, sighting)| (world - rotation * sighting.position_m - origin_m).norm())
         .collect();
     let squares: f64 = residuals_m.iter().map(|r| r * r).sum();
@@ -168,7 +174,7 @@ mod tests {
             .to_vec()
     }
 
-    fn seen(world_from_camera: &Rigid, world_m: &[Vector3<f64>]) -> Vec<Sighting> {
+    fn observe(world_from_camera: &Rigid, world_m: &[Vector3<f64>]) -> Vec<Sighting> {
         world_m
             .iter()
             .map(|point| Sighting {
@@ -181,13 +187,13 @@ mod tests {
 
     proptest! {
         #[test]
-        fn exact_pairs_give_the_exact_place(
+        fn exact_pairs_give_the_exact_pose(
             x in -3.0..3.0f64, y in -3.0..3.0f64, z in 1.0..6.0f64,
             a in -3.0..3.0f64, b in -3.0..3.0f64, c in -3.0..3.0f64,
         ) {
             let truth = Rigid::new(Vector3::new(x, y, z), Vector3::new(a, b, c));
             for place in [align, mean_over_triplets] {
-                let found = place(&layout(), &seen(&truth, &layout())).unwrap();
+                let found = place(&layout(), &observe(&truth, &layout())).unwrap();
                 let off = found.world_from_camera.inverse() * truth;
                 prop_assert!(off.translation.vector.norm() < 1e-9);
                 prop_assert!(off.rotation.angle() < 1e-9);
@@ -198,11 +204,11 @@ mod tests {
     }
 
     #[test]
-    fn covariance_is_that_of_the_errors() {
+    fn the_covariance_matches_the_errors() {
         use rand::SeedableRng;
         use rand_distr::{Distribution, StandardNormal};
         let truth = Rigid::new(Vector3::new(0.4, -0.7, 4.0), Vector3::new(3.0, 0.2, 0.1));
-        let exact = seen(&truth, &layout());
+        let exact = observe(&truth, &layout());
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(7);
         let mut draw = || -> f64 { StandardNormal.sample(&mut random) };
         let mut squares = 0.0;
@@ -234,7 +240,7 @@ mod tests {
     #[test]
     fn a_wrong_scale_is_reported_and_not_applied() {
         let truth = Rigid::new(Vector3::new(0.4, -0.7, 4.0), Vector3::new(3.0, 0.2, 0.1));
-        let mut sightings = seen(&truth, &layout());
+        let mut sightings = observe(&truth, &layout());
         for sighting in &mut sightings {
             sighting.position_m /= 1.03;
         }
@@ -244,16 +250,16 @@ mod tests {
     }
 
     #[test]
-    fn what_gives_no_plane_is_refused() {
+    fn degenerate_layouts_are_rejected() {
         let truth = Rigid::new(Vector3::new(0.4, -0.7, 4.0), Vector3::new(3.0, 0.2, 0.1));
         let line: Vec<_> = (0..4).map(|k| Vector3::new(k as f64, 0.5 * k as f64, 0.001)).collect();
         assert!(matches!(
-            align(&line, &seen(&truth, &line)),
+            align(&line, &observe(&truth, &line)),
             Err(ReferenceError::Collinear { .. })
         ));
         let two = &layout()[..2];
-        assert_eq!(align(two, &seen(&truth, two)), Err(ReferenceError::TooFew { found: 2 }));
-        let mut broken = seen(&truth, &layout());
+        assert_eq!(align(two, &observe(&truth, two)), Err(ReferenceError::TooFew { found: 2 }));
+        let mut broken = observe(&truth, &layout());
         broken[2].position_m.x = f64::NAN;
         assert_eq!(align(&layout(), &broken), Err(ReferenceError::NotFinite { index: 2 }));
         assert_eq!(

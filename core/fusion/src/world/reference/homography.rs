@@ -1,27 +1,27 @@
-//! The 2D case: from undistorted image points straight to a plane of the world (section 4.4.2).
+//! The 2D case: from undistorted image points directly to a plane of the world (section 4.4.2).
 //!
-//! Ground robots are as well located by a filter that holds them to their floor
-//! ([`MotionClass::Ground`](crate::world::MotionClass)), which is what fusion does: within 3 % either way on the same
-//! observations (`tests/src/scenario/plane.rs`, with the figures). A homography wants neither the lens's focal
-//! length nor the camera's place, but is good for one plane and one camera.
+//! Fusion locates ground robots with a filter that is constrained to the floor
+//! ([`MotionClass::Ground`](crate::world::MotionClass)), which is equally precise: within 3 % either way on the same
+//! observations (`tests/src/scenario/plane.rs`, with the figures). A homography needs neither the focal length nor the
+//! camera's pose, but serves one plane and one camera only.
 
 use nalgebra::{Matrix3, SMatrix, SVector, SymmetricEigen, Vector2};
 use thiserror::Error;
 
 use roundel_vision::camera::NormalizedPoint;
 
-/// Takes undistorted image points to a plane of the world.
+/// Maps undistorted image points to a plane of the world.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Homography {
     plane_from_image: Matrix3<f64>,
-    /// Root mean square distance of the given points from where it puts them, metres.
+    /// Root mean square distance of the given points from their mapped images, metres.
     pub rms_m: f64,
 }
 
-/// Why points give no homography.
+/// Reason why points give no homography.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum HomographyError {
-    /// Eight numbers need four points.
+    /// Fewer than four points.
     #[error(
         "expected at least 4 points of the plane, each with its image, found {plane} and {image}"
     )]
@@ -31,24 +31,24 @@ pub enum HomographyError {
         /// Their images.
         image: usize,
     },
-    /// A coordinate is not a number.
+    /// A coordinate is not finite.
     #[error("point {index}: expected finite coordinates")]
     NotFinite {
-        /// Which, from 0.
+        /// Index of the point.
         index: usize,
     },
-    /// Three of four in one line, or points that coincide.
+    /// Three of four points on one line, or points that coincide.
     #[error("expected 4 points of which no 3 are in one line, found fewer; place another")]
     Degenerate,
 }
 
-/// The second smallest eigenvalue of the normalized design over the largest, below which a second
-/// solution is as good as the first.
+/// Smallest ratio of the second smallest eigenvalue of the normalized design to the largest; below it the
+/// solution is not unique.
 const DEGENERATE: f64 = 1e-7;
 
 impl Homography {
-    /// From four or more points of the plane (x, y, metres) and where they are seen, by the direct
-    /// linear transform on normalized coordinates (Hartley 1997).
+    /// From four or more points of the plane (x, y, metres) and their images, by the direct linear transform on
+    /// normalized coordinates (Hartley 1997).
     pub fn new(
         plane_m: &[Vector2<f64>],
         image: &[NormalizedPoint],
@@ -56,19 +56,19 @@ impl Homography {
         if plane_m.len() < 4 || plane_m.len() != image.len() {
             return Err(HomographyError::TooFew { plane: plane_m.len(), image: image.len() });
         }
-        let seen: Vec<_> = image.iter().map(|p| Vector2::new(p.x, p.y)).collect();
-        for (index, (a, b)) in plane_m.iter().zip(&seen).enumerate() {
+        let image_points: Vec<_> = image.iter().map(|p| Vector2::new(p.x, p.y)).collect();
+        for (index, (a, b)) in plane_m.iter().zip(&image_points).enumerate() {
             if !a.iter().chain(b.iter()).all(|value| value.is_finite()) {
                 return Err(HomographyError::NotFinite { index });
             }
         }
         let to_unit_plane = normalization(plane_m).ok_or(HomographyError::Degenerate)?;
-        let to_unit_image = normalization(&seen).ok_or(HomographyError::Degenerate)?;
+        let to_unit_image = normalization(&image_points).ok_or(HomographyError::Degenerate)?;
         let mut design = SMatrix::<f64, 9, 9>::zeros();
-        for (plane, seen) in plane_m.iter().zip(&seen) {
+        for (plane, image_point) in plane_m.iter().zip(&image_points) {
             let p = to_unit_plane * plane.push(1.0);
-            let s = to_unit_image * seen.push(1.0);
-            // p × (H s) = 0, its first two rows.
+            let s = to_unit_image * image_point.push(1.0);
+            // First two rows of p × (H s) = 0.
             let mut rows = [SVector::<f64, 9>::zeros(), SVector::<f64, 9>::zeros()];
             for k in 0..3 {
                 rows[0][k] = s[k];
@@ -90,8 +90,9 @@ impl Homography {
         let from_unit_plane = to_unit_plane.try_inverse().ok_or(HomographyError::Degenerate)?;
         let mut plane_from_image = from_unit_plane * unit * to_unit_image;
         // The sign that makes the given points' third coordinate positive.
-        let depth: f64 = seen.iter().map(|s| (plane_from_image * s.push(1.0)).z.signum()).sum();
-        if depth.abs() < seen.len() as f64 - 0.5 {
+        let depth: f64 =
+            image_points.iter().map(|s| (plane_from_image * s.push(1.0)).z.signum()).sum();
+        if depth.abs() < image_points.len() as f64 - 0.5 {
             return Err(HomographyError::Degenerate);
         }
         plane_from_image *= depth.signum() / plane_from_image.norm();
@@ -105,14 +106,14 @@ impl Homography {
         Ok(found)
     }
 
-    /// Where on the plane an image point lies, metres; `None` at and beyond the plane's horizon.
+    /// Position of an image point on the plane, metres; `None` at and beyond the plane's horizon.
     pub fn apply(&self, point: NormalizedPoint) -> Option<Vector2<f64>> {
         let there = self.plane_from_image * nalgebra::Vector3::new(point.x, point.y, 1.0);
         (there.z > 0.0).then(|| there.xy() / there.z)
     }
 }
 
-/// The similarity that moves points about the origin at a mean distance of √2.
+/// Similarity that moves points to the origin with a mean distance of √2.
 fn normalization(points: &[Vector2<f64>]) -> Option<Matrix3<f64>> {
     let n = points.len() as f64;
     let middle = points.iter().sum::<Vector2<f64>>() / n;
@@ -153,10 +154,10 @@ mod tests {
     }
 
     #[test]
-    fn the_sky_is_not_on_the_plane() {
+    fn points_beyond_the_horizon_are_rejected() {
         let image: Vec<_> = corners().iter().map(image_of).collect();
         let homography = Homography::new(&corners(), &image).unwrap();
-        // The camera looks down at an angle: far enough up in the image there is the horizon.
+        // The camera looks down at an angle: the horizon is far up in the image.
         let beyond = [-50.0, 50.0]
             .map(|y| homography.apply(NormalizedPoint { x: 0.0, y }))
             .iter()
@@ -166,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn too_few_or_lined_up_points_are_refused() {
+    fn too_few_or_collinear_points_are_rejected() {
         let image: Vec<_> = corners().iter().map(image_of).collect();
         assert_eq!(
             Homography::new(&corners()[..3], &image[..3]),

@@ -1,49 +1,49 @@
-//! Which seen roundel is which reference.
+//! Identifies references among the detected roundels.
 //!
-//! Plain references carry no number, so they are told by their mutual distances: references are given
-//! sightings one after another, each of which must have the right distance to all given before, and
-//! what is left of arrangements is aligned and weighed. As many references as possible are found,
-//! three at least. If a second arrangement explains what is seen about as well as the best, the layout
-//! is ambiguous, and the error says in which references the two differ.
+//! Plain references carry no number, so their mutual distances identify them. A depth-first search assigns detections
+//! to references one after another; each must have the right distance to all assigned before. The remaining
+//! arrangements are aligned and weighted. As many references as possible are identified, at least three. If a second
+//! arrangement explains the detections about as well as the best, the layout is ambiguous, and the error lists the
+//! references in which the two differ.
 
 use nalgebra::Vector3;
 
 use super::{PLACE_SIGMA_M, Placement, Reference, ReferenceError, Sighting, align};
 
-/// A distance may be wrong by so many of its standard deviations…
+/// Tolerance of a distance in standard deviations.
 const SIGMAS: f64 = 4.0;
-/// … and by this share of itself, for a lens or a print that is not quite the stated one.
+/// Additional tolerance as a share of the distance, for errors of lens and print.
 const SCALE_SLACK: f64 = 0.01;
-/// A second arrangement is out if the best one's sum of squared residuals, in standard deviations,
-/// is lower by this much: odds of e⁹ to 1.
+/// A second arrangement is excluded if its sum of squared residuals exceeds the best one's by this much: odds of
+/// e⁹ to 1.
 const CLEARLY_BETTER: f64 = 18.0;
-/// More arrangements than this are not looked at; so many are ambiguous anyway.
+/// Largest number of arrangements to compare; this many are ambiguous anyway.
 const MAX_ARRANGEMENTS: usize = 256;
-/// Trials of one sighting for one reference, over the whole search.
+/// Largest number of trials in one search.
 const MAX_TRIALS: usize = 2_000_000;
 
-/// For each reference the index of its sighting, `None` where it is not in view.
+/// For each reference the index of its detection, `None` where it is not in view.
 ///
-/// Errors: fewer than three of either; a distance that nothing in view has; no arrangement that fits;
-/// several that do.
+/// Errors: fewer than three of either; a distance that no two detections have; no arrangement that fits; several
+/// that do.
 pub fn identify(
     references: &[Reference],
-    seen: &[Sighting],
+    sightings: &[Sighting],
 ) -> Result<Vec<Option<usize>>, ReferenceError> {
     if references.len() < 3 {
         return Err(ReferenceError::TooFew { found: references.len() });
     }
-    if seen.len() < 3 {
-        return Err(ReferenceError::TooFewSeen { found: seen.len() });
+    if sightings.len() < 3 {
+        return Err(ReferenceError::TooFewSeen { found: sightings.len() });
     }
-    let most = references.len().min(seen.len());
+    let max_wanted = references.len().min(sightings.len());
     let mut best_failure = None;
-    for wanted in (3..=most).rev() {
-        let mut search = Search { references, seen, wanted, found: Vec::new(), trials: 0 };
+    for wanted in (3..=max_wanted).rev() {
+        let mut search = Search { references, sightings, wanted, found: Vec::new(), trials: 0 };
         search.extend(&mut Vec::with_capacity(references.len()), 0);
         let mut fitting = Vec::new();
         for arrangement in search.found {
-            match judge(references, seen, &arrangement) {
+            match judge(references, sightings, &arrangement) {
                 Ok(Verdict::Fits(cost)) => fitting.push((cost, arrangement)),
                 Ok(Verdict::Misses { index, residual_m }) => {
                     let failure = ReferenceError::Inconsistent { wanted, index, residual_m };
@@ -59,15 +59,15 @@ pub fn identify(
             return choose(fitting);
         }
     }
-    Err(missing_distance(references, seen)
+    Err(missing_distance(references, sightings)
         .or(best_failure)
         .unwrap_or(ReferenceError::Inconsistent { wanted: 3, index: 0, residual_m: f64::INFINITY }))
 }
 
-/// Depth first over references, each given a sighting or none.
+/// Depth-first search over references, each assigned a detection or none.
 struct Search<'a> {
     references: &'a [Reference],
-    seen: &'a [Sighting],
+    sightings: &'a [Sighting],
     wanted: usize,
     found: Vec<Vec<Option<usize>>>,
     trials: usize,
@@ -83,7 +83,7 @@ impl Search<'_> {
             return;
         }
         if matched < self.wanted {
-            for candidate in 0..self.seen.len() {
+            for candidate in 0..self.sightings.len() {
                 self.trials += 1;
                 if self.found.len() >= MAX_ARRANGEMENTS || self.trials >= MAX_TRIALS {
                     return;
@@ -105,7 +105,7 @@ impl Search<'_> {
     fn agrees(&self, given: &[Option<usize>], next: usize, candidate: usize) -> bool {
         given.iter().enumerate().all(|(other, &taken)| {
             let Some(taken) = taken else { return true };
-            let (a, b) = (&self.seen[candidate], &self.seen[taken]);
+            let (a, b) = (&self.sightings[candidate], &self.sightings[taken]);
             let distance = Distance::between(a, b);
             let expected_m =
                 (self.references[next].position_m - self.references[other].position_m).norm();
@@ -114,7 +114,7 @@ impl Search<'_> {
     }
 }
 
-/// The distance of two sightings and its standard deviation.
+/// Distance of two detections and its standard deviation.
 struct Distance {
     length_m: f64,
     sigma_m: f64,
@@ -135,19 +135,19 @@ impl Distance {
     }
 }
 
-/// What becomes of an arrangement whose distances agree.
+/// Verdict about an arrangement whose distances agree.
 enum Verdict {
     /// Sum of squared residuals in standard deviations.
     Fits(f64),
-    /// Mirrored, or otherwise not rigid: the reference that is farthest off.
+    /// Mirrored, or otherwise not rigid, with the reference that is farthest off.
     Misses { index: usize, residual_m: f64 },
-    /// The camera would look at the back of a reference.
+    /// The camera would be behind a reference.
     FacesAway,
 }
 
 fn judge(
     references: &[Reference],
-    seen: &[Sighting],
+    sightings: &[Sighting],
     arrangement: &[Option<usize>],
 ) -> Result<Verdict, ReferenceError> {
     let pairs: Vec<(usize, usize)> = arrangement
@@ -156,8 +156,8 @@ fn judge(
         .filter_map(|(reference, &sighting)| Some((reference, sighting?)))
         .collect();
     let world_m: Vec<_> = pairs.iter().map(|&(r, _)| references[r].position_m).collect();
-    let sightings: Vec<_> = pairs.iter().map(|&(_, s)| seen[s]).collect();
-    let placement = align(&world_m, &sightings)?;
+    let paired: Vec<_> = pairs.iter().map(|&(_, s)| sightings[s]).collect();
+    let placement = align(&world_m, &paired)?;
     let camera_m = placement.world_from_camera.translation.vector;
     let faces_away = pairs.iter().any(|&(r, _)| {
         references[r].normal.is_some_and(|n| n.dot(&(camera_m - references[r].position_m)) <= 0.0)
@@ -167,10 +167,9 @@ fn judge(
     }
     let mut cost = 0.0;
     for (place, (reference, sighting)) in
-        pairs.iter().map(|&(r, _)| r).zip(world_m.iter().zip(&sightings))
+        pairs.iter().map(|&(r, _)| r).zip(world_m.iter().zip(&paired))
     {
-        let (squared, along_m) = weigh(&placement, reference, sighting);
-        let residual_m = along_m;
+        let (squared, residual_m) = squared_residual(&placement, reference, sighting);
         let slack_m = SCALE_SLACK * sighting.position_m.norm();
         if squared > SIGMAS * SIGMAS * 3.0 && residual_m > slack_m {
             return Ok(Verdict::Misses { index: place, residual_m });
@@ -180,8 +179,12 @@ fn judge(
     Ok(Verdict::Fits(cost))
 }
 
-/// A residual in standard deviations, squared, and its length.
-fn weigh(placement: &Placement, world_m: &Vector3<f64>, sighting: &Sighting) -> (f64, f64) {
+/// Squared residual in standard deviations, and its length in metres.
+fn squared_residual(
+    placement: &Placement,
+    world_m: &Vector3<f64>,
+    sighting: &Sighting,
+) -> (f64, f64) {
     let turn = placement.world_from_camera.rotation.to_rotation_matrix().into_inner();
     let there = turn * sighting.position_m + placement.world_from_camera.translation.vector;
     let residual = world_m - there;
@@ -208,15 +211,15 @@ fn choose(
     if indices.is_empty() { Ok(best) } else { Err(ReferenceError::Ambiguous { indices }) }
 }
 
-/// A pair of references whose distance no two sightings have: the one farthest from any.
-fn missing_distance(references: &[Reference], seen: &[Sighting]) -> Option<ReferenceError> {
+/// Of all pairs of references whose distance no two detections have, the one that misses by most.
+fn missing_distance(references: &[Reference], sightings: &[Sighting]) -> Option<ReferenceError> {
     let mut worst: Option<(f64, ReferenceError)> = None;
     for second in 1..references.len() {
         for first in 0..second {
             let expected_m = (references[first].position_m - references[second].position_m).norm();
-            let nearest = (1..seen.len())
+            let nearest = (1..sightings.len())
                 .flat_map(|b| (0..b).map(move |a| (a, b)))
-                .map(|(a, b)| Distance::between(&seen[a], &seen[b]))
+                .map(|(a, b)| Distance::between(&sightings[a], &sightings[b]))
                 .min_by(|a, b| {
                     (a.length_m - expected_m).abs().total_cmp(&(b.length_m - expected_m).abs())
                 })?;
@@ -245,7 +248,7 @@ mod tests {
         Reference { position_m: position_m.into(), normal: Some(Vector3::z()) }
     }
 
-    /// The example configuration's.
+    /// Layout of the example configuration.
     fn layout() -> Vec<Reference> {
         [[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 1.5, 0.0], [2.0, 1.7, 0.0]].map(reference).to_vec()
     }
@@ -284,21 +287,21 @@ mod tests {
                     let off = placement.world_from_camera.inverse() * overhead();
                     prop_assert!(off.translation.vector.norm() < 1e-9);
                 }
-                // A decoy may happen to stand where it stands in for a reference.
+                // A decoy may happen to take a reference's place.
                 Err(error) => prop_assert!(matches!(error, ReferenceError::Ambiguous { .. }), "{}", error),
             }
         }
     }
 
     #[test]
-    fn three_of_four_suffice_where_they_are_unlike() {
+    fn three_of_four_suffice_without_symmetry() {
         let references = layout();
-        let seen = see_all(&references[1..]);
-        assert_eq!(identify(&references, &seen).unwrap(), [None, Some(0), Some(1), Some(2)]);
+        let sightings = see_all(&references[1..]);
+        assert_eq!(identify(&references, &sightings).unwrap(), [None, Some(0), Some(1), Some(2)]);
     }
 
     #[test]
-    fn a_rectangle_is_ambiguous_and_says_which() {
+    fn a_rectangle_is_reported_as_ambiguous() {
         let references =
             [[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 1.0, 0.0], [2.0, 1.0, 0.0]].map(reference);
         assert_eq!(
@@ -308,26 +311,26 @@ mod tests {
     }
 
     #[test]
-    fn an_isosceles_triangle_is_told_by_its_face_alone() {
+    fn an_isosceles_triangle_needs_its_normals() {
         let mut references = [[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [1.0, 1.5, 0.0]].map(reference);
-        let seen = see_all(&references);
-        assert_eq!(identify(&references, &seen).unwrap(), [Some(0), Some(1), Some(2)]);
+        let sightings = see_all(&references);
+        assert_eq!(identify(&references, &sightings).unwrap(), [Some(0), Some(1), Some(2)]);
         for reference in &mut references {
             reference.normal = None;
         }
         assert_eq!(
-            identify(&references, &seen),
+            identify(&references, &sightings),
             Err(ReferenceError::Ambiguous { indices: vec![0, 1] })
         );
     }
 
     #[test]
-    fn a_moved_reference_is_left_out_and_a_missing_distance_named() {
+    fn a_moved_reference_is_left_out_and_a_missing_distance_reported() {
         let references = layout();
-        let mut seen = see_all(&references);
-        seen[3] = see(&overhead(), Vector3::new(2.6, 1.9, 0.0));
+        let mut sightings = see_all(&references);
+        sightings[3] = see(&overhead(), Vector3::new(2.6, 1.9, 0.0));
         assert_eq!(
-            identify(&references, &seen).unwrap(),
+            identify(&references, &sightings).unwrap(),
             [Some(0), Some(1), Some(2), None],
             "the three that still agree"
         );
@@ -353,10 +356,16 @@ mod tests {
     }
 
     #[test]
-    fn too_few_are_refused() {
+    fn too_few_are_rejected() {
         let references = layout();
-        let seen = see_all(&references);
-        assert_eq!(identify(&references[..2], &seen), Err(ReferenceError::TooFew { found: 2 }));
-        assert_eq!(identify(&references, &seen[..2]), Err(ReferenceError::TooFewSeen { found: 2 }));
+        let sightings = see_all(&references);
+        assert_eq!(
+            identify(&references[..2], &sightings),
+            Err(ReferenceError::TooFew { found: 2 })
+        );
+        assert_eq!(
+            identify(&references, &sightings[..2]),
+            Err(ReferenceError::TooFewSeen { found: 2 })
+        );
     }
 }

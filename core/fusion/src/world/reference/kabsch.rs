@@ -1,5 +1,5 @@
-//! The rigid motion that takes points to others, in closed form (Kabsch 1976, Umeyama 1991: the singular value
-//! decomposition of the weighted cross covariance), and how far points spread.
+//! Closed-form rigid alignment (Kabsch 1976, Umeyama 1991: singular value decomposition of the weighted cross
+//! covariance), and the extent of point sets.
 
 use nalgebra::{Matrix3, Rotation3, SymmetricEigen, Vector3};
 
@@ -21,7 +21,7 @@ pub fn kabsch(pairs: &[[Vector3<f64>; 2]], weights: &[f64]) -> (Rotation3<f64>, 
     (rotation, to_middle - rotation * from_middle, together / alone)
 }
 
-/// The proper rotation R that maximizes tr(Rᵀ M).
+/// Proper rotation R that maximizes tr(Rᵀ M).
 pub(super) fn nearest_rotation(matrix: &Matrix3<f64>) -> Rotation3<f64> {
     let decomposed = matrix.svd(true, true);
     let (Some(u), Some(v_t)) = (decomposed.u, decomposed.v_t) else {
@@ -29,7 +29,7 @@ pub(super) fn nearest_rotation(matrix: &Matrix3<f64>) -> Rotation3<f64> {
     };
     let mut signs = Vector3::repeat(1.0);
     if (u * v_t).determinant() < 0.0 {
-        // A reflection: turn the direction that matters least.
+        // A reflection: flip the axis with the smallest singular value.
         signs[decomposed.singular_values.imin()] = -1.0;
     }
     Rotation3::from_matrix_unchecked(u * Matrix3::from_diagonal(&signs) * v_t)

@@ -1,12 +1,11 @@
-//! Where a camera stands, from roundels with known places.
+//! Camera pose from roundels at known positions.
 //!
-//! [`identify`] finds out which seen roundel is which reference, by their mutual distances alone;
-//! [`align`] gives `world_from_camera` from three or more pairs by weighted least squares, with
-//! covariance, and is the method of choice; [`mean_over_triplets`] is the paper's (section 4.4.1, made
-//! rigid: see [`roundel_vision::errata`] on eq. 11); [`Homography`] is the 2D case (section 4.4.2).
-//! [`place_camera`] does both steps.
+//! [`identify`] finds the references among the detected roundels by their mutual distances; [`align`] gives
+//! `world_from_camera` from three or more pairs by weighted least squares, with covariance, and is the method of
+//! choice; [`mean_over_triplets`] is the paper's (section 4.4.1, as a rigid motion: see [`roundel_vision::errata`] on
+//! eq. 11); [`Homography`] is the 2D case (section 4.4.2). [`place_camera`] does both steps.
 //!
-//! Everything here is in metres; indices in results and errors count from 0 in the order given.
+//! All lengths are in metres; indices in results and errors count from 0 in the order given.
 
 mod align;
 mod homography;
@@ -25,26 +24,26 @@ use roundel_vision::{
     rigid::{Covariance6, Rigid},
 };
 
-/// Standard deviation of a reference's stated place, each coordinate, metres: a tape's millimetre.
+/// Standard deviation of a reference's stated coordinates, metres: the millimetre of a tape measure.
 pub const PLACE_SIGMA_M: f64 = 0.001;
 
-/// A roundel whose place in the world is known.
+/// A roundel at a known position in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reference {
     /// Centre, world frame, metres.
     pub position_m: Vector3<f64>,
-    /// Unit normal of the printed face, world frame, where known (+z on a floor). It tells layouts
-    /// apart that are one another's mirror image, such as three roundels in an isosceles triangle:
-    /// a camera sees only faces that look towards it.
+    /// Unit normal of the printed face, world frame, if known (+z on a floor). It distinguishes layouts that are
+    /// mirror images of each other, such as three roundels in an isosceles triangle, since a camera sees only
+    /// faces that look towards it.
     pub normal: Option<Vector3<f64>>,
 }
 
-/// A roundel that the camera sees, perhaps a reference.
+/// A detected roundel, possibly a reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sighting {
     /// Centre, camera frame, metres.
     pub position_m: Vector3<f64>,
-    /// Of the position, camera frame, m².
+    /// Covariance of the position, camera frame, m².
     pub covariance: Matrix3<f64>,
 }
 
@@ -57,46 +56,46 @@ impl From<&RoundelPose> for Sighting {
     }
 }
 
-/// A camera's place with how well the references agree on it.
+/// Pose of a camera, with the residuals of the references.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Placement {
-    /// The camera in the world.
+    /// Pose of the camera.
     pub world_from_camera: Rigid,
     /// Over (position, rotation), world frame, left perturbation.
     pub covariance: Covariance6,
-    /// Distance of each reference from where the camera sees it, metres, in the order given.
+    /// Distance of each reference from its detection, metres, in the order given.
     pub residuals_m: Vec<f64>,
     /// Their root mean square, metres.
     pub rms_m: f64,
-    /// How much larger the world is than the camera sees it; 1 but for errors of focal length,
-    /// diameter or reference places, which it gives away. Not applied.
+    /// Scale of the world against the detections. Differs from 1 by errors of focal length, diameter or reference
+    /// positions. Not applied.
     pub scale: f64,
 }
 
-/// Why references give no place.
+/// Reason why references give no camera pose.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum ReferenceError {
-    /// Less than a plane is known.
+    /// Fewer than three references.
     #[error("expected at least 3 references with a place, found {found}")]
     TooFew {
-        /// How many there are.
+        /// Number of references.
         found: usize,
     },
-    /// Numbers of pairs differ.
+    /// The numbers of references and detections differ.
     #[error("expected as many sightings as references, {references}, found {sightings}")]
     Unpaired {
-        /// References given.
+        /// Number of references.
         references: usize,
-        /// Sightings given.
+        /// Number of detections.
         sightings: usize,
     },
-    /// A coordinate is not a number, or a covariance not positive definite.
+    /// A coordinate is not finite, or a covariance not positive definite.
     #[error("reference {index}: expected finite coordinates and a positive definite covariance")]
     NotFinite {
-        /// Which pair.
+        /// Index of the pair.
         index: usize,
     },
-    /// All in one line: the camera could turn about it.
+    /// All on one line, so the rotation about it is undetermined.
     #[error(
         "expected references that are not in one line, found all within {spread_m:.4} m of one"
     )]
@@ -104,59 +103,60 @@ pub enum ReferenceError {
         /// Root mean square distance from the line, metres.
         spread_m: f64,
     },
-    /// The camera sees too few roundels.
+    /// Fewer than three detections.
     #[error("expected at least 3 roundels in view, found {found}")]
     TooFewSeen {
-        /// How many there are.
+        /// Number of detections.
         found: usize,
     },
-    /// A pair of references has a distance that no two seen roundels have.
+    /// No two detections have the distance of a pair of references.
     #[error(
         "references {first} and {second} are {expected_m:.3} m apart, and no two roundels in view are (nearest: {nearest_m:.3} m); check their places and that both are in view"
     )]
     NoSuchDistance {
-        /// One of the pair.
+        /// Index of one reference.
         first: usize,
-        /// The other.
+        /// Index of the other.
         second: usize,
         /// Their distance, metres.
         expected_m: f64,
-        /// The distance in view that comes closest, metres.
+        /// Nearest distance between detections, metres.
         nearest_m: f64,
     },
-    /// Distances exist one by one, but no arrangement has them all.
+    /// All distances exist, but no arrangement has them together.
     #[error(
         "no {wanted} roundels in view are arranged like the references; at best reference {index} is {residual_m:.3} m from its place; check it"
     )]
     Inconsistent {
-        /// How many references would have to be found.
+        /// Number of references that must be identified.
         wanted: usize,
-        /// The reference that fits worst in the best arrangement.
+        /// Index of the reference that fits worst in the best arrangement.
         index: usize,
-        /// How far it is off, metres.
+        /// Its residual, metres.
         residual_m: f64,
     },
-    /// Several arrangements fit alike.
+    /// Several arrangements fit.
     #[error(
-        "references {indices:?} cannot be told apart: the layout looks the same with them exchanged; move one of them, or add a reference off the symmetry"
+        "references {indices:?} cannot be distinguished: the layout looks the same with them exchanged; move one of them, or add a reference off the symmetry"
     )]
     Ambiguous {
-        /// References that different arrangements find in different roundels.
+        /// References that these arrangements assign to different detections.
         indices: Vec<usize>,
     },
 }
 
-/// Identifies the references among what is seen and places the camera: the placement, whose residuals
-/// are those of the references found, ascending, and for each reference its sighting's index.
+/// Identifies the references among the detections and computes the camera's pose. Returns the placement, whose
+/// residuals are those of the identified references, ascending, and for each reference the index of its
+/// detection.
 pub fn place_camera(
     references: &[Reference],
-    seen: &[Sighting],
+    sightings: &[Sighting],
 ) -> Result<(Placement, Vec<Option<usize>>), ReferenceError> {
-    let found = identify(references, seen)?;
+    let found = identify(references, sightings)?;
     let (world_m, paired): (Vec<_>, Vec<_>) = references
         .iter()
         .zip(&found)
-        .filter_map(|(reference, &index)| Some((reference.position_m, seen[index?])))
+        .filter_map(|(reference, &index)| Some((reference.position_m, sightings[index?])))
         .unzip();
     Ok((align(&world_m, &paired)?, found))
 }

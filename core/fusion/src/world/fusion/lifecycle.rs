@@ -1,0 +1,105 @@
+//! Start, ageing, merging and end of tracks within fusion, with their events.
+
+use super::Fusion;
+use crate::world::{
+    Event, EventKind, LifeStage,
+    association::Sighting,
+    identity::CARRIER_NUMBER,
+    lifecycle::{Track, find_duplicates},
+};
+use roundel_vision::{id::ObjectId, time::Timestamp};
+
+/// Largest number of events kept for the caller; the oldest are dropped.
+const MAX_EVENTS: usize = 10_000;
+
+impl Fusion {
+    pub(super) fn begin(&mut self, sighting: &Sighting) {
+        if self.tracks.len() >= self.params.max_objects {
+            self.counts.over_max_objects += 1;
+            return;
+        }
+        let id = ObjectId(self.next_id);
+        self.next_id += 1;
+        self.counts.used += 1;
+        self.counts.begun += 1;
+        self.newest_used = self.newest_used.max(Some(sighting.measurement.time));
+        let subject = sighting.subject;
+        let class = subject.kind.and_then(|kind| self.classes.get(&kind)).copied();
+        let mut model = match subject.body {
+            Some(body) => self.bodies.model(body, &self.params),
+            None => self.params.motion_model(&class.unwrap_or_default()),
+        };
+        // For an object measured by its own camera, the position depends on the orientation, whose errors last.
+        model.learns_rotation_density &= sighting.measurement.number != CARRIER_NUMBER;
+        let mut track = Track::begin(id, subject, sighting.measurement, model);
+        sighting.code.into_iter().for_each(|code| track.codes.add(code));
+        self.tracks.push(track);
+    }
+
+    /// Advances all tracks to `now`.
+    pub(super) fn advance(&mut self, now: Timestamp) {
+        let mut index = 0;
+        while index < self.tracks.len() {
+            match self.tracks[index].advance(now, &self.params) {
+                Ok(event) => {
+                    if let Some(event) = event {
+                        self.push_event(event);
+                    }
+                    index += 1;
+                }
+                Err(event) => {
+                    let track = self.tracks.remove(index);
+                    self.end(track, event);
+                }
+            }
+        }
+    }
+
+    /// Ends all tracks after a jump of the timeline.
+    pub(super) fn restart(&mut self) {
+        self.counts.restarts += 1;
+        self.next_merge = None;
+        self.newest_used = None;
+        for mut track in std::mem::take(&mut self.tracks) {
+            let is_confirmed = !track.is_tentative();
+            let event = track.mark_lost(track.newest);
+            self.end(track, is_confirmed.then_some(event));
+        }
+    }
+
+    pub(super) fn merge(&mut self, now: Timestamp) {
+        while let Some((stays, goes)) = find_duplicates(&mut self.tracks, now) {
+            let mut gone = self.tracks[goes].clone();
+            self.tracks[stays].adopt_views(&gone);
+            self.tracks[stays].codes.merge(&gone.codes);
+            self.tracks.remove(goes);
+            self.counts.merged += 1;
+            let is_confirmed = !gone.is_tentative();
+            let event = gone.mark_lost(now);
+            self.end(gone, is_confirmed.then_some(event));
+        }
+    }
+
+    /// Ends a track. A confirmed one gives an event, and appears in the next snapshot as lost.
+    pub(super) fn end(&mut self, track: Track, event: Option<Event>) {
+        if track.subject.body.is_some() {
+            // Another track of the body may claim the id now.
+            let twins = self.tracks.iter_mut().filter(|other| other.subject == track.subject);
+            twins.for_each(|twin| twin.claimed_mark = None);
+        }
+        let Some(event) = event else { return };
+        self.push_event(event);
+        if self.lost.len() >= self.params.max_objects {
+            self.lost.remove(0);
+        }
+        debug_assert!(track.stage == LifeStage::Lost && event.kind == EventKind::Lost);
+        self.lost.push(track);
+    }
+
+    pub(super) fn push_event(&mut self, event: Event) {
+        if self.events.len() == MAX_EVENTS {
+            self.events.pop_front();
+        }
+        self.events.push_back(event);
+    }
+}

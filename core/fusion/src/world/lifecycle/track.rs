@@ -1,0 +1,300 @@
+//! One track with its life stage: tentative until confirmed, tracked while observed, predicted while not, lost in the
+//! end.
+//!
+//! A tentative track is confirmed by a score, the logarithm of the likelihood ratio of "object" to "clutter" (Blackman,
+//! Popoli, *Design and Analysis of Modern Tracking Systems*, 1999, section 6.2). Each detection adds -½ d² - ½ ln
+//! det(2π S) - ln λ for a density λ of clutter, so a hit in a narrow gate counts more than one in a wide gate. Each
+//! frame without it, of a camera that had observed it, subtracts. A track is confirmed above [`TRUSTED_SCORE`] with
+//! enough hits, and dropped below [`DROPPED_SCORE`].
+
+use super::coarse::Coarse;
+use crate::track::{
+    FilterState, History, Innovation, Inserted, Measurement, MotionModel, Retraction,
+};
+use crate::world::{
+    Event, EventKind, FusionParams, LifeStage,
+    clock::Clocks,
+    clock::{self, Comparison},
+    identity::CodeVote,
+    identity::{Mark, Subject},
+};
+use roundel_vision::{
+    id::{CameraId, ObjectId, TrackNumber},
+    time::Timestamp,
+};
+
+/// e¹⁰: odds of twenty thousand to one.
+const TRUSTED_SCORE: f64 = 10.0;
+const DROPPED_SCORE: f64 = -5.0;
+/// Contribution of a frame without the track.
+const MISS_SCORE: f64 = -2.0;
+/// -ln λ: one false detection a frame in 100 m³.
+const CLUTTER_SCORE: f64 = 4.6;
+/// A camera that contradicts all others for longer than this observes something else.
+const MAX_CONTRADICTION_NS: i64 = 1_000_000_000;
+/// Time differences are taken against cameras that observed the track within this time.
+const SEEN_TOGETHER_NS: i64 = 1_000_000_000;
+/// ln 2π · 3 / 2.
+const GAUSS_CONSTANT: f64 = 2.756_815_6;
+
+/// Newest detection of a track by one camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::world) struct CameraView {
+    pub(in crate::world) camera: CameraId,
+    pub(in crate::world) number: TrackNumber,
+    pub(in crate::world) frame: u64,
+    pub(in crate::world) time: Timestamp,
+}
+
+/// One object and its filters.
+#[derive(Clone, Debug)]
+pub(in crate::world) struct Track {
+    pub(in crate::world) id: ObjectId,
+    pub(in crate::world) subject: Subject,
+    pub(in crate::world) codes: CodeVote,
+    pub(in crate::world) stage: LifeStage,
+    pub(in crate::world) history: History,
+    /// Summary of the history's newest state.
+    pub(in crate::world) coarse: Coarse,
+    pub(in crate::world) model: MotionModel,
+    pub(in crate::world) first: Timestamp,
+    pub(in crate::world) newest: Timestamp,
+    pub(in crate::world) observations: u64,
+    /// One per camera, ascending.
+    pub(in crate::world) views: Vec<CameraView>,
+    /// Tracks that appeared together with this one in a frame.
+    pub(in crate::world) distinct_from: Vec<ObjectId>,
+    /// Mark with which the id was claimed.
+    pub(in crate::world) claimed_mark: Option<Mark>,
+    /// Time of the last comparison of its cameras' clocks.
+    last_comparison: Option<Timestamp>,
+    score: f64,
+}
+
+impl Track {
+    /// Track from a detection that fits no other track.
+    pub(in crate::world) fn begin(
+        id: ObjectId,
+        subject: Subject,
+        measurement: Measurement,
+        model: MotionModel,
+    ) -> Self {
+        Self {
+            id,
+            subject,
+            codes: CodeVote::default(),
+            stage: LifeStage::Tentative,
+            coarse: Coarse::of(
+                &FilterState::begin(&measurement, &model),
+                &model.acceleration_density_m2_s3,
+            ),
+            history: History::begin(measurement, &model),
+            model,
+            first: measurement.time,
+            newest: measurement.time,
+            observations: 1,
+            views: vec![camera_view(&measurement)],
+            distinct_from: Vec::new(),
+            claimed_mark: None,
+            last_comparison: None,
+            score: 0.0,
+        }
+    }
+
+    pub(in crate::world) fn is_tentative(&self) -> bool {
+        self.stage == LifeStage::Tentative
+    }
+
+    /// Settled code or body of a confirmed track with which no id was claimed yet.
+    pub(in crate::world) fn unclaimed_mark(&self) -> Option<Mark> {
+        let settled = match self.subject.body {
+            Some(body) => Some(Mark::Body(body)),
+            None => self.codes.settled().map(Mark::Code),
+        };
+        settled.filter(|_| !self.is_tentative() && self.claimed_mark != settled)
+    }
+
+    /// Whether the camera's tracker assigns the measurement to this track.
+    pub(in crate::world) fn is_continued_by(&self, measurement: &Measurement) -> bool {
+        self.is_known_as(measurement.camera, measurement.number)
+    }
+
+    /// Whether the camera's newest detection of the track has this number.
+    pub(in crate::world) fn is_known_as(&self, camera: CameraId, number: TrackNumber) -> bool {
+        self.view_index(camera).is_ok_and(|index| self.views[index].number == number)
+    }
+
+    /// Time of a camera's newest detection of the track.
+    pub(in crate::world) fn seen_by(&self, camera: CameraId) -> Option<Timestamp> {
+        self.view_index(camera).ok().map(|index| self.views[index].time)
+    }
+
+    /// Cameras with a detection at or after `since`.
+    pub(in crate::world) fn seen_since(&self, since: Timestamp) -> impl Iterator<Item = CameraId> {
+        self.views.iter().filter(move |view| view.time >= since).map(|view| view.camera)
+    }
+
+    /// Removes a camera's measurements from `since` on.
+    pub(in crate::world) fn retract(&mut self, camera: CameraId, since: Timestamp) -> Retraction {
+        let taken = self.history.retract(camera, since, &self.model);
+        if matches!(taken, Retraction::Removed(count) if count > 0) {
+            self.newest = self.history.newest_time();
+            self.refresh();
+        }
+        taken
+    }
+
+    /// Whether a measurement outside the gate, which its camera assigns to this track, is the camera's error (a
+    /// half covered ring, the wrong normal): another camera observes the object now, and this one agreed with it
+    /// not long ago.
+    pub(in crate::world) fn is_contradicted(
+        &self,
+        measurement: &Measurement,
+        params: &FusionParams,
+    ) -> bool {
+        let within =
+            |view: &CameraView, span_ns: i64| measurement.time.ns_since(view.time) <= span_ns;
+        let agreed = self
+            .view_index(measurement.camera)
+            .is_ok_and(|index| within(&self.views[index], MAX_CONTRADICTION_NS));
+        let is_witness = |view: &CameraView| {
+            view.camera != measurement.camera && within(view, params.predicted_after_ns)
+        };
+        agreed && !self.is_tentative() && self.views.iter().any(is_witness)
+    }
+
+    /// Standard deviation of the measurement's time against the other cameras that observe the track, seconds. A
+    /// clock that was just set makes its own camera's times uncertain, not those of the others.
+    pub(in crate::world) fn timing_s(&self, measurement: &Measurement, clocks: &Clocks) -> f64 {
+        if !clocks.is_estimating() {
+            return 0.0;
+        }
+        let is_other = |view: &&CameraView| {
+            view.camera != measurement.camera
+                && measurement.time.ns_since(view.time).saturating_abs() < SEEN_TOGETHER_NS
+                && !clocks.is_less_certain(view.camera, measurement.camera)
+        };
+        let others = self.views.iter().filter(is_other);
+        others.map(|view| clocks.deviation_s(measurement.camera, view.camera)).fold(0.0, f64::max)
+    }
+
+    /// Compares the clocks of the cameras that observe the track, once per window.
+    pub(in crate::world) fn compare(&mut self, clocks: &Clocks) -> Option<Comparison> {
+        let now = self.history.newest_time();
+        if self.last_comparison.is_some_and(|time| now.ns_since(time) < clock::WINDOW_NS) {
+            return None;
+        }
+        self.last_comparison = Some(now);
+        (!self.is_tentative())
+            .then(|| clock::compare(&self.history, now, clocks, self.model.systematic_time_s))
+            .flatten()
+    }
+
+    /// Adds a measurement; returns the result of the insertion and the change of the life stage.
+    pub(in crate::world) fn observe(
+        &mut self,
+        measurement: &Measurement,
+        innovation: &Innovation,
+        params: &FusionParams,
+    ) -> (Inserted, Option<Event>) {
+        let inserted = self.history.insert(measurement, &self.model);
+        self.refresh();
+        if matches!(inserted, Inserted::TooLate | Inserted::Duplicate) {
+            return (inserted, None);
+        }
+        self.observations += 1;
+        self.first = self.first.min(measurement.time);
+        let is_newest = measurement.time > self.newest;
+        self.newest = self.newest.max(measurement.time);
+        match self.view_index(measurement.camera) {
+            Ok(index) if self.views[index].time <= measurement.time => {
+                self.views[index] = camera_view(measurement)
+            }
+            Ok(_) => {}
+            Err(index) => self.views.insert(index, camera_view(measurement)),
+        }
+        let kind = match self.stage {
+            LifeStage::Tentative => {
+                self.score += CLUTTER_SCORE
+                    - GAUSS_CONSTANT
+                    - 0.5 * (innovation.distance_squared + innovation.log_det());
+                let trusted =
+                    self.score >= TRUSTED_SCORE && self.observations >= params.confirm_hits;
+                trusted.then_some(EventKind::Appeared)
+            }
+            LifeStage::Predicted => is_newest.then_some(EventKind::Recovered),
+            LifeStage::Tracked | LifeStage::Lost => None,
+        };
+        if kind.is_some() {
+            self.stage = LifeStage::Tracked;
+        }
+        let event = kind.map(|kind| Event { time: measurement.time, object: self.id, kind });
+        (inserted, event)
+    }
+
+    /// Updates the summary after a change of the history.
+    pub(in crate::world) fn refresh(&mut self) {
+        self.coarse = Coarse::of(self.history.newest(), &self.model.acceleration_density_m2_s3);
+    }
+
+    /// Notes a frame of this camera without the track.
+    pub(in crate::world) fn miss(&mut self, camera: CameraId, time: Timestamp) {
+        if self.is_tentative()
+            && self.view_index(camera).is_ok_and(|index| self.views[index].time < time)
+        {
+            self.score += MISS_SCORE;
+        }
+    }
+
+    /// Advances the life stage to `now`. `Err` when the track has ended, with an event if it was confirmed.
+    pub(in crate::world) fn advance(
+        &mut self,
+        now: Timestamp,
+        params: &FusionParams,
+    ) -> Result<Option<Event>, Option<Event>> {
+        let unseen_ns = now.ns_since(self.newest);
+        if self.is_tentative() {
+            let ends = unseen_ns > params.tentative_after_ns || self.score < DROPPED_SCORE;
+            return if ends { Err(None) } else { Ok(None) };
+        }
+        if unseen_ns > params.lost_after_ns {
+            return Err(Some(self.mark_lost(self.newest.plus_ns(params.lost_after_ns))));
+        }
+        if self.stage == LifeStage::Tracked && unseen_ns > params.predicted_after_ns {
+            self.stage = LifeStage::Predicted;
+            let time = self.newest.plus_ns(params.predicted_after_ns);
+            return Ok(Some(Event { time, object: self.id, kind: EventKind::Predicted }));
+        }
+        Ok(None)
+    }
+
+    /// Ends the track.
+    pub(in crate::world) fn mark_lost(&mut self, time: Timestamp) -> Event {
+        self.stage = LifeStage::Lost;
+        Event { time, object: self.id, kind: EventKind::Lost }
+    }
+
+    /// Takes over the camera views of a merged track.
+    pub(in crate::world) fn adopt_views(&mut self, other: &Track) {
+        for view in &other.views {
+            match self.view_index(view.camera) {
+                Ok(index) if self.views[index].time < view.time => self.views[index] = *view,
+                Ok(_) => {}
+                Err(index) => self.views.insert(index, *view),
+            }
+        }
+    }
+
+    fn view_index(&self, camera: CameraId) -> Result<usize, usize> {
+        self.views.binary_search_by_key(&camera, |view| view.camera)
+    }
+}
+
+fn camera_view(measurement: &Measurement) -> CameraView {
+    CameraView {
+        camera: measurement.camera,
+        number: measurement.number,
+        frame: measurement.frame,
+        time: measurement.time,
+    }
+}
