@@ -108,12 +108,12 @@ impl Board {
     }
 
     /// The same with other columns and rows; `None`: there is no such board.
-    pub(super) fn with_sides(&self, sides: (usize, usize)) -> Option<Self> {
+    pub(crate) fn with_sides(&self, sides: (usize, usize)) -> Option<Self> {
         Self::new(sides, self.pitch_m, self.outer_diameter_m, self.layout).ok()
     }
 
     /// Whether one of its roundels may have that code, were there enough of them.
-    pub(super) fn may_have(&self, code: Code) -> bool {
+    pub(crate) fn may_have(&self, code: Code) -> bool {
         code.bits == self.layout.bits
     }
 
@@ -158,7 +158,7 @@ impl Board {
     }
 
     /// Where the roundel of that number is on the print, metres.
-    pub(super) fn flat(&self, number: u16) -> Option<Point2<f64>> {
+    pub(crate) fn flat(&self, number: u16) -> Option<Point2<f64>> {
         let index = usize::from(number).checked_sub(1).filter(|&index| index < self.count())?;
         let (column, row) = (index % self.columns, index / self.columns);
         let from_middle = |place: usize, count: usize| place as f64 - (count - 1) as f64 / 2.0;

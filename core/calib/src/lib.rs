@@ -4,5 +4,6 @@
 pub mod arena;
 pub mod board;
 pub mod checkerboard;
+mod least_squares;
 pub mod lens;
 pub mod watch;

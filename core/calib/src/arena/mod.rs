@@ -6,36 +6,35 @@
 //! ([`ArenaCalibration`]). Cameras need not see the references, nor all of one another: chains of cameras
 //! that overlap with their neighbours will do.
 //!
-//! Sightings are sorted by roundel (`gather`), references found among them (`reference`), roundels without codes
-//! told apart by how they move (`alike`), cameras tied to one another two by two (`start`), and all of it adjusted at once (`bundle`, with `station`, `subject`, `course`
-//! and `band`). `report` judges what came out.
+//! Sightings are sorted by roundel (`recording`), references found among them (`references`), roundels without codes
+//! told apart by how they move (`association`), cameras tied to one another two by two (`initial_poses`), and all of it adjusted at once (`adjustment`). `report` judges what came out.
 
-mod alike;
-mod band;
-mod bundle;
-mod course;
-mod coverage;
+mod adjustment;
+mod association;
 mod error;
 mod finding;
-mod gather;
-mod reference;
+mod image_coverage;
+mod initial_poses;
+mod recording;
+mod references;
 mod report;
-mod start;
-mod station;
-mod subject;
 
 use std::collections::BTreeMap;
 
 use nalgebra::Matrix3;
 
-use bundle::{Bundle, Failed, Prior};
-use course::Course;
-pub use coverage::Coverage;
+use adjustment::{
+    bundle::{Bundle, Failed, Prior},
+    camera_block::Station,
+    spline::Course,
+    track_block::{Sight, Subject},
+};
 pub use error::ArenaError;
 pub use finding::{Advice, Finding, Names, Numbers};
-pub use gather::Recording;
-use gather::{Name, Sample};
-use reference::Standing;
+pub use image_coverage::Coverage;
+pub use recording::Recording;
+use recording::{Name, Sample};
+use references::Standing;
 use report::Found;
 pub use report::{ArenaCalibration, CalibratedCamera, Neighbour, RefinedLens};
 use roundel_fusion::world::Landmark;
@@ -44,8 +43,6 @@ use roundel_vision::{
     id::CameraId,
     rigid::{Covariance6, Rigid},
 };
-use station::Station;
-use subject::{Sight, Subject};
 
 /// A roundel seen by two cameras and less often than this together is left out.
 const LEAST_SIGHTS: usize = 12;
@@ -122,13 +119,13 @@ pub fn calibrate(
         return Err(ArenaError::Cameras { found });
     }
     let (mut sorted, twice) = recording.sorted();
-    let standing = reference::take(&mut sorted, cameras, references, params)?;
-    alike::join(&mut sorted);
+    let standing = references::take(&mut sorted, cameras, references, params)?;
+    association::join(&mut sorted);
     let roundels = moving(sorted, &ids);
-    let sights: Vec<start::Sights<'_>> =
+    let sights: Vec<initial_poses::Sights<'_>> =
         (0..cameras.len()).map(|camera| seen_by(&roundels, camera)).collect();
-    let ties = start::ties(&sights);
-    let started = start::spread_out(&standing.placed, &ties);
+    let ties = initial_poses::ties(&sights);
+    let started = initial_poses::spread_out(&standing.placed, &ties);
     let kept: Vec<usize> = (0..cameras.len()).filter(|&index| started[index].is_some()).collect();
     let stations = kept.iter().filter_map(|&index| {
         let (place, offset_s) = started[index]?;
@@ -161,8 +158,8 @@ struct Roundel {
 }
 
 /// Roundels that two cameras saw or more.
-fn moving(sorted: gather::Sorted, ids: &BTreeMap<CameraId, usize>) -> Vec<Roundel> {
-    let roundel = |(name, seen): (Name, BTreeMap<CameraId, gather::Seen>)| {
+fn moving(sorted: recording::Sorted, ids: &BTreeMap<CameraId, usize>) -> Vec<Roundel> {
+    let roundel = |(name, seen): (Name, BTreeMap<CameraId, recording::Seen>)| {
         let seen = seen
             .into_iter()
             .filter(|(_, seen)| seen.samples.len() >= LEAST_SIGHTS)
@@ -172,8 +169,8 @@ fn moving(sorted: gather::Sorted, ids: &BTreeMap<CameraId, usize>) -> Vec<Rounde
     sorted.into_iter().map(roundel).filter(|roundel| roundel.seen.len() > 1).collect()
 }
 
-fn seen_by(roundels: &[Roundel], camera: usize) -> start::Sights<'_> {
-    let mut sights = start::Sights::new();
+fn seen_by(roundels: &[Roundel], camera: usize) -> initial_poses::Sights<'_> {
+    let mut sights = initial_poses::Sights::new();
     for (subject, roundel) in roundels.iter().enumerate() {
         if let Some((_, samples)) = roundel.seen.iter().find(|(other, _)| *other == camera) {
             sights.insert(subject, samples);

@@ -6,15 +6,17 @@
 
 use super::{
     ArenaCamera,
-    bundle::{Bundle, Outcome, excess_squared, is_outlier},
-    coverage::Coverage,
+    adjustment::{
+        bundle::{Bundle, Outcome, excess_squared, is_outlier},
+        camera_block::WITHOUT_LENS,
+        track_block::{Sight, Subject},
+    },
     finding::{Advice, Finding},
-    gather::{Name, Recording},
+    image_coverage::Coverage,
+    initial_poses::{LEAST_SPREAD_M, Tie},
     place_covariance,
-    reference::Standing,
-    start::{LEAST_SPREAD_M, Tie},
-    station::WITHOUT_LENS,
-    subject::{Sight, Subject},
+    recording::{Name, Recording},
+    references::Standing,
 };
 use roundel_vision::{
     camera::Camera,

@@ -1,38 +1,23 @@
 //! A lens from views of a board: focal lengths, principal point, distortion, and how well each is known.
 //!
 //! In: the board's roundels as ellipses in raw pixels, or a chessboard's corners as points ([`Target`]), in some ten views
-//! from different sides ([`view`]). Out: a [`Camera`] with the covariance of its parameters.
+//! from different sides (`views`). Out: a [`Camera`] with the covariance of its parameters.
 //!
-//! The method is Zhang's (2000): a homography of each view ([`flat`]) gives the focal length
-//! and where the board was ([`start`]); then all is refined together ([`bundle`]) until the *ellipses' centres* are
+//! The method is Zhang's (2000): a homography of each view (`views::homography`) gives the focal length
+//! and where the board was (`fit::initial`); then all is refined together (`fit::bundle`) until the *ellipses' centres* are
 //! where they should be. The image of a circle's centre is not its ellipse's centre, and a lens bends the ellipse as
 //! well; so what is predicted is the centroid of the circle's image under the whole camera model
-//! ([`rim`]), exact to a thousandth of a pixel. Which distortion model is right is decided by its evidence, Schwarz's
-//! criterion ([`choice`]). Views that are blurred beside the others are left out ([`blur`]); roundels whose code was misread, and
+//! (`fit::rim`), exact to a thousandth of a pixel. Which distortion model is right is decided by its evidence, Schwarz's
+//! criterion (`fit::model_selection`). Views that are blurred beside the others are left out (`views::blur`); roundels whose code was misread, and
 //! views that were smeared, fall out by their errors.
 //!
 //! With 30 rendered views of 35 roundels (noise 2/255, blur 0.8 px) see `tests/tests/lens.rs` for what is
 //! reached. Limits: the board is flat, and the shutter's time from row to row is not modelled, so the board should be
 //! held still under a rolling shutter.
 
-mod blur;
-mod bundle;
-mod candidate;
-mod choice;
-mod chooser;
-mod coverage;
-mod descent;
-mod flat;
-mod model;
+mod fit;
 pub mod moving;
-mod rim;
-mod robust;
-mod shape;
-mod start;
-mod target;
-pub mod view;
-mod weighing;
-mod width;
+mod views;
 
 use std::fmt;
 
@@ -40,13 +25,21 @@ use nalgebra::{DMatrix, Isometry3};
 use thiserror::Error;
 
 pub use self::{
-    choice::{Evidence, STRONG},
-    chooser::{Chooser, Verdict},
-    coverage::{Coverage, Side, VISITED, Want, ZONES},
-    model::Model,
-    target::Target,
-    view::{Sighting, View},
-    width::Width,
+    fit::{
+        distortion_model::Model,
+        model_selection::{Evidence, STRONG},
+        size_check::Width,
+    },
+    views::{
+        coverage::{Coverage, Side, VISITED, Want, ZONES},
+        selection::{Chooser, Verdict},
+        target::Target,
+        view::{Sighting, View},
+    },
+};
+use self::{
+    fit::{initial, model_selection, size_check},
+    views::{blur, layout_check},
 };
 use super::board::Board;
 use roundel_vision::camera::Camera;
@@ -194,8 +187,9 @@ fn wants(missing: &[Want]) -> String {
 
 /// [`LensCalibrationError::OtherBoard`], if the views are those of another board than is described.
 fn other_board(board: &Board, views: &[View]) -> Option<LensCalibrationError> {
-    let others: Vec<_> = views.iter().filter_map(|view| shape::other_sides(board, view)).collect();
-    let fewer = || Some((board.columns(), shape::fewer_rows(board, views.iter())?));
+    let others: Vec<_> =
+        views.iter().filter_map(|view| layout_check::other_sides(board, view)).collect();
+    let fewer = || Some((board.columns(), layout_check::fewer_rows(board, views.iter())?));
     let (found_columns, found_rows) = if others.len() > views.len() / 2 {
         // The view that shows most of it.
         others.into_iter().max_by_key(|&(_, rows)| rows)?
@@ -222,10 +216,11 @@ pub fn calibrate(
     if let Some(other) = target.board().and_then(|board| other_board(board, views)) {
         return Err(other);
     }
-    let blurred = blur::blurred(views);
-    let started = start::start(target, size, views, &blurred)?;
+    let blurs_px: Vec<Option<f64>> = views.iter().map(|view| view.blur_px).collect();
+    let blurred = blur::blurred(&blurs_px);
+    let started = initial::start(target, size, views, &blurred)?;
     let models = model.map_or_else(|| Model::ALL.to_vec(), |model| vec![model]);
-    let outcome = choice::best(target, size, &started, &models).ok_or_else(|| {
+    let outcome = model_selection::best(target, size, &started, &models).ok_or_else(|| {
         LensCalibrationError::Unexplained {
             columns: target.columns(),
             rows: target.rows(),
@@ -233,7 +228,7 @@ pub fn calibrate(
         }
     })?;
     let found = outcome.told(&blurred, &started);
-    let width = width::check(target, views, &found)?;
+    let width = size_check::check(target, views, &found)?;
     Ok(LensCalibration { width, ..found })
 }
 
@@ -298,7 +293,7 @@ mod tests {
                 let Some(center) = target.at(number) else { continue };
                 let at = pose * Point3::new(center.x, center.y, 0.0);
                 let Ok(pixel) = camera.project(&at.coords) else { continue };
-                let imaged = target.rim_m().map(|it| rim::image(camera, &pose, &center, it));
+                let imaged = target.rim_m().map(|it| fit::rim::image(camera, &pose, &center, it));
                 let Ok(imaged) = imaged.transpose() else { continue };
                 let (u, v) = imaged.as_ref().map_or((0.0, 0.0), |image| image.offset_px);
                 let radius_px = 0.015 * 900.0 / at.z;

@@ -1,6 +1,6 @@
 //! Slow drift: sums over the last minute or so, of all cameras' disagreements.
 //!
-//! With meetings' residuals e = m - p̂ ([`super::fit`]), information Λ and score η of all cameras' changes are
+//! With meetings' residuals e = m - p̂ ([`super::pose_fit`]), information Λ and score η of all cameras' changes are
 //! summed and fade with time. Freeing camera c with all others held would move it by δ = Λ_cc⁻¹ η_c and gain
 //! η_cᵀ Λ_cc⁻¹ η_c. Once a place is changed by δ, what was summed is as if seen from there: η ← η - Λ_·c δ.
 
@@ -8,8 +8,8 @@ use nalgebra::{DMatrix, DVector, Matrix6, Vector6};
 
 use super::{
     BIN_S, Watch, WatchEvent, WatchParams,
-    fit::{Round, moved, prior, robust},
-    meeting::Meeting,
+    co_observation::Meeting,
+    pose_fit::{Round, moved, prior, robust},
 };
 use roundel_vision::rigid::Rigid;
 

@@ -6,9 +6,9 @@
 //! corrections of those that drift ([`WatchEvent::Drifted`]). The caller puts them into effect; nothing here
 //! touches tracks.
 //!
-//! Time is cut into bins of [`BIN_S`]. In each, every camera's view of a roundel is averaged (`trail`), and
-//! views of the same roundel meet (`meeting`): one another's, and the places of reference roundels. The newest half
-//! second and two seconds are judged four times a second (`culprit`, by fits of `fit`); two verdicts in a row that
+//! Time is cut into bins of [`BIN_S`]. In each, every camera's view of a roundel is averaged (`track`), and
+//! views of the same roundel meet (`co_observation`): one another's, and the places of reference roundels. The newest half
+//! second and two seconds are judged four times a second (`attribution`, by fits of `pose_fit`); two verdicts in a row that
 //! name the same camera are believed. It is then left out of everything, and its place found afresh from what
 //! it sees from then on (`recovery`). What is slower than the two seconds shows in sums over a minute
 //! (`drift`).
@@ -43,27 +43,26 @@
 //! 1.0 mm off, rms), but exact ones look like bumps in the first minute, in 6 of 8 runs, until corrections for drift
 //! have taken the lenses up.
 
-mod culprit;
+mod attribution;
+mod co_observation;
 mod drift;
 mod event;
-mod fit;
-mod judgement;
-mod meeting;
-mod param;
+mod params;
+mod pose_fit;
 mod recovery;
 #[cfg(test)]
 mod tests;
-mod trail;
+mod track;
+mod verdicts;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use nalgebra::{Matrix6, Vector6};
 
+use co_observation::{Meeting, Single, Stands, meet};
 use drift::Drift;
 pub use event::{CameraHealth, WatchEvent, WatchState};
-use judgement::Streak;
-use meeting::{Meeting, Single, Stands, meet};
-pub use param::WatchParams;
+pub use params::WatchParams;
 use recovery::Recovery;
 use roundel_fusion::world::{CameraPlacement, FrameObservations, Landmark};
 use roundel_vision::{
@@ -71,7 +70,8 @@ use roundel_vision::{
     rigid::{Covariance6, Rigid},
     time::Timestamp,
 };
-use trail::Trail;
+use track::Trail;
+use verdicts::Streak;
 
 /// Time is cut into bins of this.
 pub const BIN_S: f64 = 0.25;

@@ -10,8 +10,8 @@ use nalgebra::{Point3, Vector6};
 
 use super::{
     BIN_S, WatchParams,
-    fit::{Fit, Round, cost, excess, release},
-    meeting::{Meeting, Roundel},
+    co_observation::{Meeting, Roundel},
+    pose_fit::{Fit, Round, cost, excess, release},
 };
 use roundel_vision::rigid::{Rigid, mahalanobis_squared};
 

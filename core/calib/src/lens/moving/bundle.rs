@@ -2,9 +2,9 @@
 //!
 //! What is compared is the centre of a roundel's rim as seen and as predicted: the image of where the others had it at
 //! the camera's own time, less what the camera's clock is off, plus the centroid's offset from it
-//! ([`super::super::rim`]), brought up to date between rounds. Of its covariance J Σ Jᵀ + s² r̄/r + τ² v vᵀ the first
+//! ([`super::super::fit::rim`]), brought up to date between rounds. Of its covariance J Σ Jᵀ + s² r̄/r + τ² v vᵀ the first
 //! part is what the others do not know of the place; s, the error of a rim's centre of the mean radius r̄, and
-//! τ, by which stamps are off from frame to frame (v: pixels a second), are estimated from the errors themselves ([`super::spread`]).
+//! τ, by which stamps are off from frame to frame (v: pixels a second), are estimated from the errors themselves ([`super::noise_model`]).
 //! First rounds count large errors linearly (Huber 1964), so that roundels taken for another's fall out; then what is off by
 //! more than five deviations is left out.
 
@@ -14,16 +14,16 @@ use nalgebra::{
 };
 
 use super::{
-    super::{
-        candidate::{Candidate, Slopes},
-        descent::{Descent, descend},
+    super::fit::{
+        parameters::{Candidate, Slopes},
         rim,
         robust::{HUBER, OUTLIER, deviation, huber},
     },
     jackknife::{Jackknife, Part, jackknife},
-    spread::{Apart, Spread},
-    way::{Way, Waypoint},
+    noise_model::{Apart, Spread},
+    trajectory::{Way, Waypoint},
 };
+use crate::least_squares::{Descent, descend};
 use roundel_vision::{camera::Camera, rigid::Rigid};
 
 /// Rounds in which large errors count linearly, and rounds in all.

@@ -4,9 +4,9 @@
 //! and where in its raw pixels that camera saw the centres of their rims ([`Glimpse`]). Out: a lens as
 //! from views of a board, with the camera's place and its clock, and how well each is known ([`MovingLens`]).
 //!
-//! The method: a camera to begin with by radial alignment (`start`, Tsai 1987), then lens, place and clock refined together
+//! The method: a camera to begin with by radial alignment (`radial_alignment`, Tsai 1987), then lens, place and clock refined together
 //! (`bundle`), errors weighed by what the others know of each place and by what the errors themselves show of rims and
-//! stamps (`spread`); the covariance is the one that leaving out each roundel's stretches shows (`jackknife`). The image of a circle's centre is not its ellipse's, so what is predicted is the
+//! stamps (`noise_model`); the covariance is the one that leaving out each roundel's stretches shows (`jackknife`). The image of a circle's centre is not its ellipse's, so what is predicted is the
 //! centroid of the rim's image, with the orientation that the others gave. The model is chosen by Schwarz's criterion
 //! as for boards, where n numbers whose errors hang together count as n / ĉ (Burnham & Anderson 2002, section 2.5), ĉ being how much larger
 //! the parameters' variances are than independent errors would make them.
@@ -18,25 +18,26 @@
 mod bundle;
 mod error;
 mod jackknife;
-mod spread;
-mod start;
-mod way;
+mod noise_model;
+mod radial_alignment;
+mod trajectory;
 
 use nalgebra::{DMatrix, Vector2};
 
 use self::{
     bundle::{Bundle, Fit, Pair},
-    spread::Spread,
+    noise_model::Spread,
 };
 pub use self::{
     error::{Missing, MovingLensError},
-    way::{Way, Waypoint},
+    trajectory::{Way, Waypoint},
 };
 use super::{
-    LensCalibration,
-    candidate::Candidate,
-    choice::{Evidence, Judged, taken},
-    model::Model,
+    LensCalibration, Model,
+    fit::{
+        model_selection::{Evidence, Judged, taken},
+        parameters::Candidate,
+    },
 };
 use roundel_fusion::world::ClockPrior;
 use roundel_vision::{
@@ -209,7 +210,7 @@ fn begin<'a>(seen: &Seen<'a>, pairs: &[Pair]) -> Option<Bundle<'a>> {
     let few: Vec<Pair> = every(pairs, START_SIGHTINGS).cloned().collect();
     let middle = Vector2::new(seen.size.0 as f64 - 1.0, seen.size.1 as f64 - 1.0) / 2.0;
     let side_px = seen.size.0.max(seen.size.1) as f64;
-    let placed: Vec<start::Pair> = few
+    let placed: Vec<radial_alignment::Pair> = few
         .iter()
         .filter_map(|pair| {
             Some((seen.ways[pair.way].at(pair.stamp_s)?.place_m, pair.seen - middle))
@@ -217,7 +218,7 @@ fn begin<'a>(seen: &Seen<'a>, pairs: &[Pair]) -> Option<Bundle<'a>> {
         .collect();
     let clock_prior = [seen.clock.offset_s.max(EXACT[0]), seen.clock.skew.max(EXACT[1])];
     let mut best: Option<(f64, Bundle<'a>)> = None;
-    for start in start::starts(&placed, side_px) {
+    for start in radial_alignment::starts(&placed, side_px) {
         for model in [Model::Radial1, Model::Equidistant2] {
             let mut bundle = Bundle {
                 candidate: Candidate::new(seen.size, start.focal_px, model),

@@ -3,7 +3,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::{super::rim, *};
+use super::{super::fit::rim, *};
 use roundel_vision::camera::{Camera, Intrinsics, Lens};
 
 const SIZE: (usize, usize) = (1920, 1080);
