@@ -1,63 +1,93 @@
-//! Levenberg and Marquardt's steps (Levenberg 1944, Marquardt 1963), for whatever is refined.
+//! Damped least squares (Levenberg 1944, Marquardt 1963), shared by all adjustments of this crate.
+//!
+//! A problem provides its cost, its normal equations and the state after a step that solves them with the diagonal
+//! multiplied by 1 + damping. The damping falls by ten after each accepted step and rises by ten after each rejected one.
 
-/// Beyond this damping no step is short enough to help.
-const MOST_DAMPING: f64 = 1e8;
-const LEAST_DAMPING: f64 = 1e-12;
+use nalgebra::DMatrix;
 
-/// Unknowns with what they should explain. Errors beyond the limit, in whatever they are weighed in, count linearly.
-pub(crate) trait Descent: Sized {
-    /// Derivatives at the unknowns as they are.
+/// A state of unknowns with residuals.
+pub(crate) trait LeastSquares: Sized {
     type Normal;
-    const MOST_STEPS: usize;
-    /// A step that lowers the cost by less than this share of it ends the descent.
-    const SETTLED: f64;
 
-    /// `None`: it is no camera.
+    /// Sum of squares, robust beyond `limit`; `None` if the state is invalid.
     fn cost(&self, limit: f64) -> Option<f64>;
     fn normal(&self, limit: f64) -> Option<Self::Normal>;
-    /// One step away; `None` if it cannot be computed.
+    /// The state after a damped step; `None` if the equations cannot be solved.
     fn stepped(&self, normal: &Self::Normal, damping: f64) -> Option<Self>;
 }
 
-/// Steps until nothing is gained; `None`: it does not begin at a camera.
-pub(crate) fn descend<T: Descent>(state: &mut T, limit: f64) -> Option<()> {
-    let mut damping = 1e-3;
-    let mut cost = state.cost(limit)?;
-    for _ in 0..T::MOST_STEPS {
+/// Current damping and its limits.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Damping {
+    pub(crate) value: f64,
+    pub(crate) min: f64,
+    pub(crate) max: f64,
+}
+
+impl Damping {
+    /// Takes a step that does not increase `cost`. Returns the new cost, `Some(None)` if there is no such step, and
+    /// `None` if the state has no normal equations.
+    pub(crate) fn step<T: LeastSquares>(
+        &mut self,
+        state: &mut T,
+        limit: f64,
+        cost: f64,
+    ) -> Option<Option<f64>> {
         let normal = state.normal(limit)?;
-        let mut is_done = true;
-        while damping < MOST_DAMPING {
-            let stepped = state.stepped(&normal, damping);
+        while self.value < self.max {
+            let stepped = state.stepped(&normal, self.value);
             let stepped_cost = stepped.as_ref().and_then(|it| it.cost(limit));
             if let (Some(stepped), Some(stepped_cost)) = (stepped, stepped_cost)
                 && stepped_cost <= cost
             {
-                is_done = cost - stepped_cost <= T::SETTLED * cost;
                 *state = stepped;
-                cost = stepped_cost;
-                damping = (damping * 0.1).max(LEAST_DAMPING);
-                break;
+                self.value = (self.value * 0.1).max(self.min);
+                return Some(Some(stepped_cost));
             }
-            damping *= 10.0;
+            self.value *= 10.0;
         }
-        if is_done {
+        Some(None)
+    }
+}
+
+/// Takes up to `max_steps` steps, until one lowers the cost by less than the share `tolerance`. Returns `None` if the
+/// initial state is invalid.
+pub(crate) fn minimize<T: LeastSquares>(
+    state: &mut T,
+    limit: f64,
+    max_steps: usize,
+    tolerance: f64,
+) -> Option<()> {
+    let mut damping = Damping { value: 1e-3, min: 1e-12, max: 1e8 };
+    let mut cost = state.cost(limit)?;
+    for _ in 0..max_steps {
+        let Some(lower) = damping.step(state, limit, cost)? else { break };
+        let is_converged = cost - lower <= tolerance * cost;
+        cost = lower;
+        if is_converged {
             break;
         }
     }
     Some(())
 }
 
+/// Multiplies the diagonal by 1 + damping.
+pub(crate) fn damped(mut information: DMatrix<f64>, damping: f64) -> DMatrix<f64> {
+    for index in 0..information.nrows() {
+        information[(index, index)] *= 1.0 + damping;
+    }
+    information
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// Rosenbrock's valley, from the far side of which the plain step leads astray.
+    /// Rosenbrock's valley, started on the side where undamped steps diverge.
     struct Valley(f64, f64);
 
-    impl Descent for Valley {
+    impl LeastSquares for Valley {
         type Normal = ([[f64; 2]; 2], [f64; 2]);
-        const MOST_STEPS: usize = 60;
-        const SETTLED: f64 = 1e-12;
 
         fn cost(&self, _: f64) -> Option<f64> {
             Some((10.0 * (self.1 - self.0 * self.0)).powi(2) + (1.0 - self.0).powi(2))
@@ -78,9 +108,9 @@ mod tests {
     }
 
     #[test]
-    fn a_bent_valley_is_followed_to_its_end() {
+    fn a_curved_valley_is_followed_to_its_minimum() {
         let mut valley = Valley(-1.2, 1.0);
-        descend(&mut valley, f64::MAX).unwrap();
+        minimize(&mut valley, f64::MAX, 60, 1e-12).unwrap();
         assert!((valley.0 - 1.0).abs() < 1e-6 && (valley.1 - 1.0).abs() < 1e-6, "{}", valley.0);
     }
 }

@@ -1,9 +1,8 @@
-//! What cameras saw while robots drove about, sorted by roundel.
+//! Detections of all cameras during a calibration, sorted by roundel.
 //!
-//! A camera's tracker follows a roundel under one number and reads its code now and then; the reading that
-//! most frames agree on names all sightings of that number, and roundels of one kind and code are one
-//! subject in all cameras. What has no code is a reference if it stands where one is; else how it moves tells it
-//! from its like in another camera ([`super::association`]).
+//! Within a camera, a track number follows a roundel and its code is read now and then. The majority code identifies all
+//! samples of the number; roundels of the same kind and code are the same in all cameras. A roundel without code is either
+//! a reference, identified by its position, or associated with others by its motion ([`super::association`]).
 
 use std::collections::BTreeMap;
 
@@ -16,94 +15,94 @@ use roundel_vision::{
     time::Timestamp,
 };
 
-/// Fewer readings of a code name nothing.
-const LEAST_READINGS: u32 = 3;
-/// Of a number's readings so many must agree.
+/// Minimum number of readings of a code.
+const MIN_READINGS: u32 = 3;
+/// Minimum share of readings that must agree.
 const AGREEMENT: f64 = 0.7;
-/// Two sightings of one code in one camera that go on beside one another for longer are of two roundels, seconds.
-const MOST_OVERLAP_S: f64 = 0.5;
-/// Stamps that differ from the time of arrival by more than this are of another epoch, seconds.
+/// Two tracks of one code in one camera that overlap for longer are two roundels, seconds.
+const MAX_OVERLAP_S: f64 = 0.5;
+/// Stamps that differ from the time of arrival by more have another epoch, seconds.
 const ANOTHER_EPOCH_S: f64 = 1.0;
 
-/// One camera's detections of one roundel, with times of the camera's clock.
+/// Samples of one track number of a camera.
 #[derive(Clone, Debug, Default)]
-struct Followed {
+struct TrackedRoundel {
     kind: Option<KindId>,
     readings: BTreeMap<Code, u32>,
     samples: Vec<Sample>,
 }
 
-/// One detection.
+/// A detection.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sample {
-    /// By the camera's clock, on the recording's epoch.
+    /// Seconds by the camera's clock, since the recording's epoch.
     pub(super) stamp_s: f64,
     pub(super) place_m: Vector3<f64>,
     pub(super) covariance: Matrix3<f64>,
 }
 
-/// Detections of all cameras over some time: what the arena is calibrated from.
+/// Detections of all cameras: the input of the arena calibration.
 #[derive(Clone, Debug)]
 pub struct Recording {
-    least_gap_s: f64,
+    min_gap_s: f64,
     epoch: Option<Timestamp>,
-    cameras: BTreeMap<CameraId, Heard>,
-    followed: BTreeMap<(CameraId, TrackNumber), Followed>,
+    cameras: BTreeMap<CameraId, CameraTiming>,
+    tracked: BTreeMap<(CameraId, TrackNumber), TrackedRoundel>,
 }
 
-/// What is known of a camera's stamps.
+/// Statistics of a camera's stamps.
 #[derive(Clone, Copy, Debug)]
-struct Heard {
+struct CameraTiming {
     frames: u64,
     first: Timestamp,
     last: Timestamp,
-    /// Least time from stamp to arrival, seconds.
-    least_lateness_s: f64,
+    /// Minimum time from stamp to arrival, seconds.
+    min_lateness_s: f64,
 }
 
-/// Who a followed roundel is.
+/// Identity of a roundel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Name {
+pub(super) enum RoundelKey {
     /// The same in all cameras.
     Coded(KindId, Code),
-    /// Without a code: a camera's number of it, the first of those that move alike.
-    Nameless(CameraId, TrackNumber),
+    /// Without code: track number of a camera, the first of an associated group.
+    Uncoded(CameraId, TrackNumber),
 }
 
-/// By roundel and camera.
-pub(super) type Sorted = BTreeMap<Name, BTreeMap<CameraId, Seen>>;
+/// Samples by roundel and camera.
+pub(super) type SamplesByRoundel = BTreeMap<RoundelKey, BTreeMap<CameraId, RoundelSamples>>;
 
-/// One camera's sightings of one roundel.
+/// Samples of one roundel in one camera.
 #[derive(Clone, Debug)]
-pub(super) struct Seen {
+pub(super) struct RoundelSamples {
     pub(super) kind: Option<KindId>,
     pub(super) samples: Vec<Sample>,
 }
 
 impl Recording {
-    /// Empty. Of one roundel in one camera no more than `most_hz` detections a second are kept.
-    pub fn new(most_hz: f64) -> Self {
+    /// An empty recording that keeps up to `max_hz` detections per second of each roundel and camera.
+    pub fn new(max_hz: f64) -> Self {
         Self {
-            least_gap_s: 0.9 / most_hz,
+            min_gap_s: 0.9 / max_hz,
             epoch: None,
             cameras: BTreeMap::new(),
-            followed: BTreeMap::new(),
+            tracked: BTreeMap::new(),
         }
     }
 
-    /// Adds a frame. Detections without a pose, or with numbers that are not finite, are left out.
+    /// Adds a frame. Detections without a pose or with non-finite numbers are skipped.
     pub fn add(&mut self, frame: &FrameObservations) {
         let epoch = *self.epoch.get_or_insert(frame.received_time);
         let lateness_s = frame.received_time.seconds_since(frame.capture_time);
-        let heard = self.cameras.entry(frame.camera).or_insert(Heard {
+        let timing = self.cameras.entry(frame.camera).or_insert(CameraTiming {
             frames: 0,
             first: frame.received_time,
             last: frame.received_time,
-            least_lateness_s: lateness_s,
+            min_lateness_s: lateness_s,
         });
-        heard.frames += 1;
-        heard.last = heard.last.max(frame.received_time);
-        heard.least_lateness_s = heard.least_lateness_s.min(lateness_s);
+        timing.frames += 1;
+        timing.last = timing.last.max(frame.received_time);
+        timing.min_lateness_s = timing.min_lateness_s.min(lateness_s);
         for detection in &frame.detections {
             let Some(pose) = &detection.pose else { continue };
             let covariance: Matrix3<f64> = pose.covariance.fixed_view::<3, 3>(0, 0).into_owned();
@@ -112,82 +111,79 @@ impl Recording {
             if !is_finite || covariance.cholesky().is_none() {
                 continue;
             }
-            let followed = self.followed.entry((frame.camera, detection.track)).or_default();
-            followed.kind = followed.kind.or(detection.ring.kind);
+            let tracked = self.tracked.entry((frame.camera, detection.track)).or_default();
+            tracked.kind = tracked.kind.or(detection.ring.kind);
             if let Some(code) = detection.ring.code.as_ref().map(|reading| reading.code) {
-                *followed.readings.entry(code).or_default() += 1;
+                *tracked.readings.entry(code).or_default() += 1;
             }
             let stamp_s = detection.capture_time.seconds_since(epoch);
-            let is_due = followed
-                .samples
-                .last()
-                .is_none_or(|last| stamp_s - last.stamp_s >= self.least_gap_s);
+            let is_due =
+                tracked.samples.last().is_none_or(|last| stamp_s - last.stamp_s >= self.min_gap_s);
             if is_due {
                 let place_m = pose.position_m;
-                followed.samples.push(Sample { stamp_s, place_m, covariance });
+                tracked.samples.push(Sample { stamp_s, place_m, covariance });
             }
         }
     }
 
-    /// From the first frame's arrival to the last one's, seconds.
+    /// Time from the arrival of the first frame to that of the last, seconds.
     pub fn length_s(&self) -> f64 {
-        let first = self.cameras.values().map(|heard| heard.first).min();
-        let last = self.cameras.values().map(|heard| heard.last).max();
+        let first = self.cameras.values().map(|timing| timing.first).min();
+        let last = self.cameras.values().map(|timing| timing.last).max();
         first.zip(last).map_or(0.0, |(first, last)| last.seconds_since(first))
     }
 
-    /// Frames of a camera.
+    /// Number of frames of a camera.
     pub fn frames(&self, camera: CameraId) -> u64 {
-        self.cameras.get(&camera).map_or(0, |heard| heard.frames)
+        self.cameras.get(&camera).map_or(0, |timing| timing.frames)
     }
 
     /// Whether a camera saw any roundel.
     pub(super) fn has_seen(&self, camera: CameraId) -> bool {
-        self.followed.keys().any(|(of, _)| *of == camera)
+        self.tracked.keys().any(|(of, _)| *of == camera)
     }
 
-    /// All sightings by roundel and camera, in the order of time, stamps since the recording's middle and on
-    /// the server's epoch where a camera's clock has another; and whose code a camera saw in two places at
-    /// once, which tells nothing and is left out.
-    pub(super) fn sorted(&self) -> (Sorted, Vec<(CameraId, KindId, Code)>) {
+    /// Samples by roundel and camera, sorted by time, with stamps relative to the middle of the recording on the
+    /// server's epoch; and the codes that a camera saw at two positions at once, which are left out.
+    pub(super) fn by_roundel(&self) -> (SamplesByRoundel, Vec<(CameraId, KindId, Code)>) {
         let middle_s = self.length_s() / 2.0;
-        let mut sorted = Sorted::new();
-        let mut twice: BTreeMap<Name, CameraId> = BTreeMap::new();
-        for (&(camera, number), followed) in &self.followed {
-            let name = followed.name().unwrap_or(Name::Nameless(camera, number));
-            let seen = sorted.entry(name).or_default().entry(camera);
-            let seen = seen.or_insert(Seen { kind: followed.kind, samples: Vec::new() });
+        let mut by_roundel = SamplesByRoundel::new();
+        let mut duplicates: BTreeMap<RoundelKey, CameraId> = BTreeMap::new();
+        for (&(camera, number), tracked) in &self.tracked {
+            let name = tracked.name().unwrap_or(RoundelKey::Uncoded(camera, number));
+            let seen = by_roundel.entry(name).or_default().entry(camera);
+            let seen = seen.or_insert(RoundelSamples { kind: tracked.kind, samples: Vec::new() });
             let shift_s = self.epoch_shift_s(camera) - middle_s;
-            let samples: Vec<Sample> = followed
+            let samples: Vec<Sample> = tracked
                 .samples
                 .iter()
                 .map(|sample| Sample { stamp_s: sample.stamp_s + shift_s, ..*sample })
                 .collect();
-            if overlap(&seen.samples, &samples) > MOST_OVERLAP_S {
-                twice.insert(name, camera);
+            if overlap(&seen.samples, &samples) > MAX_OVERLAP_S {
+                duplicates.insert(name, camera);
             }
             seen.samples.extend(samples);
             seen.samples.sort_by(|one, other| one.stamp_s.total_cmp(&other.stamp_s));
         }
-        let coded = twice.into_iter().filter_map(|(name, camera)| match name {
-            Name::Coded(kind, code) => {
-                sorted.remove(&name);
+        let coded = duplicates.into_iter().filter_map(|(name, camera)| match name {
+            RoundelKey::Coded(kind, code) => {
+                by_roundel.remove(&name);
                 Some((camera, kind, code))
             }
-            Name::Nameless(..) => None,
+            RoundelKey::Uncoded(..) => None,
         });
         let coded = coded.collect();
-        (sorted, coded)
+        (by_roundel, coded)
     }
 
-    /// What brings a camera's stamps near the server's time: nothing where they are.
+    /// Shift of a camera's stamps to the server's epoch; 0 if they have it.
     pub(super) fn epoch_shift_s(&self, camera: CameraId) -> f64 {
-        let lateness_s = self.cameras.get(&camera).map_or(0.0, |heard| heard.least_lateness_s);
+        let lateness_s = self.cameras.get(&camera).map_or(0.0, |timing| timing.min_lateness_s);
         if lateness_s.abs() > ANOTHER_EPOCH_S { lateness_s } else { 0.0 }
     }
 }
 
-/// How long two sightings of one name go on beside one another, seconds.
+/// Duration for which two tracks overlap, seconds.
 pub(super) fn overlap(ones: &[Sample], others: &[Sample]) -> f64 {
     let span = |samples: &[Sample]| Some((samples.first()?.stamp_s, samples.last()?.stamp_s));
     let Some((one, other)) = span(ones).zip(span(others)) else { return 0.0 };
@@ -195,16 +191,16 @@ pub(super) fn overlap(ones: &[Sample], others: &[Sample]) -> f64 {
     let within = |samples: &[Sample]| {
         samples.iter().filter(|sample| (from_s..=to_s).contains(&sample.stamp_s)).count()
     };
-    // One that comes and goes may have been another number in between.
+    // A track that comes and goes may have had another number in between.
     if within(ones) < 3 || within(others) < 3 { 0.0 } else { to_s - from_s }
 }
 
-impl Followed {
-    fn name(&self) -> Option<Name> {
+impl TrackedRoundel {
+    fn name(&self) -> Option<RoundelKey> {
         let (&code, &readings) = self.readings.iter().max_by_key(|(_, readings)| **readings)?;
         let all: u32 = self.readings.values().sum();
         let is_clear =
-            readings >= LEAST_READINGS && f64::from(readings) >= AGREEMENT * f64::from(all);
-        is_clear.then_some(Name::Coded(self.kind?, code))
+            readings >= MIN_READINGS && f64::from(readings) >= AGREEMENT * f64::from(all);
+        is_clear.then_some(RoundelKey::Coded(self.kind?, code))
     }
 }

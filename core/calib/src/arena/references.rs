@@ -1,18 +1,18 @@
-//! References among what was seen, and the cameras that see three or more of them.
+//! Reference roundels among the samples, and the cameras located by them.
 //!
-//! A reference with a code is known by it; those without are found by their mutual distances among what
-//! stands still ([`roundel_fusion::world::reference::identify`]). What a camera saw of one is averaged: with share q
-//! of the variance Σ staying for a time τ, the mean over T ≫ τ and N frames has
-//! Σ (q min(1, 2 τ / T) + (1 - q) / N). One that was moved meanwhile is seen by means of stretches that
-//! differ; one that was never where it was said to be by what leaving it out does to the fit.
+//! Coded references are identified by their codes; uncoded ones by their mutual distances among the stationary roundels
+//! ([`roundel_fusion::world::reference::identify`]). The samples of a camera are averaged: if a share q of the variance Σ
+//! is correlated over a time τ, the mean over T ≫ τ and N frames has Σ (q min(1, 2 τ / T) + (1 - q) / N). References that
+//! were moved during the recording show by differing means over time; references at a wrong stated position show by the
+//! effect of leaving them out.
 
 use std::collections::BTreeMap;
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
-    ArenaCamera, ArenaError, ArenaParams, LensDeviation, Placed,
-    recording::{Name, Sample, Seen, Sorted},
+    ArenaCamera, ArenaError, ArenaParams, CameraPoses, LensDeviation,
+    recording::{RoundelKey, RoundelSamples, Sample, SamplesByRoundel},
 };
 use roundel_fusion::world::{
     Landmark,
@@ -24,55 +24,55 @@ use roundel_vision::{
     rigid::{Rigid, mahalanobis_squared},
 };
 
-/// Means over this long are compared, seconds.
-const STRETCH_S: f64 = 2.0;
-/// A mean that is off by more deviations and more metres than these has moved.
+/// Duration of the compared means, seconds.
+const BLOCK_S: f64 = 2.0;
+/// Means that differ by more than both limits indicate motion.
 const MOVED_DEVIATIONS: f64 = 6.0;
 const MOVED_M: f64 = 0.003;
-/// What stands still spreads no more than this, rms, beyond its noise, metres.
-const STILL_M: f64 = 0.003;
-/// A reference's squared distance from its place, over its covariance, beyond which something is wrong
-/// (χ², 3 degrees of freedom: 1 - 10⁻⁶).
-const WRONG_SQUARED: f64 = 30.7;
-/// What a stated place may be off without being called wrong, metres.
-const LEAST_WRONG_M: f64 = 0.002;
+/// Maximum rms spread of a stationary roundel beyond its noise, metres.
+const STATIONARY_M: f64 = 0.003;
+/// Squared Mahalanobis distance of an outlier (χ², 3 degrees of freedom: 1 - 10⁻⁶).
+const OUTLIER_SQUARED: f64 = 30.7;
+/// Minimum distance of an outlier from its stated position, metres.
+const MIN_OUTLIER_M: f64 = 0.002;
 
-/// One reference as cameras see it.
+/// A reference and its observations.
 #[derive(Clone, Debug)]
-pub(super) struct Stands {
-    /// In the order given.
+pub(super) struct ObservedReference {
+    /// Index in the given order.
     pub(super) index: usize,
     pub(super) position_m: Vector3<f64>,
     pub(super) deviation_m: f64,
-    /// Mean of each camera that sees it.
+    /// Mean sample of each camera that sees it.
     pub(super) seen: Vec<(usize, Sample)>,
 }
 
-/// All references that are of use.
+/// All usable references.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Standing {
-    pub(super) references: Vec<Stands>,
-    /// By camera: where it is by the references alone.
-    pub(super) placed: Placed,
-    /// Reference, camera, by how much it moved.
+pub(super) struct ReferenceSet {
+    pub(super) references: Vec<ObservedReference>,
+    /// Pose of each camera from the references alone.
+    pub(super) camera_poses: CameraPoses,
+    /// Reference, camera, distance moved.
     pub(super) moved: Vec<(usize, usize, f64)>,
-    /// Reference, camera, how far it is from where it was said to be.
+    /// Reference, camera, distance from the stated position.
     pub(super) misplaced: Vec<(usize, usize, f64)>,
     pub(super) unseen: Vec<usize>,
 }
 
-/// Takes the references out of what was seen.
+/// Removes the references from the samples and locates the cameras that see three or more.
 pub(super) fn take(
-    sorted: &mut Sorted,
+    by_roundel: &mut SamplesByRoundel,
     cameras: &[ArenaCamera],
     landmarks: &[Landmark],
     params: &ArenaParams,
-) -> Result<Standing, ArenaError> {
+) -> Result<ReferenceSet, ArenaError> {
     let index_of = |id: CameraId| cameras.iter().position(|camera| camera.id == id);
-    let mut standing = Standing { placed: vec![None; cameras.len()], ..Standing::default() };
-    let mut seen = coded(sorted, landmarks);
+    let mut reference_set =
+        ReferenceSet { camera_poses: vec![None; cameras.len()], ..ReferenceSet::default() };
+    let mut seen = coded(by_roundel, landmarks);
     for camera in cameras {
-        nameless(sorted, camera.id, landmarks, &mut seen, params)?;
+        uncoded(by_roundel, camera.id, landmarks, &mut seen, params)?;
     }
     for (index, landmark) in landmarks.iter().enumerate() {
         let mut means = Vec::new();
@@ -80,15 +80,15 @@ pub(super) fn take(
             let Some(camera) = index_of(camera) else { continue };
             let (mean, moved_m) = mean(&seen.samples, params);
             match (mean, moved_m) {
-                (_, Some(moved_m)) => standing.moved.push((index, camera, moved_m)),
+                (_, Some(moved_m)) => reference_set.moved.push((index, camera, moved_m)),
                 (Some(mean), None) => means.push((camera, mean)),
                 (None, None) => {}
             }
         }
-        if means.is_empty() && !standing.moved.iter().any(|moved| moved.0 == index) {
-            standing.unseen.push(index);
+        if means.is_empty() && !reference_set.moved.iter().any(|moved| moved.0 == index) {
+            reference_set.unseen.push(index);
         }
-        standing.references.push(Stands {
+        reference_set.references.push(ObservedReference {
             index,
             position_m: landmark.position_m,
             deviation_m: landmark.position_deviation_m,
@@ -96,91 +96,95 @@ pub(super) fn take(
         });
     }
     for (index, camera) in cameras.iter().enumerate() {
-        place(&mut standing, camera, index)?;
+        locate_camera(&mut reference_set, camera, index)?;
     }
-    if standing.placed.iter().all(Option::is_none) {
+    if reference_set.camera_poses.iter().all(Option::is_none) {
         let count = |camera: usize| {
-            standing.references.iter().filter(|r| r.seen.iter().any(|s| s.0 == camera)).count()
+            reference_set.references.iter().filter(|r| r.seen.iter().any(|s| s.0 == camera)).count()
         };
         let seen = (0..cameras.len()).map(|index| (cameras[index].id, count(index))).collect();
         return Err(ArenaError::References { seen });
     }
-    Ok(standing)
+    Ok(reference_set)
 }
 
-/// Those with codes, by reference.
-fn coded(sorted: &mut Sorted, landmarks: &[Landmark]) -> BTreeMap<usize, BTreeMap<CameraId, Seen>> {
+/// Samples of coded references by reference.
+fn coded(
+    by_roundel: &mut SamplesByRoundel,
+    landmarks: &[Landmark],
+) -> BTreeMap<usize, BTreeMap<CameraId, RoundelSamples>> {
     let coded = landmarks.iter().enumerate().filter_map(|(index, landmark)| {
-        let name = Name::Coded(landmark.kind, landmark.code?);
-        Some((index, sorted.remove(&name)?))
+        let name = RoundelKey::Coded(landmark.kind, landmark.code?);
+        Some((index, by_roundel.remove(&name)?))
     });
     coded.collect()
 }
 
-/// Those without, as one camera sees them.
-fn nameless(
-    sorted: &mut Sorted,
+/// Moves samples of uncoded references in one camera to `seen`.
+fn uncoded(
+    by_roundel: &mut SamplesByRoundel,
     camera: CameraId,
     landmarks: &[Landmark],
-    seen: &mut BTreeMap<usize, BTreeMap<CameraId, Seen>>,
+    seen: &mut BTreeMap<usize, BTreeMap<CameraId, RoundelSamples>>,
     params: &ArenaParams,
 ) -> Result<(), ArenaError> {
-    let wanted: Vec<usize> =
+    let uncoded_indices: Vec<usize> =
         (0..landmarks.len()).filter(|&index| landmarks[index].code.is_none()).collect();
-    if wanted.len() < 3 {
+    if uncoded_indices.len() < 3 {
         return Ok(());
     }
-    let kinds: Vec<_> = wanted.iter().map(|&index| landmarks[index].kind).collect();
-    let mut still: Vec<(Name, Sighting)> = Vec::new();
-    for (name, seen) in sorted.iter() {
-        let Name::Nameless(of, _) = name else { continue };
+    let kinds: Vec<_> = uncoded_indices.iter().map(|&index| landmarks[index].kind).collect();
+    let mut stationary: Vec<(RoundelKey, Sighting)> = Vec::new();
+    for (name, seen) in by_roundel.iter() {
+        let RoundelKey::Uncoded(of, _) = name else { continue };
         let Some(seen) = seen.get(&camera).filter(|_| *of == camera) else { continue };
         let is_kind = seen.kind.is_some_and(|kind| kinds.contains(&kind));
         let (Some(mean), None) = mean(&seen.samples, params) else { continue };
-        if is_kind && is_still(&seen.samples, &mean) {
-            still.push((*name, Sighting { position_m: mean.place_m, covariance: mean.covariance }));
+        if is_kind && is_stationary(&seen.samples, &mean) {
+            stationary
+                .push((*name, Sighting { position_m: mean.place_m, covariance: mean.covariance }));
         }
     }
-    let references: Vec<Reference> = wanted
+    let references: Vec<Reference> = uncoded_indices
         .iter()
         .map(|&index| Reference {
             position_m: landmarks[index].position_m,
             normal: landmarks[index].orientation.map(|turn| turn * Vector3::z()),
         })
         .collect();
-    let sightings: Vec<Sighting> = still.iter().map(|(_, sighting)| *sighting).collect();
+    let sightings: Vec<Sighting> = stationary.iter().map(|(_, sighting)| *sighting).collect();
     if sightings.len() < 3 {
         return Ok(());
     }
-    // A camera that does not see them is none of the references' business.
+    // The camera does not see the references.
     let Ok(found) = reference::identify(&references, &sightings) else { return Ok(()) };
-    for (index, found) in std::iter::zip(wanted, found) {
-        let Some((name, _)) = found.map(|at| still[at]) else { continue };
-        if let Some(taken) = sorted.remove(&name).and_then(|mut seen| seen.remove(&camera)) {
+    for (index, found) in std::iter::zip(uncoded_indices, found) {
+        let Some((name, _)) = found.map(|at| stationary[at]) else { continue };
+        if let Some(taken) = by_roundel.remove(&name).and_then(|mut seen| seen.remove(&camera)) {
             seen.entry(index).or_default().insert(camera, taken);
         }
     }
     Ok(())
 }
 
-fn is_still(samples: &[Sample], mean: &Sample) -> bool {
+fn is_stationary(samples: &[Sample], mean: &Sample) -> bool {
     let square: f64 = samples.iter().map(|s| (s.place_m - mean.place_m).norm_squared()).sum();
     let noise: f64 = samples.iter().map(|s| s.covariance.trace()).sum();
     let count = samples.len() as f64;
-    square / count < 4.0 * noise / count + STILL_M * STILL_M
+    square / count < 4.0 * noise / count + STATIONARY_M * STATIONARY_M
 }
 
-/// Mean with its covariance, or by how much it moved.
+/// Mean with its covariance, or the distance by which it moved.
 fn mean(samples: &[Sample], params: &ArenaParams) -> (Option<Sample>, Option<f64>) {
     let Some(first) = samples.first() else { return (None, None) };
     let whole = average(samples, params);
-    let stretch = |sample: &Sample| ((sample.stamp_s - first.stamp_s) / STRETCH_S).floor() as i64;
+    let block = |sample: &Sample| ((sample.stamp_s - first.stamp_s) / BLOCK_S).floor() as i64;
     let parts: Vec<Sample> = samples
-        .chunk_by(|one, other| stretch(one) == stretch(other))
+        .chunk_by(|one, other| block(one) == block(other))
         .filter(|part| part.len() >= 5)
         .filter_map(|part| average(part, params))
         .collect();
-    // Compared with the first and the last, between which it would have moved.
+    // Compares the first and the last mean.
     let moved_m = parts.first().zip(parts.last()).and_then(|(one, other)| {
         let apart = other.place_m - one.place_m;
         let square = mahalanobis_squared(&apart, &(one.covariance + other.covariance))?;
@@ -201,78 +205,81 @@ fn average(samples: &[Sample], params: &ArenaParams) -> Option<Sample> {
         weighted += weight * sample.place_m;
     }
     let inverse = information.cholesky()?.inverse();
-    // Of what stands, each frame shows the same pixels: what is systematic stays.
+    // All frames of a stationary roundel show the same pixels, so systematic errors do not average out.
     let stays = params.systematic_share.clamp(0.0, 1.0);
     let covariance = inverse * count * (stays + (1.0 - stays) / count);
     Some(Sample { stamp_s: first.stamp_s, place_m: inverse * weighted, covariance })
 }
 
-/// Where a camera is by the references alone; one that fits with no others is left out.
-fn place(
-    standing: &mut Standing,
+/// Locates a camera by the references. A reference that is inconsistent with all others is left out.
+fn locate_camera(
+    reference_set: &mut ReferenceSet,
     ArenaCamera { id, lens, lens_deviation }: &ArenaCamera,
     camera: usize,
 ) -> Result<(), ArenaError> {
     let id = *id;
-    let sure = |seen: &Sample| lensed(seen, lens, lens_deviation.as_ref());
+    let widened = |seen: &Sample| with_lens_uncertainty(seen, lens, lens_deviation.as_ref());
     loop {
-        let view = view(standing, camera, sure);
+        let view = view(reference_set, camera, widened);
         if view.len() < 3 {
             return Ok(());
         }
-        let place = fit(&view).map_err(|source| ArenaError::Placing { camera: id, source })?;
-        let wrong = worst(&view, &place);
-        if wrong.is_none() {
-            standing.placed[camera] = Some(place);
+        let pose = fit(&view).map_err(|source| ArenaError::Placing { camera: id, source })?;
+        let outlier = worst(&view, &pose);
+        if outlier.is_none() {
+            reference_set.camera_poses[camera] = Some(pose);
             return Ok(());
         }
-        // Right is what is left if just one way of leaving one out makes all others fit.
+        // Unambiguous if leaving out exactly one reference makes the others consistent.
         let without = |index: usize| {
             let rest: Vec<_> = view.iter().filter(|one| one.0 != index).copied().collect();
-            let place = fit(&rest).ok()?;
-            worst(&rest, &place).is_none().then_some((index, place))
+            let pose = fit(&rest).ok()?;
+            worst(&rest, &pose).is_none().then_some((index, pose))
         };
-        let cures: Vec<(usize, Rigid)> = if view.len() > 3 {
+        let remedies: Vec<(usize, Rigid)> = if view.len() > 3 {
             view.iter().filter_map(|one| without(one.0)).collect()
         } else {
             Vec::new()
         };
-        let [(index, place)] = cures[..] else {
-            let off = |one: &(usize, Stated, Sighting)| (one.0, off(one, &place).0);
+        let [(index, pose)] = remedies[..] else {
+            let offset = |one: &(usize, Stated, Sighting)| (one.0, offset(one, &pose).0);
             return Err(ArenaError::Misplaced {
                 camera: id,
-                offs_m: view.iter().map(off).collect(),
+                offs_m: view.iter().map(offset).collect(),
             });
         };
         if let Some(one) = view.iter().find(|one| one.0 == index) {
-            standing.misplaced.push((index, camera, off(one, &place).0));
+            reference_set.misplaced.push((index, camera, offset(one, &pose).0));
         }
-        // Wrong for one camera is wrong for all.
-        for reference in standing.references.iter_mut().filter(|one| one.index == index) {
+        // Drop it for all cameras.
+        for reference in reference_set.references.iter_mut().filter(|one| one.index == index) {
             reference.seen.clear();
         }
     }
 }
 
-/// Where a reference was said to be, and how well that is known.
+/// Stated position and its standard deviation.
 type Stated = (Vector3<f64>, f64);
 
 /// References that a camera sees.
 fn view(
-    standing: &Standing,
+    reference_set: &ReferenceSet,
     camera: usize,
-    sure: impl Fn(&Sample) -> Sighting,
+    widened: impl Fn(&Sample) -> Sighting,
 ) -> Vec<(usize, Stated, Sighting)> {
-    let seen = standing.references.iter().filter_map(|one| {
+    let seen = reference_set.references.iter().filter_map(|one| {
         let (_, mean) = one.seen.iter().find(|(other, _)| *other == camera)?;
-        Some((one.index, (one.position_m, one.deviation_m), sure(mean)))
+        Some((one.index, (one.position_m, one.deviation_m), widened(mean)))
     });
     seen.collect()
 }
 
-/// What a lens that is not exactly known adds: along the line of sight by the focal length, across by the
-/// principal point.
-fn lensed(seen: &Sample, lens: &Camera, deviation: Option<&LensDeviation>) -> Sighting {
+/// Adds the uncertainty of the lens: along the line of sight by the focal length, across by the principal point.
+fn with_lens_uncertainty(
+    seen: &Sample,
+    lens: &Camera,
+    deviation: Option<&LensDeviation>,
+) -> Sighting {
     let mut covariance = seen.covariance;
     if let Some(LensDeviation { focal, center_px, .. }) = deviation {
         let along = seen.place_m.normalize();
@@ -290,29 +297,29 @@ fn fit(view: &[(usize, Stated, Sighting)]) -> Result<Rigid, reference::Reference
     Ok(align_stated(&stated, &seen)?.world_from_camera)
 }
 
-/// Distance from the stated place, metres, and its square over the covariance.
-fn off(one: &(usize, Stated, Sighting), place: &Rigid) -> (f64, f64) {
-    let (error, covariance) = error(one, place);
+/// Distance from the stated position, metres, and squared Mahalanobis distance.
+fn offset(one: &(usize, Stated, Sighting), pose: &Rigid) -> (f64, f64) {
+    let (error, covariance) = error(one, pose);
     (error.norm(), mahalanobis_squared(&error, &covariance).unwrap_or(f64::INFINITY))
 }
 
-/// From the stated place to where a camera there sees it, and how well both are known.
+/// Offset from the stated position, and its covariance.
 fn error(
     (_, stated, sighting): &(usize, Stated, Sighting),
-    place: &Rigid,
+    pose: &Rigid,
 ) -> (Vector3<f64>, Matrix3<f64>) {
-    let turn = place.rotation.to_rotation_matrix().into_inner();
-    let seen_m = place.transform_point(&sighting.position_m.into()).coords;
+    let turn = pose.rotation.to_rotation_matrix().into_inner();
+    let seen_m = pose.transform_point(&sighting.position_m.into()).coords;
     let covariance = turn * sighting.covariance * turn.transpose()
         + Matrix3::from_diagonal_element(stated.1 * stated.1);
     (seen_m - stated.0, covariance)
 }
 
-/// The one that is off by most, if that is too much.
-fn worst(view: &[(usize, Stated, Sighting)], place: &Rigid) -> Option<usize> {
+/// Index of the worst outlier, if there is one.
+fn worst(view: &[(usize, Stated, Sighting)], pose: &Rigid) -> Option<usize> {
     view.iter()
-        .map(|one| (one.0, off(one, place)))
-        .filter(|(_, (off_m, square))| *square > WRONG_SQUARED && *off_m > LEAST_WRONG_M)
+        .map(|one| (one.0, offset(one, pose)))
+        .filter(|(_, (off_m, square))| *square > OUTLIER_SQUARED && *off_m > MIN_OUTLIER_M)
         .max_by(|one, other| one.1.1.total_cmp(&other.1.1))
         .map(|(index, _)| index)
 }

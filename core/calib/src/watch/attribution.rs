@@ -1,103 +1,111 @@
-//! Who of several cameras moved.
+//! Attributes disagreements to the cameras that moved.
 //!
-//! Freeing the cameras S, with all others as they are, takes a gain off the cost of all meetings. A camera
-//! that moved disagrees with each of the others, and freeing it brings agreement, while freeing one of
-//! the others cannot bring it into line with the moved one and with the rest at once. So of all S of one
-//! camera, or of two where one does not bring agreement, that with the least cost is at fault, unless another
-//! costs hardly more: two cameras alone explain a disagreement equally well, each by itself. Then all that is
-//! known is that one of them moved.
+//! Freeing the poses of some cameras, with all others fixed, reduces the total cost of all co-observations. A camera that
+//! moved disagrees with every other one, and freeing it restores agreement; freeing one of the others cannot make it agree
+//! with the moved camera and with the rest at once. Among all single cameras, and all pairs if no single one suffices, the
+//! hypothesis of the lowest cost is chosen unless another costs hardly more. Two cameras alone explain a disagreement
+//! equally well, so it remains unclear which one moved.
 
 use std::collections::BTreeSet;
 
 use super::{
     co_observation::Roundel,
-    pose_fit::{Fit, Round, cost, excess, first_gain, release},
+    pose_fit::{Comparison, PoseFit, cost, excess, first_gain, fit_pose},
 };
 use roundel_vision::rigid::Rigid;
 
-/// A gain below this is chance: χ² of 6 beyond 1 - 10⁻¹⁰.
+/// Smaller gains are noise: χ² of 6 beyond 1 - 10⁻¹⁰.
 const SURE_GAIN: f64 = 60.0;
-/// Cameras whose first step would gain less than this are not looked at any further.
+/// Minimum gain of a camera's first step.
 const FIRST_GAIN: f64 = 30.0;
-/// Others that cost no more than this above the best, and this share of its gain, may be at fault as well.
+/// Hypotheses within this cost, and this share of the gain, of the best one are equally likely.
 const CLEAR_COST: f64 = 30.0;
 const CLEAR_SHARE: f64 = 0.01;
-/// Roundels that have to say so: of one alone the code may be shown twice.
-const LEAST_ROUNDELS: usize = 2;
-/// Cameras taken first when pairs are tried.
-const TRIED_FIRST: usize = 4;
-/// Times that two cameras take turns.
+/// Minimum number of roundels, since a code may be shown twice.
+const MIN_ROUNDELS: usize = 2;
+/// Number of best single cameras that are combined into pairs.
+const MAX_FIRST_CAMERAS: usize = 4;
+/// Alternations between two freed cameras.
 const TURNS: usize = 6;
 
-/// What disagreements say.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Verdict {
-    /// There are none that matter.
+    /// No significant disagreement.
     Agreed,
-    /// These moved, by their posts.
+    /// These slots moved, with their new poses.
     Moved(Vec<(usize, Rigid)>),
-    /// One of these moved.
+    /// One of these slots moved.
     Unclear(Vec<usize>),
 }
 
-/// Cameras freed and what came of it.
+/// Freed cameras and the result.
 struct Hypothesis {
-    freed: Vec<(usize, Fit)>,
+    freed: Vec<(usize, PoseFit)>,
     cost: f64,
-    rounds: Vec<Round>,
+    comparisons: Vec<Comparison>,
 }
 
 impl Hypothesis {
-    fn is_move(&self, least_m: &[f64]) -> bool {
-        self.freed.iter().all(|(post, fit)| fit.moved_m > least_m[*post])
+    fn is_move(&self, min_m: &[f64]) -> bool {
+        self.freed.iter().all(|(slot, fit)| fit.moved_m > min_m[*slot])
     }
 
-    fn posts(&self) -> Vec<usize> {
-        let mut posts: Vec<usize> = self.freed.iter().map(|(post, _)| *post).collect();
-        posts.sort_unstable();
-        posts
+    fn slots(&self) -> Vec<usize> {
+        let mut slots: Vec<usize> = self.freed.iter().map(|(slot, _)| *slot).collect();
+        slots.sort_unstable();
+        slots
     }
 }
 
-/// Judges rounds with cameras at these places; of each, what it sees has to be off by more than `least_m`.
-pub(super) fn judge(rounds: &[Round], places: &[Option<Rigid>], least_m: &[f64]) -> Verdict {
-    let stirs = |post: &usize| {
-        places[*post].is_some_and(|place| first_gain(rounds, *post, &place) > FIRST_GAIN)
-            && is_backed(rounds, *post)
+/// Judges comparisons of cameras at these poses. A camera counts as moved if its view is off by more than its
+/// `min_m`.
+pub(super) fn attribute(
+    comparisons: &[Comparison],
+    poses: &[Option<Rigid>],
+    min_m: &[f64],
+) -> Verdict {
+    let is_suspect = |slot: &usize| {
+        poses[*slot].is_some_and(|pose| first_gain(comparisons, *slot, &pose) > FIRST_GAIN)
+            && has_enough_roundels(comparisons, *slot)
     };
-    let posts: Vec<usize> = (0..places.len()).filter(stirs).collect();
-    let base = cost(rounds);
+    let slots: Vec<usize> = (0..poses.len()).filter(is_suspect).collect();
+    let base = cost(comparisons);
     let mut singles: Vec<Hypothesis> =
-        posts.iter().filter_map(|post| free(rounds, places, &[*post])).collect();
+        slots.iter().filter_map(|slot| free_cameras(comparisons, poses, &[*slot])).collect();
     singles.sort_by(|one, other| one.cost.total_cmp(&other.cost));
     let Some(best) = singles.first() else { return Verdict::Agreed };
-    let matters =
-        |gain: f64, post: usize, fit: &Fit| gain > SURE_GAIN && fit.moved_m > least_m[post];
+    let is_significant =
+        |gain: f64, slot: usize, fit: &PoseFit| gain > SURE_GAIN && fit.moved_m > min_m[slot];
     let (first, fit) = &best.freed[0];
-    if !matters(base - best.cost, *first, fit) {
+    if !is_significant(base - best.cost, *first, fit) {
         return Verdict::Agreed;
     }
-    // Does anybody else have to move, once the best one has?
-    let is_enough = posts.iter().filter(|post| *post != first).all(|post| {
-        let mut rest = best.rounds.clone();
-        let fit = places[*post].and_then(|place| release(&mut rest, *post, &place));
-        fit.is_none_or(|fit| !matters(best.cost - cost(&rest), *post, &fit))
+    // Is any other camera still significant after freeing the best one?
+    let is_enough = slots.iter().filter(|slot| *slot != first).all(|slot| {
+        let mut rest = best.comparisons.clone();
+        let fit = poses[*slot].and_then(|pose| fit_pose(&mut rest, *slot, &pose));
+        fit.is_none_or(|fit| !is_significant(best.cost - cost(&rest), *slot, &fit))
     });
     let mut pairs: Vec<Hypothesis> = Vec::new();
     if !is_enough {
-        for (rank, first) in singles.iter().enumerate().take(TRIED_FIRST) {
+        for (rank, first) in singles.iter().enumerate().take(MAX_FIRST_CAMERAS) {
             for second in &singles[rank + 1..] {
-                pairs.extend(free(rounds, places, &[first.freed[0].0, second.freed[0].0]));
+                pairs.extend(free_cameras(
+                    comparisons,
+                    poses,
+                    &[first.freed[0].0, second.freed[0].0],
+                ));
             }
         }
         pairs.sort_by(|one, other| one.cost.total_cmp(&other.cost));
     }
-    // What no move explains is noise; while it is not known who moved, much of it is not.
+    // Disagreement that no motion explains is noise. While the moved camera is unknown, the estimate of the noise
+    // is too high.
     let is_better = |pair: &&Hypothesis| {
-        best.cost - pair.cost > SURE_GAIN * excess(&pair.rounds) && pair.is_move(least_m)
+        best.cost - pair.cost > SURE_GAIN * excess(&pair.comparisons) && pair.is_move(min_m)
     };
     let sorted = if pairs.first().filter(is_better).is_some() { &pairs } else { &singles };
-    let scale = excess(&sorted[0].rounds);
+    let scale = excess(&sorted[0].comparisons);
     if base - sorted[0].cost > SURE_GAIN * scale {
         verdict(sorted, base, scale)
     } else {
@@ -105,37 +113,41 @@ pub(super) fn judge(rounds: &[Round], places: &[Option<Rigid>], least_m: &[f64])
     }
 }
 
-/// Whether enough roundels tell of a camera.
-pub(super) fn is_backed(rounds: &[Round], post: usize) -> bool {
-    let met = rounds.iter().filter(|round| round.posts().any(|it| it == post));
-    let roundels: BTreeSet<Roundel> = met.map(|round| round.roundel).collect();
-    roundels.len() >= LEAST_ROUNDELS
+/// Whether a camera shares enough roundels.
+pub(super) fn has_enough_roundels(comparisons: &[Comparison], slot: usize) -> bool {
+    let met = comparisons.iter().filter(|comparison| comparison.slots().any(|it| it == slot));
+    let roundels: BTreeSet<Roundel> = met.map(|comparison| comparison.roundel).collect();
+    roundels.len() >= MIN_ROUNDELS
 }
 
-fn free(rounds: &[Round], places: &[Option<Rigid>], posts: &[usize]) -> Option<Hypothesis> {
-    let mut rounds = rounds.to_vec();
+fn free_cameras(
+    comparisons: &[Comparison],
+    poses: &[Option<Rigid>],
+    slots: &[usize],
+) -> Option<Hypothesis> {
+    let mut comparisons = comparisons.to_vec();
     let mut freed = Vec::new();
-    for _ in 0..if posts.len() > 1 { TURNS } else { 1 } {
+    for _ in 0..if slots.len() > 1 { TURNS } else { 1 } {
         freed.clear();
-        for post in posts {
-            freed.push((*post, release(&mut rounds, *post, &places[*post]?)?));
+        for slot in slots {
+            freed.push((*slot, fit_pose(&mut comparisons, *slot, &poses[*slot]?)?));
         }
     }
-    Some(Hypothesis { freed, cost: cost(&rounds), rounds })
+    Some(Hypothesis { freed, cost: cost(&comparisons), comparisons })
 }
 
-/// Of hypotheses by cost: who moved in all of them that explain about equally well.
+/// Cameras that moved in all hypotheses of about the same cost.
 fn verdict(sorted: &[Hypothesis], base: f64, scale: f64) -> Verdict {
     let best = &sorted[0];
-    let most = best.cost + CLEAR_COST * scale + CLEAR_SHARE * (base - best.cost);
+    let max = best.cost + CLEAR_COST * scale + CLEAR_SHARE * (base - best.cost);
     let likely: Vec<Vec<usize>> =
-        sorted.iter().filter(|it| it.cost <= most).map(Hypothesis::posts).collect();
-    let in_all = |post: &usize| likely.iter().all(|posts| posts.contains(post));
+        sorted.iter().filter(|it| it.cost <= max).map(Hypothesis::slots).collect();
+    let in_all = |slot: &usize| likely.iter().all(|slots| slots.contains(slot));
     let moved: Vec<(usize, Rigid)> = best
         .freed
         .iter()
-        .filter(|(post, _)| in_all(post))
-        .map(|(post, fit)| (*post, fit.place))
+        .filter(|(slot, _)| in_all(slot))
+        .map(|(slot, fit)| (*slot, fit.pose))
         .collect();
     if moved.is_empty() {
         let all: BTreeSet<usize> = likely.into_iter().flatten().collect();

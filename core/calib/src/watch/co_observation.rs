@@ -1,13 +1,13 @@
-//! Views of one roundel in one bin by several cameras, or by one and from where it is known to be.
+//! Groups the views of one roundel in one bin by several cameras, or by one camera and a landmark.
 //!
-//! Roundels are told apart by kind and code. Those without a code meet where each is the other's nearest in
-//! the world and nothing else is near ([`NEAR_M`]).
+//! Roundels are identified by kind and code. Views without a code match if each is the other's nearest in the world and no
+//! other is near ([`NEAR_M`]).
 
 use std::collections::{BTreeMap, btree_map::Entry};
 
 use nalgebra::{Point3, Vector3};
 
-use super::{BIN_S, track::Sight};
+use super::{BIN_S, track::RoundelView};
 use roundel_fusion::world::Landmark;
 use roundel_vision::{
     id::{KindId, TrackNumber},
@@ -15,67 +15,66 @@ use roundel_vision::{
     rigid::Rigid,
 };
 
-/// Views without a code are of one roundel if they are no further apart than this, and no other is within
-/// twice of it, metres.
+/// Maximum distance of matching views without a code; no other view may be within twice this, metres.
 pub(super) const NEAR_M: f64 = 0.2;
-/// A roundel stands while it stays within this, metres.
-const STANDS_M: f64 = 0.15;
-/// A roundel that was not met for so long is new, bins.
+/// A roundel rests while it stays within this, metres.
+const REST_M: f64 = 0.15;
+/// A roundel that was not observed for this long is new, bins.
 const FORGOTTEN_BINS: i64 = 2400;
-/// A landmark's place is not believed to be better, metres.
-const LEAST_DEVIATION_M: f64 = 2e-5;
+/// Minimum standard deviation of a landmark, metres.
+const MIN_DEVIATION_M: f64 = 2e-5;
 
-/// Which roundel.
+/// Identity of a roundel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Roundel {
-    /// A landmark, by its place in the list.
+    /// Index of a landmark.
     Fixed(usize),
     /// By its code.
     Coded(KindId, Code),
-    /// By the number that the first of the cameras gave it, and which that is.
-    Plain(usize, TrackNumber),
+    /// Slot of the first camera and its track number.
+    Uncoded(usize, TrackNumber),
 }
 
-/// A roundel in one camera, before it is known with which others it meets.
+/// View of a roundel in one camera before matching.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Single {
-    pub(super) post: usize,
+pub(super) struct SingleView {
+    pub(super) slot: usize,
     pub(super) number: TrackNumber,
     pub(super) kind: KindId,
     pub(super) code: Option<Code>,
-    pub(super) sight: Sight,
+    pub(super) view: RoundelView,
 }
 
-/// Several views of one roundel.
+/// Matched views of one roundel.
 #[derive(Clone, Debug)]
-pub(super) struct Meeting {
+pub(super) struct CoObservation {
     pub(super) roundel: Roundel,
-    /// Cameras by their post.
-    pub(super) sights: Vec<(usize, Sight)>,
-    /// Where it is known to be and with what variance, metres.
+    /// Views with the slots of their cameras.
+    pub(super) views: Vec<(usize, RoundelView)>,
+    /// Known position and its variance, metres and metres².
     pub(super) fixed: Option<(Vector3<f64>, f64)>,
-    /// For how long it stood where it is.
-    pub(super) stood_s: f64,
+    /// Time for which it has been resting, seconds.
+    pub(super) rest_s: f64,
 }
 
-impl Meeting {
-    /// As if that camera had not been there.
-    pub(super) fn forget(&mut self, post: usize) {
-        self.sights.retain(|(it, _)| *it != post);
+impl CoObservation {
+    /// Removes the view of a camera.
+    pub(super) fn forget(&mut self, slot: usize) {
+        self.views.retain(|(it, _)| *it != slot);
     }
 }
 
-/// How long roundels stood.
+/// Resting times of roundels.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Stands {
-    /// Place, bin of the arrival there and of the last sight.
+pub(super) struct RestTimes {
+    /// Position, bin of arrival, and bin of the last view.
     at: BTreeMap<Roundel, (Vector3<f64>, i64, i64)>,
 }
 
-impl Stands {
+impl RestTimes {
     fn since(&mut self, roundel: Roundel, place_m: &Vector3<f64>, bin: i64) -> f64 {
         let (from_m, arrived, seen) = self.at.entry(roundel).or_insert((*place_m, bin, bin));
-        if (place_m - *from_m).norm() > STANDS_M {
+        if (place_m - *from_m).norm() > REST_M {
             (*from_m, *arrived) = (*place_m, bin);
         }
         *seen = bin;
@@ -87,113 +86,117 @@ impl Stands {
     }
 }
 
-/// Sorts a bin's views by roundel; one that is seen twice by a camera is left out, and who sees one alone.
-pub(super) fn meet(
-    singles: &[Single],
-    places: &[Rigid],
+/// Matches the views of a bin. Roundels that a camera sees twice, or that only one camera sees, are left out.
+pub(super) fn match_views(
+    single_views: &[SingleView],
+    poses: &[Rigid],
     landmarks: &[Landmark],
-    (stands, bin): (&mut Stands, i64),
-) -> Vec<Meeting> {
-    let mut groups: BTreeMap<Roundel, Option<Vec<(usize, Sight)>>> = BTreeMap::new();
-    let mut join = |roundel: Roundel, single: &Single| match groups.entry(roundel) {
+    (rest_times, bin): (&mut RestTimes, i64),
+) -> Vec<CoObservation> {
+    let mut groups: BTreeMap<Roundel, Option<Vec<(usize, RoundelView)>>> = BTreeMap::new();
+    let mut join = |roundel: Roundel, single_view: &SingleView| match groups.entry(roundel) {
         Entry::Vacant(entry) => {
-            entry.insert(Some(vec![(single.post, single.sight)]));
+            entry.insert(Some(vec![(single_view.slot, single_view.view)]));
         }
         Entry::Occupied(mut entry) => match entry.get_mut() {
-            Some(sights) if sights.iter().all(|(post, _)| *post != single.post) => {
-                sights.push((single.post, single.sight));
+            Some(views) if views.iter().all(|(slot, _)| *slot != single_view.slot) => {
+                views.push((single_view.slot, single_view.view));
             }
-            // Twice in one picture: which is meant cannot be known.
+            // Seen twice by one camera: ambiguous.
             twice => *twice = None,
         },
     };
-    let mut plain: Vec<(&Single, Vector3<f64>)> = Vec::new();
-    for single in singles {
-        let world_m = place(&places[single.post], &single.sight.position_m);
-        let landmark = landmarks.iter().position(|it| is_landmark(it, single, &world_m));
-        match (landmark, single.code) {
-            (Some(index), _) => join(Roundel::Fixed(index), single),
-            (None, Some(code)) => join(Roundel::Coded(single.kind, code), single),
-            (None, None) => plain.push((single, world_m)),
+    let mut uncoded: Vec<(&SingleView, Vector3<f64>)> = Vec::new();
+    for single_view in single_views {
+        let world_m = to_world(&poses[single_view.slot], &single_view.view.position_m);
+        let landmark = landmarks.iter().position(|it| is_landmark(it, single_view, &world_m));
+        match (landmark, single_view.code) {
+            (Some(index), _) => join(Roundel::Fixed(index), single_view),
+            (None, Some(code)) => join(Roundel::Coded(single_view.kind, code), single_view),
+            (None, None) => uncoded.push((single_view, world_m)),
         }
     }
-    // So that who is near stands near in the list.
-    plain.sort_by(|one, other| one.1.x.total_cmp(&other.1.x));
-    let mut met: Vec<(&Single, Roundel)> = (0..plain.len())
+    // Sorted by x for the search of neighbours.
+    uncoded.sort_by(|one, other| one.1.x.total_cmp(&other.1.x));
+    let mut matched: Vec<(&SingleView, Roundel)> = (0..uncoded.len())
         .filter_map(|index| {
-            let (first, _) = plain[first_of(&plain, index)?];
-            Some((plain[index].0, Roundel::Plain(first.post, first.number)))
+            let (first, _) = uncoded[first_of(&uncoded, index)?];
+            Some((uncoded[index].0, Roundel::Uncoded(first.slot, first.number)))
         })
         .collect();
-    met.sort_by_key(|(single, _)| (single.post, single.number));
-    met.into_iter().for_each(|(single, roundel)| join(roundel, single));
-    stands.forget(bin);
-    let meeting = |(roundel, sights): (Roundel, Option<Vec<(usize, Sight)>>)| {
-        let sights = sights?;
+    matched.sort_by_key(|(single_view, _)| (single_view.slot, single_view.number));
+    matched.into_iter().for_each(|(single_view, roundel)| join(roundel, single_view));
+    rest_times.forget(bin);
+    let co_observation = |(roundel, views): (Roundel, Option<Vec<(usize, RoundelView)>>)| {
+        let views = views?;
         let fixed = if let Roundel::Fixed(index) = roundel {
-            let deviation_m = landmarks[index].position_deviation_m.max(LEAST_DEVIATION_M);
+            let deviation_m = landmarks[index].position_deviation_m.max(MIN_DEVIATION_M);
             Some((landmarks[index].position_m, deviation_m * deviation_m))
         } else {
             None
         };
-        if sights.len() + usize::from(fixed.is_some()) < 2 {
+        if views.len() + usize::from(fixed.is_some()) < 2 {
             return None;
         }
-        let (post, sight) = &sights[0];
-        let stood_s = stands.since(roundel, &place(&places[*post], &sight.position_m), bin);
-        Some(Meeting { roundel, sights, fixed, stood_s })
+        let (slot, view) = &views[0];
+        let rest_s = rest_times.since(roundel, &to_world(&poses[*slot], &view.position_m), bin);
+        Some(CoObservation { roundel, views, fixed, rest_s })
     };
-    groups.into_iter().filter_map(meeting).collect()
+    groups.into_iter().filter_map(co_observation).collect()
 }
 
-pub(super) fn place(world_from_camera: &Rigid, position_m: &Vector3<f64>) -> Vector3<f64> {
+pub(super) fn to_world(world_from_camera: &Rigid, position_m: &Vector3<f64>) -> Vector3<f64> {
     (world_from_camera * Point3::from(*position_m)).coords
 }
 
-fn is_landmark(landmark: &Landmark, single: &Single, world_m: &Vector3<f64>) -> bool {
+fn is_landmark(landmark: &Landmark, single_view: &SingleView, world_m: &Vector3<f64>) -> bool {
     let is_near = || (landmark.position_m - world_m).norm() < NEAR_M;
-    landmark.kind == single.kind
-        && landmark.code == single.code
+    landmark.kind == single_view.kind
+        && landmark.code == single_view.code
         && (landmark.code.is_some() || is_near())
 }
 
-/// Views without a code, by their x.
-type Plain<'a> = [(&'a Single, Vector3<f64>)];
+/// Views without a code, sorted by x.
+type Uncoded<'a> = [(&'a SingleView, Vector3<f64>)];
 
-/// The first of all views without a code that are of the same roundel as this one; `None` if that is in doubt.
-fn first_of(plain: &Plain<'_>, index: usize) -> Option<usize> {
-    let (of, world_m) = &plain[index];
+/// The first of all views of the same roundel; `None` if ambiguous.
+fn first_of(uncoded: &Uncoded<'_>, index: usize) -> Option<usize> {
+    let (of, world_m) = &uncoded[index];
     let mut first = index;
-    for other in around(plain, world_m) {
-        let (single, other_m) = &plain[other];
-        let is_mate =
-            single.post != of.post && single.kind == of.kind && (other_m - world_m).norm() < NEAR_M;
-        if is_mate {
-            let is_alone = is_alone(plain, index, single.post) && is_alone(plain, other, of.post);
-            if !is_alone {
+    for other in neighbourhood(uncoded, world_m) {
+        let (single_view, other_m) = &uncoded[other];
+        let is_match = single_view.slot != of.slot
+            && single_view.kind == of.kind
+            && (other_m - world_m).norm() < NEAR_M;
+        if is_match {
+            let is_unambiguous = is_unambiguous(uncoded, index, single_view.slot)
+                && is_unambiguous(uncoded, other, of.slot);
+            if !is_unambiguous {
                 return None;
             }
-            let order = |index: usize| (plain[index].0.post, plain[index].0.number);
+            let order = |index: usize| (uncoded[index].0.slot, uncoded[index].0.number);
             first = if order(other) < order(first) { other } else { first };
         }
     }
     Some(first)
 }
 
-/// Whether a camera has one view at most near that of another.
-fn is_alone(plain: &Plain<'_>, index: usize, post: usize) -> bool {
-    let (of, world_m) = &plain[index];
+/// Whether a camera has at most one view near this one.
+fn is_unambiguous(uncoded: &Uncoded<'_>, index: usize, slot: usize) -> bool {
+    let (of, world_m) = &uncoded[index];
     let is_near = |other: &usize| {
-        let (single, other_m) = &plain[*other];
-        single.post == post && single.kind == of.kind && (other_m - world_m).norm() < 2.0 * NEAR_M
+        let (single_view, other_m) = &uncoded[*other];
+        single_view.slot == slot
+            && single_view.kind == of.kind
+            && (other_m - world_m).norm() < 2.0 * NEAR_M
     };
-    around(plain, world_m).filter(is_near).count() <= 1
+    neighbourhood(uncoded, world_m).filter(is_near).count() <= 1
 }
 
-/// All views that may be within twice [`NEAR_M`] of a place.
-fn around(plain: &Plain<'_>, world_m: &Vector3<f64>) -> std::ops::Range<usize> {
+/// All views within twice [`NEAR_M`] along x.
+fn neighbourhood(uncoded: &Uncoded<'_>, world_m: &Vector3<f64>) -> std::ops::Range<usize> {
     let reach_m = 2.0 * NEAR_M;
-    let from = plain.partition_point(|(_, other_m)| other_m.x < world_m.x - reach_m);
-    let count = plain[from..].partition_point(|(_, other_m)| other_m.x <= world_m.x + reach_m);
+    let from = uncoded.partition_point(|(_, other_m)| other_m.x < world_m.x - reach_m);
+    let count = uncoded[from..].partition_point(|(_, other_m)| other_m.x <= world_m.x + reach_m);
     from..from + count
 }

@@ -1,65 +1,64 @@
-//! Meetings held against places: how well they agree, and how one camera would have to stand for that.
+//! Disagreement of co-observations, and the camera pose that minimizes it.
 //!
-//! Camera c at (R, t) has its view p of a roundel at m_c = R p + t with covariance Σ_c, weight W_c = Σ_c⁻¹; all
-//! views together have it at p̂ = (Σ W)⁻¹ Σ W m, and disagree by e = Σ (m - p̂)ᵀ W (m - p̂), of which
-//! 3 (views - 1) are expected. Against the others' place p̂' with weight W' alone, camera c's residual
-//! r = m_c - p̂' has covariance Σ_c + W'⁻¹ and adds rᵀ (Σ_c + W'⁻¹)⁻¹ r to e: what is to be made small over
-//! its place, r ≈ r₀ + J δ with δ = (δt, δθ), J = [I | -[R p]×], by Gauss and Newton's steps. Meetings count
-//! with Huber's cost ρ(e), linear in √e beyond [`ROBUST`], so that a roundel taken for another pulls little.
+//! A camera at (R, t) sees a roundel at p, in the world at m = R p + t with covariance Σ and weight W = Σ⁻¹. All views
+//! together have p̂ = (Σ W)⁻¹ Σ W m and the disagreement e = Σ (m - p̂)ᵀ W (m - p̂), with the expectation 3 (views - 1).
+//! Relative to the mean p̂' of the other views with weight W', the residual r = m - p̂' of one camera has the covariance
+//! Σ + W'⁻¹ and contributes rᵀ (Σ + W'⁻¹)⁻¹ r to e. This is minimized over the pose, r ≈ r₀ + J δ with δ = (δt, δθ) and
+//! J = [I | -[R p]×], by Gauss-Newton steps with Huber's cost ρ(e), linear in √e beyond [`HUBER`].
 
 use nalgebra::{Matrix3, Matrix6, SMatrix, UnitQuaternion, Vector3, Vector6};
 
 use super::{
     BIN_S, WatchParams,
-    co_observation::{Meeting, Roundel, place},
+    co_observation::{CoObservation, Roundel, to_world},
 };
 use roundel_fusion::track::invert_positive;
 use roundel_vision::rigid::Rigid;
 
-/// √e beyond which a meeting's cost grows linearly.
-const ROBUST: f64 = 5.0;
-/// Steps at most …
+/// √e beyond which the cost grows linearly.
+const HUBER: f64 = 5.0;
+/// Maximum number of steps …
 const STEPS: usize = 12;
-/// … and shorter than this the last one, metres and radians.
+/// … and length at which they end, metres and radians.
 const SHORT: f64 = 1e-6;
-/// Of what a fit says nothing it finds nothing: deviations of (place, rotation) before it, metres and radians.
+/// Prior deviations of position and rotation, metres and radians.
 const PRIOR: (f64, f64) = (0.5, 0.2);
-/// Median of χ² over its degrees of freedom, for about five of these.
+/// Median of χ² over its degrees of freedom, for about five of them.
 const MEDIAN_SHARE: f64 = 0.87;
 
-/// Stands for the post of a known place.
-const KNOWN: usize = usize::MAX;
+/// Slot of a landmark.
+const LANDMARK: usize = usize::MAX;
 
-/// One view, in the world.
+/// A view in the world frame.
 #[derive(Clone, Copy, Debug)]
-struct Look {
-    post: usize,
+struct WorldView {
+    slot: usize,
     position_m: Vector3<f64>,
     world_m: Vector3<f64>,
     covariance: Matrix3<f64>,
     weight: Matrix3<f64>,
 }
 
-/// A meeting, in the world.
+/// A co-observation in the world frame.
 #[derive(Clone, Debug)]
-pub(super) struct Round {
+pub(super) struct Comparison {
     pub(super) roundel: Roundel,
-    looks: Vec<Look>,
-    /// e, of the looks as they are.
+    world_views: Vec<WorldView>,
+    /// Disagreement e of the current views.
     energy: f64,
 }
 
-/// Where a camera would have to stand.
+/// The best pose of a camera.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Fit {
-    pub(super) place: Rigid,
-    /// (place, rotation), world frame.
+pub(super) struct PoseFit {
+    pub(super) pose: Rigid,
+    /// (position, rotation), world frame.
     pub(super) covariance: Matrix6<f64>,
-    /// Of what it sees by the change, rms, metres.
+    /// Rms displacement of its observations by the change, metres.
     pub(super) moved_m: f64,
 }
 
-/// J, of what is seen at `arm_m` from the camera, in the world's directions.
+/// J for a point at `arm_m` from the camera, world axes.
 pub(super) fn jacobian(arm_m: &Vector3<f64>) -> SMatrix<f64, 3, 6> {
     let mut jacobian = SMatrix::<f64, 3, 6>::zeros();
     jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
@@ -67,116 +66,125 @@ pub(super) fn jacobian(arm_m: &Vector3<f64>) -> SMatrix<f64, 3, 6> {
     jacobian
 }
 
-/// A place moved by δ.
-pub(super) fn moved(place: &Rigid, change: &Vector6<f64>) -> Rigid {
+/// A pose moved by δ.
+pub(super) fn moved(pose: &Rigid, change: &Vector6<f64>) -> Rigid {
     let turn = UnitQuaternion::from_scaled_axis(change.fixed_rows::<3>(3).into_owned());
-    let mut rotation = turn * place.rotation;
+    let mut rotation = turn * pose.rotation;
     rotation.renormalize();
-    let origin_m = place.translation.vector + change.fixed_rows::<3>(0);
+    let origin_m = pose.translation.vector + change.fixed_rows::<3>(0);
     Rigid::from_parts(origin_m.into(), rotation)
 }
 
-/// Information about a place before anything is seen.
+/// Prior information about a pose.
 pub(super) fn prior() -> Matrix6<f64> {
-    let (place, turn) = (PRIOR.0.powi(-2), PRIOR.1.powi(-2));
-    Matrix6::from_diagonal(&Vector6::new(place, place, place, turn, turn, turn))
+    let (pose, turn) = (PRIOR.0.powi(-2), PRIOR.1.powi(-2));
+    Matrix6::from_diagonal(&Vector6::new(pose, pose, pose, turn, turn, turn))
 }
 
-/// Huber's cost of e, and its slope.
-pub(super) fn robust(energy: f64) -> (f64, f64) {
-    if energy <= ROBUST * ROBUST {
+/// Huber's cost of e, and its derivative.
+pub(super) fn huber(energy: f64) -> (f64, f64) {
+    if energy <= HUBER * HUBER {
         (energy, 1.0)
     } else {
         let root = energy.sqrt();
-        (2.0 * ROBUST * root - ROBUST * ROBUST, ROBUST / root)
+        (2.0 * HUBER * root - HUBER * HUBER, HUBER / root)
     }
 }
 
-impl Round {
-    /// Of cameras that stand at `places`, `None` where one is not to be used; `bins` are looked at together.
+impl Comparison {
+    /// Views of cameras at `poses`, `None` for those not in use; `bins` are judged together.
     pub(super) fn of(
-        meeting: &Meeting,
-        places: &[Option<Rigid>],
+        co_observation: &CoObservation,
+        poses: &[Option<Rigid>],
         bins: usize,
         params: &WatchParams,
     ) -> Option<Self> {
-        let stays_s = meeting.stood_s.max(2.0 * params.systematic_time_s);
-        // An error that stays counts as often as there are bins in the time in which it does.
+        let stays_s = co_observation.rest_s.max(2.0 * params.systematic_time_s);
+        // A persistent error counts once per bin for as long as it persists.
         let repeats = (stays_s / BIN_S).clamp(1.0, bins.max(1) as f64);
         let share = params.systematic_share;
-        let least_m2 = params.least_deviation_m * params.least_deviation_m;
-        let mut looks = Vec::with_capacity(meeting.sights.len() + 1);
-        for (post, sight) in &meeting.sights {
-            let Some(world_from_camera) = places[*post] else { continue };
+        let min_m2 = params.min_deviation_m * params.min_deviation_m;
+        let mut world_views = Vec::with_capacity(co_observation.views.len() + 1);
+        for (slot, view) in &co_observation.views {
+            let Some(world_from_camera) = poses[*slot] else { continue };
             let turn = world_from_camera.rotation.to_rotation_matrix().into_inner();
-            let scale = share * repeats + (1.0 - share) * sight.fresh;
-            let seen = turn * (sight.covariance * scale) * turn.transpose();
-            let added = sight.added_m2 + least_m2 * repeats;
+            let scale = share * repeats + (1.0 - share) * view.fresh;
+            let seen = turn * (view.covariance * scale) * turn.transpose();
+            let added = view.added_m2 + min_m2 * repeats;
             let covariance = seen + Matrix3::from_diagonal_element(added);
-            let world_m = place(&world_from_camera, &sight.position_m);
-            looks.push(look(*post, sight.position_m, world_m, covariance)?);
+            let world_m = to_world(&world_from_camera, &view.position_m);
+            world_views.push(world_view(*slot, view.position_m, world_m, covariance)?);
         }
-        if let Some((world_m, variance_m2)) = meeting.fixed {
+        if let Some((world_m, variance_m2)) = co_observation.fixed {
             let known = Matrix3::from_diagonal_element(variance_m2 * bins.max(1) as f64);
-            looks.push(look(KNOWN, Vector3::zeros(), world_m, known)?);
+            world_views.push(world_view(LANDMARK, Vector3::zeros(), world_m, known)?);
         }
-        let mut round = Self { roundel: meeting.roundel, looks, energy: 0.0 };
-        round.energy = round.disagreement();
-        (round.looks.len() > 1).then_some(round)
+        let mut comparison = Self { roundel: co_observation.roundel, world_views, energy: 0.0 };
+        comparison.energy = comparison.disagreement();
+        (comparison.world_views.len() > 1).then_some(comparison)
     }
 
-    /// Cameras in it, by post.
-    pub(super) fn posts(&self) -> impl Iterator<Item = usize> {
-        self.looks.iter().map(|look| look.post).filter(|post| *post != KNOWN)
+    /// Slots of its cameras.
+    pub(super) fn slots(&self) -> impl Iterator<Item = usize> {
+        self.world_views.iter().map(|world_view| world_view.slot).filter(|slot| *slot != LANDMARK)
     }
 
-    /// Place and weight by all looks but those from `without`.
-    fn middle(&self, without: Option<usize>) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+    /// Position and covariance from all views except those of `without`.
+    fn mean_without(&self, without: Option<usize>) -> Option<(Vector3<f64>, Matrix3<f64>)> {
         let (mut weight, mut pull) = (Matrix3::zeros(), Vector3::zeros());
-        for look in self.looks.iter().filter(|look| Some(look.post) != without) {
-            weight += look.weight;
-            pull += look.weight * look.world_m;
+        for world_view in
+            self.world_views.iter().filter(|world_view| Some(world_view.slot) != without)
+        {
+            weight += world_view.weight;
+            pull += world_view.weight * world_view.world_m;
         }
         let (covariance, _) = invert_positive(&weight)?;
         Some((covariance * pull, covariance))
     }
 
-    /// e.
+    /// The disagreement e.
     pub(super) fn energy(&self) -> f64 {
         self.energy
     }
 
     fn disagreement(&self) -> f64 {
-        let Some((middle_m, _)) = self.middle(None) else { return 0.0 };
-        let own = |look: &Look| {
-            let apart_m = look.world_m - middle_m;
-            apart_m.dot(&(look.weight * apart_m))
+        let Some((middle_m, _)) = self.mean_without(None) else { return 0.0 };
+        let own = |world_view: &WorldView| {
+            let apart_m = world_view.world_m - middle_m;
+            apart_m.dot(&(world_view.weight * apart_m))
         };
-        self.looks.iter().map(own).sum()
+        self.world_views.iter().map(own).sum()
     }
 
-    /// What is expected of e.
-    pub(super) fn freedom(&self) -> f64 {
-        3.0 * (self.looks.len() - 1) as f64
+    /// Expected disagreement.
+    pub(super) fn degrees_of_freedom(&self) -> f64 {
+        3.0 * (self.world_views.len() - 1) as f64
     }
 
-    /// Information about all cameras' changes and its product with these, to be added to sums by posts.
-    pub(super) fn tell(
+    /// Passes the gradient, the information blocks and Jᵀ J of each camera to `add`.
+    pub(super) fn accumulate(
         &self,
-        places: &[Option<Rigid>],
+        poses: &[Option<Rigid>],
         mut add: impl FnMut(usize, &Vector6<f64>, &[(usize, Matrix6<f64>)], &Matrix6<f64>),
     ) {
-        let Some((middle_m, covariance)) = self.middle(None) else { return };
-        let seeing =
-            || self.looks.iter().filter_map(|look| Some((look, (*places.get(look.post)?)?)));
+        let Some((middle_m, covariance)) = self.mean_without(None) else { return };
+        let seeing = || {
+            self.world_views
+                .iter()
+                .filter_map(|world_view| Some((world_view, (*poses.get(world_view.slot)?)?)))
+        };
         let jacobians: Vec<(usize, Matrix3<f64>, SMatrix<f64, 3, 6>)> = seeing()
-            .map(|(look, place)| {
-                (look.post, look.weight, jacobian(&(place.rotation * look.position_m)))
+            .map(|(world_view, pose)| {
+                (
+                    world_view.slot,
+                    world_view.weight,
+                    jacobian(&(pose.rotation * world_view.position_m)),
+                )
             })
             .collect();
-        for (own, (look, _)) in seeing().enumerate() {
-            let (post, weight, jacobian) = &jacobians[own];
-            let score = -(jacobian.transpose() * (weight * (look.world_m - middle_m)));
+        for (own, (world_view, _)) in seeing().enumerate() {
+            let (slot, weight, jacobian) = &jacobians[own];
+            let score = -(jacobian.transpose() * (weight * (world_view.world_m - middle_m)));
             let row = jacobian.transpose() * weight;
             let cross = |(other, (to, weight, far)): (
                 usize,
@@ -190,75 +198,88 @@ impl Round {
             };
             let blocks: Vec<(usize, Matrix6<f64>)> =
                 jacobians.iter().enumerate().map(cross).collect();
-            add(*post, &score, &blocks, &(jacobian.transpose() * jacobian));
+            add(*slot, &score, &blocks, &(jacobian.transpose() * jacobian));
         }
     }
 }
 
-fn look(
-    post: usize,
+fn world_view(
+    slot: usize,
     position_m: Vector3<f64>,
     world_m: Vector3<f64>,
     covariance: Matrix3<f64>,
-) -> Option<Look> {
+) -> Option<WorldView> {
     let (weight, _) = invert_positive(&covariance)?;
-    Some(Look { post, position_m, world_m, covariance, weight })
+    Some(WorldView { slot, position_m, world_m, covariance, weight })
 }
 
-/// Robust cost of all rounds.
-pub(super) fn cost(rounds: &[Round]) -> f64 {
-    rounds.iter().map(|round| robust(round.energy()).0).sum()
+/// Robust cost of all comparisons.
+pub(super) fn cost(comparisons: &[Comparison]) -> f64 {
+    comparisons.iter().map(|comparison| huber(comparison.energy()).0).sum()
 }
 
-/// By how much disagreements are larger than expected, in the median, 1 at least: what is left unsaid by
-/// covariances counts as noise.
-pub(super) fn excess(rounds: &[Round]) -> f64 {
-    let mut ratios: Vec<f64> =
-        rounds.iter().map(|round| round.energy() / round.freedom()).collect();
+/// Median ratio of disagreements to their expectation, at least 1. Covers errors that covariances do not state.
+pub(super) fn excess(comparisons: &[Comparison]) -> f64 {
+    let mut ratios: Vec<f64> = comparisons
+        .iter()
+        .map(|comparison| comparison.energy() / comparison.degrees_of_freedom())
+        .collect();
     if ratios.is_empty() {
         return 1.0;
     }
-    let middle = ratios.len() / 2;
-    let (_, median, _) = ratios.select_nth_unstable_by(middle, f64::total_cmp);
+    let mean_without = ratios.len() / 2;
+    let (_, median, _) = ratios.select_nth_unstable_by(mean_without, f64::total_cmp);
     (*median / MEDIAN_SHARE).max(1.0)
 }
 
-/// Information about a camera's change and its product with that, by all rounds as they count now.
-fn normal(rounds: &[Round], post: usize, place: &Rigid) -> (Matrix6<f64>, Vector6<f64>) {
+/// Information and gradient of a camera's pose with robust weights.
+fn normal(comparisons: &[Comparison], slot: usize, pose: &Rigid) -> (Matrix6<f64>, Vector6<f64>) {
     let (mut information, mut score) = (prior(), Vector6::zeros());
-    for round in rounds {
-        let Some(look) = round.looks.iter().find(|look| look.post == post) else { continue };
-        let Some((middle_m, spread)) = round.middle(Some(post)) else { continue };
-        let Some((weight, _)) = invert_positive(&(look.covariance + spread)) else { continue };
-        let (_, trust) = robust(round.energy());
-        let jacobian = jacobian(&(place.rotation * look.position_m));
+    for comparison in comparisons {
+        let Some(world_view) =
+            comparison.world_views.iter().find(|world_view| world_view.slot == slot)
+        else {
+            continue;
+        };
+        let Some((middle_m, spread)) = comparison.mean_without(Some(slot)) else { continue };
+        let Some((weight, _)) = invert_positive(&(world_view.covariance + spread)) else {
+            continue;
+        };
+        let (_, trust) = huber(comparison.energy());
+        let jacobian = jacobian(&(pose.rotation * world_view.position_m));
         let weighted = weight * jacobian * trust;
         information += jacobian.transpose() * weighted;
-        score -= weighted.transpose() * (look.world_m - middle_m);
+        score -= weighted.transpose() * (world_view.world_m - middle_m);
     }
     (information, score)
 }
 
-/// What a camera's first step would gain.
-pub(super) fn first_gain(rounds: &[Round], post: usize, place: &Rigid) -> f64 {
-    let (information, score) = normal(rounds, post, place);
+/// Gain of a camera's first step.
+pub(super) fn first_gain(comparisons: &[Comparison], slot: usize, pose: &Rigid) -> f64 {
+    let (information, score) = normal(comparisons, slot, pose);
     information.cholesky().map_or(0.0, |factor| score.dot(&factor.solve(&score)))
 }
 
-/// Lets a camera stand where the rounds want it, with all others as they are; the rounds see it there.
-pub(super) fn release(rounds: &mut [Round], post: usize, from: &Rigid) -> Option<Fit> {
+/// Minimizes the cost over one camera's pose with all others fixed, and updates the comparisons.
+pub(super) fn fit_pose(
+    comparisons: &mut [Comparison],
+    slot: usize,
+    from: &Rigid,
+) -> Option<PoseFit> {
     let mut place_now = *from;
     let mut covariance = Matrix6::zeros();
     for _ in 0..STEPS {
-        let (information, score) = normal(rounds, post, &place_now);
+        let (information, score) = normal(comparisons, slot, &place_now);
         let factor = information.cholesky()?;
         covariance = factor.inverse();
         let change = factor.solve(&score);
         place_now = moved(&place_now, &change);
-        for round in rounds.iter_mut() {
-            if let Some(look) = round.looks.iter_mut().find(|look| look.post == post) {
-                look.world_m = place(&place_now, &look.position_m);
-                round.energy = round.disagreement();
+        for comparison in comparisons.iter_mut() {
+            if let Some(world_view) =
+                comparison.world_views.iter_mut().find(|world_view| world_view.slot == slot)
+            {
+                world_view.world_m = to_world(&place_now, &world_view.position_m);
+                comparison.energy = comparison.disagreement();
             }
         }
         if change.amax() < SHORT {
@@ -266,9 +287,13 @@ pub(super) fn release(rounds: &mut [Round], post: usize, from: &Rigid) -> Option
         }
     }
     let (mut sum, mut count) = (0.0, 0.0);
-    for look in rounds.iter().flat_map(|round| &round.looks).filter(|look| look.post == post) {
-        sum += (look.world_m - place(from, &look.position_m)).norm_squared();
+    for world_view in comparisons
+        .iter()
+        .flat_map(|comparison| &comparison.world_views)
+        .filter(|world_view| world_view.slot == slot)
+    {
+        sum += (world_view.world_m - to_world(from, &world_view.position_m)).norm_squared();
         count += 1.0;
     }
-    (count > 0.0).then(|| Fit { place: place_now, covariance, moved_m: f64::sqrt(sum / count) })
+    (count > 0.0).then(|| PoseFit { pose: place_now, covariance, moved_m: f64::sqrt(sum / count) })
 }

@@ -1,9 +1,8 @@
-//! What one camera saw of one roundel of late, and its view of it in the middle of a bin.
+//! Recent positions of one roundel in one camera, and its interpolated view at the centre of a bin.
 //!
-//! Positions in the camera's frame within a bin are fitted by a parabola over the time and taken in its middle,
-//! so that frames of different cameras need not be at the same time and nothing is extrapolated. What a
-//! motion with a jerk of 5 m/s³ leaves there is below [`BENT_M`]. A position far off the parabola, of another
-//! roundel or a reflection, is left out.
+//! Positions within a bin, in the camera's frame, are fitted by a parabola in time and evaluated at the centre, so that
+//! frames of different cameras need not be simultaneous and nothing is extrapolated. The model error is below
+//! [`CURVATURE_M`] for a jerk of 5 m/s³. Outliers, such as reflections or another roundel, are rejected.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -15,31 +14,31 @@ use roundel_vision::{
     time::Timestamp,
 };
 
-/// Positions kept of a roundel: more than a second of them.
-const MOST_SAMPLES: usize = 64;
-/// Positions that follow one another sooner are left out, nanoseconds: half of the error stays from frame to frame, so that
-/// more than thirty a second say little and only cost time.
-const LEAST_APART_NS: i64 = 18_000_000;
-/// A code is believed when it was read so often …
-const LEAST_VOTES: u32 = 2;
-/// … and so many times as often as any other.
+/// Maximum number of positions: more than a second.
+const MAX_SAMPLES: usize = 64;
+/// Minimum interval of positions, nanoseconds. Half of the error persists between frames, so more than thirty a
+/// second hardly add information.
+const MIN_APART_NS: i64 = 18_000_000;
+/// Minimum number of readings of a code …
+const MIN_VOTES: u32 = 2;
+/// … and minimum ratio to any other code.
 const MAJORITY: u32 = 3;
-/// Votes of one code are held at this, so that a number that goes over to another roundel is believed soon.
-const MOST_VOTES: u32 = 30;
-/// Codes remembered of one roundel.
-const MOST_CODES: usize = 4;
-/// Fewer positions make no parabola.
-const LEAST_SAMPLES: usize = 3;
-/// Positions reach at least so far to either side of the bin's middle, as a share of its half.
-const LEAST_REACH: f64 = 0.3;
-/// The parabola's variance in the middle is at most so many times that of one position.
-const MOST_VARIANCE: f64 = 1.5;
-/// A position is left out that is further off the parabola than this and so many deviations.
+/// Maximum number of votes for a code, so that a change of the roundel is noticed soon.
+const MAX_VOTES: u32 = 30;
+/// Maximum number of codes per roundel.
+const MAX_CODES: usize = 4;
+/// Minimum number of positions of a parabola.
+const MIN_SAMPLES: usize = 3;
+/// Minimum extent of the positions on both sides of the centre, as a share of half a bin.
+const MIN_REACH: f64 = 0.3;
+/// Maximum variance of the parabola at the centre, relative to one position.
+const MAX_VARIANCE: f64 = 1.5;
+/// Outliers are further than this and this number of squared deviations from the parabola.
 const FAR_M: f64 = 0.005;
 const FAR_SQUARED: f64 = 36.0;
-/// What the parabola leaves of a motion, each coordinate, metres.
-const BENT_M: f64 = 1.5e-4;
-/// Worse positions say nothing, metres².
+/// Model error of the parabola, for each coordinate, metres.
+const CURVATURE_M: f64 = 1.5e-4;
+/// Maximum variance of usable positions, metres².
 const WORST_M2: f64 = 1.0;
 
 /// A position in the camera's frame.
@@ -50,61 +49,60 @@ struct Sample {
     covariance: Matrix3<f64>,
 }
 
-/// A camera's view of a roundel in the middle of a bin.
+/// View of a roundel at the centre of a bin.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Sight {
-    /// Camera's frame, metres.
+pub(super) struct RoundelView {
+    /// Camera frame, metres.
     pub(super) position_m: Vector3<f64>,
-    /// As stated of one position.
+    /// Mean of the stated covariances.
     pub(super) covariance: Matrix3<f64>,
-    /// By how much the bin averages what is fresh in every frame.
+    /// Factor by which the average reduces independent noise.
     pub(super) fresh: f64,
-    /// What errs afresh in every bin beside, each coordinate, metres².
+    /// Additional independent variance per bin, for each coordinate, metres².
     pub(super) added_m2: f64,
 }
 
-/// One roundel as followed by one camera.
+/// One roundel in one camera.
 #[derive(Clone, Debug)]
-pub(super) struct Trail {
+pub(super) struct RoundelTrack {
     pub(super) kind: KindId,
     pub(super) newest: Timestamp,
     samples: Vec<Sample>,
     votes: Vec<(Code, u32)>,
 }
 
-impl Trail {
+impl RoundelTrack {
     pub(super) fn new(kind: KindId, time: Timestamp) -> Self {
         Self { kind, newest: time, samples: Vec::new(), votes: Vec::new() }
     }
 
-    /// Takes in a detection whose exposure was at `time`.
+    /// Adds a detection with exposure at `time`.
     pub(super) fn add(&mut self, time: Timestamp, seen: &Detection, pose: &RoundelPose) {
         if let Some(reading) = &seen.ring.code {
             self.vote(reading.code);
         }
         self.newest = self.newest.max(time);
-        let is_near =
-            |sample: &Sample| time.ns_since(sample.time).saturating_abs() < LEAST_APART_NS;
+        let is_near = |sample: &Sample| time.ns_since(sample.time).saturating_abs() < MIN_APART_NS;
         if self.samples.last().is_some_and(is_near) {
             return;
         }
         let covariance = pose.covariance.fixed_view::<3, 3>(0, 0).into_owned();
-        let is_sound = pose.position_m.iter().chain(covariance.iter()).all(|it| it.is_finite())
+        let is_valid = pose.position_m.iter().chain(covariance.iter()).all(|it| it.is_finite())
             && (0..3).all(|axis| covariance[(axis, axis)] > 0.0)
             && covariance.trace() < WORST_M2;
-        if is_sound && self.samples.len() < MOST_SAMPLES {
+        if is_valid && self.samples.len() < MAX_SAMPLES {
             self.samples.push(Sample { time, position_m: pose.position_m, covariance });
         }
     }
 
     fn vote(&mut self, code: Code) {
         let Some(index) = self.votes.iter().position(|(voted, _)| *voted == code) else {
-            if self.votes.len() < MOST_CODES {
+            if self.votes.len() < MAX_CODES {
                 self.votes.push((code, 1));
             }
             return;
         };
-        if self.votes[index].1 < MOST_VOTES {
+        if self.votes[index].1 < MAX_VOTES {
             self.votes[index].1 += 1;
             return;
         }
@@ -114,78 +112,78 @@ impl Trail {
         self.votes.retain(|(_, votes)| *votes > 0);
     }
 
-    /// The code that it is believed to have: `Ok(None)` if none was read, an error while that is in doubt.
-    pub(super) fn code(&self) -> Result<Option<Code>, InDoubt> {
+    /// The accepted code: `Ok(None)` if none was read, an error while ambiguous.
+    pub(super) fn code(&self) -> Result<Option<Code>, AmbiguousCode> {
         let Some(&(code, votes)) = self.votes.iter().max_by_key(|(_, votes)| *votes) else {
             return Ok(None);
         };
         let others = self.votes.iter().filter(|(other, _)| *other != code);
         let second = others.map(|(_, votes)| *votes).max().unwrap_or(0);
-        if votes >= LEAST_VOTES && votes >= MAJORITY * second {
+        if votes >= MIN_VOTES && votes >= MAJORITY * second {
             Ok(Some(code))
         } else {
-            Err(InDoubt)
+            Err(AmbiguousCode)
         }
     }
 
-    /// Forgets where it was seen, not its code.
+    /// Drops the positions but not the code.
     pub(super) fn restart(&mut self) {
         self.samples.clear();
     }
 
-    /// Forgets what is older than the end of the bin with this middle.
-    pub(super) fn forget(&mut self, middle: Timestamp) {
-        let end = middle.plus_seconds(0.5 * BIN_S);
+    /// Drops the positions within the bin at this centre, and older ones.
+    pub(super) fn forget(&mut self, bin_center: Timestamp) {
+        let end = bin_center.plus_seconds(0.5 * BIN_S);
         self.samples.retain(|sample| sample.time >= end);
     }
 
-    /// The view in the middle of the bin; `None` if there is too little for it. `clock_s` is how well the
-    /// cameras' clocks are known.
-    pub(super) fn sight(&self, middle: Timestamp, clock_s: f64) -> Option<Sight> {
+    /// View at the centre of the bin; `None` with too few positions. `clock_s` is the uncertainty of the cameras'
+    /// clocks.
+    pub(super) fn view(&self, bin_center: Timestamp, clock_s: f64) -> Option<RoundelView> {
         let half_s = 0.5 * BIN_S;
-        let mut within: Vec<(f64, &Sample)> = self
+        let mut in_bin: Vec<(f64, &Sample)> = self
             .samples
             .iter()
-            .map(|sample| (sample.time.seconds_since(middle) / half_s, sample))
+            .map(|sample| (sample.time.seconds_since(bin_center) / half_s, sample))
             .filter(|(time, _)| time.abs() <= 1.0)
             .collect();
-        let most_left_out = within.len() / 4;
-        for _ in 0..=most_left_out {
-            let parabola = parabola(&within)?;
-            let Some(worst) = furthest(&within, &parabola) else {
-                let count = within.len() as f64;
-                let covariance = within.iter().map(|(_, it)| it.covariance).sum::<Matrix3<f64>>();
+        let max_left_out = in_bin.len() / 4;
+        for _ in 0..=max_left_out {
+            let parabola = parabola(&in_bin)?;
+            let Some(worst) = worst_outlier(&in_bin, &parabola) else {
+                let count = in_bin.len() as f64;
+                let covariance = in_bin.iter().map(|(_, it)| it.covariance).sum::<Matrix3<f64>>();
                 let slip_m = parabola.terms[1].norm() / half_s * clock_s;
-                return Some(Sight {
+                return Some(RoundelView {
                     position_m: parabola.terms[0],
                     covariance: covariance / count,
                     fresh: parabola.variance,
-                    added_m2: BENT_M * BENT_M + slip_m * slip_m,
+                    added_m2: CURVATURE_M * CURVATURE_M + slip_m * slip_m,
                 });
             };
-            within.swap_remove(worst);
+            in_bin.swap_remove(worst);
         }
         None
     }
 }
 
-/// A code was read, but which is not sure yet.
+/// Codes were read, but none has a clear majority.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct InDoubt;
+pub(super) struct AmbiguousCode;
 
-/// Value, slope and curvature in the middle, and the value's variance as a share of one position's.
+/// Value, slope and curvature at the centre, and the variance of the value relative to one position.
 struct Parabola {
     terms: [Vector3<f64>; 3],
     variance: f64,
 }
 
-fn parabola(within: &[(f64, &Sample)]) -> Option<Parabola> {
-    let reaches = |sign: f64| within.iter().any(|(time, _)| time * sign >= LEAST_REACH);
-    if within.len() < LEAST_SAMPLES || !reaches(1.0) || !reaches(-1.0) {
+fn parabola(in_bin: &[(f64, &Sample)]) -> Option<Parabola> {
+    let reaches = |sign: f64| in_bin.iter().any(|(time, _)| time * sign >= MIN_REACH);
+    if in_bin.len() < MIN_SAMPLES || !reaches(1.0) || !reaches(-1.0) {
         return None;
     }
     let (mut powers, mut sums) = ([0.0; 5], [Vector3::zeros(); 3]);
-    for (time, sample) in within {
+    for (time, sample) in in_bin {
         let mut power = 1.0;
         for index in 0..5 {
             powers[index] += power;
@@ -199,19 +197,19 @@ fn parabola(within: &[(f64, &Sample)]) -> Option<Parabola> {
     let inverse = Matrix3::new(p0, p1, p2, p1, p2, p3, p2, p3, p4).try_inverse()?;
     let variance = inverse[(0, 0)];
     let term = |row: usize| (0..3).map(|column| sums[column] * inverse[(row, column)]).sum();
-    (variance > 0.0 && variance <= MOST_VARIANCE)
+    (variance > 0.0 && variance <= MAX_VARIANCE)
         .then(|| Parabola { terms: [term(0), term(1), term(2)], variance })
 }
 
-/// The position furthest off the parabola, if it is too far.
-fn furthest(within: &[(f64, &Sample)], parabola: &Parabola) -> Option<usize> {
+/// Index of the worst outlier, if there is one.
+fn worst_outlier(in_bin: &[(f64, &Sample)], parabola: &Parabola) -> Option<usize> {
     let excess = |(time, sample): &(f64, &Sample)| {
         let [at, slope, bend] = &parabola.terms;
         let off_m = (sample.position_m - (at + slope * *time + bend * (time * time))).norm();
-        let most_m = FAR_M + (FAR_SQUARED * sample.covariance.trace()).sqrt();
-        off_m / most_m
+        let max_m = FAR_M + (FAR_SQUARED * sample.covariance.trace()).sqrt();
+        off_m / max_m
     };
     let (worst, excess) =
-        within.iter().map(excess).enumerate().max_by(|one, other| one.1.total_cmp(&other.1))?;
+        in_bin.iter().map(excess).enumerate().max_by(|one, other| one.1.total_cmp(&other.1))?;
     (excess > 1.0).then_some(worst)
 }

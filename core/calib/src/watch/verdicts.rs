@@ -1,99 +1,99 @@
-//! Who is believed to have moved: verdicts on the newest bins, and what follows from several in a row.
+//! Sequences of verdicts on the newest bins, and the actions that follow.
 
 use std::collections::BTreeSet;
 
 use super::{
-    Post, WINDOWS, Watch,
-    attribution::{self, Verdict, is_backed},
+    CameraSlot, WINDOWS, Watch,
+    attribution::{self, Verdict, has_enough_roundels},
     drift::Drift,
     event::WatchEvent,
-    pose_fit::Round,
+    pose_fit::Comparison,
     recovery::Recovery,
 };
 use roundel_vision::{id::CameraId, rigid::Rigid};
 
-/// Verdicts in a row that are believed, on one who moved …
+/// Identical verdicts required for a moved camera …
 const MOVED_STREAK: usize = 2;
-/// … on that one of several did …
+/// … for a contradiction …
 const UNCLEAR_STREAK: usize = 8;
-/// … and that this is over.
+/// … and for the end of one.
 const AGREED_STREAK: usize = 12;
 
-/// The verdicts on one window, in a row.
+/// Identical verdicts on one window.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Streak {
-    pub(super) posts: Vec<usize>,
+    pub(super) slots: Vec<usize>,
     pub(super) is_unclear: bool,
     pub(super) count: usize,
 }
 
 impl Watch {
-    /// Whether cameras in service agree of late; who does not is named.
-    pub(super) fn judge(&mut self) -> bool {
+    /// Updates the verdicts of all windows; returns whether all cameras in use agree.
+    pub(super) fn update_verdicts(&mut self) -> bool {
         let mut is_calm = true;
         for (index, window) in WINDOWS.into_iter().enumerate() {
-            let places = self.places();
-            let rounds = self.rounds(window, &places);
-            let verdict = attribution::judge(&rounds, &places, &self.least_moves());
+            let poses = self.poses();
+            let comparisons = self.comparisons(window, &poses);
+            let verdict = attribution::attribute(&comparisons, &poses, &self.min_moves());
             let (named, is_unclear) = match &verdict {
                 Verdict::Agreed => (Vec::new(), false),
-                Verdict::Moved(moved) => (moved.iter().map(|(post, _)| *post).collect(), false),
-                Verdict::Unclear(posts) => (posts.clone(), true),
+                Verdict::Moved(moved) => (moved.iter().map(|(slot, _)| *slot).collect(), false),
+                Verdict::Unclear(slots) => (slots.clone(), true),
             };
             is_calm &= named.is_empty();
             let streak = &mut self.streaks[index];
-            if streak.posts == named && streak.is_unclear == is_unclear {
+            if streak.slots == named && streak.is_unclear == is_unclear {
                 streak.count += 1;
             } else {
-                *streak = Streak { posts: named, is_unclear, count: 1 };
+                *streak = Streak { slots: named, is_unclear, count: 1 };
             }
             let count = streak.count;
             if index + 1 == WINDOWS.len() && is_calm && self.bins.len() >= window {
-                self.trust(&rounds);
+                self.trust(&comparisons);
             }
-            let is_doubtful = verdict != Verdict::Agreed && self.doubt(&rounds, count);
+            let is_doubtful = verdict != Verdict::Agreed && self.doubt(&comparisons, count);
             match verdict {
                 _ if is_doubtful => {}
                 Verdict::Moved(moved) if count >= MOVED_STREAK => self.bumped(&moved),
-                Verdict::Unclear(posts) if count >= UNCLEAR_STREAK => self.contradict(&posts),
+                Verdict::Unclear(slots) if count >= UNCLEAR_STREAK => self.contradict(&slots),
                 _ => {}
             }
         }
-        let is_over = |streak: &Streak| streak.posts.is_empty() && streak.count >= AGREED_STREAK;
+        let is_over = |streak: &Streak| streak.slots.is_empty() && streak.count >= AGREED_STREAK;
         if self.streaks.iter().all(is_over) {
             self.end_contradiction();
         }
         is_calm && self.contradiction.is_none()
     }
 
-    /// What each camera's view has to be off by to be called bumped.
-    fn least_moves(&self) -> Vec<f64> {
+    /// Displacement of its views for which each camera counts as moved.
+    fn min_moves(&self) -> Vec<f64> {
         let params = &self.params;
-        let least_m = |post: &Post| match (post.is_held, post.is_settled) {
-            (true, true) => params.least_held_bump_m,
-            (false, false) => params.least_first_bump_m,
-            (true, false) | (false, true) => params.least_bump_m,
+        let min_m = |slot: &CameraSlot| match (slot.is_held, slot.is_settled) {
+            (true, true) => params.min_held_bump_m,
+            (false, false) => params.min_first_bump_m,
+            (true, false) | (false, true) => params.min_bump_m,
         };
-        self.posts.iter().map(least_m).collect()
+        self.slots.iter().map(min_m).collect()
     }
 
-    /// Trusts who agrees with others.
-    fn trust(&mut self, rounds: &[Round]) {
-        for index in 0..self.posts.len() {
-            if !self.posts[index].is_trusted && is_backed(rounds, index) {
-                self.posts[index].is_trusted = true;
-                let camera = self.posts[index].camera;
+    /// Trusts the cameras that agree with others.
+    fn trust(&mut self, comparisons: &[Comparison]) {
+        for index in 0..self.slots.len() {
+            if !self.slots[index].is_trusted && has_enough_roundels(comparisons, index) {
+                self.slots[index].is_trusted = true;
+                let camera = self.slots[index].camera;
                 self.misplaced.retain(|it| *it != camera);
             }
         }
     }
 
-    /// Whether somebody among those who disagree may never have stood where he was said to; told once.
-    fn doubt(&mut self, rounds: &[Round], count: usize) -> bool {
-        let seen = rounds.iter().flat_map(Round::posts);
+    /// Whether a disagreeing camera has a manually entered pose; reports it once.
+    fn doubt(&mut self, comparisons: &[Comparison], count: usize) -> bool {
+        let seen = comparisons.iter().flat_map(Comparison::slots);
         let doubtful: BTreeSet<CameraId> = seen
-            .filter(|post| !self.posts[*post].is_trusted)
-            .map(|post| self.posts[post].camera)
+            .filter(|slot| !self.slots[*slot].is_trusted)
+            .map(|slot| self.slots[slot].camera)
             .collect();
         let is_known = doubtful.iter().all(|camera| self.misplaced.contains(camera));
         if count >= UNCLEAR_STREAK && !is_known {
@@ -104,43 +104,43 @@ impl Watch {
         !doubtful.is_empty()
     }
 
-    fn rounds(&self, window: usize, places: &[Option<Rigid>]) -> Vec<Round> {
+    fn comparisons(&self, window: usize, poses: &[Option<Rigid>]) -> Vec<Comparison> {
         let newest = self.bins.iter().rev().take(window).flatten();
-        newest.filter_map(|it| Round::of(it, places, window, &self.params)).collect()
+        newest.filter_map(|it| Comparison::of(it, poses, window, &self.params)).collect()
     }
 
     fn bumped(&mut self, moved: &[(usize, Rigid)]) {
         self.end_contradiction();
-        for (index, place) in moved {
-            let post = &mut self.posts[*index];
-            let before = &post.placement.world_from_camera;
+        for (index, pose) in moved {
+            let slot = &mut self.slots[*index];
+            let before = &slot.placement.world_from_camera;
             self.events.push(WatchEvent::Bumped {
-                camera: post.camera,
-                moved_m: (place.translation.vector - before.translation.vector).norm(),
-                turned_rad: place.rotation.angle_to(&before.rotation),
+                camera: slot.camera,
+                moved_m: (pose.translation.vector - before.translation.vector).norm(),
+                turned_rad: pose.rotation.angle_to(&before.rotation),
             });
-            post.recovery = Some(Recovery::new(*place));
-            post.is_held = false;
+            slot.recovery = Some(Recovery::new(*pose));
+            slot.is_held = false;
         }
-        // What was seen together with them says nothing of the others.
-        self.drift = Drift::new(self.posts.len());
+        // Common evidence with moved cameras is invalid.
+        self.drift = Drift::new(self.slots.len());
         self.streaks = Default::default();
-        for post in &mut self.posts {
-            if let Some(recovery) = &mut post.recovery {
+        for slot in &mut self.slots {
+            if let Some(recovery) = &mut slot.recovery {
                 recovery.restart();
             }
         }
     }
 
-    fn contradict(&mut self, posts: &[usize]) {
+    fn contradict(&mut self, slots: &[usize]) {
         let mut cameras: Vec<CameraId> =
-            posts.iter().map(|post| self.posts[*post].camera).collect();
+            slots.iter().map(|slot| self.slots[*slot].camera).collect();
         cameras.sort_unstable();
         if self.contradiction.as_ref() != Some(&cameras) {
             self.end_contradiction();
             self.events.push(WatchEvent::Contradiction { cameras: cameras.clone() });
             self.contradiction = Some(cameras);
-            self.drift = Drift::new(self.posts.len());
+            self.drift = Drift::new(self.slots.len());
         }
     }
 

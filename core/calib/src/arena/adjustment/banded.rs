@@ -1,11 +1,10 @@
-//! A symmetric positive definite matrix with few diagonals, and its Cholesky factor (Golub, Van Loan,
-//! *Matrix computations*, 4.3.5): what a course's control points ask of one another, since four of them
-//! meet in a sighting.
+//! Symmetric positive definite band matrix and its Cholesky factor (Golub, Van Loan, *Matrix computations*, 4.3.5): the
+//! normal equations of a spline, where each sighting involves four control points.
 
-/// Diagonals kept, the main one among them: four points of three coordinates.
+/// Lower bandwidth with the diagonal: four points of three coordinates.
 pub(crate) const WIDTH: usize = 12;
 
-/// The lower half, row by row: entry k of row i is that of column i + k + 1 - [`WIDTH`].
+/// Lower half by rows: entry k of row i belongs to column i + k + 1 - [`WIDTH`].
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Band {
     rows: Vec<[f64; WIDTH]>,
@@ -22,20 +21,19 @@ impl Band {
         Self { rows: vec![[0.0; WIDTH]; size] }
     }
 
-    /// Adds to the entry of `row` and `column`, which must not be right of the diagonal nor further left
-    /// than the matrix is wide.
+    /// Adds to an entry of the lower half within the band.
     pub(crate) fn add(&mut self, row: usize, column: usize, value: f64) {
         self.rows[row][column + WIDTH - 1 - row] += value;
     }
 
-    /// `None` if the matrix is not positive definite.
+    /// Returns `None` if the matrix is not positive definite.
     pub(crate) fn factor(mut self) -> Option<Factor> {
         for i in 0..self.rows.len() {
             let (above, rest) = self.rows.split_at_mut(i);
             let row = &mut rest[0];
             let leftmost = i.saturating_sub(WIDTH - 1);
             for j in leftmost..i {
-                // Columns that both rows reach; row j's entry of column k is at k + WIDTH - 1 - j.
+                // Columns within the band of both rows; entry of column k in row j is k + WIDTH - 1 - j.
                 let other = &above[j];
                 let start = leftmost.max(j.saturating_sub(WIDTH - 1));
                 let sum: f64 =
@@ -55,7 +53,7 @@ impl Band {
 }
 
 impl Factor {
-    /// L⁻¹ B in place, B with `width` columns, row by row.
+    /// L⁻¹ B in place, for B with `width` columns, by rows.
     pub(crate) fn forward(&self, matrix: &mut [f64], width: usize) {
         for (i, row) in self.rows.iter().enumerate() {
             let (above, rest) = matrix.split_at_mut(i * width);
@@ -120,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_positive_definite_has_no_factor() {
+    fn an_indefinite_matrix_has_no_factor() {
         let mut band = Band::zeros(2);
         band.add(0, 0, 1.0);
         band.add(1, 0, 2.0);

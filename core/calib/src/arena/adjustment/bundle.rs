@@ -1,167 +1,176 @@
 //! Bundle adjustment over all cameras and times.
 //!
-//! Unknown are each camera's place, clock and, if asked, lens, and every roundel's course. Levenberg and
-//! Marquardt's steps are taken on the cameras alone, each roundel's course being eliminated exactly
-//! ([`super::track_block`]), one roundel after another on as many cores as there are; sums are made in the
-//! roundels' order, so that the same input gives the same bits on any machine with the same arithmetic.
+//! Unknowns: pose, clock and optionally lens of each camera, and the spline of each roundel. The splines are eliminated
+//! exactly ([`super::track_block`]), in parallel over roundels; sums are made in the order of roundels, so the result is
+//! reproducible. The reduced camera equations are solved by damped steps
+//! ([`crate::least_squares`]).
 //!
-//! The start may be off by centimetres where a sighting is good to half a millimetre, so how far off a
-//! sighting may be and still count begins at what is seen and narrows as the median falls
-//! (graduated non-convexity: Blake, Zisserman 1987).
+//! The initial poses may be off by centimetres while a sighting is good to half a millimetre. The scale of the robust loss
+//! therefore starts at the observed residuals and decreases with their median (graduated non-convexity: Blake, Zisserman
+//! 1987).
 //!
-//! The covariance is K = H⁻¹ M H⁻¹, with H the cameras' information and M the spread of the scores that
-//! stretches of [`STRETCH_S`] contribute (White 1980; Liang, Zeger 1986), since errors of one roundel in one
-//! camera hang together for a second or so, which H⁻¹ alone does not know. What the references and the
-//! other knowledge beside contribute is in M as stated.
+//! The covariance is K = H⁻¹ M H⁻¹ with the information H of the cameras and the scatter M of the gradients of time blocks
+//! of [`BLOCK_S`] (White 1980; Liang, Zeger 1986), because errors of a roundel in a camera are correlated over about a
+//! second. References and priors contribute to M as stated.
 
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use super::{
-    camera_block::{MOST, Station},
-    track_block::{Reduced, Subject, loss, width},
+    camera_block::{CameraBlock, UNKNOWNS},
+    track_block::{Reduced, TrackBlock, loss, unknowns_per_camera},
 };
+use crate::least_squares::{Damping, LeastSquares, damped};
 
-/// Sightings' squares count by this much at the end (χ², 3 degrees of freedom: 1 - 10⁻³).
+/// Final scale of the robust loss (χ², 3 degrees of freedom: 1 - 10⁻³).
 const SCALE: f64 = 16.0;
-/// With this all sightings count alike.
-const PLAIN: f64 = 1e12;
+/// Scale without robust weights.
+const UNWEIGHTED: f64 = 1e12;
 /// Median of χ² with 3 degrees of freedom.
 const MEDIAN: f64 = 2.366;
-/// Errors this far apart in time are independent, seconds.
-const STRETCH_S: f64 = 5.0;
-const MOST_STEPS: usize = 60;
-/// A step below this in every unknown, in its deviations, ends it.
-const SHORT: f64 = 1e-3;
-const MOST_DAMPING: f64 = 1e6;
+/// Duration of independent time blocks, seconds.
+const BLOCK_S: f64 = 5.0;
+const MAX_STEPS: usize = 60;
+/// The adjustment ends when no unknown changes by more than this, in standard deviations.
+const CONVERGED: f64 = 1e-3;
+const MAX_DAMPING: f64 = 1e6;
 
-/// What is known of a camera's unknowns before: deviations of clock and lens; its place is free.
+/// Prior deviations of a camera's clock and lens; its pose is free.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Prior {
     /// Offset s, skew, ln f, principal point px, coefficient.
-    pub(crate) deviations: [f64; MOST - 6],
+    pub(crate) deviations: [f64; UNKNOWNS - 6],
 }
 
-/// Cameras and roundels.
+/// State of the adjustment.
 pub(crate) struct Bundle {
-    pub(crate) stations: Vec<Station>,
-    pub(crate) subjects: Vec<Subject>,
+    pub(crate) camera_blocks: Vec<CameraBlock>,
+    pub(crate) track_blocks: Vec<TrackBlock>,
     pub(crate) priors: Vec<Prior>,
+    /// Largest change of an unknown in the last step, in its conditional standard deviation.
+    step_length: f64,
 }
 
-/// How it went.
 pub(crate) struct Outcome {
-    /// Over every camera's unknowns in turn.
+    /// Over the unknowns of all cameras.
     pub(crate) covariance: DMatrix<f64>,
-    /// Unknowns of each camera.
-    pub(crate) width: usize,
+    /// Unknowns per camera.
+    pub(crate) unknowns: usize,
     pub(crate) steps: usize,
-    /// By how much errors are larger than was stated, as a ratio of deviations by their median.
+    /// Median ratio of errors to stated deviations.
     pub(crate) excess: f64,
 }
 
-/// Why it ended without a result.
+/// Why the adjustment has no result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Failed {
-    /// Something is not determined, or not finite.
+pub(crate) enum AdjustError {
+    /// An unknown is undetermined or not finite.
     Undetermined,
-    /// The caller wanted no more of it.
+    /// Cancelled by the caller.
     Cancelled,
 }
 
-/// The cameras' equations: everything else is eliminated.
-struct Equations {
+/// Reduced camera equations.
+pub(crate) struct Equations {
     information: DMatrix<f64>,
     gradient: DVector<f64>,
     reduced: Vec<Reduced>,
 }
 
+impl LeastSquares for Bundle {
+    type Normal = Equations;
+
+    fn cost(&self, scale: f64) -> Option<f64> {
+        Some(self.total_cost(scale))
+    }
+
+    fn normal(&self, scale: f64) -> Option<Equations> {
+        self.equations(scale)
+    }
+
+    fn stepped(&self, equations: &Equations, damping: f64) -> Option<Self> {
+        let information = damped(equations.information.clone(), damping);
+        let change = information.cholesky()?.solve(&equations.gradient);
+        change.iter().all(|value| value.is_finite()).then(|| self.moved(equations, &change))
+    }
+}
+
 impl Bundle {
-    /// Adjusts everything. `go_on` is asked before each step, with how many were made and how large the
-    /// last one was in the unknowns' deviations.
+    pub(crate) fn new(
+        camera_blocks: Vec<CameraBlock>,
+        track_blocks: Vec<TrackBlock>,
+        priors: Vec<Prior>,
+    ) -> Self {
+        Self { camera_blocks, track_blocks, priors, step_length: f64::INFINITY }
+    }
+
+    /// Adjusts everything. Calls `go_on` before each step with the number of steps and the length of the last one
+    /// in standard deviations.
     pub(crate) fn adjust(
         &mut self,
         mut go_on: impl FnMut(usize, f64) -> bool,
-    ) -> Result<Outcome, Failed> {
-        self.settle()?;
-        let (mut damping, mut length) = (1e-6, f64::INFINITY);
-        for step in 0..MOST_STEPS {
-            if !go_on(step, length) {
-                return Err(Failed::Cancelled);
+    ) -> Result<Outcome, AdjustError> {
+        self.solve_splines()?;
+        let mut damping = Damping { value: 1e-6, min: 1e-9, max: MAX_DAMPING };
+        for step in 0..MAX_STEPS {
+            if !go_on(step, self.step_length) {
+                return Err(AdjustError::Cancelled);
             }
             let scale = self.scale();
-            let equations = self.equations(scale).ok_or(Failed::Undetermined)?;
-            let cost = self.cost(scale);
-            let mut is_over = false;
-            loop {
-                let change = solve(&equations, damping).ok_or(Failed::Undetermined)?;
-                let moved = self.moved(&equations, &change);
-                let better = moved.cost(scale);
-                length = self.length(&equations, &change);
-                if better <= cost {
-                    *self = moved;
-                    damping = (damping * 0.1).max(1e-9);
-                    break;
-                }
-                damping = (damping * 10.0).max(1e-6);
-                // What cannot be bettered is as good as it gets.
-                is_over = length < SHORT || damping > MOST_DAMPING;
-                if is_over {
-                    break;
-                }
-            }
-            if is_over || length < SHORT {
+            let cost = self.total_cost(scale);
+            let lower = damping.step(self, scale, cost).ok_or(AdjustError::Undetermined)?;
+            if lower.is_none() || self.step_length < CONVERGED {
                 return self.outcome(step + 1);
             }
         }
-        self.outcome(MOST_STEPS)
+        self.outcome(MAX_STEPS)
     }
 
-    /// Courses for the cameras as they are, first by all sightings alike and then by the best.
-    fn settle(&mut self) -> Result<(), Failed> {
+    /// Fits the splines to the current cameras: unweighted first, then robustly.
+    fn solve_splines(&mut self) -> Result<(), AdjustError> {
         for is_first in [true, false] {
-            let scale = if is_first { PLAIN } else { self.scale() };
-            let stations = &self.stations;
-            let courses: Vec<_> = self
-                .subjects
+            let scale = if is_first { UNWEIGHTED } else { self.scale() };
+            let camera_blocks = &self.camera_blocks;
+            let splines: Vec<_> = self
+                .track_blocks
                 .par_iter()
-                .map(|subject| subject.settled(stations, scale))
+                .map(|track_block| track_block.solved_spline(camera_blocks, scale))
                 .collect::<Option<_>>()
-                .ok_or(Failed::Undetermined)?;
-            for (subject, course) in self.subjects.iter_mut().zip(courses) {
-                subject.course = course;
+                .ok_or(AdjustError::Undetermined)?;
+            for (track_block, spline) in self.track_blocks.iter_mut().zip(splines) {
+                track_block.spline = spline;
             }
         }
         Ok(())
     }
 
-    /// What a square may be and still count by a quarter.
+    /// Scale of the robust loss: squares of this size have a quarter of their weight.
     fn scale(&self) -> f64 {
         SCALE * self.excess_squared().max(1.0)
     }
 
-    /// The median square over what it should be.
+    /// Median square over its expectation.
     fn excess_squared(&self) -> f64 {
         let mut squares: Vec<f64> = self
-            .subjects
+            .track_blocks
             .par_iter()
-            .flat_map_iter(|subject| subject.squares(&self.stations))
+            .flat_map_iter(|track_block| track_block.squares(&self.camera_blocks))
             .collect();
         excess_squared(&mut squares)
     }
 
     fn equations(&self, scale: f64) -> Option<Equations> {
-        let dims = width(&self.stations);
-        let size = dims * self.stations.len();
+        let dims = unknowns_per_camera(&self.camera_blocks);
+        let size = dims * self.camera_blocks.len();
         let reduced: Vec<Reduced> = self
-            .subjects
+            .track_blocks
             .par_iter()
-            .map(|subject| subject.reduce(&self.stations, scale))
+            .map(|track_block| track_block.reduce(&self.camera_blocks, scale))
             .collect::<Option<_>>()?;
         let mut information = DMatrix::zeros(size, size);
         let mut gradient = DVector::zeros(size);
-        for (subject, part) in self.subjects.iter().zip(&reduced) {
-            let columns = spread(&subject.cameras, dims);
+        for (track_block, part) in self.track_blocks.iter().zip(&reduced) {
+            let columns = columns_of(&track_block.cameras, dims);
             for (i, &row) in columns.iter().enumerate() {
                 gradient[row] += part.gradient[i];
                 for (j, &column) in columns.iter().enumerate() {
@@ -169,8 +178,8 @@ impl Bundle {
                 }
             }
         }
-        for (camera, station) in self.stations.iter().enumerate() {
-            for (number, value, weight) in self.known(camera, station, dims) {
+        for (camera, camera_block) in self.camera_blocks.iter().enumerate() {
+            for (number, value, weight) in self.camera_priors(camera, camera_block, dims) {
                 let at = camera * dims + number;
                 information[(at, at)] += weight;
                 gradient[at] -= weight * value;
@@ -179,91 +188,97 @@ impl Bundle {
         Some(Equations { information, gradient, reduced })
     }
 
-    /// Unknown, value and weight of what is known of a camera beside.
-    fn known(
+    /// Index, value and weight of each prior of a camera.
+    fn camera_priors(
         &self,
         camera: usize,
-        station: &Station,
+        camera_block: &CameraBlock,
         dims: usize,
     ) -> impl Iterator<Item = (usize, f64, f64)> {
-        let lens = station.lens_change();
-        let values = [station.offset_s, station.skew, lens[0], lens[1], lens[2], lens[3]];
+        let lens = camera_block.lens_change();
+        let values = [camera_block.offset_s, camera_block.skew, lens[0], lens[1], lens[2], lens[3]];
         let deviations = self.priors[camera].deviations;
         (0..dims - 6).map(move |i| (6 + i, values[i], deviations[i].powi(-2)))
     }
 
     fn moved(&self, equations: &Equations, change: &DVector<f64>) -> Bundle {
-        let dims = width(&self.stations);
-        let stations = self
-            .stations
+        let along = |i: usize| change[i].abs() * equations.information[(i, i)].sqrt();
+        let step_length = (0..change.len()).map(along).fold(0.0, f64::max);
+        let dims = unknowns_per_camera(&self.camera_blocks);
+        let camera_blocks = self
+            .camera_blocks
             .iter()
             .enumerate()
-            .map(|(camera, station)| {
-                let mut step = [0.0; MOST];
+            .map(|(camera, camera_block)| {
+                let mut step = [0.0; UNKNOWNS];
                 step[..dims]
                     .copy_from_slice(&change.as_slice()[camera * dims..(camera + 1) * dims]);
-                station.moved(&step)
+                camera_block.moved(&step)
             })
             .collect();
-        let subjects = self
-            .subjects
+        let track_blocks = self
+            .track_blocks
             .par_iter()
             .zip(&equations.reduced)
-            .map(|(subject, reduced)| {
-                let columns = spread(&subject.cameras, dims);
+            .map(|(track_block, reduced)| {
+                let columns = columns_of(&track_block.cameras, dims);
                 let step: Vec<f64> = columns.iter().map(|&column| change[column]).collect();
-                Subject { course: subject.stepped(reduced, &step), ..subject.clone() }
+                TrackBlock { spline: track_block.stepped(reduced, &step), ..track_block.clone() }
             })
             .collect();
-        Bundle { stations, subjects, priors: self.priors.clone() }
+        Bundle { camera_blocks, track_blocks, priors: self.priors.clone(), step_length }
     }
 
-    fn cost(&self, scale: f64) -> f64 {
-        let parts: Vec<f64> =
-            self.subjects.par_iter().map(|subject| subject.cost(&self.stations, scale)).collect();
-        let dims = width(&self.stations);
-        let known = self.stations.iter().enumerate().flat_map(|(camera, station)| {
-            self.known(camera, station, dims).map(|(_, value, weight)| value * value * weight)
-        });
-        parts.iter().sum::<f64>() + known.sum::<f64>()
+    fn total_cost(&self, scale: f64) -> f64 {
+        let parts: Vec<f64> = self
+            .track_blocks
+            .par_iter()
+            .map(|track_block| track_block.cost(&self.camera_blocks, scale))
+            .collect();
+        let dims = unknowns_per_camera(&self.camera_blocks);
+        let camera_priors =
+            self.camera_blocks.iter().enumerate().flat_map(|(camera, camera_block)| {
+                self.camera_priors(camera, camera_block, dims)
+                    .map(|(_, value, weight)| value * value * weight)
+            });
+        parts.iter().sum::<f64>() + camera_priors.sum::<f64>()
     }
 
-    /// The largest change in deviations of its unknown, were all others known.
-    fn length(&self, equations: &Equations, change: &DVector<f64>) -> f64 {
-        let along = |i: usize| change[i].abs() * equations.information[(i, i)].sqrt();
-        (0..change.len()).map(along).fold(0.0, f64::max)
-    }
-
-    fn outcome(&self, steps: usize) -> Result<Outcome, Failed> {
+    fn outcome(&self, steps: usize) -> Result<Outcome, AdjustError> {
         let scale = self.scale();
-        let equations = self.equations(scale).ok_or(Failed::Undetermined)?;
-        let covariance = self.covariance(&equations, scale).ok_or(Failed::Undetermined)?;
+        let equations = self.equations(scale).ok_or(AdjustError::Undetermined)?;
+        let covariance = self.covariance(&equations, scale).ok_or(AdjustError::Undetermined)?;
         let excess = self.excess_squared().sqrt();
-        Ok(Outcome { covariance, width: width(&self.stations), steps, excess })
+        Ok(Outcome {
+            covariance,
+            unknowns: unknowns_per_camera(&self.camera_blocks),
+            steps,
+            excess,
+        })
     }
 
     fn covariance(&self, equations: &Equations, scale: f64) -> Option<DMatrix<f64>> {
-        let dims = width(&self.stations);
+        let dims = unknowns_per_camera(&self.camera_blocks);
         let size = equations.gradient.len();
         let inverse = equations.information.clone().cholesky()?.inverse();
         let scores: Vec<Vec<Vec<f64>>> = self
-            .subjects
+            .track_blocks
             .par_iter()
             .zip(&equations.reduced)
-            .map(|(subject, reduced)| match subject.stated {
-                // References stand: their errors are those stated.
+            .map(|(track_block, reduced)| match track_block.stated {
+                // Errors of references are those stated.
                 Some(_) => Vec::new(),
-                None => subject.scores(reduced, &self.stations, (scale, STRETCH_S)),
+                None => track_block.scores(reduced, &self.camera_blocks, (scale, BLOCK_S)),
             })
             .collect();
         let (mut spread_of, mut stated) = (DMatrix::zeros(size, size), DMatrix::zeros(size, size));
         let mut moving = DMatrix::zeros(size, size);
-        let mut stretches = 0;
-        for ((subject, reduced), scores) in
-            self.subjects.iter().zip(&equations.reduced).zip(&scores)
+        let mut blocks = 0;
+        for ((track_block, reduced), scores) in
+            self.track_blocks.iter().zip(&equations.reduced).zip(&scores)
         {
-            let columns = spread(&subject.cameras, dims);
-            let target = if subject.stated.is_some() { &mut stated } else { &mut moving };
+            let columns = columns_of(&track_block.cameras, dims);
+            let target = if track_block.stated.is_some() { &mut stated } else { &mut moving };
             for (i, &row) in columns.iter().enumerate() {
                 for (j, &column) in columns.iter().enumerate() {
                     target[(row, column)] += reduced.information[i * columns.len() + j];
@@ -272,25 +287,25 @@ impl Bundle {
                     }
                 }
             }
-            stretches += scores.len();
+            blocks += scores.len();
         }
-        for (camera, station) in self.stations.iter().enumerate() {
-            for (number, _, weight) in self.known(camera, station, dims) {
+        for (camera, camera_block) in self.camera_blocks.iter().enumerate() {
+            for (number, _, weight) in self.camera_priors(camera, camera_block, dims) {
                 stated[(camera * dims + number, camera * dims + number)] += weight;
             }
         }
-        if stretches > 0 {
-            // Few stretches say little of many unknowns: what they say on the whole then counts for each.
+        if blocks > 0 {
+            // With few blocks, blend with the stated covariance scaled by their mean inflation.
             let part = |middle: &DMatrix<f64>| (&inverse * middle * &inverse).trace();
             let inflation = part(&spread_of) / part(&moving).max(f64::MIN_POSITIVE);
-            let few = size as f64 / (size + stretches) as f64;
+            let few = size as f64 / (size + blocks) as f64;
             spread_of = spread_of * (1.0 - few) + moving * (inflation * few);
         }
         Some(&inverse * (spread_of + stated) * &inverse)
     }
 }
 
-/// The median of squared errors of three components over what it should be; 1 without any.
+/// Median of squared errors with three components over its expectation; 1 if empty.
 pub(crate) fn excess_squared(squares: &mut [f64]) -> f64 {
     if squares.is_empty() {
         return 1.0;
@@ -300,21 +315,12 @@ pub(crate) fn excess_squared(squares: &mut [f64]) -> f64 {
     median.min(1e12) / MEDIAN
 }
 
-fn solve(equations: &Equations, damping: f64) -> Option<DVector<f64>> {
-    let mut information = equations.information.clone();
-    for i in 0..information.nrows() {
-        information[(i, i)] *= 1.0 + damping;
-    }
-    let step = information.cholesky()?.solve(&equations.gradient);
-    step.iter().all(|value| value.is_finite()).then_some(step)
-}
-
-/// Columns of these cameras' unknowns.
-fn spread(cameras: &[usize], dims: usize) -> Vec<usize> {
+/// Columns of the unknowns of these cameras.
+fn columns_of(cameras: &[usize], dims: usize) -> Vec<usize> {
     cameras.iter().flat_map(|camera| camera * dims..(camera + 1) * dims).collect()
 }
 
-/// Whether a sighting of this square counts by less than a quarter.
+/// Whether a sighting with this square has less than a quarter of its weight.
 pub(crate) fn is_outlier(square: f64, excess: f64) -> bool {
     let scale = SCALE * (excess * excess).max(1.0);
     loss(square, scale) > 0.5 * scale

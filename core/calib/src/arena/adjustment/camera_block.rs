@@ -1,10 +1,9 @@
-//! A camera as the bundle sees it: place, clock and lens, and where it sees a point.
+//! Unknowns of one camera: pose, clock and lens; and its prediction of a point.
 //!
-//! With R, c of world_from_camera a point at x is at q = Rᵀ (x - c), and of small changes δc, δθ (on the
-//! left, in the world), δx: δq = Rᵀ (δx - δc + [x - c]× δθ). A stamp s is at s - o - k (s - s₀) on the time
-//! of all. What is measured was computed by the lens that was believed; if the true one differs, the point
-//! shows up along the ray that the believed lens gives its pixel, and further off by the ratio of both
-//! lenses' magnifications there: [`Station::apparent`].
+//! With R, c of world_from_camera, a world point x is at q = Rᵀ (x - c) in the camera. For small δc, δθ (left
+//! perturbation) and δx: δq = Rᵀ (δx - δc + [x - c]× δθ). The stamp s corresponds to the time s - o - k (s - s₀).
+//! Measurements were computed with the given lens. With another true lens, a point appears along the ray that the given
+//! lens assigns to its pixel, at a distance scaled by the ratio of both lenses' magnifications: [`LensEstimate::apparent`].
 
 use nalgebra::{Matrix2x3, Matrix3, SVector, UnitQuaternion, Vector3};
 
@@ -13,66 +12,65 @@ use roundel_vision::{
     rigid::Rigid,
 };
 
-/// Place 3, turn 3, clock's offset and skew, lens' ln f, principal point 2, first radial coefficient.
-pub(crate) const MOST: usize = 12;
-/// Without the lens.
-pub(crate) const WITHOUT_LENS: usize = 8;
-/// Of the lens.
-const LENS: usize = MOST - WITHOUT_LENS;
-/// Steps of the lens' differences: f, pixels, and of the coefficient.
+/// Position 3, rotation 3, clock offset and skew, ln f, principal point 2, first radial coefficient.
+pub(crate) const UNKNOWNS: usize = 12;
+/// Unknowns without those of the lens.
+pub(crate) const POSE_AND_CLOCK: usize = 8;
+/// Unknowns of the lens.
+const LENS: usize = UNKNOWNS - POSE_AND_CLOCK;
+/// Steps of the numerical derivatives by the lens: ln f, pixels, coefficient.
 const STEPS: [f64; LENS] = [1e-4, 0.1, 0.1, 1e-4];
 
-/// Derivatives of a sighting's place in the camera by the camera, in the order of [`MOST`].
-pub(crate) type ByCamera = [Vector3<f64>; MOST];
+/// Derivatives of a predicted position in the camera, in the order of [`UNKNOWNS`].
+pub(crate) type CameraJacobian = [Vector3<f64>; UNKNOWNS];
 
-/// One camera's unknowns.
 #[derive(Clone, Debug)]
-pub(crate) struct Station {
+pub(crate) struct CameraBlock {
     pub(crate) world_from_camera: Rigid,
     pub(crate) offset_s: f64,
     pub(crate) skew: f64,
-    /// What measurements were computed with, and what its lens is now thought to be.
-    lens: Option<Lenses>,
+    /// The given lens and its current estimate, if it is refined.
+    lens: Option<LensEstimate>,
 }
 
 #[derive(Clone, Debug)]
-struct Lenses {
-    believed: Camera,
+struct LensEstimate {
+    given: Camera,
     change: [f64; LENS],
     now: Camera,
-    /// The same with one number changed by its step.
+    /// The current lens with one parameter changed by its step.
     stepped: [Camera; LENS],
 }
 
-impl Station {
-    /// `lens` only where it is to be refined.
+impl CameraBlock {
+    /// `lens` is given only if it must be refined.
     pub(crate) fn new(world_from_camera: Rigid, offset_s: f64, lens: Option<&Camera>) -> Self {
-        let lens = lens.and_then(|believed| Lenses::new(believed, [0.0; LENS]).ok());
+        let lens = lens.and_then(|given| LensEstimate::new(given, [0.0; LENS]).ok());
         Self { world_from_camera, offset_s, skew: 0.0, lens }
     }
 
-    /// How many unknowns it has.
+    /// Whether the lens is among the unknowns.
     pub(crate) fn refines_lens(&self) -> bool {
         self.lens.is_some()
     }
 
-    /// By how much the lens differs from what was believed: ln f, principal point, coefficient.
+    /// Change from the given lens: ln f, principal point, coefficient.
     pub(crate) fn lens_change(&self) -> [f64; LENS] {
         self.lens.as_ref().map_or([0.0; LENS], |lens| lens.change)
     }
 
-    /// The lens as it is now thought to be.
+    /// Current estimate of the lens.
     pub(crate) fn lens(&self) -> Option<&Camera> {
         self.lens.as_ref().map(|lens| &lens.now)
     }
 
-    /// On the time of all, from the camera's own, both since the middle of the recording.
+    /// Common time of a stamp, both relative to the middle of the recording.
     pub(crate) fn time_s(&self, stamp_s: f64) -> f64 {
         stamp_s - self.offset_s - self.skew * stamp_s
     }
 
-    /// Where the camera measures what is at `point_m` of the world; `None` where it cannot see it.
-    pub(crate) fn sees(&self, point_m: &Vector3<f64>) -> Option<Vector3<f64>> {
+    /// Measured position of a world point; `None` if it has no image.
+    pub(crate) fn predict(&self, point_m: &Vector3<f64>) -> Option<Vector3<f64>> {
         let seen_m = self.world_from_camera.inverse_transform_point(&(*point_m).into()).coords;
         match &self.lens {
             Some(lens) => lens.apparent(&lens.now, &seen_m),
@@ -80,44 +78,44 @@ impl Station {
         }
     }
 
-    /// What [`Station::sees`] gives, its derivative by the point, and by the camera.
-    pub(crate) fn sees_with_jacobian(
+    /// As [`CameraBlock::predict`], with the derivatives by the point and by the camera.
+    pub(crate) fn predict_with_jacobian(
         &self,
         point_m: &Vector3<f64>,
         velocity_m_s: &Vector3<f64>,
         stamp_s: f64,
-    ) -> Option<(Vector3<f64>, Matrix3<f64>, ByCamera)> {
+    ) -> Option<(Vector3<f64>, Matrix3<f64>, CameraJacobian)> {
         let place = &self.world_from_camera;
         let back = place.rotation.inverse().to_rotation_matrix().into_inner();
         let arm_m = point_m - place.translation.vector;
         let seen_m = back * arm_m;
         let turn = back * arm_m.cross_matrix();
-        let slip = -(back * velocity_m_s);
-        let mut by = [Vector3::zeros(); MOST];
+        let clock_shift = -(back * velocity_m_s);
+        let mut by = [Vector3::zeros(); UNKNOWNS];
         for axis in 0..3 {
             by[axis] = -back.column(axis);
             by[3 + axis] = turn.column(axis).into_owned();
         }
-        (by[6], by[7]) = (slip, slip * stamp_s);
+        (by[6], by[7]) = (clock_shift, clock_shift * stamp_s);
         let Some(lens) = &self.lens else { return Some((seen_m, back, by)) };
-        // The lens' own change is so small that it turns the other derivatives by no more than itself.
+        // The change of the lens is so small that its effect on the other derivatives is negligible.
         let apparent_m = lens.apparent(&lens.now, &seen_m)?;
         for (number, stepped) in lens.stepped.iter().enumerate() {
             let moved_m = lens.apparent(stepped, &seen_m)?;
-            by[WITHOUT_LENS + number] = (moved_m - apparent_m) / STEPS[number];
+            by[POSE_AND_CLOCK + number] = (moved_m - apparent_m) / STEPS[number];
         }
         Some((apparent_m, back, by))
     }
 
-    /// Changed by a step of the unknowns; itself if that is no lens.
+    /// Applies a step of the unknowns; the lens stays the same if the step makes it invalid.
     pub(crate) fn moved(&self, step: &[f64]) -> Self {
         let part = |first: usize| SVector::<f64, 3>::from_column_slice(&step[first..first + 3]);
         let place = &self.world_from_camera;
         let turn = UnitQuaternion::from_scaled_axis(part(3));
         let origin_m = place.translation.vector + part(0);
         let lens = self.lens.as_ref().map(|lens| {
-            let change = std::array::from_fn(|i| lens.change[i] + step[WITHOUT_LENS + i]);
-            Lenses::new(&lens.believed, change).unwrap_or_else(|_| lens.clone())
+            let change = std::array::from_fn(|i| lens.change[i] + step[POSE_AND_CLOCK + i]);
+            LensEstimate::new(&lens.given, change).unwrap_or_else(|_| lens.clone())
         });
         Self {
             world_from_camera: Rigid::from_parts(origin_m.into(), turn * place.rotation),
@@ -128,37 +126,37 @@ impl Station {
     }
 }
 
-impl Lenses {
-    fn new(believed: &Camera, change: [f64; LENS]) -> Result<Self, CameraError> {
-        let now = changed(believed, &change)?;
+impl LensEstimate {
+    fn new(given: &Camera, change: [f64; LENS]) -> Result<Self, CameraError> {
+        let now = changed(given, &change)?;
         let step = |number: usize| {
             let mut change = change;
             change[number] += STEPS[number];
-            changed(believed, &change)
+            changed(given, &change)
         };
         let stepped = [step(0)?, step(1)?, step(2)?, step(3)?];
-        Ok(Self { believed: believed.clone(), change, now, stepped })
+        Ok(Self { given: given.clone(), change, now, stepped })
     }
 
-    /// Where the believed lens measures what is truly at `seen_m` and imaged by `lens`.
+    /// Position that the given lens measures for a point at `seen_m` imaged by `lens`.
     fn apparent(&self, lens: &Camera, seen_m: &Vector3<f64>) -> Option<Vector3<f64>> {
         let (pixel, jacobian) = lens.project_with_jacobian(seen_m).ok()?;
-        let bearing = self.believed.bearing(pixel).ok()?;
-        let (_, believed) = self.believed.project_with_jacobian(&bearing).ok()?;
+        let bearing = self.given.bearing(pixel).ok()?;
+        let (_, given) = self.given.project_with_jacobian(&bearing).ok()?;
         let range_m = seen_m.norm();
-        // Of one at distance 1 and of one at range_m.
-        let ratio = magnification(&believed) / (magnification(&jacobian) * range_m);
+        // Magnifications at distance 1 and at range_m.
+        let ratio = magnification(&given) / (magnification(&jacobian) * range_m);
         Some(bearing * (range_m * ratio))
     }
 }
 
-/// Pixels a unit of length across the line of sight: the root of how a projection scales areas.
+/// Pixels per unit of length across the line of sight: square root of the area scale of a projection.
 fn magnification(jacobian: &Matrix2x3<f64>) -> f64 {
     jacobian.row(0).cross(&jacobian.row(1)).norm().sqrt()
 }
 
-fn changed(believed: &Camera, change: &[f64; LENS]) -> Result<Camera, CameraError> {
-    let intrinsics = believed.intrinsics();
+fn changed(given: &Camera, change: &[f64; LENS]) -> Result<Camera, CameraError> {
+    let intrinsics = given.intrinsics();
     let mut lens = intrinsics.lens;
     let first = match &mut lens {
         Lens::PlumbBob(coefficients) => &mut coefficients[0],
@@ -180,7 +178,7 @@ fn changed(believed: &Camera, change: &[f64; LENS]) -> Result<Camera, CameraErro
 mod tests {
     use super::*;
 
-    fn station(with_lens: bool) -> Station {
+    fn camera_block(with_lens: bool) -> CameraBlock {
         let lens = Camera::new(Intrinsics {
             width: 1920,
             height: 1080,
@@ -193,37 +191,39 @@ mod tests {
         .unwrap();
         let turn = UnitQuaternion::from_euler_angles(3.0, 0.1, -0.4);
         let place = Rigid::from_parts(Vector3::new(0.3, -0.2, 5.0).into(), turn);
-        let mut station = Station::new(place, 0.01, with_lens.then_some(&lens));
-        station.skew = 2e-5;
-        station
+        let mut camera_block = CameraBlock::new(place, 0.01, with_lens.then_some(&lens));
+        camera_block.skew = 2e-5;
+        camera_block
     }
 
     #[test]
     fn an_unchanged_lens_changes_nothing() {
         let point = Vector3::new(0.8, 0.4, 0.3);
-        let apart = station(true).sees(&point).unwrap() - station(false).sees(&point).unwrap();
+        let apart = camera_block(true).predict(&point).unwrap()
+            - camera_block(false).predict(&point).unwrap();
         assert!(apart.norm() < 1e-9, "{apart}");
     }
 
     #[test]
     fn jacobians_are_the_differences() {
         for with_lens in [false, true] {
-            let (station, stamp_s) = (station(with_lens), 7.0);
+            let (camera_block, stamp_s) = (camera_block(with_lens), 7.0);
             let velocity = Vector3::new(1.0, -0.5, 0.2);
-            // Moves with its velocity, so that the clock's unknowns show.
-            let point = |station: &Station| {
-                Vector3::new(0.8, 0.4, 0.3) + velocity * station.time_s(stamp_s)
+            // Moves with its velocity, so that the clock has an effect.
+            let point = |camera_block: &CameraBlock| {
+                Vector3::new(0.8, 0.4, 0.3) + velocity * camera_block.time_s(stamp_s)
             };
-            let (_, by_point, by_camera) =
-                station.sees_with_jacobian(&point(&station), &velocity, stamp_s).unwrap();
-            let count = if with_lens { MOST } else { WITHOUT_LENS };
+            let (_, by_point, by_camera) = camera_block
+                .predict_with_jacobian(&point(&camera_block), &velocity, stamp_s)
+                .unwrap();
+            let count = if with_lens { UNKNOWNS } else { POSE_AND_CLOCK };
             for number in 0..count {
                 let size = 1e-5;
                 let moved = |sign: f64| {
-                    let mut step = [0.0; MOST];
+                    let mut step = [0.0; UNKNOWNS];
                     step[number] = sign * size;
-                    let moved = station.moved(&step);
-                    moved.sees(&point(&moved)).unwrap()
+                    let moved = camera_block.moved(&step);
+                    moved.predict(&point(&moved)).unwrap()
                 };
                 let difference = (moved(1.0) - moved(-1.0)) / (2.0 * size);
                 let off = (difference - by_camera[number]).norm();
@@ -232,7 +232,9 @@ mod tests {
             for axis in 0..3 {
                 let mut step = Vector3::zeros();
                 step[axis] = 1e-5;
-                let moved = |sign: f64| station.sees(&(point(&station) + step * sign)).unwrap();
+                let moved = |sign: f64| {
+                    camera_block.predict(&(point(&camera_block) + step * sign)).unwrap()
+                };
                 let difference = (moved(1.0) - moved(-1.0)) / 2e-5;
                 assert!((difference - by_point.column(axis)).norm() < 1e-3);
             }

@@ -1,4 +1,4 @@
-//! Bundle adjustment of an arena: camera poses, clocks and lenses against the splines of all roundels.
+//! Bundle adjustment of an arena: camera poses, clocks and lenses, and the splines of all roundels.
 
 pub(super) mod banded;
 pub(super) mod bundle;

@@ -1,49 +1,47 @@
-//! Where a roundel was over time: a uniform cubic B-spline, or one point of one that stands.
+//! Path of a roundel: a uniform cubic B-spline, or a constant for a stationary one.
 //!
-//! Between knots h apart a path whose fourth derivative is a⁗ is off by at most h⁴ a⁗ / 384 (de Boor, *A
-//! practical guide to splines*, 1978): with h = 0.1 s and 2 m/s² at 3 rad/s, 5 µm. Position and velocity are
-//! linear in four control points, so a course is solved for, never searched for.
+//! With knots h apart, the error for a fourth derivative a⁗ is at most h⁴ a⁗ / 384 (de Boor, *A practical guide to
+//! splines*, 1978): 5 µm for h = 0.1 s and 2 m/s² at 3 rad/s. Position and velocity are linear in four control points.
 
 use nalgebra::Vector3;
 
-/// Beyond first and last sighting, so that a clock's correction stays inside, seconds.
+/// Extension beyond the first and last sighting for corrections of clocks, seconds.
 const MARGIN_S: f64 = 0.25;
 
-/// A course's control points.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Course {
+pub(crate) struct Spline {
     start_s: f64,
     knot_s: f64,
-    /// One of what stands, else four or more.
+    /// One for a stationary roundel, else at least four.
     pub(crate) points_m: Vec<Vector3<f64>>,
 }
 
-/// What a course is at an instant.
+/// The spline at an instant.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Instant {
-    /// The first of `count` control points that matter.
+    /// First of the `count` control points that contribute.
     pub(crate) first: usize,
     pub(crate) count: usize,
-    /// What each adds to the position.
+    /// Weights of the control points.
     pub(crate) weights: [f64; 4],
     pub(crate) position_m: Vector3<f64>,
     pub(crate) velocity_m_s: Vector3<f64>,
 }
 
-impl Course {
-    /// Of a roundel that stands.
-    pub(crate) fn standing(position_m: Vector3<f64>) -> Self {
+impl Spline {
+    /// Path of a stationary roundel.
+    pub(crate) fn constant(position_m: Vector3<f64>) -> Self {
         Self { start_s: 0.0, knot_s: 1.0, points_m: vec![position_m] }
     }
 
-    /// Of one seen from `first_s` to `last_s`, not yet known.
+    /// For sightings from `first_s` to `last_s`, with all control points zero.
     pub(crate) fn over((first_s, last_s): (f64, f64), knot_s: f64) -> Self {
         let start_s = first_s - MARGIN_S;
         let spans = ((last_s + MARGIN_S - start_s) / knot_s).ceil().max(1.0) as usize;
         Self { start_s, knot_s, points_m: vec![Vector3::zeros(); spans + 3] }
     }
 
-    pub(crate) fn stands(&self) -> bool {
+    pub(crate) fn is_constant(&self) -> bool {
         self.points_m.len() == 1
     }
 
@@ -51,9 +49,9 @@ impl Course {
         self.knot_s
     }
 
-    /// Beyond its ends a course goes on as its last span would.
+    /// The outermost spans extrapolate beyond both ends.
     pub(crate) fn at(&self, time_s: f64) -> Instant {
-        if self.stands() {
+        if self.is_constant() {
             let weights = [1.0, 0.0, 0.0, 0.0];
             let position_m = self.points_m[0];
             return Instant {
@@ -97,20 +95,20 @@ mod tests {
     proptest! {
         #[test]
         fn velocity_is_the_difference(points in proptest::collection::vec(-3.0..3.0f64, 30), t in -0.2..1.0f64) {
-            let mut course = Course::over((0.0, 0.5), 0.2);
-            for (point, value) in course.points_m.iter_mut().zip(&points) {
+            let mut spline = Spline::over((0.0, 0.5), 0.2);
+            for (point, value) in spline.points_m.iter_mut().zip(&points) {
                 *point = Vector3::new(*value, -value, value * value);
             }
-            let difference = (course.at(t + 1e-5).position_m - course.at(t - 1e-5).position_m) / 2e-5;
-            prop_assert!((course.at(t).velocity_m_s - difference).norm() < 1e-3);
-            prop_assert!((course.at(t).weights.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+            let difference = (spline.at(t + 1e-5).position_m - spline.at(t - 1e-5).position_m) / 2e-5;
+            prop_assert!((spline.at(t).velocity_m_s - difference).norm() < 1e-3);
+            prop_assert!((spline.at(t).weights.iter().sum::<f64>() - 1.0).abs() < 1e-12);
         }
     }
 
     #[test]
-    fn what_stands_has_one_point() {
-        let course = Course::standing(Vector3::new(1.0, 2.0, 3.0));
-        let instant = course.at(1e9);
+    fn a_stationary_roundel_has_one_point() {
+        let spline = Spline::constant(Vector3::new(1.0, 2.0, 3.0));
+        let instant = spline.at(1e9);
         assert_eq!((instant.first, instant.count), (0, 1));
         assert_eq!(instant.velocity_m_s, Vector3::zeros());
     }

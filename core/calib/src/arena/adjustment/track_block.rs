@@ -1,130 +1,146 @@
-//! One roundel's part of the bundle: its sightings' normal equations, and these without its course.
+//! Normal equations of one roundel's sightings, and their reduction to the cameras.
 //!
-//! Sightings' errors e = W (p - q), with W of Σ⁻¹ = Wᵀ W, are linear in four control points and one
-//! camera's unknowns. With the course's banded block B = L Lᵀ, the cameras' block C and E between them,
-//! what the course's elimination leaves to the cameras is C - Eᵀ B⁻¹ E = C - Yᵀ Y, Y = L⁻¹ E (Schur's
-//! complement; Brown 1958; Triggs et al., *Bundle adjustment: a modern synthesis*, 2000). A sighting of
-//! squared length d² counts by (c² / (c² + d²))² (Geman, McClure 1985), so that what is far off says nothing.
+//! Whitened residuals e = W (p - q) with Σ⁻¹ = Wᵀ W depend on four control points and the unknowns of one camera. With the
+//! spline's banded block B = L Lᵀ, the cameras' block C and the mixed block E, eliminating the spline leaves
+//! C - Eᵀ B⁻¹ E = C - Yᵀ Y, Y = L⁻¹ E (Schur complement; Brown 1958; Triggs et al., *Bundle adjustment: a modern
+//! synthesis*, 2000). A residual of squared length d² has the weight (c² / (c² + d²))² (Geman, McClure 1985), which
+//! suppresses outliers.
 
 use std::sync::Arc;
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
-    super::recording::Name,
+    super::recording::RoundelKey,
     banded::{Band, Factor, WIDTH},
-    camera_block::{ByCamera, MOST, Station, WITHOUT_LENS},
-    spline::{Course, Instant},
+    camera_block::{CameraBlock, CameraJacobian, POSE_AND_CLOCK, UNKNOWNS},
+    spline::{Instant, Spline},
 };
 
-/// What holds a course where nobody sees it: jerk of this size is usual, m/s³.
+/// Typical jerk, the prior where there are no sightings, m/s³.
 const JERK_M_S3: f64 = 40.0;
 
-/// Where one camera saw it at an instant.
+/// A sighting of one camera.
 #[derive(Clone, Debug)]
-pub(crate) struct Sight {
-    /// Index among the stations.
+pub(crate) struct Observation {
+    /// Index of the camera block.
     pub(crate) camera: usize,
-    /// By the camera's clock, since the middle of the recording.
+    /// By the camera's clock, seconds since the middle of the recording.
     pub(crate) stamp_s: f64,
-    /// In the camera.
+    /// In the camera frame.
     pub(crate) place_m: Vector3<f64>,
     /// W.
     pub(crate) whitener: Matrix3<f64>,
 }
 
-/// A roundel with all that was seen of it.
+/// A roundel with all its sightings.
 #[derive(Clone, Debug)]
-pub(crate) struct Subject {
-    /// Of a robot's.
-    pub(crate) name: Option<Name>,
-    pub(crate) course: Course,
-    /// Of a reference: where it was said to be, and how well that is known, metres.
+pub(crate) struct TrackBlock {
+    /// Key of a moving roundel; `None` for a reference.
+    pub(crate) name: Option<RoundelKey>,
+    pub(crate) spline: Spline,
+    /// Stated position of a reference and its standard deviation, metres.
     pub(crate) stated: Option<(Vector3<f64>, f64)>,
-    pub(crate) sights: Arc<[Sight]>,
+    pub(crate) observations: Arc<[Observation]>,
     /// Cameras that saw it, ascending.
     pub(crate) cameras: Arc<[usize]>,
 }
 
-/// Normal equations, one roundel's.
+/// Normal equations of one roundel.
 struct Normal {
     band: Band,
-    /// Rows of the course, columns of its cameras.
+    /// Rows of the spline, columns of its cameras.
     border: Vec<f64>,
     cameras: Vec<f64>,
-    course_gradient: Vec<f64>,
+    spline_gradient: Vec<f64>,
     camera_gradient: Vec<f64>,
 }
 
-/// What is left to the cameras, and what gives the course from their step.
+/// Reduced camera equations, and the factors that yield the spline from a camera step.
 pub(crate) struct Reduced {
-    /// Schur's complement, over the subject's own cameras, row by row.
+    /// Schur complement over the roundel's cameras, row by row.
     pub(crate) information: Vec<f64>,
     pub(crate) gradient: Vec<f64>,
     factor: Factor,
     border: Vec<f64>,
-    course_gradient: Vec<f64>,
+    spline_gradient: Vec<f64>,
 }
 
-/// A sighting's error and derivatives, all whitened.
-struct Said {
+/// Whitened residual and derivatives of a sighting.
+struct Linearized {
     instant: Instant,
     error: Vector3<f64>,
     by_point: Matrix3<f64>,
-    by_camera: ByCamera,
+    by_camera: CameraJacobian,
 }
 
-impl Subject {
+impl TrackBlock {
     pub(crate) fn new(
-        course: Course,
+        spline: Spline,
         stated: Option<(Vector3<f64>, f64)>,
-        sights: Vec<Sight>,
+        observations: Vec<Observation>,
     ) -> Self {
-        let mut cameras: Vec<usize> = sights.iter().map(|sight| sight.camera).collect();
+        let mut cameras: Vec<usize> =
+            observations.iter().map(|observation| observation.camera).collect();
         cameras.sort_unstable();
         cameras.dedup();
-        Self { name: None, course, stated, sights: sights.into(), cameras: cameras.into() }
+        Self {
+            name: None,
+            spline,
+            stated,
+            observations: observations.into(),
+            cameras: cameras.into(),
+        }
     }
 
-    /// Squared whitened error of each sighting; infinite where the camera cannot see it.
-    pub(crate) fn squares(&self, stations: &[Station]) -> impl Iterator<Item = f64> {
-        self.sights.iter().map(|sight| {
-            let station = &stations[sight.camera];
-            let point_m = self.course.at(station.time_s(sight.stamp_s)).position_m;
-            station.sees(&point_m).map_or(f64::INFINITY, |seen_m| {
-                (sight.whitener * (sight.place_m - seen_m)).norm_squared()
+    /// Squared whitened residuals; infinite for points without image.
+    pub(crate) fn squares(&self, camera_blocks: &[CameraBlock]) -> impl Iterator<Item = f64> {
+        self.observations.iter().map(|observation| {
+            let camera_block = &camera_blocks[observation.camera];
+            let point_m = self.spline.at(camera_block.time_s(observation.stamp_s)).position_m;
+            camera_block.predict(&point_m).map_or(f64::INFINITY, |seen_m| {
+                (observation.whitener * (observation.place_m - seen_m)).norm_squared()
             })
         })
     }
 
-    /// What the errors cost, with everything known of the course beside.
-    pub(crate) fn cost(&self, stations: &[Station], scale: f64) -> f64 {
-        let seen: f64 = self.squares(stations).map(|square| loss(square, scale)).sum();
+    /// Robust cost of the sightings plus the priors.
+    pub(crate) fn cost(&self, camera_blocks: &[CameraBlock], scale: f64) -> f64 {
+        let seen: f64 = self.squares(camera_blocks).map(|square| loss(square, scale)).sum();
         let stated = self.stated.map_or(0.0, |(place_m, deviation_m)| {
-            (self.course.points_m[0] - place_m).norm_squared() / (deviation_m * deviation_m)
+            (self.spline.points_m[0] - place_m).norm_squared() / (deviation_m * deviation_m)
         });
         let weight = self.jerk_weight();
-        let jerks = self.course.points_m.windows(4).map(|points| {
+        let jerks = self.spline.points_m.windows(4).map(|points| {
             (points[3] - points[0] + (points[1] - points[2]) * 3.0).norm_squared() * weight
         });
         seen + stated + jerks.sum::<f64>()
     }
 
-    /// The course that suits the cameras as they are.
-    pub(crate) fn settled(&self, stations: &[Station], scale: f64) -> Option<Course> {
-        let reduced = self.reduce(stations, scale)?;
-        Some(self.stepped(&reduced, &vec![0.0; self.cameras.len() * width(stations)]))
+    /// Best spline for the current cameras.
+    pub(crate) fn solved_spline(
+        &self,
+        camera_blocks: &[CameraBlock],
+        scale: f64,
+    ) -> Option<Spline> {
+        let reduced = self.reduce(camera_blocks, scale)?;
+        Some(
+            self.stepped(
+                &reduced,
+                &vec![0.0; self.cameras.len() * unknowns_per_camera(camera_blocks)],
+            ),
+        )
     }
 
-    /// Without the course.
-    pub(crate) fn reduce(&self, stations: &[Station], scale: f64) -> Option<Reduced> {
-        let Normal { band, mut border, mut cameras, mut course_gradient, mut camera_gradient } =
-            self.normal(stations, scale);
+    /// Eliminates the spline.
+    pub(crate) fn reduce(&self, camera_blocks: &[CameraBlock], scale: f64) -> Option<Reduced> {
+        let Normal { band, mut border, mut cameras, mut spline_gradient, mut camera_gradient } =
+            self.normal(camera_blocks, scale);
         let columns = camera_gradient.len();
         let factor = band.factor()?;
         factor.forward(&mut border, columns);
-        factor.forward(&mut course_gradient, 1);
-        for (row, value) in border.chunks_exact(columns).zip(&course_gradient) {
+        factor.forward(&mut spline_gradient, 1);
+        for (row, value) in border.chunks_exact(columns).zip(&spline_gradient) {
             for (i, one) in row.iter().enumerate() {
                 camera_gradient[i] -= one * value;
                 let target = &mut cameras[i * columns..(i + 1) * columns];
@@ -134,59 +150,63 @@ impl Subject {
             }
         }
         let gradient = camera_gradient;
-        Some(Reduced { information: cameras, gradient, factor, border, course_gradient })
+        Some(Reduced { information: cameras, gradient, factor, border, spline_gradient })
     }
 
-    /// The course after the step of its cameras' unknowns.
-    pub(crate) fn stepped(&self, reduced: &Reduced, step: &[f64]) -> Course {
+    /// The spline after a step of its cameras.
+    pub(crate) fn stepped(&self, reduced: &Reduced, step: &[f64]) -> Spline {
         let columns = step.len();
         let mut change: Vec<f64> =
-            std::iter::zip(reduced.border.chunks_exact(columns), &reduced.course_gradient)
+            std::iter::zip(reduced.border.chunks_exact(columns), &reduced.spline_gradient)
                 .map(|(row, value)| {
                     value - std::iter::zip(row, step).map(|(a, b)| a * b).sum::<f64>()
                 })
                 .collect();
         reduced.factor.backward(&mut change);
-        let mut course = self.course.clone();
-        for (point, change) in course.points_m.iter_mut().zip(change.chunks_exact(3)) {
+        let mut spline = self.spline.clone();
+        for (point, change) in spline.points_m.iter_mut().zip(change.chunks_exact(3)) {
             *point += Vector3::from_column_slice(change);
         }
-        course
+        spline
     }
 
-    /// What each stretch of time says to the cameras once the course is taken out, Σ over a stretch of
-    /// (J - E B⁻¹ ..)ᵀ e: scores whose spread shows how much the errors of one stretch hang together.
+    /// Gradient that each time block contributes to the cameras after elimination of the spline, Σ (J - E B⁻¹ …)ᵀ e
+    /// over the block. The scatter of these scores shows the correlation of errors within a block.
     pub(crate) fn scores(
         &self,
         reduced: &Reduced,
-        stations: &[Station],
+        camera_blocks: &[CameraBlock],
         (scale, stretch_s): (f64, f64),
     ) -> Vec<Vec<f64>> {
         let columns = reduced.gradient.len();
-        let stretch = |sight: &Sight| (sight.stamp_s / stretch_s).floor() as i64;
-        let mut sights: Vec<&Sight> = self.sights.iter().collect();
-        sights.sort_by_key(|sight| stretch(sight));
-        sights
-            .chunk_by(|one, other| stretch(one) == stretch(other))
-            .map(|sights| {
-                let mut course = vec![0.0; self.course.points_m.len() * 3];
+        let block = |observation: &Observation| (observation.stamp_s / stretch_s).floor() as i64;
+        let mut observations: Vec<&Observation> = self.observations.iter().collect();
+        observations.sort_by_key(|observation| block(observation));
+        observations
+            .chunk_by(|one, other| block(one) == block(other))
+            .map(|observations| {
+                let mut spline = vec![0.0; self.spline.points_m.len() * 3];
                 let mut score = vec![0.0; columns];
-                for sight in sights {
-                    let Some(said) = self.said(sight, stations, scale) else { continue };
-                    let pull = said.by_point.transpose() * said.error;
-                    for knot in 0..said.instant.count {
-                        let first = (said.instant.first + knot) * 3;
+                for observation in observations {
+                    let Some(linearized) = self.linearized(observation, camera_blocks, scale)
+                    else {
+                        continue;
+                    };
+                    let pull = linearized.by_point.transpose() * linearized.error;
+                    for knot in 0..linearized.instant.count {
+                        let first = (linearized.instant.first + knot) * 3;
                         for axis in 0..3 {
-                            course[first + axis] += said.instant.weights[knot] * pull[axis];
+                            spline[first + axis] += linearized.instant.weights[knot] * pull[axis];
                         }
                     }
-                    let first = self.column(sight.camera, stations);
-                    for number in 0..width(stations) {
-                        score[first + number] += said.by_camera[number].dot(&said.error);
+                    let first = self.column(observation.camera, camera_blocks);
+                    for number in 0..unknowns_per_camera(camera_blocks) {
+                        score[first + number] +=
+                            linearized.by_camera[number].dot(&linearized.error);
                     }
                 }
-                reduced.factor.forward(&mut course, 1);
-                for (row, value) in reduced.border.chunks_exact(columns).zip(&course) {
+                reduced.factor.forward(&mut spline, 1);
+                for (row, value) in reduced.border.chunks_exact(columns).zip(&spline) {
                     for (to, entry) in score.iter_mut().zip(row) {
                         *to -= entry * value;
                     }
@@ -196,39 +216,43 @@ impl Subject {
             .collect()
     }
 
-    /// The first column of a camera that saw it.
-    fn column(&self, camera: usize, stations: &[Station]) -> usize {
-        self.cameras.partition_point(|&other| other < camera) * width(stations)
+    /// First column of a camera.
+    fn column(&self, camera: usize, camera_blocks: &[CameraBlock]) -> usize {
+        self.cameras.partition_point(|&other| other < camera) * unknowns_per_camera(camera_blocks)
     }
 
-    fn normal(&self, stations: &[Station], scale: f64) -> Normal {
-        let rows = self.course.points_m.len() * 3;
-        let dims = width(stations);
+    fn normal(&self, camera_blocks: &[CameraBlock], scale: f64) -> Normal {
+        let rows = self.spline.points_m.len() * 3;
+        let dims = unknowns_per_camera(camera_blocks);
         let columns = self.cameras.len() * dims;
         let mut normal = Normal {
             band: Band::zeros(rows),
             border: vec![0.0; rows * columns],
             cameras: vec![0.0; columns * columns],
-            course_gradient: vec![0.0; rows],
+            spline_gradient: vec![0.0; rows],
             camera_gradient: vec![0.0; columns],
         };
-        self.hold(&mut normal);
-        for sight in self.sights.iter() {
-            if let Some(said) = self.said(sight, stations, scale) {
-                normal.add(&said, self.column(sight.camera, stations), (dims, columns));
+        self.add_priors(&mut normal);
+        for observation in self.observations.iter() {
+            if let Some(linearized) = self.linearized(observation, camera_blocks, scale) {
+                normal.add(
+                    &linearized,
+                    self.column(observation.camera, camera_blocks),
+                    (dims, columns),
+                );
             }
         }
         normal
     }
 
-    /// What is known of the course beside what is seen.
-    fn hold(&self, normal: &mut Normal) {
-        let points_m = &self.course.points_m;
+    /// Adds the stated position of a reference and the prior of the jerk.
+    fn add_priors(&self, normal: &mut Normal) {
+        let points_m = &self.spline.points_m;
         if let Some((place_m, deviation_m)) = self.stated {
             let weight = 1.0 / (deviation_m * deviation_m);
             for axis in 0..3 {
                 normal.band.add(axis, axis, weight);
-                normal.course_gradient[axis] += weight * (place_m[axis] - points_m[0][axis]);
+                normal.spline_gradient[axis] += weight * (place_m[axis] - points_m[0][axis]);
             }
         }
         const DIFFERENCE: [f64; 4] = [-1.0, 3.0, -3.0, 1.0];
@@ -239,7 +263,7 @@ impl Subject {
             for (i, factor) in DIFFERENCE.iter().enumerate() {
                 for axis in 0..3 {
                     let row = (first + i) * 3 + axis;
-                    normal.course_gradient[row] -= weight * factor * jerk[axis];
+                    normal.spline_gradient[row] -= weight * factor * jerk[axis];
                     for (j, other) in DIFFERENCE.iter().enumerate().take(i + 1) {
                         let column = (first + j) * 3 + axis;
                         normal.band.add(row, column, weight * factor * other);
@@ -251,21 +275,26 @@ impl Subject {
 
     /// Third differences of control points are h³ times the jerk.
     fn jerk_weight(&self) -> f64 {
-        (JERK_M_S3 * self.course.knot_s().powi(3)).powi(-2)
+        (JERK_M_S3 * self.spline.knot_s().powi(3)).powi(-2)
     }
 
-    fn said(&self, sight: &Sight, stations: &[Station], scale: f64) -> Option<Said> {
-        let station = &stations[sight.camera];
-        let instant = self.course.at(station.time_s(sight.stamp_s));
-        let (seen_m, by_point, by_camera) = station.sees_with_jacobian(
+    fn linearized(
+        &self,
+        observation: &Observation,
+        camera_blocks: &[CameraBlock],
+        scale: f64,
+    ) -> Option<Linearized> {
+        let camera_block = &camera_blocks[observation.camera];
+        let instant = self.spline.at(camera_block.time_s(observation.stamp_s));
+        let (seen_m, by_point, by_camera) = camera_block.predict_with_jacobian(
             &instant.position_m,
             &instant.velocity_m_s,
-            sight.stamp_s,
+            observation.stamp_s,
         )?;
-        let error = sight.whitener * (sight.place_m - seen_m);
+        let error = observation.whitener * (observation.place_m - seen_m);
         let trust = scale / (scale + error.norm_squared());
-        let whitener = sight.whitener * trust;
-        Some(Said {
+        let whitener = observation.whitener * trust;
+        Some(Linearized {
             instant,
             error: error * trust,
             by_point: whitener * by_point,
@@ -275,12 +304,12 @@ impl Subject {
 }
 
 impl Normal {
-    /// Adds one sighting of the camera whose unknowns begin at `first`.
-    fn add(&mut self, said: &Said, first: usize, (dims, columns): (usize, usize)) {
-        let Said { instant, error, by_point, by_camera } = said;
+    /// Adds a sighting of the camera whose columns begin at `first`.
+    fn add(&mut self, linearized: &Linearized, first: usize, (dims, columns): (usize, usize)) {
+        let Linearized { instant, error, by_point, by_camera } = linearized;
         let square = by_point.transpose() * by_point;
         let pull = by_point.transpose() * error;
-        let mut cross = [Vector3::zeros(); MOST];
+        let mut cross = [Vector3::zeros(); UNKNOWNS];
         for (to, column) in cross.iter_mut().zip(by_camera).take(dims) {
             *to = by_point.transpose() * column;
         }
@@ -288,7 +317,7 @@ impl Normal {
             let weight = instant.weights[i];
             let row = (instant.first + i) * 3;
             for axis in 0..3 {
-                self.course_gradient[row + axis] += weight * pull[axis];
+                self.spline_gradient[row + axis] += weight * pull[axis];
                 let start = (row + axis) * columns + first;
                 let target = &mut self.border[start..start + dims];
                 for (to, column) in target.iter_mut().zip(&cross) {
@@ -313,12 +342,12 @@ impl Normal {
     }
 }
 
-/// Unknowns of each camera.
-pub(crate) fn width(stations: &[Station]) -> usize {
-    if stations.iter().any(Station::refines_lens) { MOST } else { WITHOUT_LENS }
+/// Unknowns per camera.
+pub(crate) fn unknowns_per_camera(camera_blocks: &[CameraBlock]) -> usize {
+    if camera_blocks.iter().any(CameraBlock::refines_lens) { UNKNOWNS } else { POSE_AND_CLOCK }
 }
 
-/// What an error of this square costs: none ever more than `scale`.
+/// Geman-McClure loss of a squared residual, bounded by `scale`.
 pub(crate) fn loss(square: f64, scale: f64) -> f64 {
     if square.is_finite() { scale * square / (scale + square) } else { scale }
 }

@@ -1,10 +1,10 @@
-//! Distortion models, with the coefficients that are estimated.
+//! Distortion models and their estimated coefficients.
 
 use roundel_vision::camera::Lens;
 
-/// A distortion model with the coefficients that are estimated; the others are zero.
+/// A distortion model with its estimated coefficients; all others are zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Model {
+pub enum DistortionModel {
     /// `plumb_bob` with k1.
     Radial1,
     /// `plumb_bob` with k1 and k2.
@@ -21,8 +21,8 @@ pub enum Model {
     Equidistant,
 }
 
-impl Model {
-    /// All of them, simple ones first.
+impl DistortionModel {
+    /// All models, simplest first.
     pub const ALL: [Self; 7] = [
         Self::Radial1,
         Self::Radial2,
@@ -33,7 +33,7 @@ impl Model {
         Self::Equidistant,
     ];
 
-    /// Coefficients of the lens in ROS' order.
+    /// Number of coefficients of the ROS model.
     pub(crate) fn coefficients(self) -> usize {
         match self {
             Self::Radial1 | Self::Radial2 | Self::Tangential | Self::PlumbBob => 5,
@@ -42,7 +42,7 @@ impl Model {
         }
     }
 
-    /// Those that are estimated, in ROS' order.
+    /// Indices of the estimated coefficients in ROS order.
     pub fn free(self) -> &'static [usize] {
         match self {
             Self::Radial1 => &[0],
@@ -62,7 +62,7 @@ impl Model {
         self.free().iter().map(|&index| all[index]).collect()
     }
 
-    /// ROS' name of the lens model.
+    /// Name of the model in ROS.
     pub fn ros_name(self) -> &'static str {
         match self {
             Self::Rational => "rational_polynomial",

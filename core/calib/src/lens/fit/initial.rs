@@ -1,72 +1,72 @@
-//! Where the refinement starts: the focal length from the views' homographies, and the board's places.
+//! Initial estimate: focal length from the homographies of the views, then the board's poses.
 //!
-//! With the homography H = [h₁ h₂ h₃] ([`Flat`]), the principal point in the middle, square pixels and no distortion, h₁ᵀ ω h₂ = 0 and h₁ᵀ ω h₁ = h₂ᵀ ω h₂ for ω = diag(w, w, 1),
-//! w = 1/f² (Zhang 2000, section 3.1), two equations a w + b = 0 a view, solved in least squares.
+//! With the homography H = [h₁ h₂ h₃] ([`BoardHomography`]), the principal point in the middle of the picture, square
+//! pixels and no distortion, h₁ᵀ ω h₂ = 0 and h₁ᵀ ω h₁ = h₂ᵀ ω h₂ for ω = diag(w, w, 1) and w = 1/f² (Zhang 2000,
+//! section 3.1): two equations a w + b = 0 per view, solved by least squares.
 
 use nalgebra::{Isometry3, Point2};
 
 use crate::lens::{
-    Coverage, LEAST_VIEWS, LensCalibrationError, Sighting, Target, View, views::homography::Flat,
+    Coverage, LensCalibrationError, MIN_VIEWS, Sighting, Target, View,
+    views::homography::BoardHomography,
 };
 
-/// Focal lengths that are believed, in widths of the picture.
+/// Plausible focal lengths in picture widths.
 const FOCAL_SHARES: (f64, f64) = (0.2, 20.0);
 
-/// Views to begin with.
-pub(crate) struct Started {
+pub(crate) struct InitialEstimate {
     pub(crate) focal_px: f64,
-    /// By index of the view, those that are used.
-    pub(crate) views: Vec<StartedView>,
+    /// The usable views.
+    pub(crate) views: Vec<InitialView>,
 }
 
-/// One of them.
-pub(crate) struct StartedView {
+pub(crate) struct InitialView {
     pub(crate) index: usize,
     pub(crate) pose: Isometry3<f64>,
     pub(crate) sightings: Vec<(Point2<f64>, Sighting)>,
 }
 
-/// Focal length and the board's places, by the views that are not blurred.
-pub(crate) fn start(
+/// Focal length and board poses from the views that are not blurred.
+pub(crate) fn estimate(
     target: &Target,
     size: (usize, usize),
     views: &[View],
     blurred: &[bool],
-) -> Result<Started, LensCalibrationError> {
-    let flats: Vec<(usize, Flat)> = views
+) -> Result<InitialEstimate, LensCalibrationError> {
+    let homographies: Vec<(usize, BoardHomography)> = views
         .iter()
         .enumerate()
         .filter(|(index, _)| !blurred[*index])
-        .filter_map(|(index, view)| Some((index, Flat::of(target, view)?)))
+        .filter_map(|(index, view)| Some((index, BoardHomography::fit(target, view)?)))
         .collect();
     let mut coverage = Coverage::new(size);
-    for (index, flat) in &flats {
-        coverage.add(&views[*index], flat, size);
+    for (index, homography) in &homographies {
+        coverage.add(&views[*index], homography, size);
     }
-    let (found, missing) = (flats.len(), coverage.wants());
-    if found < LEAST_VIEWS {
+    let (found, missing) = (homographies.len(), coverage.missing_views());
+    if found < MIN_VIEWS {
         return Err(LensCalibrationError::TooFew { found, missing });
     }
-    let focal_px = coverage.is_tilted().then(|| focal_px(&flats, size)).flatten();
+    let focal_px = coverage.is_tilted().then(|| focal_px(&homographies, size)).flatten();
     let Some(focal_px) = focal_px else {
         return Err(LensCalibrationError::TooSimilar { found, missing });
     };
-    let views = flats.into_iter().filter_map(|(index, flat)| {
-        let pose = flat.pose(focal_px, size)?;
-        Some(StartedView { index, pose, sightings: flat.sightings })
+    let views = homographies.into_iter().filter_map(|(index, homography)| {
+        let pose = homography.pose(focal_px, size)?;
+        Some(InitialView { index, pose, sightings: homography.sightings })
     });
     let views: Vec<_> = views.collect();
-    if views.len() < LEAST_VIEWS {
+    if views.len() < MIN_VIEWS {
         return Err(LensCalibrationError::TooFew { found: views.len(), missing });
     }
-    Ok(Started { focal_px, views })
+    Ok(InitialEstimate { focal_px, views })
 }
 
-fn focal_px(flats: &[(usize, Flat)], size: (usize, usize)) -> Option<f64> {
+fn focal_px(homographies: &[(usize, BoardHomography)], size: (usize, usize)) -> Option<f64> {
     let (mut ab, mut aa) = (0.0, 0.0);
-    for (_, flat) in flats {
-        let h = flat.centered(size);
-        // Columns of a length near one, so that views count alike.
+    for (_, homography) in homographies {
+        let h = homography.centered(size);
+        // Normalizes the columns so that all views have equal weight.
         let scale = 1.0 / (0.5 * (h.column(0).norm_squared() + h.column(1).norm_squared()));
         let dot = |one: usize, other: usize| {
             let (a, b) = (h.column(one), h.column(other));
@@ -80,6 +80,6 @@ fn focal_px(flats: &[(usize, Flat)], size: (usize, usize)) -> Option<f64> {
     }
     let focal_px = (-aa / ab).sqrt();
     let width = size.0.max(size.1) as f64;
-    let (least, most) = FOCAL_SHARES;
-    (least * width..=most * width).contains(&focal_px).then_some(focal_px)
+    let (min, max) = FOCAL_SHARES;
+    (min * width..=max * width).contains(&focal_px).then_some(focal_px)
 }

@@ -1,11 +1,11 @@
-//! Fit of a camera model to views of a target: initial estimate, bundle adjustment, choice of the distortion model.
+//! Fit of a camera model to views of a target: initial estimate, bundle adjustment, selection of the distortion model.
 
 pub(super) mod bundle;
 pub(super) mod center_noise;
+pub(super) mod diameter_check;
 pub(super) mod distortion_model;
 pub(super) mod initial;
 pub(super) mod model_selection;
 pub(super) mod parameters;
 pub(super) mod rim;
 pub(super) mod robust;
-pub(super) mod size_check;

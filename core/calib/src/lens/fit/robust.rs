@@ -1,22 +1,22 @@
-//! Errors among which some are others': how large they are in truth, and how those beyond count.
+//! Robust scale and loss for residuals with outliers.
 
-/// Errors beyond this many deviations count linearly, and are left out at last.
+/// Residuals beyond this number of deviations enter linearly, and finally are rejected.
 pub(crate) const HUBER: f64 = 2.5;
 pub(crate) const OUTLIER: f64 = 5.0;
-/// Rayleigh's median, in deviations.
+/// Median of the Rayleigh distribution, in deviations of one coordinate.
 const RAYLEIGH: f64 = 1.1774;
 
-/// Half of a square grows linearly beyond the limit (Huber 1964).
+/// Huber's loss (1964): quadratic up to the limit, then linear.
 pub(crate) fn huber(error: f64, limit: f64) -> f64 {
     if error <= limit { error * error } else { limit * (2.0 * error - limit) }
 }
 
-/// Deviation of one of two coordinates, by the median of the distances, which follow Rayleigh; `None` without any.
+/// Standard deviation of one coordinate from the median of two-dimensional distances; `None` if there are none.
 pub(crate) fn deviation(distances: &mut [f64]) -> Option<f64> {
     Some(median(distances)? / RAYLEIGH)
 }
 
-/// The upper one of two; `None` of nothing.
+/// Upper median; `None` if empty.
 pub(crate) fn median(numbers: &mut [f64]) -> Option<f64> {
     if numbers.is_empty() {
         return None;
@@ -30,8 +30,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_few_that_are_far_off_do_not_widen_the_deviation() {
-        // Quantiles of Rayleigh's distribution with deviation 2, and a tenth of nonsense.
+    fn outliers_do_not_increase_the_deviation() {
+        // Quantiles of the Rayleigh distribution with deviation 2, and a tenth of outliers.
         let quantile = |share: f64| 2.0 * (-2.0 * (1.0 - share).ln()).sqrt();
         let mut distances: Vec<f64> =
             (0..900).map(|i| quantile((f64::from(i) + 0.5) / 900.0)).collect();
@@ -42,7 +42,7 @@ mod tests {
     }
 
     #[test]
-    fn a_square_goes_on_as_its_tangent() {
+    fn huber_loss_continues_with_its_tangent() {
         assert_eq!(huber(2.0, 2.5), 4.0);
         let (limit, step) = (2.5, 1e-6);
         assert!(

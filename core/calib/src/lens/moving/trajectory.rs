@@ -1,41 +1,41 @@
-//! Where a roundel was, as other cameras told, between the instants at which they did.
+//! Trajectory of a roundel, interpolated between the fused estimates of other cameras.
 //!
-//! Between two of them its place follows the cubic with their places and velocities (Hermite's).
+//! Positions follow the cubic Hermite spline of positions and velocities.
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
-/// Nothing is said of a time between two instants that are further apart, seconds.
-const MOST_GAP_S: f64 = 0.15;
+/// Maximum interval that is interpolated, seconds.
+const MAX_GAP_S: f64 = 0.15;
 
-/// A roundel at an instant.
+/// State of a roundel at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Waypoint {
-    /// Since the recording's epoch, by the clock of those who saw it, seconds.
+    /// Seconds since the recording's epoch, by the clock of the other cameras.
     pub time_s: f64,
-    /// Its centre, world frame, metres.
-    pub place_m: Vector3<f64>,
+    /// Centre, world frame, metres.
+    pub position_m: Vector3<f64>,
     /// World frame, m/s.
     pub velocity_m_s: Vector3<f64>,
-    /// world_from_roundel; of the turn about the normal nothing depends.
+    /// world_from_roundel; the rotation about the normal does not matter.
     pub orientation: UnitQuaternion<f64>,
-    /// Of the place, world frame, metres².
+    /// Covariance of the position, world frame, metres².
     pub covariance_m2: Matrix3<f64>,
 }
 
-/// One roundel's way through the arena.
+/// Trajectory of one roundel.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Way {
+pub struct Trajectory {
     radius_m: f64,
-    /// In the order of time.
+    /// Sorted by time.
     waypoints: Vec<Waypoint>,
 }
 
-impl Way {
-    /// Of a roundel with this radius of its outer rim; waypoints in any order, of those with numbers that are not finite
-    /// nothing is kept.
+impl Trajectory {
+    /// `radius_m` is the radius of the outer rim. Waypoints may be in any order; those with non-finite numbers are
+    /// dropped.
     pub fn new(radius_m: f64, waypoints: Vec<Waypoint>) -> Self {
         let is_finite = |it: &Waypoint| {
-            let places = it.place_m.iter().chain(&it.velocity_m_s).chain(&it.covariance_m2);
+            let places = it.position_m.iter().chain(&it.velocity_m_s).chain(&it.covariance_m2);
             it.time_s.is_finite() && places.chain(&it.orientation.coords).all(|it| it.is_finite())
         };
         let mut waypoints: Vec<_> = waypoints.into_iter().filter(is_finite).collect();
@@ -44,12 +44,12 @@ impl Way {
         Self { radius_m, waypoints }
     }
 
-    /// Radius of its outer rim, metres.
+    /// Radius of the outer rim, metres.
     pub fn radius_m(&self) -> f64 {
         self.radius_m
     }
 
-    /// Where it was; `None` where nobody saw it for a while.
+    /// Interpolated state; `None` outside of the trajectory and within gaps.
     pub fn at(&self, time_s: f64) -> Option<Waypoint> {
         let next = self.waypoints.partition_point(|it| it.time_s < time_s);
         let after = self.waypoints.get(next)?;
@@ -58,22 +58,22 @@ impl Way {
         }
         let before = &self.waypoints[next.checked_sub(1)?];
         let gap_s = after.time_s - before.time_s;
-        if gap_s > MOST_GAP_S {
+        if gap_s > MAX_GAP_S {
             return None;
         }
         let s = (time_s - before.time_s) / gap_s;
         let (s2, s3) = (s * s, s * s * s);
-        let (from, to) = (before.place_m, after.place_m);
-        let (leaving, coming) = (before.velocity_m_s * gap_s, after.velocity_m_s * gap_s);
-        let place_m = from * (2.0 * s3 - 3.0 * s2 + 1.0)
-            + leaving * (s3 - 2.0 * s2 + s)
+        let (from, to) = (before.position_m, after.position_m);
+        let (start_slope, end_slope) = (before.velocity_m_s * gap_s, after.velocity_m_s * gap_s);
+        let position_m = from * (2.0 * s3 - 3.0 * s2 + 1.0)
+            + start_slope * (s3 - 2.0 * s2 + s)
             + to * (3.0 * s2 - 2.0 * s3)
-            + coming * (s3 - s2);
+            + end_slope * (s3 - s2);
         let nearer = if s < 0.5 { before } else { after };
         Some(Waypoint {
             time_s,
-            place_m,
-            // The filters' own: a place that a measurement has moved by a step is no speed.
+            position_m,
+            // Interpolated, not the spline's derivative: a step of the filter's position is not a velocity.
             velocity_m_s: before.velocity_m_s.lerp(&after.velocity_m_s, s),
             orientation: nearer.orientation,
             covariance_m2: before.covariance_m2 * (1.0 - s) + after.covariance_m2 * s,
@@ -86,11 +86,11 @@ mod tests {
     use super::*;
 
     fn waypoint(time_s: f64) -> Waypoint {
-        // A cubic, which is followed exactly.
+        // A cubic, which the spline reproduces exactly.
         let (t, t2) = (time_s, time_s * time_s);
         Waypoint {
             time_s,
-            place_m: Vector3::new(t, t2, 1.0 - t * t2),
+            position_m: Vector3::new(t, t2, 1.0 - t * t2),
             velocity_m_s: Vector3::new(1.0, 2.0 * t, -3.0 * t2),
             orientation: UnitQuaternion::identity(),
             covariance_m2: Matrix3::identity() * (1.0 + t),
@@ -98,15 +98,16 @@ mod tests {
     }
 
     #[test]
-    fn a_cubic_is_followed_and_gaps_are_not() {
-        let nowhere = Waypoint { place_m: Vector3::repeat(f64::NAN), ..waypoint(0.15) };
-        let way = Way::new(0.08, vec![waypoint(0.1), nowhere, waypoint(0.0), waypoint(0.5)]);
-        let found = way.at(0.03).unwrap();
-        assert!((found.place_m - waypoint(0.03).place_m).norm() < 1e-15);
+    fn a_cubic_is_reproduced_and_gaps_are_not_interpolated() {
+        let invalid = Waypoint { position_m: Vector3::repeat(f64::NAN), ..waypoint(0.15) };
+        let trajectory =
+            Trajectory::new(0.08, vec![waypoint(0.1), invalid, waypoint(0.0), waypoint(0.5)]);
+        let found = trajectory.at(0.03).unwrap();
+        assert!((found.position_m - waypoint(0.03).position_m).norm() < 1e-15);
         assert!((found.covariance_m2[(0, 0)] - 1.03).abs() < 1e-12);
-        assert_eq!(way.at(0.5).map(|it| it.time_s), Some(0.5));
+        assert_eq!(trajectory.at(0.5).map(|it| it.time_s), Some(0.5));
         for outside in [-0.1, 0.3, 0.6, f64::NAN] {
-            assert_eq!(way.at(outside), None, "{outside}");
+            assert_eq!(trajectory.at(outside), None, "{outside}");
         }
     }
 }

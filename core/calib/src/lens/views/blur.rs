@@ -1,66 +1,67 @@
-//! How blurred a board is in a picture, by the rims of its rings.
+//! Blur of a board in a picture, measured at the rims of its rings.
 //!
-//! Across an edge of contrast C, blurred with the deviation s, the level changes by C erf(t/(√2 s)) between two places t
-//! pixels to either side of it. That change is read all round every outer rim (bilinearly, which adds some 0.4 px of blur to
-//! all pictures alike), and the median over the rings gives s. A picture is not blurred by itself but beside others of the
-//! same camera: a lens that is soft gives soft pictures only.
+//! Across an edge of contrast C blurred with the deviation s, the grey level changes by C erf(t/(√2 s)) between the points
+//! t pixels to either side. The change is sampled around each outer rim (bilinear interpolation adds about 0.4 px of blur
+//! to all pictures alike), and the median over the rings gives s. A picture is rejected only relative to the others of the
+//! same camera: a soft lens makes all pictures soft.
 
 use roundel_vision::{camera::PixelPoint, frame::Frame, marker::Ring};
 
-/// Levels are read so far to either side of the rim, pixels.
-const ASIDE_PX: f64 = 1.0;
-/// Places round a rim.
-const PLACES: usize = 16;
-/// Deviations that are told apart, pixels.
+/// Distance of the samples from the rim, pixels.
+const OFFSET_PX: f64 = 1.0;
+/// Samples around a rim.
+const SAMPLES: usize = 16;
+/// Range of measurable deviations, pixels.
 const RANGE_PX: [f64; 2] = [0.1, 20.0];
-/// A view is blurred whose blur is so many times that of the views in the middle.
+/// A view is blurred if its blur exceeds the median by this factor.
 const BLURRED: f64 = 1.7;
 
-/// Deviation of the blur across the outer rims, pixels; `None` without rings that are wholly in the picture.
+/// Standard deviation of the blur across the outer rims, pixels; `None` without rings that are completely in the
+/// picture.
 pub(crate) fn blur_px<'a>(frame: &Frame<'_>, rings: impl Iterator<Item = &'a Ring>) -> Option<f64> {
-    let mut changes: Vec<f64> = rings.filter_map(|ring| change(frame, ring)).collect();
+    let mut changes: Vec<f64> = rings.filter_map(|ring| edge_change(frame, ring)).collect();
     if changes.is_empty() {
         return None;
     }
-    let middle = changes.len() / 2;
-    let (_, change, _) = changes.select_nth_unstable_by(middle, f64::total_cmp);
-    Some(deviation_px(*change))
+    let center = changes.len() / 2;
+    let (_, edge_change, _) = changes.select_nth_unstable_by(center, f64::total_cmp);
+    Some(deviation_px(*edge_change))
 }
 
-/// Which of the views are blurred beside the others.
+/// Marks the views that are blurred relative to the others.
 pub(crate) fn blurred(blurs_px: &[Option<f64>]) -> Vec<bool> {
-    let mut known: Vec<f64> = blurs_px.iter().copied().flatten().collect();
-    if known.is_empty() {
+    let mut known_px: Vec<f64> = blurs_px.iter().copied().flatten().collect();
+    if known_px.is_empty() {
         return vec![false; blurs_px.len()];
     }
-    let middle = known.len() / 2;
-    let usual_px = *known.select_nth_unstable_by(middle, f64::total_cmp).1;
-    blurs_px.iter().map(|blur_px| blur_px.is_some_and(|px| px > BLURRED * usual_px)).collect()
+    let center = known_px.len() / 2;
+    let median_px = *known_px.select_nth_unstable_by(center, f64::total_cmp).1;
+    blurs_px.iter().map(|blur_px| blur_px.is_some_and(|px| px > BLURRED * median_px)).collect()
 }
 
-/// The mean change of the level across a rim, as a share of the contrast.
-fn change(frame: &Frame<'_>, ring: &Ring) -> Option<f64> {
+/// Mean change of the grey level across a rim, as a share of the contrast.
+fn edge_change(frame: &Frame<'_>, ring: &Ring) -> Option<f64> {
     let contrast = ring.white - ring.black;
     let rim = &ring.outer;
     let (sin, cos) = rim.angle_rad.sin_cos();
     let mut sum = 0.0;
-    for place in 0..PLACES {
-        let turn = std::f64::consts::TAU * place as f64 / PLACES as f64;
-        let (along, aside) = (turn.cos(), turn.sin());
-        let point = [rim.semi_major_px * along, rim.semi_minor_px * aside];
-        let normal = [rim.semi_minor_px * along, rim.semi_major_px * aside];
+    for sample in 0..SAMPLES {
+        let angle_rad = std::f64::consts::TAU * sample as f64 / SAMPLES as f64;
+        let (cos_angle, sin_angle) = (angle_rad.cos(), angle_rad.sin());
+        let point = [rim.semi_major_px * cos_angle, rim.semi_minor_px * sin_angle];
+        let normal = [rim.semi_minor_px * cos_angle, rim.semi_major_px * sin_angle];
         let length = normal[0].hypot(normal[1]);
         let level = |off_px: f64| {
             let [x, y] = [0, 1].map(|axis| point[axis] + off_px * normal[axis] / length);
             let (u, v) = (rim.center.u + x * cos - y * sin, rim.center.v + x * sin + y * cos);
             level(frame, PixelPoint { u, v })
         };
-        sum += level(ASIDE_PX)? - level(-ASIDE_PX)?;
+        sum += level(OFFSET_PX)? - level(-OFFSET_PX)?;
     }
-    (contrast > 0.0 && sum.is_finite()).then(|| sum / PLACES as f64 / contrast)
+    (contrast > 0.0 && sum.is_finite()).then(|| sum / SAMPLES as f64 / contrast)
 }
 
-/// Between the four pixels round a place; `None` outside of the picture.
+/// Bilinear interpolation; `None` outside of the picture.
 fn level(frame: &Frame<'_>, PixelPoint { u, v }: PixelPoint) -> Option<f64> {
     let is_inside = |at: f64, side: usize| at >= 0.0 && at < side as f64 - 1.0;
     if !(is_inside(u, frame.width()) && is_inside(v, frame.height())) {
@@ -75,21 +76,21 @@ fn level(frame: &Frame<'_>, PixelPoint { u, v }: PixelPoint) -> Option<f64> {
     Some((1.0 - y) * of_row(row) + y * of_row(row + 1))
 }
 
-/// The blur across whose edge the level changes by this share.
-fn deviation_px(change: f64) -> f64 {
+/// Blur of an edge across which the level changes by this share.
+fn deviation_px(edge_change: f64) -> f64 {
     let [mut low, mut high] = RANGE_PX;
     for _ in 0..40 {
-        let middle = (low * high).sqrt();
-        if erf(ASIDE_PX / (std::f64::consts::SQRT_2 * middle)) > change {
-            low = middle;
+        let center = (low * high).sqrt();
+        if erf(OFFSET_PX / (std::f64::consts::SQRT_2 * center)) > edge_change {
+            low = center;
         } else {
-            high = middle;
+            high = center;
         }
     }
     (low * high).sqrt()
 }
 
-/// To 1.5·10⁻⁷ (Abramowitz, Stegun: *Handbook of Mathematical Functions*, 7.1.26), for x ≥ 0.
+/// Error below 1.5·10⁻⁷ for x ≥ 0 (Abramowitz, Stegun: *Handbook of Mathematical Functions*, 7.1.26).
 fn erf(x: f64) -> f64 {
     let t = 1.0 / (1.0 + 0.327_591_1 * x);
     let series = t
@@ -104,7 +105,7 @@ mod tests {
     use super::*;
     use roundel_vision::ellipse::Ellipse;
 
-    /// A black ring on white, its rims blurred so.
+    /// A black ring on white with blurred rims.
     fn picture(blur_px: f64) -> Vec<u8> {
         let mut pixels = Vec::new();
         for v in 0..120 {
@@ -132,19 +133,19 @@ mod tests {
     }
 
     #[test]
-    fn blur_is_told_by_the_rim() {
+    fn blur_is_measured_at_the_rim() {
         for blur_px in [0.8, 1.5, 2.0, 3.0, 5.0] {
             let pixels = picture(blur_px);
             let frame = Frame::new(&pixels, 120, 120, 120).unwrap();
             let found_px = super::blur_px(&frame, [ring()].iter()).unwrap();
-            // What lies between pixels is blurred by 1/6 px² more.
+            // Interpolation adds a variance of 1/6 px².
             let expected_px = (blur_px * blur_px + 1.0 / 6.0).sqrt();
             assert!((found_px / expected_px - 1.0).abs() < 0.05, "{found_px} for {expected_px}");
         }
     }
 
     #[test]
-    fn rings_that_are_cut_off_say_nothing() {
+    fn cut_off_rings_are_ignored() {
         let pixels = picture(0.8);
         let frame = Frame::new(&pixels, 120, 120, 120).unwrap();
         let mut cut = ring();
@@ -154,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn views_are_blurred_beside_others_only() {
+    fn views_are_blurred_relative_to_others_only() {
         assert_eq!(blurred(&[0.9, 1.0, 2.1, 1.1].map(Some)), [false, false, true, false]);
         assert_eq!(blurred(&[2.1, 2.0, 2.4].map(Some)), [false; 3]);
         assert_eq!(blurred(&[None, None]), [false; 2]);

@@ -1,32 +1,32 @@
-//! Where in the picture the board has been, how it was turned, and what is still wanted.
+//! Coverage of the picture and of tilts by the views so far, and the views that are still missing.
 
 use std::fmt;
 
-use super::{homography::Flat, view::View};
+use super::{homography::BoardHomography, view::View};
 
 /// Zones of the picture across and down.
 pub const ZONES: (usize, usize) = (3, 3);
-/// A board is tilted when the picture's scale changes across it as it does at this angle, radians (15°).
+/// Minimum tilt of a tilted view, radians (15°).
 const TILT_RAD: f64 = 0.26;
-/// Tilted views wanted to each side.
+/// Required views tilted to each side.
 const TILTED: usize = 1;
-/// A zone has been visited when it held so many roundels in all.
-pub const VISITED: usize = 4;
+/// Minimum number of sightings in a visited zone, over all views.
+pub const MIN_ZONE_SIGHTINGS: usize = 4;
 
-/// Where the board has been.
+/// Coverage by the views so far.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Coverage {
-    /// Roundels by zone of the picture, row by row.
+    /// Sightings by zone of the picture, row by row.
     zones: [usize; ZONES.0 * ZONES.1],
-    /// Views whose right, left, lower and upper part was nearer.
+    /// Number of views with the right, left, lower and upper side nearer.
     tilted: [usize; 4],
     views: usize,
     size: (usize, usize),
 }
 
-/// A view that would help.
+/// A view that is still missing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Want {
+pub enum MissingView {
     /// With this side of the board nearer to the camera than the other.
     Tilted(Side),
     /// With the board in this zone of the picture: 0 to 2 from the left, and from the top.
@@ -36,13 +36,13 @@ pub enum Want {
 /// Side of the picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Side {
-    /// The right one.
+    /// Right.
     Right,
-    /// The left one.
+    /// Left.
     Left,
-    /// The lower one.
+    /// Bottom.
     Lower,
-    /// The upper one.
+    /// Top.
     Upper,
 }
 
@@ -59,7 +59,7 @@ impl fmt::Display for Side {
     }
 }
 
-impl fmt::Display for Want {
+impl fmt::Display for MissingView {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Self::Tilted(side) => {
@@ -80,12 +80,12 @@ impl fmt::Display for Want {
 }
 
 impl Coverage {
-    /// Nowhere yet.
+    /// Without views.
     pub fn new(size: (usize, usize)) -> Self {
         Self { zones: [0; ZONES.0 * ZONES.1], tilted: [0; 4], views: 0, size }
     }
 
-    pub(crate) fn add(&mut self, view: &View, flat: &Flat, size: (usize, usize)) {
+    pub(crate) fn add(&mut self, view: &View, homography: &BoardHomography, size: (usize, usize)) {
         self.views += 1;
         let (width, height) = (size.0 as f64, size.1 as f64);
         for sighting in &view.sightings {
@@ -96,49 +96,50 @@ impl Coverage {
             let row = zone(sighting.center.v, height, ZONES.1);
             self.zones[row * ZONES.0 + column] += 1;
         }
-        let (right_rad, down_rad) = flat.tilt_rad(size);
+        let (right_rad, down_rad) = homography.tilt_rad(size);
         let sides = [right_rad, -right_rad, down_rad, -down_rad];
         for (count, tilt_rad) in self.tilted.iter_mut().zip(sides) {
             *count += usize::from(tilt_rad > TILT_RAD);
         }
     }
 
-    /// Share of the picture's zones that the board has been in, 0 to 1.
+    /// Share of the picture's zones that were visited, 0 to 1.
     pub fn share(&self) -> f64 {
-        let visited = self.zones.iter().filter(|&&count| count >= VISITED).count();
+        let visited = self.zones.iter().filter(|&&count| count >= MIN_ZONE_SIGHTINGS).count();
         visited as f64 / self.zones.len() as f64
     }
 
-    /// Roundels seen by zone, row by row from the top left: 3 by 3.
+    /// Sightings by zone, row by row from the top left: 3 by 3.
     pub fn zones(&self) -> &[usize] {
         &self.zones
     }
 
-    /// Sides of the board that were nearer to the camera than the other at least once, and those that were not yet.
+    /// Sides, and whether there is a view with that side of the board nearer to the camera.
     pub fn sides(&self) -> [(Side, bool); 4] {
         [0, 1, 2, 3].map(|index| (SIDES[index], self.tilted[index] >= TILTED))
     }
 
-    /// How wide and high the picture is.
+    /// Width and height of the picture.
     pub fn size(&self) -> (usize, usize) {
         self.size
     }
 
-    /// Whether the board was tilted to at least two sides, one of them across and one down or opposite.
+    /// Whether there are views tilted to at least two sides.
     pub(crate) fn is_tilted(&self) -> bool {
         self.tilted.iter().filter(|&&count| count > 0).count() >= 2
     }
 
-    /// What would help, most first; empty: views are good enough.
-    pub fn wants(&self) -> Vec<Want> {
+    /// Missing views, most important first; empty if the views suffice.
+    pub fn missing_views(&self) -> Vec<MissingView> {
         let tilts = SIDES.iter().zip(self.tilted).filter(|(_, count)| *count < TILTED);
-        let mut wants: Vec<Want> = tilts.map(|(side, _)| Want::Tilted(*side)).collect();
+        let mut missing_views: Vec<MissingView> =
+            tilts.map(|(side, _)| MissingView::Tilted(*side)).collect();
         for (index, count) in self.zones.iter().enumerate() {
-            if *count < VISITED {
-                wants.push(Want::Zone(index % ZONES.0, index / ZONES.0));
+            if *count < MIN_ZONE_SIGHTINGS {
+                missing_views.push(MissingView::Zone(index % ZONES.0, index / ZONES.0));
             }
         }
-        wants
+        missing_views
     }
 }
 
@@ -149,7 +150,7 @@ mod tests {
     use super::*;
     use crate::{
         checkerboard::Checkerboard,
-        lens::{Chooser, Sighting, Target, Verdict},
+        lens::{Sighting, Target, ViewSelector, ViewVerdict},
     };
     use roundel_vision::camera::PixelPoint;
 
@@ -169,14 +170,17 @@ mod tests {
     }
 
     #[test]
-    fn zones_and_sides_are_done_by_a_view_that_shows_them() {
+    fn a_view_covers_its_zones_and_sides() {
         let board = Checkerboard::new((9, 6), 0.025).unwrap();
-        let mut chooser = Chooser::new(Target::from(board), (900, 600), false);
-        assert_eq!(chooser.offer(view(&board)), Verdict::Taken);
-        let coverage = chooser.coverage();
-        assert!(coverage.zones()[0] >= VISITED && coverage.zones()[1..].iter().all(|it| *it == 0));
+        let mut selector = ViewSelector::new(Target::from(board), (900, 600), false);
+        assert_eq!(selector.offer(view(&board)), ViewVerdict::Taken);
+        let coverage = selector.coverage();
+        assert!(
+            coverage.zones()[0] >= MIN_ZONE_SIGHTINGS
+                && coverage.zones()[1..].iter().all(|it| *it == 0)
+        );
         let done = coverage.sides().map(|(_, is_done)| is_done);
         assert_eq!(done, [true, false, false, false], "right, left, lower, upper");
-        assert!(!coverage.wants().contains(&Want::Tilted(Side::Right)));
+        assert!(!coverage.missing_views().contains(&MissingView::Tilted(Side::Right)));
     }
 }

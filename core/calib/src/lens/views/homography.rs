@@ -1,4 +1,4 @@
-//! The board's plane in one picture: the homography that takes it there, and what follows from that.
+//! Homography from the board's plane to a picture, and the pose and tilt that follow from it.
 
 use nalgebra::{
     Isometry3, Matrix3, Point2, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector3,
@@ -6,73 +6,72 @@ use nalgebra::{
 
 use super::{
     target::Target,
-    view::{LEAST_ROUNDELS, Sighting, View},
+    view::{MIN_ROUNDELS, Sighting, View},
 };
 
-/// A roundel this far from where the others' homography has it, in diameters, has another code than was read; a lens
-/// bends less.
+/// A roundel is misread if it is farther than this from its predicted position, in diameters. Distortion is
+/// smaller.
 const MISREAD_DIAMETERS: f64 = 0.6;
 
-/// The board's plane in one picture.
 #[derive(Clone, Debug)]
-pub(crate) struct Flat {
+pub(crate) struct BoardHomography {
     /// From the board's metres to raw pixels, up to scale.
     pixel_from_board: Matrix3<f64>,
-    /// Roundels that are where it says.
+    /// The consistent roundels.
     pub(crate) sightings: Vec<(Point2<f64>, Sighting)>,
 }
 
-impl Flat {
-    /// The homography of a view, without the roundels that contradict it; `None` if too few are left.
-    pub(crate) fn of(target: &Target, view: &View) -> Option<Self> {
+impl BoardHomography {
+    /// Homography of a view without inconsistent roundels; `None` if too few remain.
+    pub(crate) fn fit(target: &Target, view: &View) -> Option<Self> {
         let mut sightings: Vec<(Point2<f64>, Sighting)> = view
             .sightings
             .iter()
-            .filter_map(|sighting| Some((target.at(sighting.number)?, *sighting)))
+            .filter_map(|sighting| Some((target.point_m(sighting.number)?, *sighting)))
             .collect();
         loop {
-            if sightings.len() < LEAST_ROUNDELS {
+            if sightings.len() < MIN_ROUNDELS {
                 return None;
             }
-            let pixel_from_board = homography(&sightings)?;
-            let flat = Self { pixel_from_board, sightings: sightings.clone() };
+            let pixel_from_board = dlt(&sightings)?;
+            let found = Self { pixel_from_board, sightings: sightings.clone() };
             let worst = sightings
                 .iter()
-                .map(|(at, sighting)| flat.miss(at, sighting))
+                .map(|(board_m, sighting)| found.error_diameters(board_m, sighting))
                 .enumerate()
                 .max_by(|one, other| one.1.total_cmp(&other.1))?;
             if worst.1 <= MISREAD_DIAMETERS {
-                return Some(flat);
+                return Some(found);
             }
             sightings.swap_remove(worst.0);
         }
     }
 
-    /// How far a roundel is from where it should be, in its diameters.
-    fn miss(&self, at: &Point2<f64>, sighting: &Sighting) -> f64 {
-        let image = self.pixel_from_board * Vector3::new(at.x, at.y, 1.0);
+    /// Distance of a roundel from its predicted position, in its diameters.
+    fn error_diameters(&self, board_m: &Point2<f64>, sighting: &Sighting) -> f64 {
+        let image = self.pixel_from_board * Vector3::new(board_m.x, board_m.y, 1.0);
         let off =
             (image.x / image.z - sighting.center.u).hypot(image.y / image.z - sighting.center.v);
         if off.is_finite() { off / (2.0 * sighting.radius_px) } else { f64::MAX }
     }
 
-    /// With pixels from the picture's middle.
+    /// Relative to the middle of the picture, pixels.
     pub(crate) fn centered(&self, (width, height): (usize, usize)) -> Matrix3<f64> {
-        let middle = |side: usize| (side as f64 - 1.0) / 2.0;
-        let (u, v) = (middle(width), middle(height));
-        let to_middle = Matrix3::new(1.0, 0.0, -u, 0.0, 1.0, -v, 0.0, 0.0, 1.0);
-        // In pictures' widths, so that its elements are near one.
+        let center = |side: usize| (side as f64 - 1.0) / 2.0;
+        let (u, v) = (center(width), center(height));
+        let to_center = Matrix3::new(1.0, 0.0, -u, 0.0, 1.0, -v, 0.0, 0.0, 1.0);
+        // In picture widths, so that the elements are near one.
         let scale = 1.0 / width.max(height) as f64;
         let mut h = Matrix3::from_diagonal(&Vector3::new(scale, scale, 1.0))
-            * to_middle
+            * to_center
             * self.pixel_from_board;
         let board_scale = 1.0 / h.column(0).norm().max(1e-300);
         h *= board_scale;
-        // Back to pixels: the focal length is wanted in them.
+        // Back to pixels, the unit of the focal length.
         Matrix3::from_diagonal(&Vector3::new(1.0 / scale, 1.0 / scale, 1.0)) * h
     }
 
-    /// camera_from_board for a camera of that focal length; `None`: behind it.
+    /// camera_from_board for a camera of this focal length; `None` if the board is behind it.
     pub(crate) fn pose(&self, focal_px: f64, size: (usize, usize)) -> Option<Isometry3<f64>> {
         let h = Matrix3::from_diagonal(&Vector3::new(1.0 / focal_px, 1.0 / focal_px, 1.0))
             * self.centered(size);
@@ -92,23 +91,23 @@ impl Flat {
         })
     }
 
-    /// How the board is tilted about the picture's upright and level axis, by the change of its scale: positive where
-    /// the right, the lower side is nearer. Rough: for a focal length of the picture's width.
+    /// Tilt of the board about the picture's vertical and horizontal axis, estimated with a focal length of one
+    /// picture width: positive if the right or the lower side is nearer.
     pub(crate) fn tilt_rad(&self, size: (usize, usize)) -> (f64, f64) {
         let focal_px = size.0.max(size.1) as f64;
         let Some(pose) = self.pose(focal_px, size) else { return (0.0, 0.0) };
-        // The board's normal, towards the camera.
+        // Normal of the board towards the camera.
         let normal = pose.rotation * Vector3::z();
         let normal = if normal.z > 0.0 { -normal } else { normal };
-        // Seen along the ray to the board's middle. Its right side is nearer where it faces to the left.
+        // Relative to the ray to the board's middle. The right side is nearer if the normal points to the left.
         let ray = pose.translation.vector.normalize();
-        let across = -(normal - ray * normal.dot(&ray));
-        (across.x.clamp(-1.0, 1.0).asin(), across.y.clamp(-1.0, 1.0).asin())
+        let lateral = -(normal - ray * normal.dot(&ray));
+        (lateral.x.clamp(-1.0, 1.0).asin(), lateral.y.clamp(-1.0, 1.0).asin())
     }
 }
 
-/// Direct linear transform, with coordinates scaled to their spread (Hartley 1997).
-fn homography(sightings: &[(Point2<f64>, Sighting)]) -> Option<Matrix3<f64>> {
+/// Direct linear transform with normalized coordinates (Hartley 1997).
+fn dlt(sightings: &[(Point2<f64>, Sighting)]) -> Option<Matrix3<f64>> {
     let scaled = |points: &[Point2<f64>]| {
         let count = points.len() as f64;
         let mean =
@@ -119,14 +118,16 @@ fn homography(sightings: &[(Point2<f64>, Sighting)]) -> Option<Matrix3<f64>> {
         let scale = 1.0 / spread.max(1e-12);
         Matrix3::new(scale, 0.0, -scale * mean.x, 0.0, scale, -scale * mean.y, 0.0, 0.0, 1.0)
     };
-    let board: Vec<_> = sightings.iter().map(|(at, _)| *at).collect();
-    let image: Vec<_> =
-        sightings.iter().map(|(_, seen)| Point2::new(seen.center.u, seen.center.v)).collect();
-    let (of_board, of_image) = (scaled(&board), scaled(&image));
+    let board: Vec<_> = sightings.iter().map(|(board_m, _)| *board_m).collect();
+    let image: Vec<_> = sightings
+        .iter()
+        .map(|(_, observed)| Point2::new(observed.center.u, observed.center.v))
+        .collect();
+    let (board_scale, image_scale) = (scaled(&board), scaled(&image));
     let mut normal = SMatrix::<f64, 9, 9>::zeros();
-    for (at, seen) in board.iter().zip(&image) {
-        let p = of_board * Vector3::new(at.x, at.y, 1.0);
-        let q = of_image * Vector3::new(seen.x, seen.y, 1.0);
+    for (board_m, observed) in board.iter().zip(&image) {
+        let p = board_scale * Vector3::new(board_m.x, board_m.y, 1.0);
+        let q = image_scale * Vector3::new(observed.x, observed.y, 1.0);
         let rows = [
             [p.x, p.y, 1.0, 0.0, 0.0, 0.0, -q.x * p.x, -q.x * p.y, -q.x],
             [0.0, 0.0, 0.0, p.x, p.y, 1.0, -q.y * p.x, -q.y * p.y, -q.y],
@@ -137,10 +138,10 @@ fn homography(sightings: &[(Point2<f64>, Sighting)]) -> Option<Matrix3<f64>> {
         }
     }
     let eigen = normal.symmetric_eigen();
-    let least = eigen.eigenvalues.imin();
-    let h = Matrix3::from_row_slice(eigen.eigenvectors.column(least).as_slice());
-    let homography = of_image.try_inverse()? * h * of_board;
-    // The board's middle is before the camera.
-    let sign = if homography[(2, 2)] < 0.0 { -1.0 } else { 1.0 };
-    homography.iter().all(|it| it.is_finite()).then_some(homography * sign)
+    let min = eigen.eigenvalues.imin();
+    let h = Matrix3::from_row_slice(eigen.eigenvectors.column(min).as_slice());
+    let dlt = image_scale.try_inverse()? * h * board_scale;
+    // The middle of the board is in front of the camera.
+    let sign = if dlt[(2, 2)] < 0.0 { -1.0 } else { 1.0 };
+    dlt.iter().all(|it| it.is_finite()).then_some(dlt * sign)
 }

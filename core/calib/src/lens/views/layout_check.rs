@@ -1,45 +1,47 @@
-//! Whether the print has the columns and rows that are said of it.
+//! Detects prints with other columns or rows than stated.
 //!
-//! Numbers run row by row, so with the wrong count of columns the described places are those of the print, sheared, for a part
-//! of the roundels (of 7 x 5 ones taken for 6 x 5 for 20 of 35), and a sheared board is a view like any other. So what is described
-//! is held against other counts of columns: the right one has all roundels in their places.
+//! Numbers run row by row. With a wrong number of columns, a part of the roundels (20 of 35 for a board of 7 x 5 stated as
+//! 6 x 5) lies at sheared positions of the print, which look like a valid view. Therefore other numbers of columns are
+//! compared: the right one has all roundels in their positions.
 
-use super::{super::LEAST_VIEWS, homography::Flat, target::Target, view::View};
+use super::{super::MIN_VIEWS, homography::BoardHomography, target::Target, view::View};
 use crate::board::Board;
 
-/// Fewer roundels say nothing of the print.
-const LEAST_SEEN: usize = 12;
-/// Another count has this share of all roundels in their places …
-const LEAST_SHARE: f64 = 0.9;
-/// … and so many more than what is described: codes are misread now and then.
-const LEAST_MORE: usize = 3;
-/// So large a share of the rows that are seen at all is seen in a view that shows the board whole.
+/// Minimum number of roundels for a decision.
+const MIN_POINTS: usize = 12;
+/// Minimum share of roundels that another layout must fit …
+const MIN_SHARE: f64 = 0.9;
+/// … and minimum number by which it must exceed the stated layout, since codes may be misread.
+const MIN_MARGIN: usize = 3;
+/// Minimum share of visible roundels in a complete view.
 const WHOLE_SHARE: f64 = 0.9;
 
-/// Columns and rows that the print in a view seems to have, if not those of the board. There may be more rows than are in
-/// the picture.
+/// Columns and rows of the print in a view if they differ from the board's. There may be more rows outside of the
+/// picture.
 pub(crate) fn other_sides(board: &Board, view: &View) -> Option<(usize, usize)> {
     let all = view.sightings.len();
-    let fitting = |board: &Board| {
-        Flat::of(&Target::from(board.clone()), view).map_or(0, |flat| flat.sightings.len())
+    let fitting_count = |board: &Board| {
+        BoardHomography::fit(&Target::from(board.clone()), view)
+            .map_or(0, |homography| homography.sightings.len())
     };
-    let described = fitting(board);
+    let described = fitting_count(board);
     let is_clear =
-        |count: usize| count >= described + LEAST_MORE && count as f64 >= LEAST_SHARE * all as f64;
-    if all < LEAST_SEEN || !is_clear(all) {
+        |count: usize| count >= described + MIN_MARGIN && count as f64 >= MIN_SHARE * all as f64;
+    if all < MIN_POINTS || !is_clear(all) {
         return None;
     }
     let last = view.sightings.iter().map(|it| usize::from(it.number)).max()?;
-    let (least, most) = Board::SIDES;
-    let others = (least..=most.min(last)).filter_map(|columns| {
-        let other = board.with_sides((columns, last.div_ceil(columns).max(least)))?;
-        Some((fitting(&other), columns))
+    let (min, max) = Board::SIDES;
+    let candidates = (min..=max.min(last)).filter_map(|columns| {
+        let other = board.with_sides((columns, last.div_ceil(columns).max(min)))?;
+        Some((fitting_count(&other), columns))
     });
-    let (count, columns) = others.max_by_key(|&(count, columns)| (count, usize::MAX - columns))?;
-    is_clear(count).then_some((columns, last.div_ceil(columns).max(least)))
+    let (count, columns) =
+        candidates.max_by_key(|&(count, columns)| (count, usize::MAX - columns))?;
+    is_clear(count).then_some((columns, last.div_ceil(columns).max(min)))
 }
 
-/// How many of the board's rows there seem to be, if all views that show the whole width of the print lack the last ones.
+/// Number of rows if all complete views lack the board's last rows.
 pub(crate) fn fewer_rows<'a>(
     board: &Board,
     views: impl Iterator<Item = &'a View>,
@@ -50,7 +52,7 @@ pub(crate) fn fewer_rows<'a>(
     let rows = last.div_ceil(board.columns());
     let whole = (WHOLE_SHARE * (rows * board.columns()) as f64) as usize;
     let are_whole = views.iter().filter(|view| view.sightings.len() >= whole).count();
-    let is_clear = rows < board.rows() && are_whole >= LEAST_VIEWS && 2 * are_whole > views.len();
+    let is_clear = rows < board.rows() && are_whole >= MIN_VIEWS && 2 * are_whole > views.len();
     is_clear.then_some(rows)
 }
 
@@ -64,7 +66,7 @@ mod tests {
         Board::new(sides, 0.036, 0.03, CodeLayout { bits: 9, min_distance: 1 }).unwrap()
     }
 
-    /// A print of these sides, seen at a slant, from this number on.
+    /// Oblique view of a print of these sides, from this number on.
     fn view(sides: (usize, usize), from: u16) -> View {
         let sighting = |(number, at): (u16, nalgebra::Point2<f64>)| {
             let depth = 1.0 + 1.5 * at.x + 0.5 * at.y;
@@ -79,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_count_of_columns_or_rows_is_told() {
+    fn a_wrong_number_of_columns_or_rows_is_detected() {
         let print = view((7, 5), 1);
         assert_eq!(other_sides(&board((7, 5)), &print), None);
         for described in [(6, 5), (8, 5), (5, 7), (7, 4), (4, 3)] {
@@ -87,7 +89,7 @@ mod tests {
         }
         // The upper rows are hidden.
         assert_eq!(other_sides(&board((6, 5)), &view((7, 5), 12)), Some((7, 5)));
-        // A code that was misread, and too little to say anything.
+        // A misread code, and too few roundels.
         let mut misread = print.clone();
         (misread.sightings[3].number, misread.sightings[4].number) = (5, 4);
         assert_eq!(other_sides(&board((7, 5)), &misread), None);
@@ -96,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_that_are_not_there_are_told_where_the_rest_is_whole() {
+    fn missing_rows_are_detected_in_complete_views() {
         let views = vec![view((7, 5), 1); 6];
         assert_eq!(fewer_rows(&board((7, 5)), views.iter()), None);
         assert_eq!(fewer_rows(&board((7, 6)), views.iter()), Some(5));

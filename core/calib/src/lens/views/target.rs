@@ -1,15 +1,15 @@
-//! What views show: points of a plane, each with a number.
+//! Calibration targets: numbered points of a plane.
 
 use nalgebra::Point2;
 
 use crate::{board::Board, checkerboard::Checkerboard};
 
-/// What is held before the camera.
+/// A calibration target.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Target {
-    /// Coded roundels, of which the centres of the outer rims' ellipses are seen.
+    /// Coded roundels, observed at the centres of the ellipses of their outer rims.
     Roundels(Board),
-    /// A chessboard, whether markers in its squares tell its corners apart or not, of which the inner corners are seen.
+    /// A chessboard, with or without markers in its squares, observed at its inner corners.
     Corners(Checkerboard),
 }
 
@@ -26,7 +26,7 @@ impl From<Checkerboard> for Target {
 }
 
 impl Target {
-    /// Points in a row.
+    /// Points per row.
     pub fn columns(&self) -> usize {
         match self {
             Self::Roundels(board) => board.columns(),
@@ -34,7 +34,7 @@ impl Target {
         }
     }
 
-    /// Points in a column.
+    /// Points per column.
     pub fn rows(&self) -> usize {
         match self {
             Self::Roundels(board) => board.rows(),
@@ -42,7 +42,7 @@ impl Target {
         }
     }
 
-    /// From one to the next, metres.
+    /// Distance of adjacent points, metres.
     pub fn pitch_m(&self) -> f64 {
         match self {
             Self::Roundels(board) => board.pitch_m(),
@@ -50,7 +50,7 @@ impl Target {
         }
     }
 
-    /// What its points are called.
+    /// Plural name of the points.
     pub fn points(&self) -> &'static str {
         match self {
             Self::Roundels(_) => "roundels",
@@ -58,15 +58,15 @@ impl Target {
         }
     }
 
-    /// Where the point of that number is in the target's frame, metres.
-    pub(crate) fn at(&self, number: u16) -> Option<Point2<f64>> {
+    /// Position of a point in the target's frame, metres.
+    pub(crate) fn point_m(&self, number: u16) -> Option<Point2<f64>> {
         match self {
-            Self::Roundels(board) => board.flat(number),
+            Self::Roundels(board) => board.center_on_print(number),
             Self::Corners(board) => board.corner(number),
         }
     }
 
-    /// Radius of the circles round the points whose images' centres are seen, metres; `None`: the points themselves are seen.
+    /// Radius of the circles whose centroids are observed, metres; `None` if the points themselves are observed.
     pub(crate) fn rim_m(&self) -> Option<f64> {
         match self {
             Self::Roundels(board) => Some(board.kind().outer_diameter_m / 2.0),
@@ -74,7 +74,7 @@ impl Target {
         }
     }
 
-    /// The board of roundels, whose numbers tell whether the print is another one.
+    /// The board of roundels, whose numbers identify the print.
     pub(crate) fn board(&self) -> Option<&Board> {
         match self {
             Self::Roundels(board) => Some(board),
