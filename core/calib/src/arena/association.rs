@@ -167,7 +167,7 @@ fn links_between(tracks: &[UncodedTrack], (one, other): (CameraId, CameraId)) ->
             let fits = aligned.fit.spread_m >= MIN_SPREAD_M
                 && aligned.fit.median_residual_m < SAME_M / 2.0;
             let samples = &tracks[pair[1]].samples;
-            let sum: Vector3<f64> = samples.iter().map(|sample| sample.place_m).sum();
+            let sum: Vector3<f64> = samples.iter().map(|sample| sample.position_m).sum();
             let center_m = sum / samples.len() as f64;
             fits.then_some(Candidate { tracks: pair, aligned, center_m })
         })
@@ -278,7 +278,9 @@ mod tests {
                 let t = f64::from(step) / 20.0;
                 Sample {
                     stamp_s: t + 0.23 * f64::from(camera),
-                    place_m: place(camera).inverse_transform_point(&path(robot, t).into()).coords,
+                    position_m: place(camera)
+                        .inverse_transform_point(&path(robot, t).into())
+                        .coords,
                     covariance: Matrix3::identity() * 1e-6,
                 }
             };
@@ -299,11 +301,11 @@ mod tests {
         assert_eq!(by_roundel.len(), 6);
         for (robot, (name, cameras)) in by_roundel.iter().enumerate() {
             assert_eq!(*name, RoundelKey::Uncoded(CameraId(0), TrackNumber(robot as u64)));
-            let place = |camera: u32| cameras[&CameraId(camera)].samples[200].place_m;
+            let place = |camera: u32| cameras[&CameraId(camera)].samples[200].position_m;
             let other = seen(6, robot_path);
             let number = TrackNumber(100 - robot as u64);
             let expected = &other[&RoundelKey::Uncoded(CameraId(1), number)][&CameraId(1)];
-            assert_eq!(place(1), expected.samples[200].place_m);
+            assert_eq!(place(1), expected.samples[200].position_m);
             assert!(place(0) != place(1));
         }
     }

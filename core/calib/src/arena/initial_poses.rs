@@ -171,7 +171,7 @@ fn pairs(shared: &[SharedTracks<'_>], stride: usize, ahead_s: f64) -> Vec<[Vecto
     for (ones, others) in shared {
         for one in ones.iter().step_by(stride) {
             if let Some(other_m) = interpolate(others, one.stamp_s + ahead_s) {
-                pairs.push([one.place_m, other_m]);
+                pairs.push([one.position_m, other_m]);
             }
         }
     }
@@ -184,7 +184,7 @@ pub(super) fn interpolate(samples: &[Sample], stamp_s: f64) -> Option<Vector3<f6
     let (before, after) = (samples.get(after.checked_sub(1)?)?, samples.get(after)?);
     let gap_s = after.stamp_s - before.stamp_s;
     let share = if gap_s > 0.0 { (stamp_s - before.stamp_s) / gap_s } else { 0.0 };
-    (gap_s < GAP_S).then(|| before.place_m.lerp(&after.place_m, share))
+    (gap_s < GAP_S).then(|| before.position_m.lerp(&after.position_m, share))
 }
 
 /// A rigid motion and its support.

@@ -130,12 +130,12 @@ pub fn calibrate(
     let observations: Vec<initial_poses::CameraSamples<'_>> =
         (0..cameras.len()).map(|camera| seen_by(&roundels, camera)).collect();
     let relative_poses = initial_poses::relative_poses(&observations);
-    let started = initial_poses::propagate(&reference_set.camera_poses, &relative_poses);
-    let kept: Vec<usize> = (0..cameras.len()).filter(|&index| started[index].is_some()).collect();
+    let initial = initial_poses::propagate(&reference_set.camera_poses, &relative_poses);
+    let kept: Vec<usize> = (0..cameras.len()).filter(|&index| initial[index].is_some()).collect();
     let camera_blocks = kept.iter().filter_map(|&index| {
-        let (place, offset_s) = started[index]?;
+        let (pose, offset_s) = initial[index]?;
         let lens = cameras[index].lens_deviation.map(|_| &cameras[index].lens);
-        Some(CameraBlock::new(place, offset_s, lens))
+        Some(CameraBlock::new(pose, offset_s, lens))
     });
     let camera_blocks: Vec<CameraBlock> = camera_blocks.collect();
     let track_blocks = track_blocks(&reference_set, &roundels, &kept, params);
@@ -203,7 +203,12 @@ fn track_blocks(
     let observation = |camera: usize, sample: &Sample| {
         let camera = kept.iter().position(|&index| index == camera)?;
         let whitener = whitener(&sample.covariance)?;
-        Some(Observation { camera, stamp_s: sample.stamp_s, place_m: sample.place_m, whitener })
+        Some(Observation {
+            camera,
+            stamp_s: sample.stamp_s,
+            position_m: sample.position_m,
+            whitener,
+        })
     };
     let references = reference_set.references.iter().filter_map(|reference| {
         let observations =
@@ -238,7 +243,7 @@ fn whitener(covariance: &Matrix3<f64>) -> Option<Matrix3<f64>> {
 }
 
 /// Block over (position, rotation) of a camera.
-fn place_covariance(covariance: &nalgebra::DMatrix<f64>, first: usize) -> Covariance6 {
+fn pose_covariance(covariance: &nalgebra::DMatrix<f64>, first: usize) -> Covariance6 {
     covariance.fixed_view::<6, 6>(first, first).into_owned()
 }
 

@@ -37,7 +37,7 @@ struct TrackedRoundel {
 pub(super) struct Sample {
     /// Seconds by the camera's clock, since the recording's epoch.
     pub(super) stamp_s: f64,
-    pub(super) place_m: Vector3<f64>,
+    pub(super) position_m: Vector3<f64>,
     pub(super) covariance: Matrix3<f64>,
 }
 
@@ -120,8 +120,8 @@ impl Recording {
             let is_due =
                 tracked.samples.last().is_none_or(|last| stamp_s - last.stamp_s >= self.min_gap_s);
             if is_due {
-                let place_m = pose.position_m;
-                tracked.samples.push(Sample { stamp_s, place_m, covariance });
+                let position_m = pose.position_m;
+                tracked.samples.push(Sample { stamp_s, position_m, covariance });
             }
         }
     }

@@ -141,8 +141,10 @@ fn uncoded(
         let is_kind = seen.kind.is_some_and(|kind| kinds.contains(&kind));
         let (Some(mean), None) = mean(&seen.samples, params) else { continue };
         if is_kind && is_stationary(&seen.samples, &mean) {
-            stationary
-                .push((*name, Sighting { position_m: mean.place_m, covariance: mean.covariance }));
+            stationary.push((
+                *name,
+                Sighting { position_m: mean.position_m, covariance: mean.covariance },
+            ));
         }
     }
     let references: Vec<Reference> = uncoded_indices
@@ -168,7 +170,7 @@ fn uncoded(
 }
 
 fn is_stationary(samples: &[Sample], mean: &Sample) -> bool {
-    let square: f64 = samples.iter().map(|s| (s.place_m - mean.place_m).norm_squared()).sum();
+    let square: f64 = samples.iter().map(|s| (s.position_m - mean.position_m).norm_squared()).sum();
     let noise: f64 = samples.iter().map(|s| s.covariance.trace()).sum();
     let count = samples.len() as f64;
     square / count < 4.0 * noise / count + STATIONARY_M * STATIONARY_M
@@ -186,7 +188,7 @@ fn mean(samples: &[Sample], params: &ArenaParams) -> (Option<Sample>, Option<f64
         .collect();
     // Compares the first and the last mean.
     let moved_m = parts.first().zip(parts.last()).and_then(|(one, other)| {
-        let apart = other.place_m - one.place_m;
+        let apart = other.position_m - one.position_m;
         let square = mahalanobis_squared(&apart, &(one.covariance + other.covariance))?;
         (square > MOVED_DEVIATIONS * MOVED_DEVIATIONS && apart.norm() > MOVED_M)
             .then_some(apart.norm())
@@ -202,13 +204,13 @@ fn average(samples: &[Sample], params: &ArenaParams) -> Option<Sample> {
     for sample in samples {
         let weight = sample.covariance.cholesky()?.inverse();
         information += weight;
-        weighted += weight * sample.place_m;
+        weighted += weight * sample.position_m;
     }
     let inverse = information.cholesky()?.inverse();
     // All frames of a stationary roundel show the same pixels, so systematic errors do not average out.
     let stays = params.systematic_share.clamp(0.0, 1.0);
     let covariance = inverse * count * (stays + (1.0 - stays) / count);
-    Some(Sample { stamp_s: first.stamp_s, place_m: inverse * weighted, covariance })
+    Some(Sample { stamp_s: first.stamp_s, position_m: inverse * weighted, covariance })
 }
 
 /// Locates a camera by the references. A reference that is inconsistent with all others is left out.
@@ -282,13 +284,13 @@ fn with_lens_uncertainty(
 ) -> Sighting {
     let mut covariance = seen.covariance;
     if let Some(LensDeviation { focal, center_px, .. }) = deviation {
-        let along = seen.place_m.normalize();
+        let along = seen.position_m.normalize();
         let along = along * along.transpose();
         let turn_rad = center_px / lens.intrinsics().fx_px;
         let share = along * (focal * focal) + (Matrix3::identity() - along) * (turn_rad * turn_rad);
-        covariance += share * seen.place_m.norm_squared();
+        covariance += share * seen.position_m.norm_squared();
     }
-    Sighting { position_m: seen.place_m, covariance }
+    Sighting { position_m: seen.position_m, covariance }
 }
 
 fn fit(view: &[(usize, Stated, Sighting)]) -> Result<Rigid, reference::ReferenceError> {
@@ -309,10 +311,10 @@ fn error(
     pose: &Rigid,
 ) -> (Vector3<f64>, Matrix3<f64>) {
     let turn = pose.rotation.to_rotation_matrix().into_inner();
-    let seen_m = pose.transform_point(&sighting.position_m.into()).coords;
+    let local_m = pose.transform_point(&sighting.position_m.into()).coords;
     let covariance = turn * sighting.covariance * turn.transpose()
         + Matrix3::from_diagonal_element(stated.1 * stated.1);
-    (seen_m - stated.0, covariance)
+    (local_m - stated.0, covariance)
 }
 
 /// Index of the worst outlier, if there is one.

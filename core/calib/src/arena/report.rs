@@ -13,7 +13,7 @@ use super::{
     finding::{Advice, Finding},
     image_coverage::ImageCoverage,
     initial_poses::{MIN_SPREAD_M, RelativePose},
-    place_covariance,
+    pose_covariance,
     recording::{Recording, RoundelKey},
     references::ReferenceSet,
 };
@@ -118,7 +118,7 @@ pub(super) fn report(survey: &Survey<'_>, bundle: &Bundle, outcome: &Outcome) ->
     let results: Vec<CalibratedCamera> = residuals
         .into_iter()
         .enumerate()
-        .map(|(at, residuals)| calibrated(survey, at, residuals, (bundle, outcome)))
+        .map(|(at, residuals)| calibrated(survey, at, residuals, bundle, outcome))
         .collect();
     findings.extend(elsewhere);
     findings.extend(results.iter().filter_map(doubtful));
@@ -208,7 +208,7 @@ fn residuals(
             shares[observation.camera].1 += usize::from(is_off);
             if !is_off {
                 let lens = &survey.cameras[survey.kept[observation.camera]].lens;
-                residuals[observation.camera].add(observation, square, lens, (bundle, track_block));
+                residuals[observation.camera].add(observation, square, lens, bundle, track_block);
             }
         }
         for (camera, (sightings, off)) in shares.into_iter().enumerate() {
@@ -234,11 +234,11 @@ fn distance_m(track_block: &TrackBlock, camera: usize, bundle: &Bundle) -> f64 {
             let point_m =
                 track_block.spline.at(camera_block.time_s(observation.stamp_s)).position_m;
             let sine = observation
-                .place_m
+                .position_m
                 .normalize()
                 .cross(&camera_block.predict(&point_m)?.normalize())
                 .norm();
-            Some(sine * observation.place_m.norm())
+            Some(sine * observation.position_m.norm())
         })
         .collect();
     distance_m.sort_by(f64::total_cmp);
@@ -251,13 +251,15 @@ impl CameraResiduals {
         observation: &Observation,
         square: f64,
         lens: &Camera,
-        (bundle, track_block): (&Bundle, &TrackBlock),
+        bundle: &Bundle,
+        track_block: &TrackBlock,
     ) {
         self.squares.push(square);
         let camera_block = &bundle.camera_blocks[observation.camera];
         let point_m = track_block.spline.at(camera_block.time_s(observation.stamp_s)).position_m;
         let Some(explained_m) = camera_block.predict(&point_m) else { return };
-        let pixels = [observation.place_m, explained_m].map(|place_m| lens.project(&place_m));
+        let pixels =
+            [observation.position_m, explained_m].map(|position_m| lens.project(&position_m));
         let [Ok(one), Ok(other)] = pixels else { return };
         self.square_px += (one.u - other.u).powi(2) + (one.v - other.v).powi(2);
         self.coverage.add(lens, one);
@@ -268,7 +270,8 @@ fn calibrated(
     survey: &Survey<'_>,
     at: usize,
     mut residuals: CameraResiduals,
-    (bundle, outcome): (&Bundle, &Outcome),
+    bundle: &Bundle,
+    outcome: &Outcome,
 ) -> CalibratedCamera {
     let (cameras, relative_poses, index) =
         (survey.cameras, &survey.relative_poses, survey.kept[at]);
@@ -288,7 +291,7 @@ fn calibrated(
     CalibratedCamera {
         camera: cameras[index].id,
         world_from_camera: camera_block.world_from_camera,
-        covariance: place_covariance(&outcome.covariance, first),
+        covariance: pose_covariance(&outcome.covariance, first),
         clock_offset_s: camera_block.offset_s,
         clock_offset_deviation_s: deviation(6),
         clock_skew: camera_block.skew,

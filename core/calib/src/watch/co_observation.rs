@@ -72,10 +72,10 @@ pub(super) struct RestTimes {
 }
 
 impl RestTimes {
-    fn since(&mut self, roundel: Roundel, place_m: &Vector3<f64>, bin: i64) -> f64 {
-        let (from_m, arrived, seen) = self.at.entry(roundel).or_insert((*place_m, bin, bin));
-        if (place_m - *from_m).norm() > REST_M {
-            (*from_m, *arrived) = (*place_m, bin);
+    fn since(&mut self, roundel: Roundel, position_m: &Vector3<f64>, bin: i64) -> f64 {
+        let (from_m, arrived, seen) = self.at.entry(roundel).or_insert((*position_m, bin, bin));
+        if (position_m - *from_m).norm() > REST_M {
+            (*from_m, *arrived) = (*position_m, bin);
         }
         *seen = bin;
         (bin - *arrived + 1) as f64 * BIN_S
@@ -91,10 +91,11 @@ pub(super) fn match_views(
     single_views: &[SingleView],
     poses: &[Rigid],
     landmarks: &[Landmark],
-    (rest_times, bin): (&mut RestTimes, i64),
+    rest_times: &mut RestTimes,
+    bin: i64,
 ) -> Vec<CoObservation> {
     let mut groups: BTreeMap<Roundel, Option<Vec<(usize, RoundelView)>>> = BTreeMap::new();
-    let mut join = |roundel: Roundel, single_view: &SingleView| match groups.entry(roundel) {
+    let mut add = |roundel: Roundel, single_view: &SingleView| match groups.entry(roundel) {
         Entry::Vacant(entry) => {
             entry.insert(Some(vec![(single_view.slot, single_view.view)]));
         }
@@ -111,8 +112,8 @@ pub(super) fn match_views(
         let world_m = to_world(&poses[single_view.slot], &single_view.view.position_m);
         let landmark = landmarks.iter().position(|it| is_landmark(it, single_view, &world_m));
         match (landmark, single_view.code) {
-            (Some(index), _) => join(Roundel::Fixed(index), single_view),
-            (None, Some(code)) => join(Roundel::Coded(single_view.kind, code), single_view),
+            (Some(index), _) => add(Roundel::Fixed(index), single_view),
+            (None, Some(code)) => add(Roundel::Coded(single_view.kind, code), single_view),
             (None, None) => uncoded.push((single_view, world_m)),
         }
     }
@@ -125,7 +126,9 @@ pub(super) fn match_views(
         })
         .collect();
     matched.sort_by_key(|(single_view, _)| (single_view.slot, single_view.number));
-    matched.into_iter().for_each(|(single_view, roundel)| join(roundel, single_view));
+    for (single_view, roundel) in matched {
+        add(roundel, single_view);
+    }
     rest_times.forget(bin);
     let co_observation = |(roundel, views): (Roundel, Option<Vec<(usize, RoundelView)>>)| {
         let views = views?;
@@ -161,16 +164,16 @@ type Uncoded<'a> = [(&'a SingleView, Vector3<f64>)];
 
 /// The first of all views of the same roundel; `None` if ambiguous.
 fn first_of(uncoded: &Uncoded<'_>, index: usize) -> Option<usize> {
-    let (of, world_m) = &uncoded[index];
+    let (own, world_m) = &uncoded[index];
     let mut first = index;
     for other in neighbourhood(uncoded, world_m) {
         let (single_view, other_m) = &uncoded[other];
-        let is_match = single_view.slot != of.slot
-            && single_view.kind == of.kind
+        let is_match = single_view.slot != own.slot
+            && single_view.kind == own.kind
             && (other_m - world_m).norm() < NEAR_M;
         if is_match {
             let is_unambiguous = is_unambiguous(uncoded, index, single_view.slot)
-                && is_unambiguous(uncoded, other, of.slot);
+                && is_unambiguous(uncoded, other, own.slot);
             if !is_unambiguous {
                 return None;
             }
@@ -183,11 +186,11 @@ fn first_of(uncoded: &Uncoded<'_>, index: usize) -> Option<usize> {
 
 /// Whether a camera has at most one view near this one.
 fn is_unambiguous(uncoded: &Uncoded<'_>, index: usize, slot: usize) -> bool {
-    let (of, world_m) = &uncoded[index];
+    let (own, world_m) = &uncoded[index];
     let is_near = |other: &usize| {
         let (single_view, other_m) = &uncoded[*other];
         single_view.slot == slot
-            && single_view.kind == of.kind
+            && single_view.kind == own.kind
             && (other_m - world_m).norm() < 2.0 * NEAR_M
     };
     neighbourhood(uncoded, world_m).filter(is_near).count() <= 1

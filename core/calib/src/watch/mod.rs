@@ -360,7 +360,7 @@ impl Watch {
             None => slot.placement.world_from_camera,
         };
         let poses: Vec<Rigid> = self.slots.iter().map(pose).collect();
-        match_views(&single_views, &poses, &self.landmarks, (&mut self.rest_times, bin))
+        match_views(&single_views, &poses, &self.landmarks, &mut self.rest_times, bin)
     }
 
     /// Advances the recovery of moved cameras.

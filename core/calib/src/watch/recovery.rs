@@ -106,7 +106,7 @@ impl Recovery {
             }
             self.candidate = None;
             let newest = self.fit_bins(count - CHECK_BINS..count, slot, others, params)?;
-            if differ(&fit, &newest, (REJECTED_SQUARED, REJECTED_M)) {
+            if differ(&fit, &newest, REJECTED_SQUARED, REJECTED_M) {
                 self.restart();
                 return None;
             }
@@ -119,7 +119,7 @@ impl Recovery {
             self.fit_bins(count - 2 * CHECK_BINS..count - CHECK_BINS, slot, others, params);
         let newest = self.fit_bins(count - CHECK_BINS..count, slot, others, params)?;
         self.pose = newest.pose;
-        if before.is_none_or(|before| differ(&before, &newest, (MOVES_SQUARED, MOVES_M))) {
+        if before.is_none_or(|before| differ(&before, &newest, MOVES_SQUARED, MOVES_M)) {
             self.bins.drain(..count - CHECK_BINS);
             return None;
         }
@@ -166,7 +166,7 @@ pub(super) fn deviations(fit: &PoseFit) -> [f64; 2] {
 }
 
 /// Whether two poses from different views differ significantly.
-fn differ(one: &PoseFit, other: &PoseFit, (max_squared, max_m): (f64, f64)) -> bool {
+fn differ(one: &PoseFit, other: &PoseFit, max_squared: f64, max_m: f64) -> bool {
     let shift = other.pose.translation.vector - one.pose.translation.vector;
     let turn = (other.pose.rotation * one.pose.rotation.inverse()).scaled_axis();
     let change = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);

@@ -1,4 +1,4 @@
-//! What the scenario's robots and cameras keep to.
+//! Limits and invariants of scenarios.
 
 use super::*;
 use crate::CameraMount;
@@ -32,7 +32,7 @@ fn truth_is_the_derivative_of_truth() {
     }
 }
 
-/// Checks limits and distances of all robots at one time.
+/// Checks limits and distances of all robots at an instant.
 fn check_traffic(scenario: &Scenario, time_s: f64) {
     let params = scenario.params();
     let robots = scenario.truth(time_s);
@@ -97,13 +97,13 @@ fn a_large_arena_takes_two_hundred_robots() {
 #[test]
 fn a_dense_crowd_still_keeps_its_distance() {
     let mut params = ScenarioParams::r4_lite(5);
-    // As many as there is room for.
+    // The maximum number.
     (params.flying_share, params.still, params.acceleration_limit_m_s2) = (0.0, 8, 0.2);
     params.robots = 400;
-    let Err(ScenarioError::Crowded { most, .. }) = Scenario::new(params.clone()) else {
+    let Err(ScenarioError::Crowded { max, .. }) = Scenario::new(params.clone()) else {
         panic!("400 robots have no room")
     };
-    params.robots = most + params.still;
+    params.robots = max + params.still;
     let scenario = Scenario::new(params).unwrap();
     instants().step_by(3).for_each(|time_s| check_traffic(&scenario, time_s));
 }
@@ -182,12 +182,12 @@ fn too_many_robots_are_refused_with_the_number_that_fits() {
     let mut params = ScenarioParams::r4_lite(1);
     params.robots = 400;
     let message = Scenario::new(params.clone()).unwrap_err().to_string();
-    let most: usize = message
+    let max: usize = message
         .split_once("expected at most ")
         .and_then(|(_, rest)| rest.split_once(' '))
         .and_then(|(number, _)| number.parse().ok())
         .unwrap_or_else(|| panic!("no number in: {message}"));
-    params.robots = most + params.still;
+    params.robots = max + params.still;
     params.flying_share = 0.0;
     assert!(Scenario::new(params.clone()).is_ok(), "{message}");
     params.robots += 1;

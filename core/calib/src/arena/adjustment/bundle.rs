@@ -268,7 +268,7 @@ impl Bundle {
             .map(|(track_block, reduced)| match track_block.stated {
                 // Errors of references are those stated.
                 Some(_) => Vec::new(),
-                None => track_block.scores(reduced, &self.camera_blocks, (scale, BLOCK_S)),
+                None => track_block.scores(reduced, &self.camera_blocks, scale, BLOCK_S),
             })
             .collect();
         let (mut spread_of, mut stated) = (DMatrix::zeros(size, size), DMatrix::zeros(size, size));

@@ -71,10 +71,10 @@ impl CameraBlock {
 
     /// Measured position of a world point; `None` if it has no image.
     pub(crate) fn predict(&self, point_m: &Vector3<f64>) -> Option<Vector3<f64>> {
-        let seen_m = self.world_from_camera.inverse_transform_point(&(*point_m).into()).coords;
+        let local_m = self.world_from_camera.inverse_transform_point(&(*point_m).into()).coords;
         match &self.lens {
-            Some(lens) => lens.apparent(&lens.now, &seen_m),
-            None => Some(seen_m),
+            Some(lens) => lens.apparent(&lens.now, &local_m),
+            None => Some(local_m),
         }
     }
 
@@ -88,7 +88,7 @@ impl CameraBlock {
         let place = &self.world_from_camera;
         let back = place.rotation.inverse().to_rotation_matrix().into_inner();
         let arm_m = point_m - place.translation.vector;
-        let seen_m = back * arm_m;
+        let local_m = back * arm_m;
         let turn = back * arm_m.cross_matrix();
         let clock_shift = -(back * velocity_m_s);
         let mut by = [Vector3::zeros(); UNKNOWNS];
@@ -97,11 +97,11 @@ impl CameraBlock {
             by[3 + axis] = turn.column(axis).into_owned();
         }
         (by[6], by[7]) = (clock_shift, clock_shift * stamp_s);
-        let Some(lens) = &self.lens else { return Some((seen_m, back, by)) };
+        let Some(lens) = &self.lens else { return Some((local_m, back, by)) };
         // The change of the lens is so small that its effect on the other derivatives is negligible.
-        let apparent_m = lens.apparent(&lens.now, &seen_m)?;
+        let apparent_m = lens.apparent(&lens.now, &local_m)?;
         for (number, stepped) in lens.stepped.iter().enumerate() {
-            let moved_m = lens.apparent(stepped, &seen_m)?;
+            let moved_m = lens.apparent(stepped, &local_m)?;
             by[POSE_AND_CLOCK + number] = (moved_m - apparent_m) / STEPS[number];
         }
         Some((apparent_m, back, by))
@@ -138,12 +138,12 @@ impl LensEstimate {
         Ok(Self { given: given.clone(), change, now, stepped })
     }
 
-    /// Position that the given lens measures for a point at `seen_m` imaged by `lens`.
-    fn apparent(&self, lens: &Camera, seen_m: &Vector3<f64>) -> Option<Vector3<f64>> {
-        let (pixel, jacobian) = lens.project_with_jacobian(seen_m).ok()?;
+    /// Position that the given lens measures for a point at `local_m` imaged by `lens`.
+    fn apparent(&self, lens: &Camera, local_m: &Vector3<f64>) -> Option<Vector3<f64>> {
+        let (pixel, jacobian) = lens.project_with_jacobian(local_m).ok()?;
         let bearing = self.given.bearing(pixel).ok()?;
         let (_, given) = self.given.project_with_jacobian(&bearing).ok()?;
-        let range_m = seen_m.norm();
+        let range_m = local_m.norm();
         // Magnifications at distance 1 and at range_m.
         let ratio = magnification(&given) / (magnification(&jacobian) * range_m);
         Some(bearing * (range_m * ratio))

@@ -28,7 +28,7 @@ pub(crate) struct Observation {
     /// By the camera's clock, seconds since the middle of the recording.
     pub(crate) stamp_s: f64,
     /// In the camera frame.
-    pub(crate) place_m: Vector3<f64>,
+    pub(crate) position_m: Vector3<f64>,
     /// W.
     pub(crate) whitener: Matrix3<f64>,
 }
@@ -98,8 +98,8 @@ impl TrackBlock {
         self.observations.iter().map(|observation| {
             let camera_block = &camera_blocks[observation.camera];
             let point_m = self.spline.at(camera_block.time_s(observation.stamp_s)).position_m;
-            camera_block.predict(&point_m).map_or(f64::INFINITY, |seen_m| {
-                (observation.whitener * (observation.place_m - seen_m)).norm_squared()
+            camera_block.predict(&point_m).map_or(f64::INFINITY, |local_m| {
+                (observation.whitener * (observation.position_m - local_m)).norm_squared()
             })
         })
     }
@@ -107,8 +107,8 @@ impl TrackBlock {
     /// Robust cost of the sightings plus the priors.
     pub(crate) fn cost(&self, camera_blocks: &[CameraBlock], scale: f64) -> f64 {
         let seen: f64 = self.squares(camera_blocks).map(|square| loss(square, scale)).sum();
-        let stated = self.stated.map_or(0.0, |(place_m, deviation_m)| {
-            (self.spline.points_m[0] - place_m).norm_squared() / (deviation_m * deviation_m)
+        let stated = self.stated.map_or(0.0, |(position_m, deviation_m)| {
+            (self.spline.points_m[0] - position_m).norm_squared() / (deviation_m * deviation_m)
         });
         let weight = self.jerk_weight();
         let jerks = self.spline.points_m.windows(4).map(|points| {
@@ -176,10 +176,11 @@ impl TrackBlock {
         &self,
         reduced: &Reduced,
         camera_blocks: &[CameraBlock],
-        (scale, stretch_s): (f64, f64),
+        scale: f64,
+        block_s: f64,
     ) -> Vec<Vec<f64>> {
         let columns = reduced.gradient.len();
-        let block = |observation: &Observation| (observation.stamp_s / stretch_s).floor() as i64;
+        let block = |observation: &Observation| (observation.stamp_s / block_s).floor() as i64;
         let mut observations: Vec<&Observation> = self.observations.iter().collect();
         observations.sort_by_key(|observation| block(observation));
         observations
@@ -238,7 +239,8 @@ impl TrackBlock {
                 normal.add(
                     &linearized,
                     self.column(observation.camera, camera_blocks),
-                    (dims, columns),
+                    dims,
+                    columns,
                 );
             }
         }
@@ -248,11 +250,11 @@ impl TrackBlock {
     /// Adds the stated position of a reference and the prior of the jerk.
     fn add_priors(&self, normal: &mut Normal) {
         let points_m = &self.spline.points_m;
-        if let Some((place_m, deviation_m)) = self.stated {
+        if let Some((position_m, deviation_m)) = self.stated {
             let weight = 1.0 / (deviation_m * deviation_m);
             for axis in 0..3 {
                 normal.band.add(axis, axis, weight);
-                normal.spline_gradient[axis] += weight * (place_m[axis] - points_m[0][axis]);
+                normal.spline_gradient[axis] += weight * (position_m[axis] - points_m[0][axis]);
             }
         }
         const DIFFERENCE: [f64; 4] = [-1.0, 3.0, -3.0, 1.0];
@@ -286,12 +288,12 @@ impl TrackBlock {
     ) -> Option<Linearized> {
         let camera_block = &camera_blocks[observation.camera];
         let instant = self.spline.at(camera_block.time_s(observation.stamp_s));
-        let (seen_m, by_point, by_camera) = camera_block.predict_with_jacobian(
+        let (local_m, by_point, by_camera) = camera_block.predict_with_jacobian(
             &instant.position_m,
             &instant.velocity_m_s,
             observation.stamp_s,
         )?;
-        let error = observation.whitener * (observation.place_m - seen_m);
+        let error = observation.whitener * (observation.position_m - local_m);
         let trust = scale / (scale + error.norm_squared());
         let whitener = observation.whitener * trust;
         Some(Linearized {
@@ -305,7 +307,7 @@ impl TrackBlock {
 
 impl Normal {
     /// Adds a sighting of the camera whose columns begin at `first`.
-    fn add(&mut self, linearized: &Linearized, first: usize, (dims, columns): (usize, usize)) {
+    fn add(&mut self, linearized: &Linearized, first: usize, dims: usize, columns: usize) {
         let Linearized { instant, error, by_point, by_camera } = linearized;
         let square = by_point.transpose() * by_point;
         let pull = by_point.transpose() * error;

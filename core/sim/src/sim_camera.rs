@@ -1,4 +1,4 @@
-//! Simulated cameras: lens, place, and when each frame is taken.
+//! Simulated cameras: lens, pose and timing.
 
 use nalgebra::{Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
@@ -7,46 +7,44 @@ use roundel_vision::{
     rigid::Rigid,
 };
 
-/// One camera of a scenario.
+/// A camera of a scenario.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SimCamera {
     /// Unique within the scenario.
     pub name: String,
     /// Intrinsics and lens.
     pub camera: Camera,
-    /// Where it hangs.
+    /// Pose.
     pub world_from_camera: Rigid,
-    /// Time of its frame 0 (middle of the exposure at the middle row), seconds after the scenario's
-    /// start; may be negative.
+    /// Capture time of frame 0 (middle of the exposure at the middle row), seconds after the scenario's start; may
+    /// be negative.
     pub phase_s: f64,
-    /// Frames a second, with this camera's own small error of rate.
+    /// Frame rate, hertz, with the camera's own deviation.
     pub rate_hz: f64,
-    /// From one row's exposure to the next row's, seconds.
+    /// Time from one row's exposure to the next one's, seconds.
     pub line_time_s: f64,
-    /// Exposure of each row, seconds.
+    /// Exposure of a row, seconds.
     pub exposure_s: f64,
 }
 
 impl SimCamera {
-    /// Capture time of a frame: the middle of the exposure at the middle row, seconds after the
-    /// scenario's start.
+    /// Capture time of a frame: the middle of the exposure at the middle row, seconds after the scenario's start.
     pub fn frame_time_s(&self, frame: u64) -> f64 {
         self.phase_s + frame as f64 / self.rate_hz
     }
 
-    /// Middle of the exposure at row `v_px` of a frame whose capture time is `frame_time_s`.
+    /// Middle of the exposure at row `v_px` of a frame captured at `frame_time_s`.
     pub fn row_time_s(&self, frame_time_s: f64, v_px: f64) -> f64 {
         frame_time_s + (v_px - (self.camera.height() as f64 - 1.0) / 2.0) * self.line_time_s
     }
 
-    /// The image of a world point; `None` behind the camera or beyond its lens' range. The pixel
-    /// may lie outside the image.
+    /// Image of a world point, possibly outside of the picture; `None` behind the camera or beyond its lens' range.
     pub fn project(&self, world_m: &Point3<f64>) -> Option<PixelPoint> {
         let in_camera = self.world_from_camera.inverse_transform_point(world_m);
         self.camera.project(&in_camera.coords).ok()
     }
 
-    /// Whether a world point's image lies at least `margin_px` inside the image.
+    /// Whether the image of a world point is at least `margin_px` inside the picture.
     pub fn sees(&self, world_m: &Point3<f64>, margin_px: f64) -> bool {
         let (width, height) = (self.camera.width() as f64, self.camera.height() as f64);
         self.project(world_m).is_some_and(|pixel| {
@@ -58,8 +56,8 @@ impl SimCamera {
     }
 }
 
-/// The pose of a camera at `eye_m` that looks at `target_m`, turned about its axis so that the
-/// image's top is towards world +y (+x if it looks along y), as a plan of the arena is read.
+/// Pose of a camera at `eye_m` that looks at `target_m`, with the top of the image towards world +y (+x if it looks
+/// along y), as on a map of the arena.
 pub fn look_at(eye_m: [f64; 3], target_m: [f64; 3]) -> Rigid {
     let eye = Vector3::from(eye_m);
     let forward =
