@@ -54,7 +54,7 @@ struct Statistics {
 fn scenario() -> Scenario {
     let mut params = ScenarioParams::r4(1);
     params.kinds[0].pattern = Pattern::Coded(CodeLayout { bits: 9, min_distance: 1 });
-    Scenario::new(ScenarioParams { robots: ROBOTS, ..params }).expect("there is room for them")
+    Scenario::new(ScenarioParams { robots: ROBOTS, ..params }).expect("valid parameters")
 }
 
 fn sequence(scenario: &Scenario, camera: usize) -> Sequence {

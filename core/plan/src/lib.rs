@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn without_distortion_ranges_are_the_papers_but_for_the_least_diameter() {
+    fn ranges_without_distortion_match_the_paper() {
         let found = detection_range(&sensor(), &kind(), 0.0).unwrap();
         let paper = paper::Pinhole {
             size_px: [640.0, 480.0],
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn a_code_is_read_less_far_than_its_ring_is_found() {
+    fn a_code_has_a_shorter_range_than_its_ring() {
         for (bits, min_px) in [(5, 30.0), (8, 36.0), (10, 48.0), (12, 60.0), (16, 90.0)] {
             let found = detection_range(&sensor(), &coded(bits), 0.0).unwrap();
             assert_eq!(found.min_minor_px, min_px);
@@ -248,49 +248,53 @@ mod tests {
     }
 
     #[test]
-    fn what_covers_an_arena_reads_its_codes() {
+    fn coverage_of_coded_roundels_requires_reading_the_code() {
         let at = (4.0, 0.0);
         let [plain_m, coded_m] = [kind(), coded(8)]
-            .map(|kind| smallest_diameter_m(&sensor(), None, &kind, at, None).unwrap());
+            .map(|kind| smallest_diameter_m(&sensor(), None, &kind, at.0, at.1, None).unwrap());
         assert!(plain_m < 0.5 * coded_m && (coded_m / (36.0 * 4.0 / 700.0) - 1.0).abs() < 0.02);
         // From 3.5 m the ring is 32 px wide.
         let mut stations = row(&[0.0]);
         let lift = Translation3::new(0.0, 0.0, 0.5);
         let place = &mut stations[0].place;
         place.world_from_camera = lift * place.world_from_camera;
-        let field = MapArea { min_m: [-0.5, -0.4], max_m: [0.5, 0.4], height_m: 0.0, step_m: 0.1 };
+        let area = MapArea { min_m: [-0.5, -0.4], max_m: [0.5, 0.4], height_m: 0.0, step_m: 0.1 };
         let [plain, unread, read] = [kind(), coded(8), scaled(&coded(8), 0.2)]
-            .map(|kind| map(&stations, &kind, field).unwrap().summary().seen_share);
+            .map(|kind| map(&stations, &kind, area).unwrap().summary().seen_share);
         assert_eq!([plain, unread, read], [1.0, 0.0, 1.0]);
-        let wish = Requirements { field, mount_m: [3.0, 3.5], views: 1, share: 1.0, max_m: None };
-        let grid = fewest_cameras(&sensor(), None, &coded(8), &wish).unwrap();
+        let requirements =
+            Requirements { area, mount_m: [3.0, 3.5], views: 1, share: 1.0, max_m: None };
+        let grid = fewest_cameras(&sensor(), None, &coded(8), &requirements).unwrap();
         assert!(grid.mount_m < 3.2, "{}", grid.mount_m);
-        let refused = fewest_cameras(&sensor(), None, &coded(12), &wish).unwrap_err().to_string();
+        let refused =
+            fewest_cameras(&sensor(), None, &coded(12), &requirements).unwrap_err().to_string();
         assert!(refused.contains("is found and its code read from"), "{refused}");
         assert!(refused.contains("hang 3.00 to 3.50 m above it"), "{refused}");
-        let refused =
-            smallest_diameter_m(&sensor(), None, &coded(8), (1e4, 0.0), None).unwrap_err();
+        let refused = smallest_diameter_m(&sensor(), None, &coded(8), 1e4, 0.0, None).unwrap_err();
         assert!(refused.to_string().contains("found and its code read at 10000 m"), "{refused}");
     }
 
     #[test]
-    fn the_roundel_that_an_arena_asks_for_does_it_with_the_fewest_cameras() {
-        let field = MapArea { min_m: [-1.2, -0.9], max_m: [1.2, 0.9], height_m: 0.0, step_m: 0.1 };
+    fn the_searched_roundel_needs_the_fewest_cameras() {
+        let area = MapArea { min_m: [-1.2, -0.9], max_m: [1.2, 0.9], height_m: 0.0, step_m: 0.1 };
         let max_m = Some(1.5e-3);
-        let wish = Requirements { field, mount_m: [2.0, 3.5], views: 1, share: 0.95, max_m };
-        let (outer_m, grid) = fewest_cameras_of_any_size(&sensor(), None, &kind(), &wish).unwrap();
+        let requirements = Requirements { area, mount_m: [2.0, 3.5], views: 1, share: 0.95, max_m };
+        let (outer_m, grid) =
+            fewest_cameras_of_any_size(&sensor(), None, &kind(), &requirements).unwrap();
         // It meets the requirements with the same number of cameras.
-        let own = fewest_cameras(&sensor(), None, &scaled(&kind(), outer_m), &wish).unwrap();
+        let own =
+            fewest_cameras(&sensor(), None, &scaled(&kind(), outer_m), &requirements).unwrap();
         assert_eq!(own.stations.len(), grid.stations.len(), "{outer_m}");
         // No larger roundel needs fewer cameras.
         for larger in [1.0, 1.5, 2.5, 4.0] {
-            let found = fewest_cameras(&sensor(), None, &scaled(&kind(), larger * outer_m), &wish);
+            let found =
+                fewest_cameras(&sensor(), None, &scaled(&kind(), larger * outer_m), &requirements);
             assert!(found.map_or(usize::MAX, |it| it.stations.len()) >= grid.stations.len());
         }
     }
 
     #[test]
-    fn a_lens_that_shrinks_corners_sees_less_far_there() {
+    fn barrel_distortion_reduces_the_range_in_corners() {
         let mut bent = sensor();
         let lens = Lens::PlumbBob([-0.2, 0.02, 0.0, 0.0, 0.0]);
         let intrinsics = Intrinsics { lens, ..bent.camera.intrinsics().clone() };
@@ -300,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_planned_says_why() {
+    fn errors_name_the_wrong_value() {
         let refused = |change: &dyn Fn(&mut Sensor), kind: &Kind, tilt_rad: f64| {
             let mut sensor = sensor();
             change(&mut sensor);
@@ -323,9 +327,10 @@ mod tests {
     }
 
     #[test]
-    fn the_smallest_roundel_does_it_and_a_smaller_one_does_not() {
+    fn the_smallest_roundel_is_just_sufficient() {
         let at = (8.0, 0.3);
-        let outer_m = smallest_diameter_m(&sensor(), None, &kind(), at, Some(2e-3)).unwrap();
+        let outer_m =
+            smallest_diameter_m(&sensor(), None, &kind(), at.0, at.1, Some(2e-3)).unwrap();
         let error_m = |outer_m: f64| {
             let pose = range::pose_in_front(NormalizedPoint::default(), at.0, at.1);
             let kind = scaled(&kind(), outer_m);
@@ -333,7 +338,8 @@ mod tests {
         };
         assert!(error_m(outer_m).unwrap() <= 2e-3);
         assert!(error_m(0.98 * outer_m).is_none_or(|error_m| error_m > 2e-3));
-        let refused = smallest_diameter_m(&sensor(), None, &kind(), at, Some(1e-6)).unwrap_err();
+        let refused =
+            smallest_diameter_m(&sensor(), None, &kind(), at.0, at.1, Some(1e-6)).unwrap_err();
         assert!(refused.to_string().contains("the best of this camera is"), "{refused}");
     }
 
@@ -353,10 +359,10 @@ mod tests {
     }
 
     #[test]
-    fn where_two_cameras_see_a_roundel_it_is_known_better() {
-        let field = MapArea { min_m: [-0.5, -0.4], max_m: [0.5, 0.4], height_m: 0.2, step_m: 0.1 };
-        let one = map(&row(&[0.2]), &kind(), field).unwrap();
-        let two = map(&row(&[0.2, -0.2]), &kind(), field).unwrap();
+    fn two_cameras_are_more_precise_than_one() {
+        let area = MapArea { min_m: [-0.5, -0.4], max_m: [0.5, 0.4], height_m: 0.2, step_m: 0.1 };
+        let one = map(&row(&[0.2]), &kind(), area).unwrap();
+        let two = map(&row(&[0.2, -0.2]), &kind(), area).unwrap();
         assert_eq!((one.columns, one.rows, one.spots.len()), (11, 9, 99));
         for (one, two) in one.spots.iter().zip(&two.spots) {
             assert_eq!((one.cameras, two.cameras), (1, 2));
@@ -366,11 +372,11 @@ mod tests {
         // The depth, vertical here, is the least precise.
         let deviation = one.spots[49].deviation.unwrap();
         assert!(deviation.upright_m > 2.0 * deviation.level_m, "{deviation:?}");
-        let far = MapArea { min_m: [5.0, 5.0], max_m: [6.0, 6.0], ..field };
+        let far = MapArea { min_m: [5.0, 5.0], max_m: [6.0, 6.0], ..area };
         let unseen = map(&row(&[0.0]), &kind(), far).unwrap();
         assert!(unseen.summary().seen_share == 0.0 && unseen.summary().median_m.is_nan());
         // The share of each camera is the one it has alone.
-        let wide = MapArea { min_m: [-3.0, -1.0], max_m: [2.0, 1.0], ..field };
+        let wide = MapArea { min_m: [-3.0, -1.0], max_m: [2.0, 1.0], ..area };
         let places_m = [1.5, -1.0];
         let both = map(&row(&places_m), &kind(), wide).unwrap();
         let alone = places_m.map(|x| map(&row(&[x]), &kind(), wide).unwrap().summary().seen_share);
@@ -381,8 +387,8 @@ mod tests {
     }
 
     #[test]
-    fn doubtful_lenses_make_a_map_worse_each_by_itself() {
-        let field = MapArea { min_m: [-0.5, -0.4], max_m: [0.5, 0.4], height_m: 0.2, step_m: 0.1 };
+    fn uncertain_lenses_are_independent() {
+        let area = MapArea { min_m: [-0.5, -0.4], max_m: [0.5, 0.4], height_m: 0.2, step_m: 0.1 };
         // Both focal lengths are off by the same half percent.
         let mut covariance = DMatrix::zeros(4, 4);
         covariance.view_mut((0, 0), (2, 2)).fill(3.5f64.powi(2));
@@ -392,7 +398,7 @@ mod tests {
             stations
                 .iter_mut()
                 .for_each(|station| station.lens_uncertainty = lens_uncertainty.cloned());
-            map(&stations, &kind(), field).unwrap().spots[49].deviation.unwrap().upright_m
+            map(&stations, &kind(), area).unwrap().spots[49].deviation.unwrap().upright_m
         };
         let (exact_m, doubtful_m) =
             (upright_m(&[0.0], None), upright_m(&[0.0], Some(&lens_uncertainty)));
@@ -405,32 +411,35 @@ mod tests {
 
     #[test]
     fn the_fewest_cameras_cover_the_arena() {
-        let field =
-            MapArea { min_m: [-2.0, -0.85], max_m: [2.0, 0.85], height_m: 0.0, step_m: 0.1 };
-        let wish = Requirements { field, mount_m: [3.0, 3.0], views: 1, share: 0.98, max_m: None };
-        let grid = fewest_cameras(&sensor(), None, &kind(), &wish).unwrap();
+        let area = MapArea { min_m: [-2.0, -0.85], max_m: [2.0, 0.85], height_m: 0.0, step_m: 0.1 };
+        let requirements =
+            Requirements { area, mount_m: [3.0, 3.0], views: 1, share: 0.98, max_m: None };
+        let grid = fewest_cameras(&sensor(), None, &kind(), &requirements).unwrap();
         // A picture covers 2.74 x 2.06 m of the floor.
         assert_eq!(grid.counts, [2, 1], "{:?}", grid.map.summary());
         assert!(grid.map.summary().seen_share >= 0.98);
         let twice =
-            fewest_cameras(&sensor(), None, &kind(), &Requirements { views: 2, ..wish }).unwrap();
+            fewest_cameras(&sensor(), None, &kind(), &Requirements { views: 2, ..requirements })
+                .unwrap();
         assert!(twice.stations.len() > 2 && twice.map.summary().twice_share >= 0.98);
-        let refused = fewest_cameras(&sensor(), None, &scaled(&kind(), 0.008), &wish).unwrap_err();
+        let refused =
+            fewest_cameras(&sensor(), None, &scaled(&kind(), 0.008), &requirements).unwrap_err();
         assert!(refused.to_string().contains("hang 3.00 to 3.00 m above it"), "{refused}");
         let low = fewest_cameras(
             &sensor(),
             None,
             &kind(),
-            &Requirements { mount_m: [-1.0, 2.0], ..wish },
+            &Requirements { mount_m: [-1.0, 2.0], ..requirements },
         );
         assert!(low.unwrap_err().to_string().starts_with("mount: expected metres, 0.05"));
         // The lowest mount is too near, a higher one suffices.
-        let wide = Requirements { mount_m: [0.1, 3.0], share: 0.6, ..wish };
+        let wide = Requirements { mount_m: [0.1, 3.0], share: 0.6, ..requirements };
         assert!(fewest_cameras(&sensor(), None, &kind(), &wide).unwrap().mount_m > 1.0);
         // An arena too large for the maximum number of cameras.
-        let field = MapArea { min_m: [-400.0; 2], max_m: [400.0; 2], ..wish.field };
+        let area = MapArea { min_m: [-400.0; 2], max_m: [400.0; 2], ..requirements.area };
         let refused =
-            fewest_cameras(&sensor(), None, &kind(), &Requirements { field, ..wish }).unwrap_err();
+            fewest_cameras(&sensor(), None, &kind(), &Requirements { area, ..requirements })
+                .unwrap_err();
         assert!(
             refused.to_string().contains("64 times the 6 m² that one sees from 3 m"),
             "{refused}"

@@ -82,7 +82,7 @@ pub struct Deviation {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Map {
     /// The grid.
-    pub field: MapArea,
+    pub area: MapArea,
     /// Spots along x.
     pub columns: usize,
     /// Spots along y.
@@ -132,8 +132,8 @@ impl MapArea {
     /// Spots along x and y.
     pub fn counts(&self) -> Result<[usize; 2], PlanError> {
         let sides = [0, 1].map(|axis| self.max_m[axis] - self.min_m[axis]);
-        for (field, side) in ["arena along x", "arena along y"].into_iter().zip(sides) {
-            within(field, side, [1e-3, 1e4], "a side of 0.001 to 10000 m")?;
+        for (name, side) in ["arena along x", "arena along y"].into_iter().zip(sides) {
+            within(name, side, [1e-3, 1e4], "a side of 0.001 to 10000 m")?;
         }
         within("height", self.height_m, Self::HEIGHTS_M, "-1000 to 1000 m")?;
         within("step", self.step_m, [1e-6, 1e4], "0.000001 to 10000 m")?;
@@ -213,8 +213,8 @@ fn spot(
 }
 
 /// Computes the map of a kind of roundel.
-pub fn map(stations: &[PlacedCamera], kind: &Kind, field: MapArea) -> Result<Map, PlanError> {
-    let map = map_while(stations, kind, field, || true)?;
+pub fn map(stations: &[PlacedCamera], kind: &Kind, area: MapArea) -> Result<Map, PlanError> {
+    let map = map_while(stations, kind, area, || true)?;
     Ok(map.expect("it goes on to the last spot"))
 }
 
@@ -222,31 +222,31 @@ pub fn map(stations: &[PlacedCamera], kind: &Kind, field: MapArea) -> Result<Map
 pub fn map_while(
     stations: &[PlacedCamera],
     kind: &Kind,
-    field: MapArea,
+    area: MapArea,
     keep_going: impl Fn() -> bool + Sync,
 ) -> Result<Option<Map>, PlanError> {
     for station in stations {
         station.sensor.check(kind)?;
     }
-    let [columns, rows] = field.counts()?;
+    let [columns, rows] = area.counts()?;
     let params = FusionParams::default();
     let at = |index: usize, count: usize, axis: usize| {
         let share = index as f64 / (count - 1) as f64;
-        field.min_m[axis] + share * (field.max_m[axis] - field.min_m[axis])
+        area.min_m[axis] + share * (area.max_m[axis] - area.min_m[axis])
     };
     let seen: Vec<AtomicUsize> = stations.iter().map(|_| AtomicUsize::new(0)).collect();
     let spots = (0..columns * rows)
         .into_par_iter()
         .map(|index| {
             let (x, y) = (at(index % columns, columns, 0), at(index / columns, rows, 1));
-            let place_m = Vector3::new(x, y, field.height_m);
+            let place_m = Vector3::new(x, y, area.height_m);
             keep_going().then(|| spot(stations, kind, place_m, &params, &seen))
         })
         .collect::<Option<_>>();
     let Some(spots) = spots else { return Ok(None) };
     let all = (columns * rows) as f64;
     let seen_shares = seen.into_iter().map(|count| count.into_inner() as f64 / all).collect();
-    Ok(Some(Map { field, columns, rows, spots, seen_shares }))
+    Ok(Some(Map { area, columns, rows, spots, seen_shares }))
 }
 
 impl Map {

@@ -216,7 +216,7 @@ impl TrialKey {
         } else {
             Pattern::Plain
         };
-        let plain = Kind::plain("tried", OUTER_M, max_m);
+        let plain = Kind::plain("trial", OUTER_M, max_m);
         Kind { pattern, polarity: self.polarity, ..plain }
     }
 }
@@ -382,7 +382,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_as_good_as_the_same_is_tried_once() {
+    fn similar_sensors_share_trials() {
         let sensor = fast(0.7);
         let table = |sensor: &Sensor, kind: &Kind| sensor.trials.table(sensor, kind);
         let first = table(&sensor, &kind());
@@ -413,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    fn large_sharp_rings_are_left_to_formulas_and_small_ones_are_not() {
+    fn only_small_or_blurred_rings_are_corrected() {
         let sensor = fast(0.7);
         let of = |diameter_px: f64, tilt_rad: f64| {
             let distance_m = sensor.camera.intrinsics().fx_px * 0.16 / diameter_px;
@@ -437,7 +437,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pinhole_images_as_unevenly_as_its_angle_off_the_axis_says() {
+    fn the_equivalent_angle_of_a_pinhole_is_its_own() {
         for angle_rad in [0.0, 0.3f64, 0.6] {
             let center_m = Vector3::new(angle_rad.sin(), 0.0, angle_rad.cos()) * 3.0;
             let found = off_axis_rad(&sensor().camera, &center_m);

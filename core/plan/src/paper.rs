@@ -131,7 +131,7 @@ mod tests {
 
     /// 50 patterns of 30 px on two cores and 53 GIPS: 2.1 ms, where the paper prints 1.2.
     #[test]
-    fn the_papers_example_of_time_is_what_its_equation_gives() {
+    fn the_example_of_equation_20_is_reproduced() {
         let frame_s = Speed::PAPER.frame_s(50, 30.0, 0.0, 640.0 * 480.0);
         assert!((frame_s - 2.14e-3).abs() < 1e-5, "{frame_s}");
         let lost_s = Speed::PAPER.frame_s(50, 30.0, 1.0, 640.0 * 480.0);
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn distances_scale_as_the_equations_say() {
+    fn distances_scale_as_in_the_equations() {
         let pinhole = Pinhole {
             size_px: [640.0, 480.0],
             focal_px: [500.0, 500.0],
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn shrinking_is_the_slope_of_the_lens() {
+    fn shrink_is_the_derivative_of_the_distortion() {
         let bent = [-0.12, 0.05, 0.0, 0.0, -0.01];
         let distorted = |x: f64, y: f64| {
             let r2 = x * x + y * y;
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lens_known_exactly_adds_nothing_and_all_corners_are_alike() {
+    fn an_exact_lens_adds_no_error_and_corners_are_symmetric() {
         assert_eq!(lens_share([0.0; 5], [0.3, 0.2]), 0.0);
         let at = |x: f64, y: f64| lens_share([1e-3, 1e-3, 1e-4, 1e-4, 1e-3], [x, y]);
         assert!(at(0.0, 0.0) == 0.0 && at(0.1, 0.05) < at(0.4, 0.2));

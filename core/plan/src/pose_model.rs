@@ -77,7 +77,7 @@ mod tests {
 
     /// Φ of Abramowitz and Stegun's table 26.1.
     #[test]
-    fn noise_takes_the_wrong_normal_as_often_as_its_misfit_says() {
+    fn the_share_of_wrong_normals_follows_from_the_misfit() {
         for (misfit, share) in
             [(0.0, 0.5), (1.0, 0.308_537_5), (4.0, 0.158_655_3), (16.0, 0.022_750_1)]
         {
@@ -90,7 +90,7 @@ mod tests {
 
     /// Perspective makes the areas of a large tilted ring's rims more similar than on the print.
     #[test]
-    fn compensation_costs_large_tilted_rings_precision_in_fast_mode() {
+    fn compensation_shifts_large_tilted_rings() {
         let kind = Kind::plain("", 0.16, 0.064);
         let moved = |diameter_px: f64, tilt_rad: f64| {
             let distance_m = sensor().camera.intrinsics().fx_px * 0.16 / diameter_px;

@@ -192,7 +192,7 @@ mod tests {
     /// With a known tilt it would be 1/7000 (the Cramér-Rao bound of the pixels); face-on, the unknown tilt adds to
     /// it.
     #[test]
-    fn at_30_px_the_distance_is_known_to_a_fortieth_of_a_percent() {
+    fn the_distance_error_at_30_px_is_a_fortieth_of_a_percent() {
         let expected = face_on(&sensor(), None, 30.5);
         let share = expected.depth_m() / expected.pose.position_m.norm();
         assert!((1.42e-4..2.9e-4).contains(&share), "{share}");
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_and_a_doubtful_lens_cost_precision() {
+    fn noise_and_an_uncertain_lens_reduce_precision() {
         let clean = face_on(&sensor(), None, 30.0).depth_m();
         let mut noisy = sensor();
         noisy.imaging.noise = 4.0;

@@ -62,7 +62,7 @@ pub fn detection_range(
     let middle = middle(sensor);
     let needed_px = min_required_px(sensor, kind, tilt_rad);
     let farthest =
-        |place: NormalizedPoint, min_px: f64| farthest(sensor, kind, (tilt_rad, min_px), place);
+        |place: NormalizedPoint, min_px: f64| farthest(sensor, kind, tilt_rad, min_px, place);
     let max_m = farthest(middle, needed_px).ok_or_else(|| PlanError::NoReach {
         outer_mm: kind.outer_diameter_m * 1e3,
         tilt_deg: tilt_rad.to_degrees(),
@@ -113,7 +113,8 @@ fn middle(sensor: &Sensor) -> NormalizedPoint {
 fn farthest(
     sensor: &Sensor,
     kind: &Kind,
-    (tilt_rad, min_px): (f64, f64),
+    tilt_rad: f64,
+    min_px: f64,
     place: NormalizedPoint,
 ) -> Option<f64> {
     let is_sufficient = |distance_m: f64| {

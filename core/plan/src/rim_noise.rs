@@ -116,14 +116,14 @@ mod tests {
 
     /// As long as the band contains all the light.
     #[test]
-    fn belts_are_as_noisy_before_sharp_edges_as_before_blurred_ones() {
+    fn band_noise_does_not_depend_on_the_blur() {
         let [sharp, blurred] = [0.4, 0.6].map(|blur_px| noise(blur_px, 40.0, 40.0).edge_px);
         assert!((blurred / sharp - 1.0).abs() < 0.01, "{sharp} {blurred}");
         assert!((sharp / (1e-4 * 2.0 * WIDE_PX).sqrt() - 1.0).abs() < 0.01, "{sharp}");
     }
 
     #[test]
-    fn small_discs_and_thin_blacks_are_shifted_the_more_the_more_blur_there_is() {
+    fn blur_shifts_small_discs_and_thin_rings() {
         for (disc_px, black_px) in [(2.5, 20.0), (20.0, 2.5)] {
             let [wide, sharp, blurred] =
                 [(0.5, 20.0, 20.0), (0.5, disc_px, black_px), (1.0, disc_px, black_px)]

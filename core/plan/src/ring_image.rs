@@ -161,7 +161,7 @@ mod tests {
 
     /// Area, centre and covariance of a blurred ellipse.
     #[test]
-    fn blur_keeps_area_and_centre_and_widens_by_its_variance() {
+    fn blur_keeps_area_and_centre_and_adds_its_variance() {
         let side = 40;
         for (semiaxes_px, angle_rad) in [([2.0, 1.1], 0.4), ([9.0, 6.5], -1.2), ([3.0, 3.0], 0.0)] {
             let Ring { outer, .. } = ring([19.3, 20.6], angle_rad, [semiaxes_px; 2]);
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn levels_are_those_of_floor_sheet_black_and_disc_and_may_be_turned_over() {
+    fn levels_are_correct_for_both_polarities() {
         let side = 64;
         let mut ring = ring([32.0, 31.0], 0.3, [[15.0, 13.0], [6.0, 5.0]]);
         let imaging = Imaging { noise: 0.0, blur_px: 0.7, black: 40.0, white: 200.0 };

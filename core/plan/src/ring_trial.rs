@@ -185,7 +185,7 @@ mod tests {
     const ERROR_TRIALS: TrialLength = TrialLength { rings: 40, frames: 3, counted: 2 };
 
     #[test]
-    fn rings_are_shown_as_large_and_as_tilted_as_is_asked_for() {
+    fn rings_have_the_requested_size_and_tilt() {
         for (tilt_rad, off_axis_rad) in [(0.0, 0.0), (0.7, 0.0), (0.1, 0.6), (0.8, 0.6)] {
             let (mut count, mut ratio) = (0.0, 0.0);
             setup().run(
@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn all_are_located_near_the_truth_and_the_same_each_time() {
+    fn trials_are_accurate_and_reproducible() {
         let geometry = ViewGeometry { minor_px: 24.0, tilt_rad: 0.5, off_axis_rad: 0.5 };
         let positions = || {
             let mut all = Vec::new();
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn no_more_is_shown_than_is_wanted() {
+    fn a_trial_stops_on_request() {
         let geometry = ViewGeometry { minor_px: 24.0, tilt_rad: 0.5, off_axis_rad: 0.0 };
         let mut count = 0;
         setup().run(geometry, ERROR_TRIALS, |_, _| {

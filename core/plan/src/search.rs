@@ -57,7 +57,8 @@ pub fn smallest_diameter_m(
     sensor: &Sensor,
     lens_uncertainty: Option<&LensUncertainty>,
     kind: &Kind,
-    (distance_m, tilt_rad): (f64, f64),
+    distance_m: f64,
+    tilt_rad: f64,
     max_m: Option<f64>,
 ) -> Result<f64, PlanError> {
     sensor.check(kind)?;
@@ -75,9 +76,10 @@ pub fn smallest_diameter_m(
     };
     // The best precision is reached by the largest roundel that fits into the picture.
     let steps = (DIAMETERS_M.1 / DIAMETERS_M.0).ln() / 0.05;
-    let tried = || (0..=steps as usize).map(|step| DIAMETERS_M.0 * (0.05 * step as f64).exp());
-    let Some(mut good) = tried().find(|&outer_m| is_sufficient(outer_m)) else {
-        let best = tried().filter_map(|outer| Some((outer, error_m(outer)?)));
+    let diameters_m =
+        || (0..=steps as usize).map(|step| DIAMETERS_M.0 * (0.05 * step as f64).exp());
+    let Some(mut good) = diameters_m().find(|&outer_m| is_sufficient(outer_m)) else {
+        let best = diameters_m().filter_map(|outer| Some((outer, error_m(outer)?)));
         return Err(PlanError::Unreachable(match best.min_by(|a, b| a.1.total_cmp(&b.1)) {
             Some((outer_m, error_m)) => format!(
                 "no roundel is located to {:.3} mm at {distance_m} m: the best of this camera is {:.3} mm, with one \
@@ -107,7 +109,7 @@ pub fn smallest_diameter_m(
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Requirements {
     /// Extent of the arena and height of the roundels.
-    pub field: MapArea,
+    pub area: MapArea,
     /// Minimum and maximum mounting height, metres.
     pub mount_m: [f64; 2],
     /// Number of cameras that must see each spot.
@@ -138,18 +140,18 @@ pub fn fewest_cameras(
     sensor: &Sensor,
     lens_uncertainty: Option<&LensUncertainty>,
     kind: &Kind,
-    wish: &Requirements,
+    requirements: &Requirements,
 ) -> Result<Grid, PlanError> {
     sensor.check(kind)?;
-    let field = wish.check()?;
+    let area = requirements.check()?;
     let is_sufficient = |mount_m: f64| {
-        let straight = pose_in_front(NormalizedPoint::default(), mount_m - field.height_m, 0.0);
+        let straight = pose_in_front(NormalizedPoint::default(), mount_m - area.height_m, 0.0);
         predict(sensor, lens_uncertainty, kind, &straight)
             .is_some_and(|expected| expected.is_readable)
     };
-    if !heights(wish.mount_m).any(is_sufficient) {
+    if !heights(requirements.mount_m).any(is_sufficient) {
         let range = detection_range(sensor, kind, 0.0)?;
-        let [nearest_m, farthest_m] = wish.mount_m.map(|mount_m| mount_m - field.height_m);
+        let [nearest_m, farthest_m] = requirements.mount_m.map(|mount_m| mount_m - area.height_m);
         return Err(PlanError::Unreachable(format!(
             "a roundel of {:.0} mm is {} from {:.2} to {:.2} m before this camera, and cameras at {} to {} m hang \
              {nearest_m:.2} to {farthest_m:.2} m above it: take other heights, another size of roundels, or another \
@@ -158,30 +160,17 @@ pub fn fewest_cameras(
             requirement(kind),
             range.min_m,
             range.max_m,
-            wish.mount_m[0],
-            wish.mount_m[1],
+            requirements.mount_m[0],
+            requirements.mount_m[1],
         )));
     }
-    let mut best: Option<(f64, Grid)> = None;
-    for count in 1..=MAX_CAMERAS {
-        let mut done: Option<Grid> = None;
-        for grid in tried(count, wish, sensor, lens_uncertainty) {
-            let map = map(&grid.stations, kind, field)?;
-            let share = wish.satisfied_share(&map);
-            let grid = Grid { map, ..grid };
-            if best.as_ref().is_none_or(|(max, _)| share > *max) {
-                best = Some((share, grid.clone()));
-            }
-            let p95_m = |grid: &Grid| grid.map.summary().p95_m;
-            if share >= wish.share && done.as_ref().is_none_or(|done| p95_m(&grid) < p95_m(done)) {
-                done = Some(grid);
-            }
-        }
-        if let Some(done) = done {
-            return Ok(done);
-        }
-    }
-    Err(wish.unreachable(sensor, best))
+    search_grids(sensor, lens_uncertainty, requirements, |grid, found: Option<&Grid>, closest| {
+        let (share, grid) = requirements.judged(grid, kind, area)?;
+        closest.offer(share, &grid);
+        let p95_m = |grid: &Grid| grid.map.summary().p95_m;
+        let is_best = found.is_none_or(|found| p95_m(&grid) < p95_m(found));
+        Ok((share >= requirements.share && is_best).then_some(grid))
+    })
 }
 
 /// The fewest cameras that meet the requirements with roundels of any size, and the required diameter, metres.
@@ -189,66 +178,91 @@ pub fn fewest_cameras_of_any_size(
     sensor: &Sensor,
     lens_uncertainty: Option<&LensUncertainty>,
     kind: &Kind,
-    wish: &Requirements,
+    requirements: &Requirements,
 ) -> Result<(f64, Grid), PlanError> {
     sensor.check(kind)?;
-    let field = wish.check()?;
+    let area = requirements.check()?;
     // Returns the reason if no roundel suffices.
-    let lowest_m = wish.mount_m[0] - field.height_m;
-    smallest_diameter_m(sensor, lens_uncertainty, kind, (lowest_m, 0.0), wish.max_m)?;
-    let mut best: Option<(f64, Grid)> = None;
-    for count in 1..=MAX_CAMERAS {
-        let mut done: Option<(f64, Grid)> = None;
-        for grid in tried(count, wish, sensor, lens_uncertainty) {
-            let straight_m = grid.mount_m - field.height_m;
-            let Ok(min_m) =
-                smallest_diameter_m(sensor, lens_uncertainty, kind, (straight_m, 0.0), wish.max_m)
-            else {
-                continue;
-            };
-            if done.as_ref().is_some_and(|(outer_m, _)| *outer_m <= min_m) {
-                continue;
-            }
-            let mapped = |outer_m: f64| -> Result<(f64, Grid), PlanError> {
-                let map = map(&grid.stations, &scaled(kind, outer_m), field)?;
-                Ok((wish.satisfied_share(&map), Grid { map, ..grid.clone() }))
-            };
+    let lowest_m = requirements.mount_m[0] - area.height_m;
+    smallest_diameter_m(sensor, lens_uncertainty, kind, lowest_m, 0.0, requirements.max_m)?;
+    search_grids(
+        sensor,
+        lens_uncertainty,
+        requirements,
+        |grid, found: Option<&(f64, Grid)>, closest| {
+            let straight_m = grid.mount_m - area.height_m;
+            let min_m = smallest_diameter_m(
+                sensor,
+                lens_uncertainty,
+                kind,
+                straight_m,
+                0.0,
+                requirements.max_m,
+            );
+            let Ok(min_m) = min_m else { return Ok(None) };
+            let judged =
+                |outer_m: f64| requirements.judged(grid.clone(), &scaled(kind, outer_m), area);
             let mut bad_m = min_m;
-            for step in DIAMETER_STEPS {
-                let outer_m = min_m * step;
-                if done
-                    .as_ref()
-                    .is_some_and(|(smallest_diameter_m, _)| *smallest_diameter_m <= outer_m)
-                {
+            for outer_m in DIAMETER_STEPS.map(|step| min_m * step) {
+                if found.is_some_and(|(smallest_m, _)| *smallest_m <= outer_m) {
                     break;
                 }
-                let (share, found) = mapped(outer_m)?;
-                if best.as_ref().is_none_or(|(max, _)| share > *max) {
-                    best = Some((share, found.clone()));
-                }
-                if share < wish.share {
+                let (share, judged_grid) = judged(outer_m)?;
+                closest.offer(share, &judged_grid);
+                if share < requirements.share {
                     bad_m = outer_m;
                     continue;
                 }
-                let (mut good_m, mut good) = (outer_m, found);
+                let (mut good_m, mut good) = (outer_m, judged_grid);
                 while (good_m / bad_m).ln() > GRID_SHARE {
                     let middle_m = (good_m * bad_m).sqrt();
-                    let (share, found) = mapped(middle_m)?;
-                    if share >= wish.share {
-                        (good_m, good) = (middle_m, found);
+                    let (share, judged_grid) = judged(middle_m)?;
+                    if share >= requirements.share {
+                        (good_m, good) = (middle_m, judged_grid);
                     } else {
                         bad_m = middle_m;
                     }
                 }
-                done = Some((good_m, good));
-                break;
+                return Ok(Some((good_m, good)));
             }
-        }
-        if let Some(done) = done {
-            return Ok(done);
+            Ok(None)
+        },
+    )
+}
+
+/// The grid that comes closest to the requirements, with its share of sufficient spots.
+#[derive(Default)]
+struct Closest(Option<(f64, Grid)>);
+
+impl Closest {
+    fn offer(&mut self, share: f64, grid: &Grid) {
+        if self.0.as_ref().is_none_or(|(max, _)| share > *max) {
+            self.0 = Some((share, grid.clone()));
         }
     }
-    Err(wish.unreachable(sensor, best))
+}
+
+/// The best solution with the fewest cameras. `improve` returns a solution for a grid if it is better than the one found
+/// so far with as many cameras.
+fn search_grids<T>(
+    sensor: &Sensor,
+    lens_uncertainty: Option<&LensUncertainty>,
+    requirements: &Requirements,
+    mut improve: impl FnMut(Grid, Option<&T>, &mut Closest) -> Result<Option<T>, PlanError>,
+) -> Result<T, PlanError> {
+    let mut closest = Closest::default();
+    for count in 1..=MAX_CAMERAS {
+        let mut found = None;
+        for grid in candidate_grids(count, requirements, sensor, lens_uncertainty) {
+            if let Some(better) = improve(grid, found.as_ref(), &mut closest)? {
+                found = Some(better);
+            }
+        }
+        if let Some(found) = found {
+            return Ok(found);
+        }
+    }
+    Err(requirements.unreachable(sensor, closest.0))
 }
 
 impl Requirements {
@@ -261,7 +275,7 @@ impl Requirements {
         within(
             "mount",
             low_m,
-            [self.field.height_m + Self::MIN_HEIGHT_ABOVE_M, 1e3],
+            [self.area.height_m + Self::MIN_HEIGHT_ABOVE_M, 1e3],
             "metres, 0.05 or more above the roundels",
         )?;
         within("highest mount", high_m, [low_m, 1e3], "not below the lowest one")?;
@@ -270,11 +284,17 @@ impl Requirements {
         if let Some(max_m) = self.max_m {
             within("precision", max_m, [1e-7, 1e3], "0.0000001 to 1000 m")?;
         }
-        let sides = [0, 1].map(|axis| self.field.max_m[axis] - self.field.min_m[axis]);
+        let sides = [0, 1].map(|axis| self.area.max_m[axis] - self.area.min_m[axis]);
         for side in sides {
             within("arena", side, [0.05, 1e3], "sides of 0.05 to 1000 m")?;
         }
-        Ok(MapArea { step_m: (sides[0] * sides[1] / GRID_SPOTS).sqrt(), ..self.field })
+        Ok(MapArea { step_m: (sides[0] * sides[1] / GRID_SPOTS).sqrt(), ..self.area })
+    }
+
+    /// The grid with its map, and the share of spots that meet the requirements.
+    fn judged(&self, grid: Grid, kind: &Kind, area: MapArea) -> Result<(f64, Grid), PlanError> {
+        let map = map(&grid.stations, kind, area)?;
+        Ok((self.satisfied_share(&map), Grid { map, ..grid }))
     }
 
     /// Share of spots that meet the requirements.
@@ -289,11 +309,11 @@ impl Requirements {
     }
 
     fn unreachable(&self, sensor: &Sensor, best: Option<(f64, Grid)>) -> PlanError {
-        let max = "take larger roundels, other heights, or more pixels";
-        let (tried, remedy) = match best {
+        let remedy = "take larger roundels, other heights, or more pixels";
+        let (reason, remedy) = match best {
             Some((share, grid)) if share > 0.0 => {
                 let Summary { median_m, .. } = grid.map.summary();
-                let on_frame = format!(
+                let reason = format!(
                     "the best, {} x {} at {:.2} m, does it for {:.0} % (median {:.2} mm)",
                     grid.counts[0],
                     grid.counts[1],
@@ -301,14 +321,14 @@ impl Requirements {
                     share * 100.0,
                     median_m * 1e3
                 );
-                (on_frame, max)
+                (reason, remedy)
             }
-            Some(_) => ("none of them sees a spot well enough".to_owned(), max),
+            Some(_) => ("none of them sees a spot well enough".to_owned(), remedy),
             // No grid was worth a map.
             None => {
-                let sides_m = [0, 1].map(|axis| self.field.max_m[axis] - self.field.min_m[axis]);
-                let each_m2 = seen_m2(sensor, self.mount_m[1] - self.field.height_m);
-                let on_frame = format!(
+                let sides_m = [0, 1].map(|axis| self.area.max_m[axis] - self.area.min_m[axis]);
+                let each_m2 = seen_m2(sensor, self.mount_m[1] - self.area.height_m);
+                let reason = format!(
                     "{MAX_CAMERAS} times the {each_m2:.0} m² that one sees from {} m, {} on every place, are less \
                      than its {:.0} m²",
                     self.mount_m[1],
@@ -316,13 +336,13 @@ impl Requirements {
                     sides_m[0] * sides_m[1]
                 );
                 (
-                    on_frame,
+                    reason,
                     "hang them higher, take a wider lens, or plan parts of the arena by themselves",
                 )
             }
         };
         PlanError::Unreachable(format!(
-            "no grid of up to {MAX_CAMERAS} such cameras at {} to {} m does it for {:.0} % of the arena: {tried}; \
+            "no grid of up to {MAX_CAMERAS} such cameras at {} to {} m does it for {:.0} % of the arena: {reason}; \
              {remedy}",
             self.mount_m[0],
             self.mount_m[1],
@@ -332,26 +352,26 @@ impl Requirements {
 }
 
 /// All grids of this number of cameras that could cover the arena, with an empty map.
-fn tried<'a>(
+fn candidate_grids<'a>(
     count: usize,
-    wish: &'a Requirements,
+    requirements: &'a Requirements,
     sensor: &'a Sensor,
     lens_uncertainty: Option<&'a LensUncertainty>,
 ) -> impl Iterator<Item = Grid> + 'a {
     let pairs = (1..=count).filter(move |columns| count.is_multiple_of(*columns));
     let grids = pairs.flat_map(move |columns| {
         let counts = [columns, count / columns];
-        heights(wish.mount_m)
+        heights(requirements.mount_m)
             .flat_map(move |mount_m| [false, true].map(|is_turned| (counts, mount_m, is_turned)))
     });
     grids.filter_map(move |(counts, mount_m, is_turned)| {
-        if !could_cover(wish, sensor, counts, mount_m) {
+        if !could_cover(requirements, sensor, counts, mount_m) {
             return None;
         }
         let stations =
-            downward_cameras(wish, sensor, lens_uncertainty, (counts, mount_m, is_turned));
-        let (field, spots, seen_shares) = (wish.field, Vec::new(), Vec::new());
-        let map = Map { field, columns: 0, rows: 0, spots, seen_shares };
+            downward_cameras(requirements, sensor, lens_uncertainty, counts, mount_m, is_turned);
+        let (area, spots, seen_shares) = (requirements.area, Vec::new(), Vec::new());
+        let map = Map { area, columns: 0, rows: 0, spots, seen_shares };
         Some(Grid { counts, mount_m, is_turned, stations, map })
     })
 }
@@ -373,25 +393,32 @@ fn seen_m2(sensor: &Sensor, above_m: f64) -> f64 {
 }
 
 /// Whether the pictures together are large enough, with 50 % allowance for distortion at the corners.
-fn could_cover(wish: &Requirements, sensor: &Sensor, counts: [usize; 2], mount_m: f64) -> bool {
-    let arena_m = [0, 1].map(|axis| wish.field.max_m[axis] - wish.field.min_m[axis]);
-    let each_m2 = seen_m2(sensor, mount_m - wish.field.height_m);
+fn could_cover(
+    requirements: &Requirements,
+    sensor: &Sensor,
+    counts: [usize; 2],
+    mount_m: f64,
+) -> bool {
+    let arena_m = [0, 1].map(|axis| requirements.area.max_m[axis] - requirements.area.min_m[axis]);
+    let each_m2 = seen_m2(sensor, mount_m - requirements.area.height_m);
     let together_m2 = each_m2 * (counts[0] * counts[1]) as f64 * 1.5;
-    together_m2 >= wish.share * wish.views as f64 * arena_m[0] * arena_m[1]
+    together_m2 >= requirements.share * requirements.views as f64 * arena_m[0] * arena_m[1]
 }
 
 /// Cameras above the centres of a grid's cells, looking straight down.
 fn downward_cameras(
-    wish: &Requirements,
+    requirements: &Requirements,
     sensor: &Sensor,
     lens_uncertainty: Option<&LensUncertainty>,
-    (counts, mount_m, is_turned): ([usize; 2], f64, bool),
+    counts: [usize; 2],
+    mount_m: f64,
+    is_turned: bool,
 ) -> Vec<PlacedCamera> {
     let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
     let quarter = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
     let rotation = if is_turned { quarter * down } else { down };
     let at = |index: usize, axis: usize| {
-        let (low, high) = (wish.field.min_m[axis], wish.field.max_m[axis]);
+        let (low, high) = (requirements.area.min_m[axis], requirements.area.max_m[axis]);
         low + (high - low) * (index as f64 + 0.5) / counts[axis] as f64
     };
     let place = |index: usize| {

@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn motion_is_the_derivative_of_motion_and_has_no_steps() {
+    fn motion_is_smooth_and_consistent() {
         let (path, step_s) = (parked(), 1e-5);
         let driven_path = driven_path(&path);
         // Includes the starts of legs.
@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_comes_to_what_it_is_told_and_stops_in_silence() {
+    fn a_robot_reaches_the_commanded_velocity_and_stops_afterwards() {
         let path = parked();
         let mut driven_path = DrivenPath::leaving(&path, 1.0, WALLS);
         driven_path.command(&path, drive([0.5, -0.25, 0.0], [1.0, 4.0]));
@@ -245,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_is_placed_moves_straight_on_until_it_is_told_otherwise() {
+    fn a_placed_robot_keeps_its_velocity_until_commanded() {
         let path = parked();
         let mut driven_path = driven_path(&path);
         let (start_m, velocity_m_s) = (Vector3::new(-2.0, 1.0, 0.3), Vector3::new(0.5, -0.25, 0.0));
@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_does_not_change_with_what_is_told() {
+    fn commands_do_not_change_the_past() {
         let path = parked();
         let (whole, mut cut) = (driven_path(&path), driven_path(&path));
         cut.command(&path, drive([0.0, -1.0, 0.0], [2.3, 9.0]));
@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn walls_hold_a_robot_and_let_it_go_again() {
+    fn walls_stop_a_robot_temporarily() {
         let path = parked();
         let mut driven_path = DrivenPath::leaving(&path, 0.0, WALLS);
         driven_path.command(&path, drive([1.0, 0.2, 1.0], [0.0, 10.0]));
@@ -287,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_drive_takes_no_more_room_than_a_short_one() {
+    fn the_history_of_legs_is_bounded() {
         let path = parked();
         let mut driven_path = DrivenPath::leaving(&path, 0.0, WALLS);
         for step in 0..10_000 {

@@ -290,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn teeth_say_which_robot_it_is_and_how_it_is_turned() {
+    fn codes_identify_robots_and_their_heading() {
         let scenario = Scenario::r4(3);
         let params = scenario.params();
         let detector = Detector::new(params.kinds.clone(), Params::default()).unwrap();
@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn elliptical_discs_say_which_kind_a_robot_is_of_and_how_it_is_turned() {
+    fn elliptical_discs_identify_kind_and_heading() {
         let scenario = Scenario::new(ScenarioParams::r4_elliptical(3)).unwrap();
         let params = scenario.params();
         let detector = Detector::new(params.kinds.clone(), Params::default()).unwrap();
@@ -365,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_buffers_and_cameras_are_refused() {
+    fn wrong_buffers_and_cameras_are_rejected() {
         let scenario = Scenario::r4_lite(1);
         let missing = Renderer::new(&scenario, 4).err().unwrap();
         assert_eq!(missing.to_string(), "scenario: expected a camera from 0 to 3, found 4");

@@ -107,12 +107,12 @@ impl Scenario {
 
     /// The demo's installation, [`ScenarioParams::r4_lite`].
     pub fn r4_lite(seed: u64) -> Self {
-        Self::new(ScenarioParams::r4_lite(seed)).expect("the preset has room for its robots")
+        Self::new(ScenarioParams::r4_lite(seed)).expect("the preset is valid")
     }
 
     /// The reference installation, [`ScenarioParams::r4`].
     pub fn r4(seed: u64) -> Self {
-        Self::new(ScenarioParams::r4(seed)).expect("the preset has room for its robots")
+        Self::new(ScenarioParams::r4(seed)).expect("the preset is valid")
     }
 
     /// The parameters.

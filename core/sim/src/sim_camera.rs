@@ -77,7 +77,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_camera_above_sees_the_plan_of_the_arena() {
+    fn a_camera_above_sees_the_arena_as_a_map() {
         let world_from_camera = look_at([0.0, 0.0, 5.0], [0.0, 0.0, 0.0]);
         let east = world_from_camera.rotation.inverse() * Vector3::x();
         let north = world_from_camera.rotation.inverse() * Vector3::y();
@@ -86,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn the_axis_meets_the_target() {
+    fn the_optical_axis_meets_the_target() {
         let world_from_camera = look_at([2.5, -2.0, 5.0], [1.25, -1.0, 0.0]);
         let target = world_from_camera.inverse_transform_point(&Point3::new(1.25, -1.0, 0.0));
         assert!(target.x.abs() < 1e-12 && target.y.abs() < 1e-12 && target.z > 5.0);

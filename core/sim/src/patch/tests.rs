@@ -17,7 +17,7 @@ fn normal_cdf_agrees_with_tabled_values() {
 /// Compares a print of 25 px, whose slots are as narrow as the blur at the core, with a numerically blurred sharp
 /// print.
 #[test]
-fn narrow_teeth_are_as_dark_as_blur_leaves_them() {
+fn narrow_teeth_have_the_correct_level() {
     const FINE: i32 = 20;
     const BLUR_PX: f32 = 0.7;
     let layout = CodeLayout { bits: 9, min_distance: 1 };

@@ -56,8 +56,8 @@ pub(super) fn plan_installation(
         MapArea::seen_by(&stations, arguments.height(), DEFAULT_SPOTS).with_context(|| {
             format!("no camera sees the plane --height {} m from above", arguments.height())
         })?;
-    let field = MapArea { step_m: arguments.step.unwrap_or(seen.step_m), ..seen };
-    let map = PlanMap::of(&map(&stations, &kind, field)?, &kind.name, &cameras);
+    let area = MapArea { step_m: arguments.step.unwrap_or(seen.step_m), ..seen };
+    let map = PlanMap::of(&map(&stations, &kind, area)?, &kind.name, &cameras);
     ArenaPlan { kind, size: Size::Given, map, grid: None }.report(arguments, &cameras)
 }
 
@@ -95,15 +95,15 @@ pub(super) fn plan_arena(
     };
     let half_m = arena_m.map(|side| 0.5 * side);
     let step_m = arguments.step.unwrap_or((arena_m[0] * arena_m[1] / DEFAULT_SPOTS as f64).sqrt());
-    let field = MapArea {
+    let area = MapArea {
         min_m: half_m.map(|half| -half),
         max_m: half_m,
         height_m: arguments.height(),
         step_m,
     };
     let most_m = arguments.most_m();
-    let wish = Requirements {
-        field,
+    let requirements = Requirements {
+        area,
         mount_m,
         views: arguments.views,
         share: arguments.share,
@@ -111,12 +111,12 @@ pub(super) fn plan_arena(
     };
     let (kind, size, grid) = match (arguments.marker, most_m) {
         (None, Some(_)) => {
-            let (outer_m, grid) = search_with_size(&sensor, doubt.as_ref(), &kind, &wish)?;
+            let (outer_m, grid) = search_with_size(&sensor, doubt.as_ref(), &kind, &requirements)?;
             (scaled(&kind, outer_m), Size::Searched, grid)
         }
         (marker, _) => {
             let size = if marker.is_some() { Size::Given } else { Size::Assumed };
-            let grid = search(&sensor, doubt.as_ref(), &kind, &wish)?;
+            let grid = search(&sensor, doubt.as_ref(), &kind, &requirements)?;
             (kind, size, grid)
         }
     };
@@ -127,7 +127,7 @@ pub(super) fn plan_arena(
             station: Ok(Box::new(station.clone())),
         })
         .collect();
-    let map = PlanMap::of(&map(&grid.stations, &kind, field)?, &kind.name, &cameras);
+    let map = PlanMap::of(&map(&grid.stations, &kind, area)?, &kind.name, &cameras);
     ArenaPlan { kind, size, map, grid: Some(grid) }.report(arguments, &cameras)
 }
 

@@ -55,8 +55,9 @@ fn plan_camera(arguments: &PlanArgs) -> anyhow::Result<PlanResult> {
             bail!("--precision: the required roundel depends on its distance: add --distance M");
         };
         let most_m = arguments.most_m();
-        let at = (distance_m, tilt_rad);
-        kind = scaled(&kind, smallest_diameter_m(&sensor, doubt.as_ref(), &kind, at, most_m)?);
+        let doubt = doubt.as_ref();
+        let outer_m = smallest_diameter_m(&sensor, doubt, &kind, distance_m, tilt_rad, most_m)?;
+        kind = scaled(&kind, outer_m);
     }
     let range = detection_range(&sensor, &kind, tilt_rad)?;
     let distance_m = arguments.distance.unwrap_or(0.5 * (range.min_m + range.max_m));
