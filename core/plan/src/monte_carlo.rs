@@ -329,11 +329,11 @@ impl TrialTable {
     fn run_errors(&self, geometry: ViewGeometry) -> ErrorFactors {
         let (mut planned, mut observed) = ([0.0; 2], [0.0; 2]);
         self.setup.run(geometry, ERROR_TRIALS, |trial, position| {
-            let predict_pose = predict_pose(trial.sensor, trial.kind, &trial.image);
-            let (Some(position), Some(predict_pose)) = (position, predict_pose) else {
+            let predicted = predict_pose(trial.sensor, trial.kind, &trial.image);
+            let (Some(position), Some(predicted)) = (position, predicted) else {
                 return true;
             };
-            let position_m2: Matrix3<f64> = predict_pose.covariance.fixed_view::<3, 3>(0, 0).into();
+            let position_m2: Matrix3<f64> = predicted.covariance.fixed_view::<3, 3>(0, 0).into();
             let truth = trial.pose.translation.vector;
             let along = along_m(&position_m2, &truth);
             planned[0] += along * along;

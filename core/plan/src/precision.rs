@@ -77,13 +77,12 @@ pub fn predict(
     let mut pose = predict_pose(sensor, kind, &image)?;
     let ErrorFactors { along, across } =
         factors(sensor, kind, &image, &camera_from_roundel.translation.vector);
-    let image_roundel = pose.position_m.normalize();
-    let scaled =
-        Matrix3::identity() * across + image_roundel * image_roundel.transpose() * (along - across);
-    let mut of_position = pose.covariance.fixed_view_mut::<3, 6>(0, 0);
-    of_position.copy_from(&(scaled * &of_position));
-    let mut of_position = pose.covariance.fixed_view_mut::<6, 3>(0, 0);
-    of_position.copy_from(&(&of_position * scaled));
+    let sight = pose.position_m.normalize();
+    let scaled = Matrix3::identity() * across + sight * sight.transpose() * (along - across);
+    let mut block = pose.covariance.fixed_view_mut::<3, 6>(0, 0);
+    block.copy_from(&(scaled * &block));
+    let mut block = pose.covariance.fixed_view_mut::<6, 3>(0, 0);
+    block.copy_from(&(&block * scaled));
     let by_lens_m2 = match lens_uncertainty {
         Some(lens_uncertainty) => {
             let (solid_kind, noise) = (without_teeth(kind), rim_noise(sensor, kind, &image));

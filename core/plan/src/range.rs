@@ -70,12 +70,12 @@ pub fn detection_range(
         max_px: sensor.camera.width().min(sensor.camera.height()) as f64 - 2.0 * EDGE_PX,
         min_px: needed_px,
     })?;
-    let without_teeth = |distance_m: f64| {
+    let is_complete = |distance_m: f64| {
         let pose = pose_in_front(middle, distance_m, 0.0);
         let seen = image_roundel(&sensor.camera, kind, &sensor.imaging, &pose);
         seen.is_some_and(|seen| seen.is_complete)
     };
-    let min_m = bisect(max_m, SEARCHED_DIAMETERS.0 * kind.outer_diameter_m, without_teeth);
+    let min_m = bisect(max_m, SEARCHED_DIAMETERS.0 * kind.outer_diameter_m, is_complete);
     // Longer diameter of the smallest roundel that suffices.
     let widest_px = needed_px / tilt_rad.cos();
     let corners = corners(sensor, widest_px);

@@ -227,8 +227,8 @@ pub(super) fn excess(comparisons: &[Comparison]) -> f64 {
     if ratios.is_empty() {
         return 1.0;
     }
-    let mean_without = ratios.len() / 2;
-    let (_, median, _) = ratios.select_nth_unstable_by(mean_without, f64::total_cmp);
+    let middle = ratios.len() / 2;
+    let (_, median, _) = ratios.select_nth_unstable_by(middle, f64::total_cmp);
     (*median / MEDIAN_SHARE).max(1.0)
 }
 

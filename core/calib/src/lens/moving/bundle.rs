@@ -131,12 +131,12 @@ impl<'a> Bundle<'a> {
             minimize(&mut self, limit, MAX_STEPS, TOLERANCE)?;
             if !self.is_noise_fixed {
                 let camera = self.parameters.camera()?;
-                let noise_sample: Vec<NoiseSample> = self
+                let samples: Vec<NoiseSample> = self
                     .observations
                     .iter()
                     .filter_map(|observation| self.noise_sample(&camera, observation))
                     .collect();
-                self.noise = NoiseModel::fit(&noise_sample);
+                self.noise = NoiseModel::fit(&samples);
             }
         }
         self.update_weights()?;

@@ -123,11 +123,11 @@ fn dlt(sightings: &[(Point2<f64>, Sighting)]) -> Option<Matrix3<f64>> {
         .iter()
         .map(|(_, observed)| Point2::new(observed.center.u, observed.center.v))
         .collect();
-    let (board_scale, image_scale) = (scaled(&board), scaled(&image));
+    let (board_normalizer, image_normalizer) = (scaled(&board), scaled(&image));
     let mut normal = SMatrix::<f64, 9, 9>::zeros();
     for (board_m, observed) in board.iter().zip(&image) {
-        let p = board_scale * Vector3::new(board_m.x, board_m.y, 1.0);
-        let q = image_scale * Vector3::new(observed.x, observed.y, 1.0);
+        let p = board_normalizer * Vector3::new(board_m.x, board_m.y, 1.0);
+        let q = image_normalizer * Vector3::new(observed.x, observed.y, 1.0);
         let rows = [
             [p.x, p.y, 1.0, 0.0, 0.0, 0.0, -q.x * p.x, -q.x * p.y, -q.x],
             [0.0, 0.0, 0.0, p.x, p.y, 1.0, -q.y * p.x, -q.y * p.y, -q.y],
@@ -140,8 +140,8 @@ fn dlt(sightings: &[(Point2<f64>, Sighting)]) -> Option<Matrix3<f64>> {
     let eigen = normal.symmetric_eigen();
     let min = eigen.eigenvalues.imin();
     let h = Matrix3::from_row_slice(eigen.eigenvectors.column(min).as_slice());
-    let dlt = image_scale.try_inverse()? * h * board_scale;
+    let homography = image_normalizer.try_inverse()? * h * board_normalizer;
     // The middle of the board is in front of the camera.
-    let sign = if dlt[(2, 2)] < 0.0 { -1.0 } else { 1.0 };
-    dlt.iter().all(|it| it.is_finite()).then_some(dlt * sign)
+    let sign = if homography[(2, 2)] < 0.0 { -1.0 } else { 1.0 };
+    homography.iter().all(|it| it.is_finite()).then_some(homography * sign)
 }
