@@ -11,4 +11,5 @@ pub mod board;
 pub mod checkerboard;
 mod least_squares;
 pub mod lens;
+mod robust;
 pub mod watch;

@@ -11,6 +11,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::recording::Sample;
+use crate::robust::median;
 use roundel_fusion::world::reference::{kabsch, spread};
 use roundel_vision::rigid::Rigid;
 
@@ -137,9 +138,7 @@ impl Alignment {
         let pairs = pairs(std::slice::from_ref(tracks), stride, self.ahead_s);
         let mut distances: Vec<f64> =
             pairs.iter().map(|pair| distance_m(&self.fit.one_from_other, pair)).collect();
-        let middle = distances.len() / 2;
-        (distances.len() >= MIN_PAIRS)
-            .then(|| *distances.select_nth_unstable_by(middle, f64::total_cmp).1)
+        if distances.len() < MIN_PAIRS { None } else { median(&mut distances) }
     }
 }
 
@@ -215,9 +214,7 @@ fn fit(pairs: &[[Vector3<f64>; 2]]) -> Option<Fit> {
         let [_, spread_m] = spread(&others, &weights);
         let distances: Vec<f64> =
             pairs.iter().map(|pair| distance_m(&one_from_other, pair)).collect();
-        let mut sorted = distances.clone();
-        let middle = sorted.len() / 2;
-        let median_residual_m = *sorted.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let median_residual_m = median(&mut distances.clone())?;
         let wide = (2.0 * median_residual_m).max(1e-6);
         for (weight, distance_m) in weights.iter_mut().zip(&distances) {
             *weight = (1.0 + (distance_m / wide).powi(2)).powi(-2);

@@ -17,6 +17,7 @@ use super::{
     recording::{Recording, RoundelKey},
     references::ReferenceSet,
 };
+use crate::robust::median;
 use roundel_vision::{
     camera::Camera,
     id::{CameraId, KindId},
@@ -241,8 +242,7 @@ fn distance_m(track_block: &TrackBlock, camera: usize, bundle: &Bundle) -> f64 {
             Some(sine * observation.position_m.norm())
         })
         .collect();
-    distance_m.sort_by(f64::total_cmp);
-    distance_m.get(distance_m.len() / 2).copied().unwrap_or(f64::INFINITY)
+    median(&mut distance_m).unwrap_or(f64::INFINITY)
 }
 
 impl CameraResiduals {

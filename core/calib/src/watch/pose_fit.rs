@@ -12,6 +12,7 @@ use super::{
     BIN_S, WatchParams,
     co_observation::{CoObservation, Roundel, to_world},
 };
+use crate::robust::median;
 use roundel_fusion::track::invert_positive;
 use roundel_vision::rigid::Rigid;
 
@@ -224,12 +225,7 @@ pub(super) fn excess(comparisons: &[Comparison]) -> f64 {
         .iter()
         .map(|comparison| comparison.energy() / comparison.degrees_of_freedom())
         .collect();
-    if ratios.is_empty() {
-        return 1.0;
-    }
-    let middle = ratios.len() / 2;
-    let (_, median, _) = ratios.select_nth_unstable_by(middle, f64::total_cmp);
-    (*median / MEDIAN_SHARE).max(1.0)
+    median(&mut ratios).map_or(1.0, |median| (median / MEDIAN_SHARE).max(1.0))
 }
 
 /// Information and gradient of a camera's pose with robust weights.

@@ -47,8 +47,7 @@ impl World {
     fn robot(index: usize, t: f64) -> Vector3<f64> {
         let phase = index as f64 * 1.3;
         let (sin, cos) = (0.9 * t + phase).sin_cos();
-        let middle =
-            Vector3::new(0.9 * (index % 3) as f64 - 0.5, 0.9 * (index / 3) as f64, 0.3);
+        let middle = Vector3::new(0.9 * (index % 3) as f64 - 0.5, 0.9 * (index / 3) as f64, 0.3);
         middle + Vector3::new(0.2 * cos, 0.2 * sin, 0.0)
     }
 

@@ -20,7 +20,10 @@ use super::{
     camera_block::{CameraBlock, UNKNOWNS},
     track_block::{Reduced, TrackBlock, loss, unknowns_per_camera},
 };
-use crate::least_squares::{Damping, LeastSquares, damped};
+use crate::{
+    least_squares::{Damping, LeastSquares, damped},
+    robust::median,
+};
 
 /// Final scale of the robust loss (χ², 3 degrees of freedom: 1 - 10⁻³).
 const SCALE: f64 = 16.0;
@@ -307,12 +310,7 @@ impl Bundle {
 
 /// Median of squared errors with three components over its expectation; 1 if empty.
 pub(crate) fn excess_squared(squares: &mut [f64]) -> f64 {
-    if squares.is_empty() {
-        return 1.0;
-    }
-    let middle = squares.len() / 2;
-    let (_, median, _) = squares.select_nth_unstable_by(middle, f64::total_cmp);
-    median.min(1e12) / MEDIAN
+    median(squares).map_or(1.0, |median| median.min(1e12) / MEDIAN)
 }
 
 /// Columns of the unknowns of these cameras.

@@ -18,7 +18,6 @@ use super::{
     initial::InitialEstimate,
     parameters::{CameraJacobian, CameraParameters},
     rim,
-    robust::{HUBER, OUTLIER, deviation, huber, median},
 };
 use crate::{
     least_squares::{self, LeastSquares, minimize},
@@ -26,6 +25,7 @@ use crate::{
         MIN_VIEWS,
         views::view::{MIN_ROUNDELS, Sighting},
     },
+    robust::{HUBER, OUTLIER, deviation, huber, median},
 };
 use roundel_vision::camera::Camera;
 

@@ -17,6 +17,7 @@ use nalgebra::Point2;
 
 use super::rim;
 use crate::lens::{LensCalibration, LensCalibrationError, MIN_VIEWS, Target, View};
+use crate::robust::median;
 
 /// Maximum relative error that still yields a calibration.
 const MAX_DEVIATION_SHARE: f64 = 0.05;
@@ -85,9 +86,8 @@ pub(crate) fn check(
         outer_mm: rim_m * 2e3,
         pitch_mm: target.pitch_m() * 1e3,
     };
-    ratios.sort_by(f64::total_cmp);
-    match ratios.get(ratios.len() / 2) {
-        Some(&ratio) if (ratio - 1.0).abs() > MAX_DEVIATION_SHARE => {
+    match median(&mut ratios) {
+        Some(ratio) if (ratio - 1.0).abs() > MAX_DEVIATION_SHARE => {
             let found = DiameterCheck { ratio, ..stated };
             Err(LensCalibrationError::OtherWidth {
                 outer_mm: found.outer_mm,

@@ -8,4 +8,3 @@ pub(super) mod initial;
 pub(super) mod model_selection;
 pub(super) mod parameters;
 pub(super) mod rim;
-pub(super) mod robust;

@@ -16,13 +16,15 @@ use super::{
     super::fit::{
         parameters::{CameraJacobian, CameraParameters},
         rim,
-        robust::{HUBER, OUTLIER, deviation, huber},
     },
     jackknife::{Jackknife, Linearized, jackknife},
     noise_model::{NoiseModel, NoiseSample},
     trajectory::{Trajectory, Waypoint},
 };
-use crate::least_squares::{LeastSquares, damped, minimize};
+use crate::{
+    least_squares::{LeastSquares, damped, minimize},
+    robust::{HUBER, OUTLIER, deviation, huber},
+};
 use roundel_vision::{camera::Camera, rigid::Rigid};
 
 /// Rounds with Huber's loss, and rounds in all.

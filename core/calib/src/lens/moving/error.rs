@@ -5,6 +5,7 @@ use std::fmt;
 use thiserror::Error;
 
 use super::{MIN_PLACES, MIN_SIGHTINGS};
+use crate::lens::views::coverage::zone_name;
 
 /// An observation that would help.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,15 +23,7 @@ impl fmt::Display for Missing {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Self::Zone(column, row) => {
-                let across = ["left", "middle", "right"][column.min(2)];
-                let down = ["top", "middle", "bottom"][row.min(2)];
-                match (down, across) {
-                    ("middle", "middle") => write!(out, "roundels in the middle of the picture"),
-                    ("middle", side) | (side, "middle") => {
-                        write!(out, "roundels at the {side} edge of the picture")
-                    }
-                    _ => write!(out, "roundels in the {down} {across} corner of the picture"),
-                }
+                write!(out, "roundels {}", zone_name(column, row))
             }
             Self::Depth { ratio } => write!(
                 out,

@@ -4,7 +4,7 @@
 //! the known variances of the position in these directions and v is the image velocity. s² and τ² follow by least squares,
 //! weighted by the inverse squared expectation and iterated; negative values become zero.
 
-use super::super::fit::robust::median;
+use crate::robust::median;
 
 /// Minimum noise of a rim's centre, pixels.
 const MIN_PX: f64 = 0.01;

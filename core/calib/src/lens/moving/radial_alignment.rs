@@ -12,6 +12,7 @@ use nalgebra::{
     linalg::SVD,
 };
 
+use crate::robust::median;
 use roundel_vision::rigid::Rigid;
 
 /// Common focal lengths, in sides of the picture.
@@ -105,10 +106,7 @@ fn trimmed_fit(
     for _ in 0..TRIMS {
         let rows = *found.first()?;
         let errors_px: Vec<f64> = kept.iter().map(|pair| rows.radial_error_px(pair)).collect();
-        let mut sorted = errors_px.clone();
-        let middle = sorted.len() / 2;
-        let (_, median, _) = sorted.select_nth_unstable_by(middle, f64::total_cmp);
-        let limit = TRIM * median.max(1e-6);
+        let limit = TRIM * median(&mut errors_px.clone())?.max(1e-6);
         let mut errors_px = errors_px.iter();
         kept.retain(|_| errors_px.next().is_some_and(|errors_px| *errors_px <= limit));
         found = method(&kept);

@@ -5,6 +5,7 @@
 //! to all pictures alike), and the median over the rings gives s. A picture is rejected only relative to the others of the
 //! same camera: a soft lens makes all pictures soft.
 
+use crate::robust::median;
 use roundel_vision::{camera::PixelPoint, frame::Frame, marker::Ring};
 
 /// Distance of the samples from the rim, pixels.
@@ -20,22 +21,13 @@ const BLURRED: f64 = 1.7;
 /// picture.
 pub(crate) fn blur_px<'a>(frame: &Frame<'_>, rings: impl Iterator<Item = &'a Ring>) -> Option<f64> {
     let mut changes: Vec<f64> = rings.filter_map(|ring| edge_change(frame, ring)).collect();
-    if changes.is_empty() {
-        return None;
-    }
-    let center = changes.len() / 2;
-    let (_, edge_change, _) = changes.select_nth_unstable_by(center, f64::total_cmp);
-    Some(deviation_px(*edge_change))
+    Some(deviation_px(median(&mut changes)?))
 }
 
 /// Marks the views that are blurred relative to the others.
 pub(crate) fn blurred(blurs_px: &[Option<f64>]) -> Vec<bool> {
     let mut known_px: Vec<f64> = blurs_px.iter().copied().flatten().collect();
-    if known_px.is_empty() {
-        return vec![false; blurs_px.len()];
-    }
-    let center = known_px.len() / 2;
-    let median_px = *known_px.select_nth_unstable_by(center, f64::total_cmp).1;
+    let Some(median_px) = median(&mut known_px) else { return vec![false; blurs_px.len()] };
     blurs_px.iter().map(|blur_px| blur_px.is_some_and(|px| px > BLURRED * median_px)).collect()
 }
 

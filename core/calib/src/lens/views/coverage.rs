@@ -66,16 +66,20 @@ impl fmt::Display for MissingView {
                 write!(out, "a view tilted by 20° to 45° with the {side} side nearer to the camera")
             }
             Self::Zone(column, row) => {
-                let across = ["left", "middle", "right"][column.min(2)];
-                let down = ["top", "middle", "bottom"][row.min(2)];
-                match (down, across) {
-                    ("middle", "middle") => write!(out, "the board in the middle of the picture"),
-                    ("middle", side) => write!(out, "the board at the {side} edge of the picture"),
-                    (side, "middle") => write!(out, "the board at the {side} edge of the picture"),
-                    _ => write!(out, "the board in the {down} {across} corner of the picture"),
-                }
+                write!(out, "the board {}", zone_name(column, row))
             }
         }
+    }
+}
+
+/// Where a zone is, such as "at the left edge of the picture".
+pub(crate) fn zone_name(column: usize, row: usize) -> String {
+    let across = ["left", "middle", "right"][column.min(2)];
+    let down = ["top", "middle", "bottom"][row.min(2)];
+    match (down, across) {
+        ("middle", "middle") => "in the middle of the picture".to_owned(),
+        ("middle", side) | (side, "middle") => format!("at the {side} edge of the picture"),
+        _ => format!("in the {down} {across} corner of the picture"),
     }
 }
 
