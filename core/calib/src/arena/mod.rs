@@ -132,19 +132,19 @@ pub fn calibrate(
     let relative_poses = initial_poses::relative_poses(&observations);
     let initial = initial_poses::propagate(&reference_set.camera_poses, &relative_poses);
     let kept: Vec<usize> = (0..cameras.len()).filter(|&index| initial[index].is_some()).collect();
-    let camera_blocks = kept.iter().filter_map(|&index| {
+    let blocks = kept.iter().filter_map(|&index| {
         let (pose, offset_s) = initial[index]?;
         let lens = cameras[index].lens_deviation.map(|_| &cameras[index].lens);
         Some(CameraBlock::new(pose, offset_s, lens))
     });
-    let camera_blocks: Vec<CameraBlock> = camera_blocks.collect();
-    let track_blocks = track_blocks(&reference_set, &roundels, &kept, params);
+    let blocks: Vec<CameraBlock> = blocks.collect();
+    let tracks = tracks(&reference_set, &roundels, &kept, params);
     let base = reference_set.camera_poses.iter().position(Option::is_some);
     let priors = kept
         .iter()
         .map(|&index| prior(Some(index) == base, cameras[index].lens_deviation))
         .collect();
-    let mut bundle = Bundle::new(camera_blocks, track_blocks, priors);
+    let mut bundle = Bundle::new(blocks, tracks, priors);
     let outcome =
         bundle.adjust(|step, length| go_on(Progress { step, length })).map_err(|failed| {
             match failed {
@@ -179,9 +179,9 @@ fn moving(
 
 fn seen_by(roundels: &[Roundel], camera: usize) -> initial_poses::CameraSamples<'_> {
     let mut observations = initial_poses::CameraSamples::new();
-    for (track_block, roundel) in roundels.iter().enumerate() {
+    for (track, roundel) in roundels.iter().enumerate() {
         if let Some((_, samples)) = roundel.seen.iter().find(|(other, _)| *other == camera) {
-            observations.insert(track_block, samples);
+            observations.insert(track, samples);
         }
     }
     observations
@@ -194,7 +194,7 @@ fn prior(is_base: bool, lens: Option<LensDeviation>) -> Prior {
 }
 
 /// References first, then robots; cameras are numbered among `kept`.
-fn track_blocks(
+fn tracks(
     reference_set: &ReferenceSet,
     roundels: &[Roundel],
     kept: &[usize],

@@ -128,11 +128,7 @@ pub(super) fn report(survey: &Survey<'_>, bundle: &Bundle, outcome: &Outcome) ->
         sightings: results.iter().map(|camera| camera.sightings).sum(),
         cameras: results,
         findings,
-        roundels: bundle
-            .track_blocks
-            .iter()
-            .filter(|track_block| track_block.stated.is_none())
-            .count(),
+        roundels: bundle.tracks.iter().filter(|track| track.stated.is_none()).count(),
         length_s: survey.recording.length_s(),
         steps: outcome.steps,
     }
@@ -198,26 +194,24 @@ fn residuals(
 ) -> (Vec<CameraResiduals>, Vec<Finding>) {
     let mut residuals = vec![CameraResiduals::default(); survey.kept.len()];
     let mut findings = Vec::new();
-    for track_block in &bundle.track_blocks {
+    for track in &bundle.tracks {
         // Sightings of each camera, and the inconsistent ones among them.
         let mut shares = vec![(0usize, 0usize); survey.kept.len()];
-        for (observation, square) in
-            track_block.observations.iter().zip(track_block.squares(&bundle.camera_blocks))
-        {
+        for (observation, square) in track.observations.iter().zip(track.squares(&bundle.blocks)) {
             let is_off = is_outlier(square, outcome.excess);
             shares[observation.camera].0 += 1;
             shares[observation.camera].1 += usize::from(is_off);
             if !is_off {
                 let lens = &survey.cameras[survey.kept[observation.camera]].lens;
-                residuals[observation.camera].add(observation, square, lens, bundle, track_block);
+                residuals[observation.camera].add(observation, square, lens, bundle, track);
             }
         }
         for (camera, (sightings, off)) in shares.into_iter().enumerate() {
             let share = off as f64 / sightings.max(1) as f64;
             if let Some(RoundelKey::Coded(kind, code)) =
-                track_block.name.filter(|_| share > MISPLACED_SHARE)
+                track.name.filter(|_| share > MISPLACED_SHARE)
             {
-                let off_m = distance_m(track_block, camera, bundle);
+                let off_m = distance_m(track, camera, bundle);
                 let camera = survey.cameras[survey.kept[camera]].id;
                 findings.push(Finding::Elsewhere { camera, kind, code, sightings, share, off_m });
             }
@@ -227,17 +221,16 @@ fn residuals(
 }
 
 /// Median offset across the line of sight between a camera's sightings and the adjusted track, metres.
-fn distance_m(track_block: &TrackBlock, camera: usize, bundle: &Bundle) -> f64 {
-    let camera_block = &bundle.camera_blocks[camera];
-    let own = track_block.observations.iter().filter(|observation| observation.camera == camera);
+fn distance_m(track: &TrackBlock, camera: usize, bundle: &Bundle) -> f64 {
+    let block = &bundle.blocks[camera];
+    let own = track.observations.iter().filter(|observation| observation.camera == camera);
     let mut distance_m: Vec<f64> = own
         .filter_map(|observation| {
-            let point_m =
-                track_block.spline.at(camera_block.time_s(observation.stamp_s)).position_m;
+            let point_m = track.spline.at(block.time_s(observation.stamp_s)).position_m;
             let sine = observation
                 .position_m
                 .normalize()
-                .cross(&camera_block.predict(&point_m)?.normalize())
+                .cross(&block.predict(&point_m)?.normalize())
                 .norm();
             Some(sine * observation.position_m.norm())
         })
@@ -252,12 +245,12 @@ impl CameraResiduals {
         square: f64,
         lens: &Camera,
         bundle: &Bundle,
-        track_block: &TrackBlock,
+        track: &TrackBlock,
     ) {
         self.squares.push(square);
-        let camera_block = &bundle.camera_blocks[observation.camera];
-        let point_m = track_block.spline.at(camera_block.time_s(observation.stamp_s)).position_m;
-        let Some(explained_m) = camera_block.predict(&point_m) else { return };
+        let block = &bundle.blocks[observation.camera];
+        let point_m = track.spline.at(block.time_s(observation.stamp_s)).position_m;
+        let Some(explained_m) = block.predict(&point_m) else { return };
         let pixels =
             [observation.position_m, explained_m].map(|position_m| lens.project(&position_m));
         let [Ok(one), Ok(other)] = pixels else { return };
@@ -275,13 +268,13 @@ fn calibrated(
 ) -> CalibratedCamera {
     let (cameras, relative_poses, index) =
         (survey.cameras, &survey.relative_poses, survey.kept[at]);
-    let camera_block = &bundle.camera_blocks[at];
+    let block = &bundle.blocks[at];
     let first = at * outcome.unknowns;
     let deviation = |number: usize| {
         let at = first + number;
         outcome.covariance[(at, at)].max(0.0).sqrt()
     };
-    let lens = camera_block.lens().map(|lens| RefinedLens {
+    let lens = block.lens().map(|lens| RefinedLens {
         camera: lens.clone(),
         deviations: std::array::from_fn(|number| deviation(POSE_AND_CLOCK + number)),
     });
@@ -290,11 +283,11 @@ fn calibrated(
         .filter(|relative_pose| relative_pose.one == index || relative_pose.other == index);
     CalibratedCamera {
         camera: cameras[index].id,
-        world_from_camera: camera_block.world_from_camera,
+        world_from_camera: block.world_from_camera,
         covariance: pose_covariance(&outcome.covariance, first),
-        clock_offset_s: camera_block.offset_s,
+        clock_offset_s: block.offset_s,
         clock_offset_deviation_s: deviation(6),
-        clock_skew: camera_block.skew,
+        clock_skew: block.skew,
         clock_skew_deviation: deviation(7),
         lens,
         sightings: residuals.squares.len(),

@@ -88,33 +88,33 @@ impl RestTimes {
 
 /// Matches the views of a bin. Roundels that a camera sees twice, or that only one camera sees, are left out.
 pub(super) fn match_views(
-    single_views: &[SingleView],
+    singles: &[SingleView],
     poses: &[Rigid],
     landmarks: &[Landmark],
     rest_times: &mut RestTimes,
     bin: i64,
 ) -> Vec<CoObservation> {
     let mut groups: BTreeMap<Roundel, Option<Vec<(usize, RoundelView)>>> = BTreeMap::new();
-    let mut add = |roundel: Roundel, single_view: &SingleView| match groups.entry(roundel) {
+    let mut add = |roundel: Roundel, single: &SingleView| match groups.entry(roundel) {
         Entry::Vacant(entry) => {
-            entry.insert(Some(vec![(single_view.slot, single_view.view)]));
+            entry.insert(Some(vec![(single.slot, single.view)]));
         }
         Entry::Occupied(mut entry) => match entry.get_mut() {
-            Some(views) if views.iter().all(|(slot, _)| *slot != single_view.slot) => {
-                views.push((single_view.slot, single_view.view));
+            Some(views) if views.iter().all(|(slot, _)| *slot != single.slot) => {
+                views.push((single.slot, single.view));
             }
             // Seen twice by one camera: ambiguous.
             twice => *twice = None,
         },
     };
     let mut uncoded: Vec<(&SingleView, Vector3<f64>)> = Vec::new();
-    for single_view in single_views {
-        let world_m = to_world(&poses[single_view.slot], &single_view.view.position_m);
-        let landmark = landmarks.iter().position(|it| is_landmark(it, single_view, &world_m));
-        match (landmark, single_view.code) {
-            (Some(index), _) => add(Roundel::Fixed(index), single_view),
-            (None, Some(code)) => add(Roundel::Coded(single_view.kind, code), single_view),
-            (None, None) => uncoded.push((single_view, world_m)),
+    for single in singles {
+        let world_m = to_world(&poses[single.slot], &single.view.position_m);
+        let landmark = landmarks.iter().position(|it| is_landmark(it, single, &world_m));
+        match (landmark, single.code) {
+            (Some(index), _) => add(Roundel::Fixed(index), single),
+            (None, Some(code)) => add(Roundel::Coded(single.kind, code), single),
+            (None, None) => uncoded.push((single, world_m)),
         }
     }
     // Sorted by x for the search of neighbours.
@@ -125,12 +125,12 @@ pub(super) fn match_views(
             Some((uncoded[index].0, Roundel::Uncoded(first.slot, first.number)))
         })
         .collect();
-    matched.sort_by_key(|(single_view, _)| (single_view.slot, single_view.number));
-    for (single_view, roundel) in matched {
-        add(roundel, single_view);
+    matched.sort_by_key(|(single, _)| (single.slot, single.number));
+    for (single, roundel) in matched {
+        add(roundel, single);
     }
     rest_times.forget(bin);
-    let co_observation = |(roundel, views): (Roundel, Option<Vec<(usize, RoundelView)>>)| {
+    let group = |(roundel, views): (Roundel, Option<Vec<(usize, RoundelView)>>)| {
         let views = views?;
         let fixed = if let Roundel::Fixed(index) = roundel {
             let deviation_m = landmarks[index].position_deviation_m.max(MIN_DEVIATION_M);
@@ -145,17 +145,17 @@ pub(super) fn match_views(
         let rest_s = rest_times.since(roundel, &to_world(&poses[*slot], &view.position_m), bin);
         Some(CoObservation { roundel, views, fixed, rest_s })
     };
-    groups.into_iter().filter_map(co_observation).collect()
+    groups.into_iter().filter_map(group).collect()
 }
 
 pub(super) fn to_world(world_from_camera: &Rigid, position_m: &Vector3<f64>) -> Vector3<f64> {
     (world_from_camera * Point3::from(*position_m)).coords
 }
 
-fn is_landmark(landmark: &Landmark, single_view: &SingleView, world_m: &Vector3<f64>) -> bool {
+fn is_landmark(landmark: &Landmark, single: &SingleView, world_m: &Vector3<f64>) -> bool {
     let is_near = || (landmark.position_m - world_m).norm() < NEAR_M;
-    landmark.kind == single_view.kind
-        && landmark.code == single_view.code
+    landmark.kind == single.kind
+        && landmark.code == single.code
         && (landmark.code.is_some() || is_near())
 }
 
@@ -167,12 +167,12 @@ fn first_of(uncoded: &Uncoded<'_>, index: usize) -> Option<usize> {
     let (own, world_m) = &uncoded[index];
     let mut first = index;
     for other in neighbourhood(uncoded, world_m) {
-        let (single_view, other_m) = &uncoded[other];
-        let is_match = single_view.slot != own.slot
-            && single_view.kind == own.kind
+        let (single, other_m) = &uncoded[other];
+        let is_match = single.slot != own.slot
+            && single.kind == own.kind
             && (other_m - world_m).norm() < NEAR_M;
         if is_match {
-            let is_unambiguous = is_unambiguous(uncoded, index, single_view.slot)
+            let is_unambiguous = is_unambiguous(uncoded, index, single.slot)
                 && is_unambiguous(uncoded, other, own.slot);
             if !is_unambiguous {
                 return None;
@@ -188,10 +188,8 @@ fn first_of(uncoded: &Uncoded<'_>, index: usize) -> Option<usize> {
 fn is_unambiguous(uncoded: &Uncoded<'_>, index: usize, slot: usize) -> bool {
     let (own, world_m) = &uncoded[index];
     let is_near = |other: &usize| {
-        let (single_view, other_m) = &uncoded[*other];
-        single_view.slot == slot
-            && single_view.kind == own.kind
-            && (other_m - world_m).norm() < 2.0 * NEAR_M
+        let (single, other_m) = &uncoded[*other];
+        single.slot == slot && single.kind == own.kind && (other_m - world_m).norm() < 2.0 * NEAR_M
     };
     neighbourhood(uncoded, world_m).filter(is_near).count() <= 1
 }

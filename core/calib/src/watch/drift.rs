@@ -178,14 +178,12 @@ impl Drift {
 
 impl Watch {
     /// Adds a bin and corrects a drifting camera.
-    pub(super) fn follow_drift(&mut self, co_observations: &[CoObservation], bin: i64) {
+    pub(super) fn follow_drift(&mut self, groups: &[CoObservation], bin: i64) {
         let poses = self.poses();
         // Persistent errors count once per bin over the whole window.
         let window = (self.params.drift_window_s / BIN_S) as usize;
-        let of = |co_observation: &CoObservation| {
-            Comparison::of(co_observation, &poses, window, &self.params)
-        };
-        let comparisons: Vec<Comparison> = co_observations.iter().filter_map(of).collect();
+        let of = |group: &CoObservation| Comparison::of(group, &poses, window, &self.params);
+        let comparisons: Vec<Comparison> = groups.iter().filter_map(of).collect();
         self.drift.add(&comparisons, &poses, &self.params);
         if bin.rem_euclid(EVERY) != 0 {
             return;

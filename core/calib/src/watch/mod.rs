@@ -276,7 +276,7 @@ impl Watch {
 
     /// Drops all common evidence of a camera and others.
     fn forget_camera(&mut self, slot: usize) {
-        self.bins.iter_mut().flatten().for_each(|co_observation| co_observation.forget(slot));
+        self.bins.iter_mut().flatten().for_each(|group| group.forget(slot));
         self.drift.forget(slot);
         self.slots[slot].last_matched = None;
         // It may have been elsewhere when it saw them.
@@ -315,16 +315,12 @@ impl Watch {
 
     /// Processes a completed bin.
     fn close(&mut self, bin: i64) {
-        let co_observations = self.co_observations(bin);
-        for slot in co_observations
-            .iter()
-            .flat_map(|co_observation| &co_observation.views)
-            .map(|(slot, _)| *slot)
-        {
+        let groups = self.groups(bin);
+        for slot in groups.iter().flat_map(|group| &group.views).map(|(slot, _)| *slot) {
             self.slots[slot].last_matched = Some(bin);
         }
-        self.recover(&co_observations);
-        self.bins.push_back(co_observations);
+        self.recover(&groups);
+        self.bins.push_back(groups);
         let is_calm = self.update_verdicts();
         if self.bins.len() > WINDOWS[1] {
             let oldest = self.bins.pop_front().unwrap_or_default();
@@ -335,22 +331,16 @@ impl Watch {
     }
 
     /// Matched views of a bin.
-    fn co_observations(&mut self, bin: i64) -> Vec<CoObservation> {
+    fn groups(&mut self, bin: i64) -> Vec<CoObservation> {
         let bin_center = Timestamp::from_ns(bin * BIN_NS + BIN_NS / 2);
-        let mut single_views = Vec::new();
+        let mut singles = Vec::new();
         for (index, slot) in self.slots.iter_mut().enumerate() {
             for (number, track) in &mut slot.tracks {
                 let view = track.view(bin_center, self.params.clock_deviation_s);
                 track.forget(bin_center);
                 if let (Some(view), Ok(code)) = (view, track.code()) {
                     let kind = track.kind;
-                    single_views.push(SingleView {
-                        slot: index,
-                        number: *number,
-                        kind,
-                        code,
-                        view,
-                    });
+                    singles.push(SingleView { slot: index, number: *number, kind, code, view });
                 }
             }
             slot.tracks.retain(|_, track| bin_center.ns_since(track.newest) < FORGOTTEN_NS);
@@ -360,16 +350,16 @@ impl Watch {
             None => slot.placement.world_from_camera,
         };
         let poses: Vec<Rigid> = self.slots.iter().map(pose).collect();
-        match_views(&single_views, &poses, &self.landmarks, &mut self.rest_times, bin)
+        match_views(&singles, &poses, &self.landmarks, &mut self.rest_times, bin)
     }
 
     /// Advances the recovery of moved cameras.
-    fn recover(&mut self, co_observations: &[CoObservation]) {
+    fn recover(&mut self, groups: &[CoObservation]) {
         let others = self.poses();
         for index in 0..self.slots.len() {
             let slot = &mut self.slots[index];
             let Some(recovery) = &mut slot.recovery else { continue };
-            let Some(fit) = recovery.advance(index, co_observations, &others, &self.params) else {
+            let Some(fit) = recovery.advance(index, groups, &others, &self.params) else {
                 continue;
             };
             let (fixed, last_matched) = recovery.counterparts(index);

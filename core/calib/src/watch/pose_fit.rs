@@ -95,18 +95,18 @@ pub(super) fn huber(energy: f64) -> (f64, f64) {
 impl Comparison {
     /// Views of cameras at `poses`, `None` for those not in use; `bins` are judged together.
     pub(super) fn of(
-        co_observation: &CoObservation,
+        group: &CoObservation,
         poses: &[Option<Rigid>],
         bins: usize,
         params: &WatchParams,
     ) -> Option<Self> {
-        let stays_s = co_observation.rest_s.max(2.0 * params.systematic_time_s);
+        let stays_s = group.rest_s.max(2.0 * params.systematic_time_s);
         // A persistent error counts once per bin for as long as it persists.
         let repeats = (stays_s / BIN_S).clamp(1.0, bins.max(1) as f64);
         let share = params.systematic_share;
         let min_m2 = params.min_deviation_m * params.min_deviation_m;
-        let mut world_views = Vec::with_capacity(co_observation.views.len() + 1);
-        for (slot, view) in &co_observation.views {
+        let mut world_views = Vec::with_capacity(group.views.len() + 1);
+        for (slot, view) in &group.views {
             let Some(world_from_camera) = poses[*slot] else { continue };
             let turn = world_from_camera.rotation.to_rotation_matrix().into_inner();
             let scale = share * repeats + (1.0 - share) * view.fresh;
@@ -116,11 +116,11 @@ impl Comparison {
             let world_m = to_world(&world_from_camera, &view.position_m);
             world_views.push(world_view(*slot, view.position_m, world_m, covariance)?);
         }
-        if let Some((world_m, variance_m2)) = co_observation.fixed {
+        if let Some((world_m, variance_m2)) = group.fixed {
             let known = Matrix3::from_diagonal_element(variance_m2 * bins.max(1) as f64);
             world_views.push(world_view(LANDMARK, Vector3::zeros(), world_m, known)?);
         }
-        let mut comparison = Self { roundel: co_observation.roundel, world_views, energy: 0.0 };
+        let mut comparison = Self { roundel: group.roundel, world_views, energy: 0.0 };
         comparison.energy = comparison.disagreement();
         (comparison.world_views.len() > 1).then_some(comparison)
     }

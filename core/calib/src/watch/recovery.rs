@@ -46,24 +46,19 @@ impl Recovery {
 
     /// Drops the views of another camera.
     pub(super) fn forget(&mut self, slot: usize) {
-        self.bins.iter_mut().flatten().for_each(|co_observation| co_observation.forget(slot));
+        self.bins.iter_mut().flatten().for_each(|group| group.forget(slot));
         self.candidate = None;
     }
 
     /// Landmarks and slots of other cameras that it shares roundels with.
     pub(super) fn counterparts(&self, slot: usize) -> (BTreeSet<Roundel>, BTreeSet<usize>) {
         let counterparts = || {
-            let co_observations = self.bins.iter().flatten();
-            co_observations
-                .filter(|co_observation| co_observation.views.iter().any(|(it, _)| *it == slot))
+            let groups = self.bins.iter().flatten();
+            groups.filter(|group| group.views.iter().any(|(it, _)| *it == slot))
         };
-        let fixed = counterparts().filter(|co_observation| co_observation.fixed.is_some());
-        let others = counterparts()
-            .flat_map(|co_observation| co_observation.views.iter().map(|(other, _)| *other));
-        (
-            fixed.map(|co_observation| co_observation.roundel).collect(),
-            others.filter(|it| *it != slot).collect(),
-        )
+        let fixed = counterparts().filter(|group| group.fixed.is_some());
+        let others = counterparts().flat_map(|group| group.views.iter().map(|(other, _)| *other));
+        (fixed.map(|group| group.roundel).collect(), others.filter(|it| *it != slot).collect())
     }
 
     /// Drops all views.
@@ -75,20 +70,19 @@ impl Recovery {
     pub(super) fn advance(
         &mut self,
         slot: usize,
-        co_observations: &[CoObservation],
+        groups: &[CoObservation],
         others: &[Option<Rigid>],
         params: &WatchParams,
     ) -> Option<PoseFit> {
-        let is_usable = |co_observation: &&CoObservation| {
+        let is_usable = |group: &&CoObservation| {
             let sees = |wanted: bool| {
-                co_observation.views.iter().any(|(it, _)| {
+                group.views.iter().any(|(it, _)| {
                     if wanted { *it == slot } else { *it != slot && others[*it].is_some() }
                 })
             };
-            sees(true) && (sees(false) || co_observation.fixed.is_some())
+            sees(true) && (sees(false) || group.fixed.is_some())
         };
-        let usable: Vec<CoObservation> =
-            co_observations.iter().filter(is_usable).cloned().collect();
+        let usable: Vec<CoObservation> = groups.iter().filter(is_usable).cloned().collect();
         if usable.is_empty() {
             self.idle_bins += 1;
             return None;
@@ -152,7 +146,7 @@ impl Recovery {
             .bins
             .range(bins)
             .flatten()
-            .filter_map(|co_observation| Comparison::of(co_observation, &poses, count, params))
+            .filter_map(|group| Comparison::of(group, &poses, count, params))
             .collect();
         let fit = fit_pose(&mut comparisons, slot, &self.pose)?;
         debug_assert!(cost(&comparisons).is_finite());

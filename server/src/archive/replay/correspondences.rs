@@ -56,7 +56,7 @@ pub struct Correspondences {
     /// Trajectories of the coded roundels that both saw.
     pub trajectories: Vec<Trajectory>,
     /// The camera's sightings of these.
-    pub rim_observations: Vec<RimObservation>,
+    pub observations: Vec<RimObservation>,
     pub clock: ClockPrior,
     /// Number of the camera's frames.
     pub frames: u64,
@@ -153,7 +153,7 @@ pub fn correspondences(
     }
     let mut found = builder.build(size, clock, kinds);
     found.damage = session.reader.file().damage().sentences.clone();
-    if found.rim_observations.is_empty() {
+    if found.observations.is_empty() {
         return Err(CorrespondenceError::Alone { path, camera: name, sightings });
     }
     Ok(found)
@@ -253,9 +253,8 @@ impl CorrespondenceBuilder {
             let outer = detection.ring.outer;
             let stamp_s = detection.capture_time.seconds_since(begin);
             let radius_px = outer.mean_radius_px();
-            let rim_observation =
-                RimObservation { trajectory: 0, stamp_s, center: outer.center, radius_px };
-            self.sightings.push(((kind, code.code), rim_observation));
+            let rim = RimObservation { trajectory: 0, stamp_s, center: outer.center, radius_px };
+            self.sightings.push(((kind, code.code), rim));
         }
     }
 
@@ -263,7 +262,7 @@ impl CorrespondenceBuilder {
     fn build(self, size: (usize, usize), clock: ClockPrior, kinds: &[Kind]) -> Correspondences {
         let Self { mut waypoints, sightings, frames, lateness_s, .. } = self;
         let epoch_s = lateness_s.filter(|it| it.abs() > EPOCH_DIFFERENCE_S).unwrap_or(0.0);
-        let stamps = sightings.iter().map(|(_, rim_observation)| rim_observation.stamp_s + epoch_s);
+        let stamps = sightings.iter().map(|(_, rim)| rim.stamp_s + epoch_s);
         let (least_s, most_s) =
             stamps.fold((f64::MAX, f64::MIN), |(least, most), it| (least.min(it), most.max(it)));
         let middle_s = 0.5 * (least_s + most_s);
@@ -278,25 +277,23 @@ impl CorrespondenceBuilder {
         });
         let trajectories: Vec<Trajectory> = trajectories.collect();
         let all = sightings.len();
-        let rim_observations = sightings.into_iter().filter_map(|(name, rim_observation)| {
-            let stamp_s = rim_observation.stamp_s + epoch_s - middle_s;
-            Some(RimObservation { trajectory: *numbers.get(&name)?, stamp_s, ..rim_observation })
+        let observations = sightings.into_iter().filter_map(|(name, rim)| {
+            let stamp_s = rim.stamp_s + epoch_s - middle_s;
+            Some(RimObservation { trajectory: *numbers.get(&name)?, stamp_s, ..rim })
         });
         // The clock estimate moves sightings by less than its prior deviation.
         let slack_s = clock.offset_s.max(STEP_S);
-        let is_matched = |rim_observation: &RimObservation| {
-            let trajectory = &trajectories[rim_observation.trajectory];
-            [-slack_s, 0.0, slack_s]
-                .iter()
-                .any(|by_s| trajectory.at(rim_observation.stamp_s + by_s).is_some())
+        let is_matched = |rim: &RimObservation| {
+            let trajectory = &trajectories[rim.trajectory];
+            [-slack_s, 0.0, slack_s].iter().any(|by_s| trajectory.at(rim.stamp_s + by_s).is_some())
         };
-        let rim_observations: Vec<RimObservation> = rim_observations.filter(is_matched).collect();
-        let unmatched = all - rim_observations.len();
+        let observations: Vec<RimObservation> = observations.filter(is_matched).collect();
+        let unmatched = all - observations.len();
         Correspondences {
             size,
             unmatched,
             trajectories,
-            rim_observations,
+            observations,
             clock,
             frames,
             damage: Vec::new(),

@@ -47,8 +47,8 @@ pub(crate) struct Prior {
 
 /// State of the adjustment.
 pub(crate) struct Bundle {
-    pub(crate) camera_blocks: Vec<CameraBlock>,
-    pub(crate) track_blocks: Vec<TrackBlock>,
+    pub(crate) blocks: Vec<CameraBlock>,
+    pub(crate) tracks: Vec<TrackBlock>,
     pub(crate) priors: Vec<Prior>,
     /// Largest change of an unknown in the last step, in its conditional standard deviation.
     step_length: f64,
@@ -100,11 +100,11 @@ impl LeastSquares for Bundle {
 
 impl Bundle {
     pub(crate) fn new(
-        camera_blocks: Vec<CameraBlock>,
-        track_blocks: Vec<TrackBlock>,
+        blocks: Vec<CameraBlock>,
+        tracks: Vec<TrackBlock>,
         priors: Vec<Prior>,
     ) -> Self {
-        Self { camera_blocks, track_blocks, priors, step_length: f64::INFINITY }
+        Self { blocks, tracks, priors, step_length: f64::INFINITY }
     }
 
     /// Adjusts everything. Calls `go_on` before each step with the number of steps and the length of the last one
@@ -133,15 +133,15 @@ impl Bundle {
     fn solve_splines(&mut self) -> Result<(), AdjustError> {
         for is_first in [true, false] {
             let scale = if is_first { UNWEIGHTED } else { self.scale() };
-            let camera_blocks = &self.camera_blocks;
+            let blocks = &self.blocks;
             let splines: Vec<_> = self
-                .track_blocks
+                .tracks
                 .par_iter()
-                .map(|track_block| track_block.solved_spline(camera_blocks, scale))
+                .map(|track| track.solved_spline(blocks, scale))
                 .collect::<Option<_>>()
                 .ok_or(AdjustError::Undetermined)?;
-            for (track_block, spline) in self.track_blocks.iter_mut().zip(splines) {
-                track_block.spline = spline;
+            for (track, spline) in self.tracks.iter_mut().zip(splines) {
+                track.spline = spline;
             }
         }
         Ok(())
@@ -154,26 +154,23 @@ impl Bundle {
 
     /// Median square over its expectation.
     fn excess_squared(&self) -> f64 {
-        let mut squares: Vec<f64> = self
-            .track_blocks
-            .par_iter()
-            .flat_map_iter(|track_block| track_block.squares(&self.camera_blocks))
-            .collect();
+        let mut squares: Vec<f64> =
+            self.tracks.par_iter().flat_map_iter(|track| track.squares(&self.blocks)).collect();
         excess_squared(&mut squares)
     }
 
     fn equations(&self, scale: f64) -> Option<Equations> {
-        let dims = unknowns_per_camera(&self.camera_blocks);
-        let size = dims * self.camera_blocks.len();
+        let dims = unknowns_per_camera(&self.blocks);
+        let size = dims * self.blocks.len();
         let reduced: Vec<Reduced> = self
-            .track_blocks
+            .tracks
             .par_iter()
-            .map(|track_block| track_block.reduce(&self.camera_blocks, scale))
+            .map(|track| track.reduce(&self.blocks, scale))
             .collect::<Option<_>>()?;
         let mut information = DMatrix::zeros(size, size);
         let mut gradient = DVector::zeros(size);
-        for (track_block, part) in self.track_blocks.iter().zip(&reduced) {
-            let columns = columns_of(&track_block.cameras, dims);
+        for (track, part) in self.tracks.iter().zip(&reduced) {
+            let columns = columns_of(&track.cameras, dims);
             for (i, &row) in columns.iter().enumerate() {
                 gradient[row] += part.gradient[i];
                 for (j, &column) in columns.iter().enumerate() {
@@ -181,8 +178,8 @@ impl Bundle {
                 }
             }
         }
-        for (camera, camera_block) in self.camera_blocks.iter().enumerate() {
-            for (number, value, weight) in self.camera_priors(camera, camera_block, dims) {
+        for (camera, block) in self.blocks.iter().enumerate() {
+            for (number, value, weight) in self.camera_priors(camera, block, dims) {
                 let at = camera * dims + number;
                 information[(at, at)] += weight;
                 gradient[at] -= weight * value;
@@ -195,11 +192,11 @@ impl Bundle {
     fn camera_priors(
         &self,
         camera: usize,
-        camera_block: &CameraBlock,
+        block: &CameraBlock,
         dims: usize,
     ) -> impl Iterator<Item = (usize, f64, f64)> {
-        let lens = camera_block.lens_change();
-        let values = [camera_block.offset_s, camera_block.skew, lens[0], lens[1], lens[2], lens[3]];
+        let lens = block.lens_change();
+        let values = [block.offset_s, block.skew, lens[0], lens[1], lens[2], lens[3]];
         let deviations = self.priors[camera].deviations;
         (0..dims - 6).map(move |i| (6 + i, values[i], deviations[i].powi(-2)))
     }
@@ -207,43 +204,38 @@ impl Bundle {
     fn moved(&self, equations: &Equations, change: &DVector<f64>) -> Bundle {
         let along = |i: usize| change[i].abs() * equations.information[(i, i)].sqrt();
         let step_length = (0..change.len()).map(along).fold(0.0, f64::max);
-        let dims = unknowns_per_camera(&self.camera_blocks);
-        let camera_blocks = self
-            .camera_blocks
+        let dims = unknowns_per_camera(&self.blocks);
+        let blocks = self
+            .blocks
             .iter()
             .enumerate()
-            .map(|(camera, camera_block)| {
+            .map(|(camera, block)| {
                 let mut step = [0.0; UNKNOWNS];
                 step[..dims]
                     .copy_from_slice(&change.as_slice()[camera * dims..(camera + 1) * dims]);
-                camera_block.moved(&step)
+                block.moved(&step)
             })
             .collect();
-        let track_blocks = self
-            .track_blocks
+        let tracks = self
+            .tracks
             .par_iter()
             .zip(&equations.reduced)
-            .map(|(track_block, reduced)| {
-                let columns = columns_of(&track_block.cameras, dims);
+            .map(|(track, reduced)| {
+                let columns = columns_of(&track.cameras, dims);
                 let step: Vec<f64> = columns.iter().map(|&column| change[column]).collect();
-                TrackBlock { spline: track_block.stepped(reduced, &step), ..track_block.clone() }
+                TrackBlock { spline: track.stepped(reduced, &step), ..track.clone() }
             })
             .collect();
-        Bundle { camera_blocks, track_blocks, priors: self.priors.clone(), step_length }
+        Bundle { blocks, tracks, priors: self.priors.clone(), step_length }
     }
 
     fn total_cost(&self, scale: f64) -> f64 {
-        let parts: Vec<f64> = self
-            .track_blocks
-            .par_iter()
-            .map(|track_block| track_block.cost(&self.camera_blocks, scale))
-            .collect();
-        let dims = unknowns_per_camera(&self.camera_blocks);
-        let camera_priors =
-            self.camera_blocks.iter().enumerate().flat_map(|(camera, camera_block)| {
-                self.camera_priors(camera, camera_block, dims)
-                    .map(|(_, value, weight)| value * value * weight)
-            });
+        let parts: Vec<f64> =
+            self.tracks.par_iter().map(|track| track.cost(&self.blocks, scale)).collect();
+        let dims = unknowns_per_camera(&self.blocks);
+        let camera_priors = self.blocks.iter().enumerate().flat_map(|(camera, block)| {
+            self.camera_priors(camera, block, dims).map(|(_, value, weight)| value * value * weight)
+        });
         parts.iter().sum::<f64>() + camera_priors.sum::<f64>()
     }
 
@@ -252,36 +244,29 @@ impl Bundle {
         let equations = self.equations(scale).ok_or(AdjustError::Undetermined)?;
         let covariance = self.covariance(&equations, scale).ok_or(AdjustError::Undetermined)?;
         let excess = self.excess_squared().sqrt();
-        Ok(Outcome {
-            covariance,
-            unknowns: unknowns_per_camera(&self.camera_blocks),
-            steps,
-            excess,
-        })
+        Ok(Outcome { covariance, unknowns: unknowns_per_camera(&self.blocks), steps, excess })
     }
 
     fn covariance(&self, equations: &Equations, scale: f64) -> Option<DMatrix<f64>> {
-        let dims = unknowns_per_camera(&self.camera_blocks);
+        let dims = unknowns_per_camera(&self.blocks);
         let size = equations.gradient.len();
         let inverse = equations.information.clone().cholesky()?.inverse();
         let scores: Vec<Vec<Vec<f64>>> = self
-            .track_blocks
+            .tracks
             .par_iter()
             .zip(&equations.reduced)
-            .map(|(track_block, reduced)| match track_block.stated {
+            .map(|(track, reduced)| match track.stated {
                 // Errors of references are those stated.
                 Some(_) => Vec::new(),
-                None => track_block.scores(reduced, &self.camera_blocks, scale, BLOCK_S),
+                None => track.scores(reduced, &self.blocks, scale, BLOCK_S),
             })
             .collect();
         let (mut spread_of, mut stated) = (DMatrix::zeros(size, size), DMatrix::zeros(size, size));
         let mut moving = DMatrix::zeros(size, size);
-        let mut blocks = 0;
-        for ((track_block, reduced), scores) in
-            self.track_blocks.iter().zip(&equations.reduced).zip(&scores)
-        {
-            let columns = columns_of(&track_block.cameras, dims);
-            let target = if track_block.stated.is_some() { &mut stated } else { &mut moving };
+        let mut block_count = 0;
+        for ((track, reduced), scores) in self.tracks.iter().zip(&equations.reduced).zip(&scores) {
+            let columns = columns_of(&track.cameras, dims);
+            let target = if track.stated.is_some() { &mut stated } else { &mut moving };
             for (i, &row) in columns.iter().enumerate() {
                 for (j, &column) in columns.iter().enumerate() {
                     target[(row, column)] += reduced.information[i * columns.len() + j];
@@ -290,18 +275,18 @@ impl Bundle {
                     }
                 }
             }
-            blocks += scores.len();
+            block_count += scores.len();
         }
-        for (camera, camera_block) in self.camera_blocks.iter().enumerate() {
-            for (number, _, weight) in self.camera_priors(camera, camera_block, dims) {
+        for (camera, block) in self.blocks.iter().enumerate() {
+            for (number, _, weight) in self.camera_priors(camera, block, dims) {
                 stated[(camera * dims + number, camera * dims + number)] += weight;
             }
         }
-        if blocks > 0 {
+        if block_count > 0 {
             // With few blocks, blend with the stated covariance scaled by their mean inflation.
             let part = |middle: &DMatrix<f64>| (&inverse * middle * &inverse).trace();
             let inflation = part(&spread_of) / part(&moving).max(f64::MIN_POSITIVE);
-            let few = size as f64 / (size + blocks) as f64;
+            let few = size as f64 / (size + block_count) as f64;
             spread_of = spread_of * (1.0 - few) + moving * (inflation * few);
         }
         Some(&inverse * (spread_of + stated) * &inverse)

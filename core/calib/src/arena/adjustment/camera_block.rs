@@ -178,7 +178,7 @@ fn changed(given: &Camera, change: &[f64; LENS]) -> Result<Camera, CameraError> 
 mod tests {
     use super::*;
 
-    fn camera_block(with_lens: bool) -> CameraBlock {
+    fn block(with_lens: bool) -> CameraBlock {
         let lens = Camera::new(Intrinsics {
             width: 1920,
             height: 1080,
@@ -191,38 +191,36 @@ mod tests {
         .unwrap();
         let turn = UnitQuaternion::from_euler_angles(3.0, 0.1, -0.4);
         let place = Rigid::from_parts(Vector3::new(0.3, -0.2, 5.0).into(), turn);
-        let mut camera_block = CameraBlock::new(place, 0.01, with_lens.then_some(&lens));
-        camera_block.skew = 2e-5;
-        camera_block
+        let mut block = CameraBlock::new(place, 0.01, with_lens.then_some(&lens));
+        block.skew = 2e-5;
+        block
     }
 
     #[test]
     fn an_unchanged_lens_changes_nothing() {
         let point = Vector3::new(0.8, 0.4, 0.3);
-        let apart = camera_block(true).predict(&point).unwrap()
-            - camera_block(false).predict(&point).unwrap();
+        let apart = block(true).predict(&point).unwrap() - block(false).predict(&point).unwrap();
         assert!(apart.norm() < 1e-9, "{apart}");
     }
 
     #[test]
     fn jacobians_are_the_differences() {
         for with_lens in [false, true] {
-            let (camera_block, stamp_s) = (camera_block(with_lens), 7.0);
+            let (block, stamp_s) = (block(with_lens), 7.0);
             let velocity = Vector3::new(1.0, -0.5, 0.2);
             // Moves with its velocity, so that the clock has an effect.
-            let point = |camera_block: &CameraBlock| {
-                Vector3::new(0.8, 0.4, 0.3) + velocity * camera_block.time_s(stamp_s)
+            let point = |block: &CameraBlock| {
+                Vector3::new(0.8, 0.4, 0.3) + velocity * block.time_s(stamp_s)
             };
-            let (_, by_point, by_camera) = camera_block
-                .predict_with_jacobian(&point(&camera_block), &velocity, stamp_s)
-                .unwrap();
+            let (_, by_point, by_camera) =
+                block.predict_with_jacobian(&point(&block), &velocity, stamp_s).unwrap();
             let count = if with_lens { UNKNOWNS } else { POSE_AND_CLOCK };
             for number in 0..count {
                 let size = 1e-5;
                 let moved = |sign: f64| {
                     let mut step = [0.0; UNKNOWNS];
                     step[number] = sign * size;
-                    let moved = camera_block.moved(&step);
+                    let moved = block.moved(&step);
                     moved.predict(&point(&moved)).unwrap()
                 };
                 let difference = (moved(1.0) - moved(-1.0)) / (2.0 * size);
@@ -232,9 +230,7 @@ mod tests {
             for axis in 0..3 {
                 let mut step = Vector3::zeros();
                 step[axis] = 1e-5;
-                let moved = |sign: f64| {
-                    camera_block.predict(&(point(&camera_block) + step * sign)).unwrap()
-                };
+                let moved = |sign: f64| block.predict(&(point(&block) + step * sign)).unwrap();
                 let difference = (moved(1.0) - moved(-1.0)) / 2e-5;
                 assert!((difference - by_point.column(axis)).norm() < 1e-3);
             }

@@ -94,19 +94,19 @@ impl TrackBlock {
     }
 
     /// Squared whitened residuals; infinite for points without image.
-    pub(crate) fn squares(&self, camera_blocks: &[CameraBlock]) -> impl Iterator<Item = f64> {
+    pub(crate) fn squares(&self, blocks: &[CameraBlock]) -> impl Iterator<Item = f64> {
         self.observations.iter().map(|observation| {
-            let camera_block = &camera_blocks[observation.camera];
-            let point_m = self.spline.at(camera_block.time_s(observation.stamp_s)).position_m;
-            camera_block.predict(&point_m).map_or(f64::INFINITY, |local_m| {
+            let block = &blocks[observation.camera];
+            let point_m = self.spline.at(block.time_s(observation.stamp_s)).position_m;
+            block.predict(&point_m).map_or(f64::INFINITY, |local_m| {
                 (observation.whitener * (observation.position_m - local_m)).norm_squared()
             })
         })
     }
 
     /// Robust cost of the sightings plus the priors.
-    pub(crate) fn cost(&self, camera_blocks: &[CameraBlock], scale: f64) -> f64 {
-        let seen: f64 = self.squares(camera_blocks).map(|square| loss(square, scale)).sum();
+    pub(crate) fn cost(&self, blocks: &[CameraBlock], scale: f64) -> f64 {
+        let seen: f64 = self.squares(blocks).map(|square| loss(square, scale)).sum();
         let stated = self.stated.map_or(0.0, |(position_m, deviation_m)| {
             (self.spline.points_m[0] - position_m).norm_squared() / (deviation_m * deviation_m)
         });
@@ -118,24 +118,15 @@ impl TrackBlock {
     }
 
     /// Best spline for the current cameras.
-    pub(crate) fn solved_spline(
-        &self,
-        camera_blocks: &[CameraBlock],
-        scale: f64,
-    ) -> Option<Spline> {
-        let reduced = self.reduce(camera_blocks, scale)?;
-        Some(
-            self.stepped(
-                &reduced,
-                &vec![0.0; self.cameras.len() * unknowns_per_camera(camera_blocks)],
-            ),
-        )
+    pub(crate) fn solved_spline(&self, blocks: &[CameraBlock], scale: f64) -> Option<Spline> {
+        let reduced = self.reduce(blocks, scale)?;
+        Some(self.stepped(&reduced, &vec![0.0; self.cameras.len() * unknowns_per_camera(blocks)]))
     }
 
     /// Eliminates the spline.
-    pub(crate) fn reduce(&self, camera_blocks: &[CameraBlock], scale: f64) -> Option<Reduced> {
+    pub(crate) fn reduce(&self, blocks: &[CameraBlock], scale: f64) -> Option<Reduced> {
         let Normal { band, mut border, mut cameras, mut spline_gradient, mut camera_gradient } =
-            self.normal(camera_blocks, scale);
+            self.normal(blocks, scale);
         let columns = camera_gradient.len();
         let factor = band.factor()?;
         factor.forward(&mut border, columns);
@@ -175,22 +166,21 @@ impl TrackBlock {
     pub(crate) fn scores(
         &self,
         reduced: &Reduced,
-        camera_blocks: &[CameraBlock],
+        blocks: &[CameraBlock],
         scale: f64,
         block_s: f64,
     ) -> Vec<Vec<f64>> {
         let columns = reduced.gradient.len();
-        let block = |observation: &Observation| (observation.stamp_s / block_s).floor() as i64;
+        let time_block = |observation: &Observation| (observation.stamp_s / block_s).floor() as i64;
         let mut observations: Vec<&Observation> = self.observations.iter().collect();
-        observations.sort_by_key(|observation| block(observation));
+        observations.sort_by_key(|observation| time_block(observation));
         observations
-            .chunk_by(|one, other| block(one) == block(other))
+            .chunk_by(|one, other| time_block(one) == time_block(other))
             .map(|observations| {
                 let mut spline = vec![0.0; self.spline.points_m.len() * 3];
                 let mut score = vec![0.0; columns];
                 for observation in observations {
-                    let Some(linearized) = self.linearized(observation, camera_blocks, scale)
-                    else {
+                    let Some(linearized) = self.linearized(observation, blocks, scale) else {
                         continue;
                     };
                     let pull = linearized.by_point.transpose() * linearized.error;
@@ -200,8 +190,8 @@ impl TrackBlock {
                             spline[first + axis] += linearized.instant.weights[knot] * pull[axis];
                         }
                     }
-                    let first = self.column(observation.camera, camera_blocks);
-                    for number in 0..unknowns_per_camera(camera_blocks) {
+                    let first = self.column(observation.camera, blocks);
+                    for number in 0..unknowns_per_camera(blocks) {
                         score[first + number] +=
                             linearized.by_camera[number].dot(&linearized.error);
                     }
@@ -218,13 +208,13 @@ impl TrackBlock {
     }
 
     /// First column of a camera.
-    fn column(&self, camera: usize, camera_blocks: &[CameraBlock]) -> usize {
-        self.cameras.partition_point(|&other| other < camera) * unknowns_per_camera(camera_blocks)
+    fn column(&self, camera: usize, blocks: &[CameraBlock]) -> usize {
+        self.cameras.partition_point(|&other| other < camera) * unknowns_per_camera(blocks)
     }
 
-    fn normal(&self, camera_blocks: &[CameraBlock], scale: f64) -> Normal {
+    fn normal(&self, blocks: &[CameraBlock], scale: f64) -> Normal {
         let rows = self.spline.points_m.len() * 3;
-        let dims = unknowns_per_camera(camera_blocks);
+        let dims = unknowns_per_camera(blocks);
         let columns = self.cameras.len() * dims;
         let mut normal = Normal {
             band: Band::zeros(rows),
@@ -235,13 +225,8 @@ impl TrackBlock {
         };
         self.add_priors(&mut normal);
         for observation in self.observations.iter() {
-            if let Some(linearized) = self.linearized(observation, camera_blocks, scale) {
-                normal.add(
-                    &linearized,
-                    self.column(observation.camera, camera_blocks),
-                    dims,
-                    columns,
-                );
+            if let Some(linearized) = self.linearized(observation, blocks, scale) {
+                normal.add(&linearized, self.column(observation.camera, blocks), dims, columns);
             }
         }
         normal
@@ -283,12 +268,12 @@ impl TrackBlock {
     fn linearized(
         &self,
         observation: &Observation,
-        camera_blocks: &[CameraBlock],
+        blocks: &[CameraBlock],
         scale: f64,
     ) -> Option<Linearized> {
-        let camera_block = &camera_blocks[observation.camera];
-        let instant = self.spline.at(camera_block.time_s(observation.stamp_s));
-        let (local_m, by_point, by_camera) = camera_block.predict_with_jacobian(
+        let block = &blocks[observation.camera];
+        let instant = self.spline.at(block.time_s(observation.stamp_s));
+        let (local_m, by_point, by_camera) = block.predict_with_jacobian(
             &instant.position_m,
             &instant.velocity_m_s,
             observation.stamp_s,
@@ -345,8 +330,8 @@ impl Normal {
 }
 
 /// Unknowns per camera.
-pub(crate) fn unknowns_per_camera(camera_blocks: &[CameraBlock]) -> usize {
-    if camera_blocks.iter().any(CameraBlock::refines_lens) { UNKNOWNS } else { POSE_AND_CLOCK }
+pub(crate) fn unknowns_per_camera(blocks: &[CameraBlock]) -> usize {
+    if blocks.iter().any(CameraBlock::refines_lens) { UNKNOWNS } else { POSE_AND_CLOCK }
 }
 
 /// Geman-McClure loss of a squared residual, bounded by `scale`.

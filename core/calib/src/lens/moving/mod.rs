@@ -92,7 +92,7 @@ pub struct MovingInput<'a> {
     /// Trajectories of the roundels.
     pub trajectories: &'a [Trajectory],
     /// Observations of the camera.
-    pub rim_observations: &'a [RimObservation],
+    pub observations: &'a [RimObservation],
     /// Prior knowledge of the camera's clock.
     pub clock: ClockPrior,
 }
@@ -157,27 +157,17 @@ pub fn calibrate(
 
 /// Valid observations within a trajectory, thinned evenly.
 fn observations(input: &MovingInput<'_>) -> Vec<Observation> {
-    let is_sound = |rim_observation: &&RimObservation| {
-        let numbers = [
-            rim_observation.stamp_s,
-            rim_observation.center.u,
-            rim_observation.center.v,
-            rim_observation.radius_px,
-        ];
-        let trajectory = input.trajectories.get(rim_observation.trajectory);
+    let is_sound = |rim: &&RimObservation| {
+        let numbers = [rim.stamp_s, rim.center.u, rim.center.v, rim.radius_px];
+        let trajectory = input.trajectories.get(rim.trajectory);
         numbers.into_iter().all(f64::is_finite)
-            && rim_observation.radius_px > 0.0
-            && trajectory.is_some_and(|trajectory| trajectory.at(rim_observation.stamp_s).is_some())
+            && rim.radius_px > 0.0
+            && trajectory.is_some_and(|trajectory| trajectory.at(rim.stamp_s).is_some())
     };
-    let sound: Vec<&RimObservation> = input.rim_observations.iter().filter(is_sound).collect();
-    let observation = |rim_observation: &&RimObservation| {
-        let center = Vector2::new(rim_observation.center.u, rim_observation.center.v);
-        Observation::new(
-            rim_observation.trajectory,
-            rim_observation.stamp_s,
-            center,
-            rim_observation.radius_px,
-        )
+    let sound: Vec<&RimObservation> = input.observations.iter().filter(is_sound).collect();
+    let observation = |rim: &&RimObservation| {
+        let center = Vector2::new(rim.center.u, rim.center.v);
+        Observation::new(rim.trajectory, rim.stamp_s, center, rim.radius_px)
     };
     thinned(&sound, MAX_SIGHTINGS).map(observation).collect()
 }

@@ -64,7 +64,7 @@ impl Scene {
     fn seen(&self, robots: usize, rng: &mut ChaCha8Rng) -> (Vec<Trajectory>, Vec<RimObservation>) {
         let mut normal = || -> f64 { StandardNormal.sample(rng) };
         let mut trajectories = Vec::new();
-        let mut rim_observations = Vec::new();
+        let mut observations = Vec::new();
         for robot in 0..robots {
             let mut off = Vector3::from_fn(|_, _| normal() * PLACE_M);
             let step_s = 1.0 / 60.0;
@@ -100,7 +100,7 @@ impl Scene {
                 if inside(center.u, SIZE.0) && inside(center.v, SIZE.1) {
                     let radius_px = RADIUS_M * 1100.0 / pose.translation.z;
                     let stamp_s = time_s + LATE_S;
-                    rim_observations.push(RimObservation {
+                    observations.push(RimObservation {
                         trajectory: robot,
                         stamp_s,
                         center,
@@ -109,15 +109,15 @@ impl Scene {
                 }
             }
         }
-        (trajectories, rim_observations)
+        (trajectories, observations)
     }
 }
 
 fn found(
     trajectories: &[Trajectory],
-    rim_observations: &[RimObservation],
+    observations: &[RimObservation],
 ) -> Result<MovingLens, MovingLensError> {
-    calibrate(&MovingInput { size: SIZE, trajectories, rim_observations, clock: CLOCK }, None)
+    calibrate(&MovingInput { size: SIZE, trajectories, observations, clock: CLOCK }, None)
 }
 
 /// Errors with their standard deviations: intrinsics, pose and clock.
@@ -140,15 +140,14 @@ fn errors(scene: &Scene, found: &MovingLens) -> Vec<(f64, f64)> {
 fn a_lens_is_found_from_moving_roundels() {
     let scene = Scene::new(&[0.3, 0.3, 1.4], 15.0);
     let mut rng = ChaCha8Rng::seed_from_u64(4);
-    let (trajectories, mut rim_observations) = scene.seen(14, &mut rng);
+    let (trajectories, mut observations) = scene.seen(14, &mut rng);
     // One of fifty belongs to another roundel, and two are invalid.
-    for index in (0..rim_observations.len()).step_by(50) {
-        rim_observations[index].trajectory =
-            (rim_observations[index].trajectory + 1) % trajectories.len();
+    for index in (0..observations.len()).step_by(50) {
+        observations[index].trajectory = (observations[index].trajectory + 1) % trajectories.len();
     }
-    rim_observations[1].center.u = f64::NAN;
-    rim_observations[2].trajectory = 99;
-    let found = found(&trajectories, &rim_observations).unwrap();
+    observations[1].center.u = f64::NAN;
+    observations[2].trajectory = 99;
+    let found = found(&trajectories, &observations).unwrap();
     assert_eq!(found.lens.model.ros_name(), "plumb_bob", "{:?}", found.lens.evidence);
     let errors = errors(&scene, &found);
     for focal in &errors[..2] {
@@ -159,7 +158,7 @@ fn a_lens_is_found_from_moving_roundels() {
         assert!(error.abs() < 4.0 * deviation, "{errors:?}");
     }
     assert!((found.estimated_noise.0 - PIXEL_PX).abs() < 0.05, "{:?}", found.estimated_noise);
-    assert!(found.lens.outliers >= rim_observations.len() / 50, "{}", found.lens.outliers);
+    assert!(found.lens.outliers >= observations.len() / 50, "{}", found.lens.outliers);
     assert!(found.coverage() > 0.8 && found.depths_m[0] < 4.2, "{found:?}");
 }
 
@@ -171,12 +170,12 @@ fn deviations_are_consistent() {
     let mut squares = vec![0.0; 11];
     for seed in 0..SEEDS {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let (trajectories, rim_observations) = scene.seen(10, &mut rng);
-        let thin: Vec<RimObservation> = rim_observations.into_iter().step_by(3).collect();
+        let (trajectories, observations) = scene.seen(10, &mut rng);
+        let thin: Vec<RimObservation> = observations.into_iter().step_by(3).collect();
         let seen = MovingInput {
             size: SIZE,
             trajectories: &trajectories,
-            rim_observations: &thin,
+            observations: &thin,
             clock: CLOCK,
         };
         let found = calibrate(&seen, Some(DistortionModel::Tangential)).unwrap();
@@ -192,21 +191,21 @@ fn deviations_are_consistent() {
 fn missing_observations_are_named() {
     let scene = Scene::new(&[0.3], 4.0);
     let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let (trajectories, rim_observations) = scene.seen(12, &mut rng);
-    let error = found(&trajectories, &rim_observations[..60]).unwrap_err().to_string();
+    let (trajectories, observations) = scene.seen(12, &mut rng);
+    let error = found(&trajectories, &observations[..60]).unwrap_err().to_string();
     assert!(error.contains("found 60 in") && error.contains("missing: roundels"), "{error}");
-    let error = found(&trajectories[..0], &rim_observations).unwrap_err().to_string();
+    let error = found(&trajectories[..0], &observations).unwrap_err().to_string();
     assert!(error.contains("found 0 in 0"), "{error}");
     let seen = MovingInput {
         size: (0, 9),
         trajectories: &trajectories,
-        rim_observations: &rim_observations,
+        observations: &observations,
         clock: CLOCK,
     };
     let error = calibrate(&seen, None).unwrap_err().to_string();
     assert!(error.contains("found 0 x 9"), "{error}");
     // All assigned to other trajectories.
-    let mixed: Vec<RimObservation> = rim_observations
+    let mixed: Vec<RimObservation> = observations
         .iter()
         .enumerate()
         .map(|(index, it)| RimObservation {
@@ -225,8 +224,8 @@ fn a_plane_facing_the_camera_does_not_determine_the_focal_length() {
     scene.camera_from_world =
         Rigid::from_parts((-(turn * Vector3::new(0.0, 0.2, 5.0))).into(), turn);
     let mut rng = ChaCha8Rng::seed_from_u64(2);
-    let (trajectories, rim_observations) = scene.seen(14, &mut rng);
-    let error = found(&trajectories, &rim_observations).unwrap_err();
+    let (trajectories, observations) = scene.seen(14, &mut rng);
+    let error = found(&trajectories, &observations).unwrap_err();
     assert!(matches!(error, MovingLensError::Undetermined { .. }), "{error}");
     let error = error.to_string();
     assert!(error.contains("distances differ by 0 %"), "{error}");

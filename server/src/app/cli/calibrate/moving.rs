@@ -18,14 +18,13 @@ pub(super) fn run(arguments: &LensArgs, file: &Path, camera: &str) -> anyhow::Re
         bar.set_message(format!("fusing the other cameras' observations: {seconds:.1} s"));
         bar.tick();
     })?;
-    let Correspondences { size, trajectories, rim_observations, clock, damage, .. } =
-        &correspondences;
+    let Correspondences { size, trajectories, observations, clock, damage, .. } = &correspondences;
     for sentence in damage {
         bar.suspend(|| eprintln!("{}: damaged: {sentence}", file.display()));
     }
-    bar.set_message(format!("solving: {} sightings", rim_observations.len()));
+    bar.set_message(format!("solving: {} sightings", observations.len()));
     bar.enable_steady_tick(Duration::from_millis(200));
-    let input = MovingInput { size: *size, trajectories, rim_observations, clock: *clock };
+    let input = MovingInput { size: *size, trajectories, observations, clock: *clock };
     let found = calibrate(&input, arguments.model);
     bar.finish_and_clear();
     let found = found
@@ -39,10 +38,10 @@ pub(super) fn run(arguments: &LensArgs, file: &Path, camera: &str) -> anyhow::Re
 }
 
 fn summary(camera: &str, correspondences: &Correspondences) -> String {
-    let Correspondences { trajectories, rim_observations, frames, unmatched, .. } = correspondences;
+    let Correspondences { trajectories, observations, frames, unmatched, .. } = correspondences;
     format!(
         "{frames} frames of \"{camera}\", {} sightings of {} roundels that other cameras saw, {unmatched} of other roundels",
-        rim_observations.len(),
+        observations.len(),
         trajectories.len()
     )
 }
