@@ -68,7 +68,7 @@ pub(super) fn associate(by_roundel: &mut SamplesByRoundel) {
     let camera_pairs: Vec<(CameraId, CameraId)> = camera_pairs.into_iter().collect();
     let mut links: Vec<Link> = camera_pairs
         .into_par_iter()
-        .flat_map_iter(|camera_pair| links_between(&tracks, camera_pair))
+        .flat_map_iter(|(one, other)| links_between(&tracks, one, other))
         .collect();
     // Closest first; the sort is stable, so ties keep the order of cameras.
     links.sort_by(|one, other| one.distance_m.total_cmp(&other.distance_m));
@@ -145,7 +145,7 @@ struct Candidate {
 }
 
 /// Tracks of two cameras that belong together.
-fn links_between(tracks: &[UncodedTrack], (one, other): (CameraId, CameraId)) -> Vec<Link> {
+fn links_between(tracks: &[UncodedTrack], one: CameraId, other: CameraId) -> Vec<Link> {
     let of =
         |camera: CameraId| (0..tracks.len()).filter(move |&index| tracks[index].camera == camera);
     let same_kind: Vec<[usize; 2]> = of(one)

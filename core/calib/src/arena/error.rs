@@ -58,7 +58,7 @@ impl ArenaError {
                 let offs: Vec<String> = offs_m.iter().map(say).collect();
                 format!(
                     "{}: the references are not at their stated positions: {}; measure their places and \
-                     diameters again, or say that the lens is not exact",
+                     diameters again, or have the lens refined",
                     names.camera(*camera),
                     offs.join(", ")
                 )

@@ -23,6 +23,8 @@ mod initial_poses;
 mod recording;
 mod references;
 mod report;
+#[cfg(test)]
+mod tests;
 
 use std::collections::BTreeMap;
 
@@ -70,11 +72,11 @@ pub struct ArenaCamera {
 /// Standard deviations of a lens.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LensDeviation {
-    /// Of the focal length, relative.
+    /// Focal length, relative.
     pub focal: f64,
-    /// Of each coordinate of the principal point, pixels.
+    /// Each coordinate of the principal point, pixels.
     pub center_px: f64,
-    /// Of the first radial coefficient.
+    /// First radial coefficient.
     pub radial: f64,
 }
 
@@ -228,10 +230,10 @@ fn tracks(
             .collect();
         let name = Some(roundel.name);
         let stamps = observations.iter().map(|observation| observation.stamp_s);
-        let span = (stamps.clone().reduce(f64::min)?, stamps.reduce(f64::max)?);
+        let (first_s, last_s) = (stamps.clone().reduce(f64::min)?, stamps.reduce(f64::max)?);
         Some(TrackBlock {
             name,
-            ..TrackBlock::new(Spline::over(span, params.knot_s), None, observations)
+            ..TrackBlock::new(Spline::over(first_s, last_s, params.knot_s), None, observations)
         })
     });
     references.chain(robots).collect()

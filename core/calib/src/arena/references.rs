@@ -72,7 +72,7 @@ pub(super) fn take(
         ReferenceSet { camera_poses: vec![None; cameras.len()], ..ReferenceSet::default() };
     let mut seen = coded(by_roundel, landmarks);
     for camera in cameras {
-        uncoded(by_roundel, camera.id, landmarks, &mut seen, params)?;
+        uncoded(by_roundel, camera.id, landmarks, &mut seen, params);
     }
     for (index, landmark) in landmarks.iter().enumerate() {
         let mut means = Vec::new();
@@ -127,11 +127,11 @@ fn uncoded(
     landmarks: &[Landmark],
     seen: &mut BTreeMap<usize, BTreeMap<CameraId, RoundelSamples>>,
     params: &ArenaParams,
-) -> Result<(), ArenaError> {
+) {
     let uncoded_indices: Vec<usize> =
         (0..landmarks.len()).filter(|&index| landmarks[index].code.is_none()).collect();
     if uncoded_indices.len() < 3 {
-        return Ok(());
+        return;
     }
     let kinds: Vec<_> = uncoded_indices.iter().map(|&index| landmarks[index].kind).collect();
     let mut stationary: Vec<(RoundelKey, Sighting)> = Vec::new();
@@ -141,10 +141,8 @@ fn uncoded(
         let is_kind = seen.kind.is_some_and(|kind| kinds.contains(&kind));
         let (Some(mean), None) = mean(&seen.samples, params) else { continue };
         if is_kind && is_stationary(&seen.samples, &mean) {
-            stationary.push((
-                *name,
-                Sighting { position_m: mean.position_m, covariance: mean.covariance },
-            ));
+            let Sample { position_m, covariance, .. } = mean;
+            stationary.push((*name, Sighting { position_m, covariance }));
         }
     }
     let references: Vec<Reference> = uncoded_indices
@@ -156,17 +154,16 @@ fn uncoded(
         .collect();
     let sightings: Vec<Sighting> = stationary.iter().map(|(_, sighting)| *sighting).collect();
     if sightings.len() < 3 {
-        return Ok(());
+        return;
     }
     // The camera does not see the references.
-    let Ok(found) = reference::identify(&references, &sightings) else { return Ok(()) };
+    let Ok(found) = reference::identify(&references, &sightings) else { return };
     for (index, found) in std::iter::zip(uncoded_indices, found) {
         let Some((name, _)) = found.map(|at| stationary[at]) else { continue };
         if let Some(taken) = by_roundel.remove(&name).and_then(|mut seen| seen.remove(&camera)) {
             seen.entry(index).or_default().insert(camera, taken);
         }
     }
-    Ok(())
 }
 
 fn is_stationary(samples: &[Sample], mean: &Sample) -> bool {

@@ -141,7 +141,7 @@ pub enum LensCalibrationError {
     /// The roundels have another ratio of diameter to pitch than stated.
     #[error(
         "the roundels look {found_outer_mm:.1} mm wide, not {outer_mm:.1}, if they are {pitch_mm:.1} mm from one to the \
-         next (or those {found_pitch_mm:.1} mm apart if {outer_mm:.1} mm wide): measure both on the print, and say them \
+         next (or those {found_pitch_mm:.1} mm apart if {outer_mm:.1} mm wide): measure both on the print, and pass them \
          (`--marker`, `--pitch`)"
     )]
     OtherWidth {

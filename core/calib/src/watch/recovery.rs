@@ -154,7 +154,7 @@ impl Recovery {
     }
 }
 
-/// Of position, metres, and rotation, radians: square roots of the traces.
+/// Standard deviations of position, metres, and rotation, radians: square roots of the traces.
 pub(super) fn deviations(fit: &PoseFit) -> [f64; 2] {
     [0, 3].map(|corner| fit.covariance.fixed_view::<3, 3>(corner, corner).trace().sqrt())
 }

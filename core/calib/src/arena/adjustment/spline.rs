@@ -35,7 +35,7 @@ impl Spline {
     }
 
     /// For sightings from `first_s` to `last_s`, with all control points zero.
-    pub(crate) fn over((first_s, last_s): (f64, f64), knot_s: f64) -> Self {
+    pub(crate) fn over(first_s: f64, last_s: f64, knot_s: f64) -> Self {
         let start_s = first_s - MARGIN_S;
         let spans = ((last_s + MARGIN_S - start_s) / knot_s).ceil().max(1.0) as usize;
         Self { start_s, knot_s, points_m: vec![Vector3::zeros(); spans + 3] }
@@ -95,7 +95,7 @@ mod tests {
     proptest! {
         #[test]
         fn velocity_is_the_difference(points in proptest::collection::vec(-3.0..3.0f64, 30), t in -0.2..1.0f64) {
-            let mut spline = Spline::over((0.0, 0.5), 0.2);
+            let mut spline = Spline::over(0.0, 0.5, 0.2);
             for (point, value) in spline.points_m.iter_mut().zip(&points) {
                 *point = Vector3::new(*value, -value, value * value);
             }

@@ -71,7 +71,7 @@ pub(crate) struct Bundle {
 pub(crate) struct Fit {
     pub(crate) camera: Camera,
     pub(crate) board_views: Vec<BoardView>,
-    /// Of the free parameters.
+    /// Covariance of the free parameters.
     pub(crate) covariance: DMatrix<f64>,
     /// Sum of weighted squares, and number of residuals.
     pub(crate) squares: f64,

@@ -84,7 +84,7 @@ pub(super) struct Bundle<'a> {
 pub(super) struct Fit<'a> {
     pub(super) bundle: Bundle<'a>,
     pub(super) camera: Camera,
-    /// Of free parameters, pose (rotation, then translation: camera_from_world, left perturbation) and clock.
+    /// Over free parameters, pose (rotation, then translation: camera_from_world, left perturbation) and clock.
     pub(super) covariance: DMatrix<f64>,
     /// Factor by which the parameters' variances exceed those for independent errors.
     pub(super) inflation: f64,
