@@ -1,5 +1,5 @@
-//! Times of coded roundels: reading the teeth of a ring whose rims are known, and following one from
-//! frame to frame, rims and teeth. `cargo bench -p roundel-core --bench code`.
+//! Time to read the code of a ring with known rims, and to track a coded roundel:
+//! `cargo bench -p roundel-core --bench code`.
 
 #[path = "../tests/drawing/mod.rs"]
 mod drawing;

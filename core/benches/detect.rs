@@ -1,8 +1,7 @@
-//! Times of detection: roundels followed, a whole frame searched, and the search that goes on while
-//! roundels are followed. `cargo bench -p roundel-core --bench detect [-- PART OF A NAME]`.
+//! Time per frame of tracking, of searching a whole frame, and of searching while roundels are tracked:
+//! `cargo bench -p roundel-core --bench detect [-- PART OF A NAME]`.
 //!
-//! Every figure is of one frame: least, median and 99th percentile over many. On a machine that others
-//! use as well, the least is the one that compares.
+//! Prints minimum, median and 99th percentile. On a shared machine, compare the minimum.
 
 #[path = "../tests/drawing/mod.rs"]
 mod drawing;
@@ -15,24 +14,23 @@ use roundel_core::marker::{Detector, Kind, Params, Scratch, Tracker};
 const HD: (usize, usize) = (1920, 1080);
 const UHD: (usize, usize) = (3840, 2160);
 const SMALL: (usize, usize) = (1280, 720);
-/// How long each figure is measured.
-const SPENT: Duration = Duration::from_millis(1200);
+/// Duration of each measurement.
+const DURATION: Duration = Duration::from_millis(1200);
 
 fn detector(max_roundels: usize) -> Detector {
     let kind = Kind::plain("robot", 0.16, 0.064);
     Detector::new(vec![kind], Params { max_roundels, ..Params::default() }).unwrap()
 }
 
-/// Roundels of one diameter in a grid over the frame, with a background of squares and stripes that
-/// makes candidates.
+/// Roundels of one diameter in a grid, optionally on a background that causes candidates.
 fn picture(size: (usize, usize), count: usize, diameter_px: f64, clutter: bool) -> Vec<u8> {
     picture_without(size, (count, 0), diameter_px, clutter)
 }
 
-/// The same with the last of them gone.
+/// The same without the last ones.
 fn picture_without(
     (width, height): (usize, usize),
-    (count, gone): (usize, usize),
+    (count, missing): (usize, usize),
     diameter_px: f64,
     clutter: bool,
 ) -> Vec<u8> {
@@ -57,7 +55,7 @@ fn picture_without(
             checks + text
         });
     }
-    for at in (0..count - gone).map(place) {
+    for at in (0..count - missing).map(place) {
         let radius = 0.5 * diameter_px;
         let outer = ellipse(at, (radius, 0.9 * radius), 0.4);
         let roundel = Roundel { outer, ratio: 0.4, margin: 1.4, black: 40.0, white: 200.0 };
@@ -66,15 +64,15 @@ fn picture_without(
     drawing.picture(2.0, 7)
 }
 
-/// Calls `frame` again and again and prints its times.
-fn time(name: &str, wanted: &Option<String>, mut frame: impl FnMut()) {
-    if wanted.as_ref().is_some_and(|wanted| !name.contains(wanted)) {
+/// Calls `frame` repeatedly and prints its times.
+fn time(name: &str, filter: &Option<String>, mut frame: impl FnMut()) {
+    if filter.as_ref().is_some_and(|filter| !name.contains(filter)) {
         return;
     }
-    // What is shorter than the clock's own time is timed in batches.
+    // Short calls are timed in batches.
     let start = Instant::now();
     let mut calls = 0u32;
-    while start.elapsed() < SPENT / 10 {
+    while start.elapsed() < DURATION / 10 {
         frame();
         calls += 1;
     }
@@ -82,10 +80,10 @@ fn time(name: &str, wanted: &Option<String>, mut frame: impl FnMut()) {
     let batch = (2000 / one.as_nanos().max(1)).max(1) as u32;
     let mut times = Vec::new();
     let start = Instant::now();
-    while start.elapsed() < SPENT {
-        let begun = Instant::now();
+    while start.elapsed() < DURATION {
+        let start_one = Instant::now();
         (0..batch).for_each(|_| frame());
-        times.push(begun.elapsed().as_secs_f64() * 1e6 / f64::from(batch));
+        times.push(start_one.elapsed().as_secs_f64() * 1e6 / f64::from(batch));
     }
     print_times(name, times);
 }
@@ -94,22 +92,22 @@ fn print_times(name: &str, mut times: Vec<f64>) {
     times.sort_by(f64::total_cmp);
     let share = |share: f64| times[((times.len() - 1) as f64 * share) as usize];
     println!(
-        "{name:<58} {:>9.2} {:>9.2} {:>9.2}   us least, median, p99",
+        "{name:<58} {:>9.2} {:>9.2} {:>9.2}   us min, median, p99",
         times[0],
         share(0.5),
         share(0.99)
     );
 }
 
-/// Nothing but following: as many roundels are looked for as are there.
-fn followed(wanted: &Option<String>) {
+/// Tracking without search, since all roundels are tracked.
+fn followed(filter: &Option<String>) {
     let sizes = [15.0, 30.0, 60.0, 110.0];
     let cases = sizes.map(|diameter_px| (HD, 1, diameter_px));
     for (size, count, diameter_px) in
         cases.into_iter().chain([(HD, 100, 30.0), (HD, 400, 30.0), (UHD, 400, 30.0)])
     {
         let name = format!("followed/{count} of {diameter_px} px in {}x{}", size.0, size.1);
-        if wanted.as_ref().is_some_and(|wanted| !name.contains(wanted)) {
+        if filter.as_ref().is_some_and(|filter| !name.contains(filter)) {
             continue;
         }
         let picture = picture(size, count, diameter_px, false);
@@ -117,30 +115,30 @@ fn followed(wanted: &Option<String>) {
         let mut tracker = Tracker::new(detector(count));
         let found = tracker.process(&frame).len();
         assert_eq!(found, count, "{:?}", tracker.rejects());
-        time(&name, wanted, || assert_eq!(tracker.process(&frame).len(), count));
+        time(&name, filter, || assert_eq!(tracker.process(&frame).len(), count));
     }
 }
 
-/// The search for new ones goes on while roundels are followed.
-fn searched_in_parts(wanted: &Option<String>) {
+/// Tracking with search for further roundels.
+fn searched_in_parts(filter: &Option<String>) {
     for (size, count, clutter) in [(HD, 10, true), (HD, 400, false), (UHD, 400, false)] {
         let ground = if clutter { "clutter" } else { "plain" };
         let name = format!("followed and searched/{count} in {ground} {}x{}", size.0, size.1);
-        if wanted.as_ref().is_some_and(|wanted| !name.contains(wanted)) {
+        if filter.as_ref().is_some_and(|filter| !name.contains(filter)) {
             continue;
         }
         let picture = picture(size, count, 30.0, clutter);
         let frame = frame(&picture, size.0);
         let mut tracker = Tracker::new(detector(500));
         assert_eq!(tracker.process(&frame).len(), count);
-        time(&name, wanted, || assert_eq!(tracker.process(&frame).len(), count));
+        time(&name, filter, || assert_eq!(tracker.process(&frame).len(), count));
     }
 }
 
-/// Ten are followed, an eleventh has gone: the frames in which its track is still held and looked for.
-fn one_missing(wanted: &Option<String>) {
+/// Frames in which an eleventh roundel is missing and its track is still held.
+fn one_missing(filter: &Option<String>) {
     let name = "followed, one missing/10 and 1 in clutter 1920x1080";
-    if wanted.as_ref().is_some_and(|wanted| !name.contains(wanted)) {
+    if filter.as_ref().is_some_and(|filter| !name.contains(filter)) {
         return;
     }
     let with = picture(HD, 11, 30.0, true);
@@ -151,25 +149,25 @@ fn one_missing(wanted: &Option<String>) {
     let mut tracker = Tracker::new(detector);
     let mut times = Vec::new();
     let start = Instant::now();
-    while start.elapsed() < SPENT {
-        // Until it is found again, wherever the search of parts was.
+    while start.elapsed() < DURATION {
+        // Until the partial search has found it again.
         while tracker.process(&with).len() < 11 {}
         for _ in 0..held {
-            let begun = Instant::now();
+            let start_one = Instant::now();
             assert_eq!(tracker.process(&without).len(), 10);
-            times.push(begun.elapsed().as_secs_f64() * 1e6);
+            times.push(start_one.elapsed().as_secs_f64() * 1e6);
         }
     }
     print_times(name, times);
 }
 
-fn searched(wanted: &Option<String>) {
+fn searched(filter: &Option<String>) {
     for (size, count, clutter) in
         [(SMALL, 0, false), (SMALL, 0, true), (SMALL, 1, true), (SMALL, 100, true), (HD, 100, true)]
     {
         let ground = if clutter { "clutter" } else { "plain" };
         let name = format!("searched/{count} in {ground} {}x{}", size.0, size.1);
-        if wanted.as_ref().is_some_and(|wanted| !name.contains(wanted)) {
+        if filter.as_ref().is_some_and(|filter| !name.contains(filter)) {
             continue;
         }
         let picture = picture(size, count, 30.0, clutter);
@@ -177,14 +175,14 @@ fn searched(wanted: &Option<String>) {
         let detector = detector(400);
         let mut scratch = Scratch::default();
         assert_eq!(detector.detect(&frame, &mut scratch).len(), count);
-        time(&name, wanted, || assert_eq!(detector.detect(&frame, &mut scratch).len(), count));
+        time(&name, filter, || assert_eq!(detector.detect(&frame, &mut scratch).len(), count));
     }
 }
 
 fn main() {
-    let wanted = std::env::args().skip(1).find(|argument| !argument.starts_with('-'));
-    followed(&wanted);
-    searched_in_parts(&wanted);
-    one_missing(&wanted);
-    searched(&wanted);
+    let filter = std::env::args().skip(1).find(|argument| !argument.starts_with('-'));
+    followed(&filter);
+    searched_in_parts(&filter);
+    one_missing(&filter);
+    searched(&filter);
 }

@@ -1,4 +1,4 @@
-//! Time of the photometric fit by size of the roundel, round, elliptical or coded, from a start as a tracker has it:
+//! Time of the photometric fit of plain, elliptical and coded roundels by size, from a tracker's initial pose:
 //! `cargo bench -p roundel-core --bench fit`.
 
 #[path = "../tests/drawing/mod.rs"]
@@ -22,7 +22,7 @@ use roundel_core::{
 
 const SIDE: usize = 240;
 
-/// The ellipse with area, centre and second moments of an ellipse's image; its axes are those of the yaw 0.
+/// Ellipse with the area, centre and second moments of the image of an ellipse with yaw 0.
 fn image_of(
     camera: &Camera,
     position_m: &Vector3<f64>,
@@ -70,7 +70,7 @@ fn camera(focal_px: f64) -> Camera {
     .expect("the intrinsics above are valid")
 }
 
-/// How much black a pixel sees of a coded print at the yaw 0, for a blur of 0.7 px.
+/// Share of black in a pixel of a coded print with yaw 0, for a blur of 0.7 px.
 fn black_share(
     camera: &Camera,
     (position_m, normal): (&Vector3<f64>, &Vector3<f64>),
@@ -89,7 +89,7 @@ fn black_share(
         (white..1.0).contains(&place.norm())
     };
     let away = |k: usize| 5.0 * ((k as f64 + 0.5) / FINE as f64 - 0.5);
-    // Blur and the pixel's own width.
+    // Variance of the blur and the pixel.
     let weight = |x: f64| (-0.5 * x * x / (0.49 + 1.0 / 12.0)).exp();
     let (mut black, mut all) = (0.0, 0.0);
     for k in 0..FINE * FINE {
@@ -174,7 +174,7 @@ fn fits(criterion: &mut Criterion) {
         let frame = frame(&pixels, SIDE);
         let ring = Ring { black: 40.0, white: 200.0, ..Ring::of_rims(outer, inner) };
         let mut pose = locate(&camera, kind, &ring, &RimNoise::default()).expect("its rims");
-        // As a tracker knows it.
+        // A tracker has resolved the ambiguity.
         if pose.other_normal.dot(&normal) > pose.normal.dot(&normal) {
             pose.normal = pose.other_normal;
         }

@@ -1,11 +1,10 @@
-//! What is found in image files, where, and how fast, on one thread: for `tests/compare/run`, which
-//! times other libraries beside it.
+//! Detections in image files and their time on one thread, for the comparison with other libraries in
+//! `tests/compare/run`.
 //!
 //! `cargo bench -p roundel-core --bench images -- FOCAL_PX OUTER_MM INNER_MM REPETITIONS FILE.pgm…`
 //!
-//! The camera has no distortion and its centre in the image's middle. One line of JSON for every image
-//! and mode: the least time of the repetitions for a first search and, once all are followed, for the
-//! next frame, both with poses.
+//! The camera is a pinhole with its principal point in the middle. Prints one line of JSON for each image and mode, with
+//! the minimum time of a search and of tracking the same frame, both with poses.
 
 use std::{env, fs, time::Instant};
 
@@ -38,17 +37,17 @@ impl Picture {
     }
 }
 
-/// The least time of `repetitions` runs, microseconds.
-fn least_us(repetitions: usize, mut run: impl FnMut()) -> f64 {
+/// Minimum time of `repetitions` runs, microseconds.
+fn min_us(repetitions: usize, mut run: impl FnMut()) -> f64 {
     let timed = |_| {
-        let begun = Instant::now();
+        let start = Instant::now();
         run();
-        begun.elapsed().as_secs_f64() * 1e6
+        start.elapsed().as_secs_f64() * 1e6
     };
     (0..repetitions.max(1)).map(timed).fold(f64::MAX, f64::min)
 }
 
-fn judge(path: &str, mode: Mode, numbers: &[f64; 4]) {
+fn measure(path: &str, mode: Mode, numbers: &[f64; 4]) {
     let [focal_px, outer_mm, inner_mm, repetitions] = *numbers;
     let picture = Picture::read(path);
     let (width, height) = (picture.width, picture.height);
@@ -70,25 +69,25 @@ fn judge(path: &str, mode: Mode, numbers: &[f64; 4]) {
     let detector = Detector::new(kinds.clone(), params.clone()).expect("a print");
     let mut scratch = Scratch::default();
     let mut found = Vec::new();
-    let first_us = least_us(repetitions as usize, || {
+    let first_us = min_us(repetitions as usize, || {
         found.clear();
         for ring in detector.detect(&frame, &mut scratch) {
             found.extend(locator.locate_single(&frame, &kinds[0], ring).ok());
         }
     });
-    // As many as are there: nothing further is searched for.
+    // Limited to the roundels present, so that nothing is searched.
     let params = Params { max_roundels: found.len(), ..params };
     let mut tracker = Tracker::new(Detector::new(kinds, params).expect("a print"));
     let mut located = Vec::new();
-    let tracked_us = least_us(repetitions as usize, || {
-        // A ring that has no pose costs its time all the same.
+    let tracked_us = min_us(repetitions as usize, || {
+        // Includes the time of rings without a pose.
         locator.locate_all(&frame, tracker.process(&frame), &mut located);
     });
-    let of_found = |located: &roundel_core::pose::Located| {
+    let as_json = |located: &roundel_core::pose::Located| {
         let (center, p) = (located.ring.outer.center, located.pose.position_m);
         json!({ "center_px": [center.u, center.v], "position_m": [p.x, p.y, p.z] })
     };
-    let found: Vec<_> = found.iter().map(of_found).collect();
+    let found: Vec<_> = found.iter().map(as_json).collect();
     println!(
         "{}",
         json!({ "image": path, "mode": format!("{mode:?}").to_lowercase(), "first_us": first_us,
@@ -105,7 +104,7 @@ fn main() {
     };
     for path in &arguments[4..] {
         for mode in [Mode::Fast, Mode::Precise] {
-            judge(path, mode, &numbers);
+            measure(path, mode, &numbers);
         }
     }
 }

@@ -1,7 +1,6 @@
 //! Time of a pose and of the lens models: `cargo bench -p roundel-core --bench pose`.
 //!
-//! Printed is the least of many repetitions, since a machine that does other work as well only ever
-//! makes a call longer.
+//! Prints the minimum of many repetitions, since other load only increases times.
 
 use std::{hint::black_box, time::Instant};
 
@@ -35,41 +34,41 @@ fn cameras() -> [(&'static str, Camera); 3] {
     })
 }
 
-/// Calls in one repetition.
+/// Calls per repetition.
 const CALLS: u32 = 200;
-/// Repetitions, of which the shortest counts.
+/// Number of repetitions.
 const REPETITIONS: usize = 1000;
 
-fn least_us(mut call: impl FnMut()) -> f64 {
+fn min_us(mut call: impl FnMut()) -> f64 {
     let repetition = |_| {
-        let begun = Instant::now();
+        let start = Instant::now();
         for _ in 0..CALLS {
             call();
         }
-        begun.elapsed().as_secs_f64()
+        start.elapsed().as_secs_f64()
     };
-    let least_s = (0..REPETITIONS).map(repetition).fold(f64::INFINITY, f64::min);
-    1e6 * least_s / f64::from(CALLS)
+    let min_s = (0..REPETITIONS).map(repetition).fold(f64::INFINITY, f64::min);
+    1e6 * min_s / f64::from(CALLS)
 }
 
 fn lens() {
     for (name, camera) in cameras() {
         let point = Vector3::new(0.35, 0.1, 1.7);
         let pixel = camera.project(&point).expect("in front of the camera");
-        let project = least_us(|| {
+        let project = min_us(|| {
             let _ = black_box(camera.project(black_box(&point)));
         });
-        let undistort = least_us(|| {
+        let undistort = min_us(|| {
             let _ = black_box(camera.undistort(black_box(pixel)));
         });
         println!("project a point, {name}: {project:.3} µs; undistort one: {undistort:.3} µs");
     }
 }
 
-/// Rings located at once, as the server does with a frame's.
+/// Rings of a frame that are located together.
 const RINGS: usize = 64;
 
-/// Rings of 30 px with rims off by a few hundredths of a pixel.
+/// Rings of 30 px with rim errors of a few hundredths of a pixel.
 fn pose() {
     let kind = Kind::plain("robot", 0.16, 0.064);
     let noise = RimNoise::default();
@@ -82,10 +81,10 @@ fn pose() {
         };
         let ring = Ring::of_rims(rim(1.0, 0.01), rim(0.4, 0.005));
         for (name, camera) in cameras() {
-            let time_us = least_us(|| {
+            let time_us = min_us(|| {
                 let _ = black_box(locate(&camera, &kind, black_box(&ring), &noise));
             });
-            let all_us = least_all_us(camera, &kind, &ring) / RINGS as f64;
+            let all_us = min_all_us(camera, &kind, &ring) / RINGS as f64;
             println!(
                 "pose of a ring of 30 px {tilt}, {name}: alone {time_us:.3} µs, \
                  one of {RINGS} {all_us:.3} µs"
@@ -94,7 +93,7 @@ fn pose() {
     }
 }
 
-fn least_all_us(camera: Camera, kind: &Kind, ring: &Ring) -> f64 {
+fn min_all_us(camera: Camera, kind: &Kind, ring: &Ring) -> f64 {
     let ring = Ring { kind: Some(KindId(0)), ..*ring };
     let rings: Vec<_> = (0..RINGS as u64)
         .map(|number| TrackedRing { track: TrackNumber(number), ring, code: None })
@@ -103,7 +102,7 @@ fn least_all_us(camera: Camera, kind: &Kind, ring: &Ring) -> f64 {
     let frame = Frame::new(&pixels, 2, 2, 2).expect("as many pixels as it says");
     let mut locator = Locator::new(camera, vec![kind.clone()], Mode::Fast);
     let mut located = Vec::new();
-    least_us(|| {
+    min_us(|| {
         locator.locate_all(&frame, black_box(&rings), &mut located);
         black_box(&located);
     })

@@ -1,5 +1,5 @@
-//! The table of the rims' errors, bias and rms, against size, tilt, blur, noise and margin; takes a
-//! minute. `cargo bench -p roundel-core --bench precision`.
+//! Bias and rms of rim errors by size, tilt, blur, noise and margin; takes a minute:
+//! `cargo bench -p roundel-core --bench precision`.
 
 #[path = "../tests/drawing/mod.rs"]
 mod drawing;

@@ -1,5 +1,5 @@
-//! Times of the first search of a frame: drawn roundels before a background that makes candidates,
-//! none at all, and photographs (`../shared/data/real`, where it is there).
+//! Time to search a frame: rendered roundels on plain and cluttered backgrounds, and photographs if
+//! `../shared/data/real` exists.
 //! `cargo bench -p roundel-core --bench search`.
 
 #[path = "../tests/drawing/mod.rs"]
@@ -21,7 +21,7 @@ fn detector(kinds: Vec<Kind>) -> Detector {
     Detector::new(kinds, params).unwrap()
 }
 
-/// Roundels in a grid; between them, if wanted, squares and rows of stripes as of small print.
+/// Roundels in a grid, optionally with squares and stripes like small print between them.
 fn scene((width, height): (usize, usize), count: usize, clutter: bool) -> Vec<u8> {
     let columns = (count as f64 * 16.0 / 9.0).sqrt().ceil().max(1.0) as usize;
     let rows = count.div_ceil(columns).max(1);

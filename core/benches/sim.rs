@@ -1,4 +1,4 @@
-//! Time of one simulated frame, and of what a renderer prepares once.
+//! Time to render a simulated frame, and to create a renderer: `cargo bench -p roundel-core --bench sim`.
 
 use std::hint::black_box;
 
@@ -14,7 +14,7 @@ fn frames(criterion: &mut Criterion) {
         let optics = &scenario.params().optics;
         let mut pixels = vec![0; optics.width * optics.height];
         let mut frame = 0;
-        // All cameras in turn, one frame an iteration: the mean camera.
+        // All cameras in turn, for the mean over cameras.
         group.bench_function(format!("{name}/frame"), |bencher| {
             bencher.iter(|| {
                 let camera = frame as usize % renderers.len();

@@ -1,7 +1,7 @@
-//! Time of the watch over cameras: `cargo bench -p roundel-core --bench watch`.
+//! Time of the supervision of camera poses: `cargo bench -p roundel-core --bench watch`.
 //!
-//! One iteration is a second of 16 cameras with 60 frames a second, each of which sees about 50 of 200 robots that drive
-//! in circles; every robot is seen by four cameras. 10 ms an iteration are 1 % of a core. Nobody is bumped.
+//! An iteration is one second of 16 cameras at 60 Hz. Each camera sees about 50 of 200 robots on circles, and each robot
+//! is seen by four cameras; no camera moves. 10 ms per iteration are 1 % of a core.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
@@ -20,10 +20,10 @@ use roundel_core::{
 const CAMERAS: usize = 16;
 const ROBOTS: usize = 200;
 const RATE_HZ: f64 = 60.0;
-/// What is run before the clock is, and what is run under it, seconds.
+/// Duration before the measurement, and of the recorded detections, seconds.
 const WARM_S: usize = 70;
 const TIMED_S: usize = 10;
-/// Half of what a camera sees, metres.
+/// Half of a camera's field of view, metres.
 const HALF_M: [f64; 2] = [6.0, 4.5];
 const SIGMA_M: f64 = 3e-4;
 
@@ -32,10 +32,10 @@ fn watch(criterion: &mut Criterion) {
         let mut watch = Watch::new(WatchParams::default());
         for camera in 0..CAMERAS {
             let covariance = Covariance6::zeros();
-            let placement = CameraPlacement { world_from_camera: place(camera), covariance };
+            let placement = CameraPlacement { world_from_camera: camera_pose(camera), covariance };
             watch.set_camera(CameraId(camera as u32), placement);
         }
-        // Their errors repeat every ten seconds, which the watch does not see.
+        // Detections repeat every ten seconds.
         let seconds: Vec<Vec<FrameObservations>> =
             (0..TIMED_S).map(|second| frames(second, is_coded)).collect();
         let mut run = |second: usize| {
@@ -67,13 +67,13 @@ fn watch(criterion: &mut Criterion) {
 }
 
 /// Nine metres up in four rows of four, looking down.
-fn place(camera: usize) -> Rigid {
+fn camera_pose(camera: usize) -> Rigid {
     let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
     let [x, y] = [camera % 4, camera / 4].map(|it| it as f64 - 1.5);
     Rigid::from_parts(Vector3::new(6.0 * x, 4.5 * y, 9.0).into(), down)
 }
 
-/// Round places in ten rows of twenty, in ten seconds.
+/// Circles of ten seconds, in ten rows of twenty.
 fn robot(index: usize, t: f64) -> Vector3<f64> {
     let [x, y] = [index % 20, index / 20].map(|it| it as f64);
     let (sin, cos) = (std::f64::consts::TAU * t / 10.0 + index as f64).sin_cos();
@@ -81,7 +81,7 @@ fn robot(index: usize, t: f64) -> Vector3<f64> {
     middle + Vector3::new(0.4 * cos, 0.4 * sin, 0.0)
 }
 
-/// All cameras' frames of a second, in the order of their exposures.
+/// Frames of all cameras in one second, ordered by exposure.
 fn frames(second: usize, is_coded: bool) -> Vec<FrameObservations> {
     let mut noise = Noise(second as u64 + 1);
     let mut frames = Vec::new();
@@ -90,13 +90,13 @@ fn frames(second: usize, is_coded: bool) -> Vec<FrameObservations> {
             let t = second as f64 + (number as f64 + camera as f64 / CAMERAS as f64) / RATE_HZ;
             let time = Timestamp::from_ns((t * 1e9) as i64);
             let seen = |index: usize| {
-                let place_m = place(camera).inverse() * Point3::from(robot(index, t));
-                let is_seen = place_m.x.abs() < HALF_M[0] && place_m.y.abs() < HALF_M[1];
-                is_seen.then_some((index, place_m.coords))
+                let position_m = camera_pose(camera).inverse() * Point3::from(robot(index, t));
+                let is_visible = position_m.x.abs() < HALF_M[0] && position_m.y.abs() < HALF_M[1];
+                is_visible.then_some((index, position_m.coords))
             };
-            let detections = (0..ROBOTS).filter_map(seen).map(|(index, place_m)| {
+            let detections = (0..ROBOTS).filter_map(seen).map(|(index, position_m)| {
                 let error = Vector3::from_fn(|_, _| noise.next() * SIGMA_M);
-                detection(index, is_coded, place_m + error, time)
+                detection(index, is_coded, position_m + error, time)
             });
             frames.push(FrameObservations {
                 camera: CameraId(camera as u32),

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use roundel_core::{
     calib::{
         board::Board,
-        lens::{Chooser, LensCalibration, LensCalibrationError, Target, View, calibrate},
+        lens::{LensCalibration, LensCalibrationError, Target, View, ViewSelector, calibrate},
     },
     frame::Frame,
     marker::{CodeLayout, Detector, Mode, Params, Scratch},
@@ -244,14 +244,14 @@ pub fn lens_by(board: Board, pictures: &[Image]) -> Result<LensCalibration, Lens
         .collect();
     let size = pictures.first().map_or((0, 0), |image| (image.width, image.height));
     let target = Target::from(board);
-    let mut chooser = Chooser::new(target.clone(), size, false);
+    let mut selector = ViewSelector::new(target.clone(), size, false);
     for view in views {
-        chooser.offer(view);
+        selector.offer(view);
     }
-    if let Some(other) = chooser.other_board() {
+    if let Some(other) = selector.other_board() {
         return Err(other);
     }
-    calibrate(&target, size, chooser.taken(), None)
+    calibrate(&target, size, selector.taken(), None)
 }
 
 /// What is found in pictures of a chessboard that is described as on the command line.
@@ -272,6 +272,6 @@ pub fn lens_of_chessboard(text: &str, pictures: &[Image]) -> anyhow::Result<Lens
     if let Some(other) = gathered.other_print(true) {
         return Err(other.into());
     }
-    let chooser = &gathered.chooser;
-    Ok(calibrate(chooser.target(), gathered.size, chooser.taken(), None)?)
+    let selector = &gathered.selector;
+    Ok(calibrate(selector.target(), gathered.size, selector.taken(), None)?)
 }

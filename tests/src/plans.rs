@@ -12,9 +12,9 @@ use rayon::prelude::*;
 use roundel_core::{
     marker::{Kind, Mode, Params, Pattern, Polarity},
     plan::{
-        Imaging as PlannedImaging, PlanError, Sensor, Trials,
-        precision::expect,
-        reach::{self, Reach},
+        Imaging as PlannedImaging, PlanError, Sensor, TrialCache,
+        precision::predict,
+        range::{DetectionRange, detection_range},
     },
 };
 
@@ -132,18 +132,18 @@ impl SetUp {
             camera: core_camera(&self.camera).expect("a camera as drawn"),
             imaging: PlannedImaging { noise, blur_px, black, white },
             mode: self.mode,
-            trials: Trials::default(),
+            trials: TrialCache::default(),
         }
     }
 
     /// What the plan says of distances.
-    pub fn planned_reach(&self) -> Result<Reach, PlanError> {
-        reach::reach(&self.sensor(), &self.kind(), self.tilt_rad)
+    pub fn planned_reach(&self) -> Result<DetectionRange, PlanError> {
+        detection_range(&self.sensor(), &self.kind(), self.tilt_rad)
     }
 
     /// The farthest distance at which nine of ten of `count` roundels are found, metres.
     pub fn reach(&self, count: usize) -> Result<Pair, PlanError> {
-        let planned = self.planned_reach()?.most_m;
+        let planned = self.planned_reach()?.max_m;
         let mut simulated = f64::NAN;
         for step in STEPS {
             let distance_m = planned * (1.0 + STEP * f64::from(step));
@@ -174,7 +174,7 @@ impl SetUp {
             let poses = self.course(&mut random);
             let last = poses[poses.len() - 1];
             let truth = last.translation.vector;
-            let Some(expected) = expect(&sensor, None, &kind, &last) else {
+            let Some(expected) = predict(&sensor, None, &kind, &last) else {
                 missed += 1;
                 continue;
             };

@@ -2,7 +2,7 @@
 
 use nalgebra::Point3;
 use roundel_core::{
-    calib::lens::{Target, Verdict, calibrate},
+    calib::lens::{Target, ViewVerdict, calibrate},
     frame::Frame,
 };
 use roundel_server::lab::lens::{
@@ -84,9 +84,9 @@ fn part_of_a_charuco_board_is_a_view_and_part_of_a_chessboard_is_none() {
         BoardSearch::new(&sought(text), false).unwrap().look(&frame(image)).unwrap().0
     };
     let charuco = cut(&charuco_print());
-    assert_eq!(verdict(CHARUCO, &charuco), Verdict::Taken);
+    assert_eq!(verdict(CHARUCO, &charuco), ViewVerdict::Taken);
     let plain = cut(&chessboard_print());
-    assert_eq!(verdict(CHESSBOARD, &plain), Verdict::TooLittle);
+    assert_eq!(verdict(CHESSBOARD, &plain), ViewVerdict::TooLittle);
 }
 
 #[test]
@@ -100,8 +100,8 @@ fn what_is_not_as_described_is_told() {
     }
     // Upright or not is the same.
     let turned = search("chessboard:6x9:25", &pictures).unwrap();
-    let chooser = &turned.gathered().unwrap().chooser;
-    assert_eq!((chooser.taken().len(), chooser.target().columns()), (6, 6));
+    let selector = &turned.gathered().unwrap().selector;
+    assert_eq!((selector.taken().len(), selector.target().columns()), (6, 6));
     // Another dictionary, and no board at all.
     let charuco = rendered(&charuco_print(), 3, 5);
     let other = search("charuco:10x7:25:17.5:DICT_6X6_50", &charuco).unwrap();
@@ -109,8 +109,8 @@ fn what_is_not_as_described_is_told() {
     let gathered = search(CHESSBOARD, &rendered(&Print::plain(0.1, 0.05, 0.1), 2, 5));
     let gathered = gathered.unwrap().into_gathered().unwrap();
     assert_eq!((gathered.without_board, gathered.other_print(true)), (2, None));
-    let target: &Target = gathered.chooser.target();
-    let error = calibrate(target, gathered.size, gathered.chooser.taken(), None).unwrap_err();
+    let target: &Target = gathered.selector.target();
+    let error = calibrate(target, gathered.size, gathered.selector.taken(), None).unwrap_err();
     assert!(error.to_string().contains("found 0"), "{error}");
     let error = |text: &str| BoardSearch::new(&sought(text), false).err().unwrap().to_string();
     let unknown = error("charuco:10x7:25:17.5:DICT_4X4_60");

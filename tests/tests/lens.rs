@@ -30,7 +30,7 @@ fn thirty_views_tell_the_lens() {
     assert!(off_px < 0.5, "{off_px} px");
     assert!(found.rms_px < 0.06, "{} px", found.rms_px);
     assert!(deviations[..2].iter().all(|deviation| *deviation < 0.2), "{deviations:?}");
-    let width = found.width.unwrap();
+    let width = found.diameter_check.unwrap();
     println!("roundels look {} ± {} as wide as said", width.ratio, width.deviation);
     assert!((width.ratio - 1.0).abs() < 0.001 && !width.is_doubtful(), "{width:?}");
 }
@@ -45,7 +45,7 @@ fn a_pitch_that_is_two_percent_off_is_told() {
         let described = |pitch_m: f64| {
             let layout = CodeLayout { bits: 9, min_distance: 1 };
             let board = Board::new((7, 5), pitch_m, 0.03, layout).unwrap();
-            lens_by(board, &views).unwrap().width.unwrap()
+            lens_by(board, &views).unwrap().diameter_check.unwrap()
         };
         let (right, wrong) = (described(0.036), described(0.0367));
         println!("blur {blur_px} px: {right:?}, {wrong:?}");
@@ -67,7 +67,7 @@ fn views_from_one_side_end_in_what_is_missing() {
     let flat: Vec<_> = poses.into_iter().filter(facing).take(6).collect();
     let views = pictures(&truth, imaging(), &board_print(), &flat, 3);
     let error = lens(&views).unwrap_err().to_string();
-    assert!(error.contains("6 views are too much alike to tell the focal length"), "{error}");
+    assert!(error.contains("6 views are too similar to determine the focal length"), "{error}");
     for side in ["right", "left", "lower", "upper"] {
         let expected =
             format!("a view tilted by 20° to 45° with the {side} side nearer to the camera");

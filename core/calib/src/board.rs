@@ -1,15 +1,14 @@
-//! The board that lenses are calibrated with: coded roundels in rows, so that any part of it that is seen
-//! is known.
+//! Calibration board: coded roundels on a grid. Codes identify the visible part of a partly visible board.
 //!
-//! Frame: x to the right and y up on the print, z out of it, the origin in the middle of the board. Numbers
-//! run from 1 at the top left, row by row.
+//! Frame: x right and y up on the print, z out of it, the origin in the middle of the board. Numbers run from 1 at the
+//! top left, row by row.
 
 use nalgebra::{Point2, Point3};
 use thiserror::Error;
 
 use roundel_vision::marker::{Code, CodeError, CodeLayout, Kind, Pattern};
 
-/// A board as printed.
+/// A printed board.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Board {
     columns: usize,
@@ -19,85 +18,85 @@ pub struct Board {
     layout: CodeLayout,
 }
 
-/// Why there is no such board.
+/// Invalid description of a board.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum BoardError {
-    /// Too few roundels to tell a lens, or more than fingers can print.
+    /// Number of columns or rows out of range.
     #[error(
         "expected a board of {} to {} columns and rows, found {columns} x {rows}",
         Board::SIDES.0, Board::SIDES.1
     )]
     Shape {
-        /// As asked for.
+        /// Requested columns.
         columns: usize,
-        /// As asked for.
+        /// Requested rows.
         rows: usize,
     },
-    /// No positive length.
+    /// Diameter not positive.
     #[error("expected an outer diameter above 0 mm, found {found_mm} mm")]
     Diameter {
-        /// As asked for.
+        /// Requested diameter, millimetres.
         found_mm: f64,
     },
-    /// Neighbours touch.
+    /// Adjacent roundels are too close.
     #[error(
-        "expected a pitch (from centre to centre) of at least {} of the outer diameter, {least_mm:.2} mm, \
+        "expected a pitch (from centre to centre) of at least {} of the outer diameter, {min_mm:.2} mm, \
          found {found_mm:.2} mm",
-        Board::LEAST_PITCH
+        Board::MIN_PITCH_RATIO
     )]
     Pitch {
-        /// The least.
-        least_mm: f64,
-        /// As asked for.
+        /// Minimum pitch, millimetres.
+        min_mm: f64,
+        /// Requested pitch, millimetres.
         found_mm: f64,
     },
-    /// No such codes.
+    /// Invalid code layout.
     #[error(transparent)]
     Code(#[from] CodeError),
-    /// Each roundel has a code of its own.
+    /// Fewer codes than roundels.
     #[error(
         "a board of {columns} x {rows} needs {} codes, and there are {count} of {bits} bits at a distance \
          of {min_distance}: use more bits",
         columns * rows
     )]
     Codes {
-        /// The board's.
+        /// Columns of the board.
         columns: usize,
-        /// The board's.
+        /// Rows of the board.
         rows: usize,
-        /// How many there are.
+        /// Number of available codes.
         count: usize,
-        /// The layout's.
+        /// Bits of the code layout.
         bits: u8,
-        /// The layout's.
+        /// Minimum Hamming distance of the code layout.
         min_distance: u8,
     },
 }
 
 impl Board {
-    /// Fewest and most columns and rows.
+    /// Minimum and maximum number of columns and rows.
     pub const SIDES: (usize, usize) = (3, 40);
-    /// Least pitch over the outer diameter: the white between two rings is what their levels come from.
-    pub const LEAST_PITCH: f64 = 1.15;
+    /// Minimum pitch over outer diameter. The white gap between two rings is needed to measure their grey levels.
+    pub const MIN_PITCH_RATIO: f64 = 1.15;
 
-    /// A board of `columns` by `rows` roundels of `outer_diameter_m`, whose centres are `pitch_m` apart.
+    /// A board of `columns` by `rows` roundels of `outer_diameter_m` with centres `pitch_m` apart.
     pub fn new(
         (columns, rows): (usize, usize),
         pitch_m: f64,
         outer_diameter_m: f64,
         layout: CodeLayout,
     ) -> Result<Self, BoardError> {
-        let (least, most) = Self::SIDES;
-        if ![columns, rows].iter().all(|side| (least..=most).contains(side)) {
+        let (min, max) = Self::SIDES;
+        if ![columns, rows].iter().all(|side| (min..=max).contains(side)) {
             return Err(BoardError::Shape { columns, rows });
         }
         if !(outer_diameter_m.is_finite() && outer_diameter_m > 0.0) {
             return Err(BoardError::Diameter { found_mm: outer_diameter_m * 1e3 });
         }
-        let least_m = Self::LEAST_PITCH * outer_diameter_m;
-        // Not `<`: what is no number is no pitch either.
-        if !(pitch_m.is_finite() && pitch_m >= least_m * (1.0 - 1e-9)) {
-            return Err(BoardError::Pitch { least_mm: least_m * 1e3, found_mm: pitch_m * 1e3 });
+        let min_m = Self::MIN_PITCH_RATIO * outer_diameter_m;
+        // Negated so that NaN is rejected.
+        if !(pitch_m.is_finite() && pitch_m >= min_m * (1.0 - 1e-9)) {
+            return Err(BoardError::Pitch { min_mm: min_m * 1e3, found_mm: pitch_m * 1e3 });
         }
         let count = layout.codes()?.len();
         if count < columns * rows {
@@ -107,17 +106,17 @@ impl Board {
         Ok(Self { columns, rows, pitch_m, outer_diameter_m, layout })
     }
 
-    /// The same with other columns and rows; `None`: there is no such board.
-    pub(super) fn with_sides(&self, sides: (usize, usize)) -> Option<Self> {
+    /// The same board with another number of columns and rows; `None` if invalid.
+    pub(crate) fn with_sides(&self, sides: (usize, usize)) -> Option<Self> {
         Self::new(sides, self.pitch_m, self.outer_diameter_m, self.layout).ok()
     }
 
-    /// Whether one of its roundels may have that code, were there enough of them.
-    pub(super) fn may_have(&self, code: Code) -> bool {
+    /// Whether the code belongs to this board's family, whatever its number.
+    pub(crate) fn has_bits_of(&self, code: Code) -> bool {
         code.bits == self.layout.bits
     }
 
-    /// The kind of its roundels.
+    /// Kind of the board's roundels.
     pub fn kind(&self) -> Kind {
         let inner_m = self.outer_diameter_m * CodeLayout::RATIO;
         Kind {
@@ -126,45 +125,45 @@ impl Board {
         }
     }
 
-    /// Roundels in a row.
+    /// Roundels per row.
     pub fn columns(&self) -> usize {
         self.columns
     }
 
-    /// Roundels in a column.
+    /// Roundels per column.
     pub fn rows(&self) -> usize {
         self.rows
     }
 
-    /// How many roundels there are.
+    /// Number of roundels.
     pub fn count(&self) -> usize {
         self.columns * self.rows
     }
 
-    /// From centre to centre, metres.
+    /// Distance of adjacent centres, metres.
     pub fn pitch_m(&self) -> f64 {
         self.pitch_m
     }
 
-    /// Every number with its roundel's centre in the board's frame, metres.
+    /// Numbers and centres of all roundels in the board's frame, metres.
     pub fn centers(&self) -> impl Iterator<Item = (u16, Point2<f64>)> + '_ {
-        (1..=self.count() as u16).filter_map(|number| Some((number, self.flat(number)?)))
+        (1..=self.count() as u16).filter_map(|number| Some((number, self.center_on_print(number)?)))
     }
 
-    /// Where the roundel of that code is in the board's frame, metres; `None`: it is not on the board.
+    /// Centre of the roundel with this code in the board's frame, metres; `None` if the board does not have it.
     pub fn center(&self, code: Code) -> Option<Point3<f64>> {
-        let center = self.flat(code.number).filter(|_| code.bits == self.layout.bits)?;
+        let center = self.center_on_print(code.number).filter(|_| code.bits == self.layout.bits)?;
         Some(Point3::new(center.x, center.y, 0.0))
     }
 
-    /// Where the roundel of that number is on the print, metres.
-    pub(super) fn flat(&self, number: u16) -> Option<Point2<f64>> {
+    /// Centre of the roundel with this number on the print, metres.
+    pub(crate) fn center_on_print(&self, number: u16) -> Option<Point2<f64>> {
         let index = usize::from(number).checked_sub(1).filter(|&index| index < self.count())?;
         let (column, row) = (index % self.columns, index / self.columns);
-        let from_middle = |place: usize, count: usize| place as f64 - (count - 1) as f64 / 2.0;
+        let from_center = |index: usize, count: usize| index as f64 - (count - 1) as f64 / 2.0;
         Some(Point2::new(
-            from_middle(column, self.columns) * self.pitch_m,
-            -from_middle(row, self.rows) * self.pitch_m,
+            from_center(column, self.columns) * self.pitch_m,
+            -from_center(row, self.rows) * self.pitch_m,
         ))
     }
 }
@@ -188,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn impossible_boards_say_what_is_possible() {
+    fn errors_of_boards_name_the_valid_range() {
         let error = |sides, pitch_m, outer_m, layout| {
             Board::new(sides, pitch_m, outer_m, layout).unwrap_err().to_string()
         };

@@ -1,12 +1,12 @@
-//! Chessboards, as other tools print them: what is seen of them are the corners at which four squares meet.
+//! Chessboards printed by other tools. Their targets are the inner corners, where four squares meet.
 //!
-//! Frame: x to the right and y up on the print, z out of it, the origin in the middle. Numbers run from 1 at the top left
-//! corner, row by row. A plain chessboard that is turned by 180° looks the same, and for the lens is the same.
+//! Frame: x right and y up on the print, z out of it, the origin in the middle. Numbers run from 1 at the top left
+//! corner, row by row. A plain chessboard looks the same after a rotation by 180°; the calibration is the same too.
 
 use nalgebra::Point2;
 use thiserror::Error;
 
-/// A chessboard as printed.
+/// A printed chessboard.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Checkerboard {
     columns: usize,
@@ -14,36 +14,36 @@ pub struct Checkerboard {
     square_m: f64,
 }
 
-/// Why there is no such chessboard.
+/// Invalid description of a chessboard.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum CheckerboardError {
-    /// Too few corners to tell a lens, or more than fingers can print.
+    /// Number of inner corners out of range.
     #[error(
         "expected a chessboard of {} to {} inner corners across and down, found {columns} x {rows}",
         Checkerboard::SIDES.0, Checkerboard::SIDES.1
     )]
     Shape {
-        /// As asked for.
+        /// Requested columns.
         columns: usize,
-        /// As asked for.
+        /// Requested rows.
         rows: usize,
     },
-    /// No positive length.
+    /// Side of a square not positive.
     #[error("expected squares of above 0 mm, found {found_mm} mm")]
     Square {
-        /// As asked for.
+        /// Requested side, millimetres.
         found_mm: f64,
     },
 }
 
 impl Checkerboard {
-    /// Fewest and most inner corners across and down.
+    /// Minimum and maximum number of inner corners across and down.
     pub const SIDES: (usize, usize) = (3, 100);
 
-    /// With `columns` by `rows` inner corners, `square_m` apart.
+    /// A chessboard with `columns` by `rows` inner corners, `square_m` apart.
     pub fn new((columns, rows): (usize, usize), square_m: f64) -> Result<Self, CheckerboardError> {
-        let (least, most) = Self::SIDES;
-        if ![columns, rows].iter().all(|side| (least..=most).contains(side)) {
+        let (min, max) = Self::SIDES;
+        if ![columns, rows].iter().all(|side| (min..=max).contains(side)) {
             return Err(CheckerboardError::Shape { columns, rows });
         }
         if !(square_m.is_finite() && square_m > 0.0) {
@@ -52,12 +52,12 @@ impl Checkerboard {
         Ok(Self { columns, rows, square_m })
     }
 
-    /// Inner corners in a row.
+    /// Inner corners per row.
     pub fn columns(&self) -> usize {
         self.columns
     }
 
-    /// Inner corners in a column.
+    /// Inner corners per column.
     pub fn rows(&self) -> usize {
         self.rows
     }
@@ -67,21 +67,21 @@ impl Checkerboard {
         self.square_m
     }
 
-    /// The number of the corner in that column and row, from 0 at the top left.
+    /// Number of the corner in this column and row, which count from 0 at the top left.
     pub fn number(&self, column: usize, row: usize) -> Option<u16> {
-        let is_there = column < self.columns && row < self.rows;
-        is_there.then_some((row * self.columns + column + 1) as u16)
+        let exists = column < self.columns && row < self.rows;
+        exists.then_some((row * self.columns + column + 1) as u16)
     }
 
-    /// Where the corner of that number is in the board's frame, metres; `None`: it is not on the board.
+    /// Position of the corner with this number in the board's frame, metres; `None` if the board does not have it.
     pub fn corner(&self, number: u16) -> Option<Point2<f64>> {
         let index = usize::from(number).checked_sub(1)?;
         let (column, row) = (index % self.columns, index / self.columns);
-        let from_middle = |place: usize, count: usize| place as f64 - (count - 1) as f64 / 2.0;
+        let from_center = |index: usize, count: usize| index as f64 - (count - 1) as f64 / 2.0;
         (row < self.rows).then(|| {
             Point2::new(
-                from_middle(column, self.columns) * self.square_m,
-                -from_middle(row, self.rows) * self.square_m,
+                from_center(column, self.columns) * self.square_m,
+                -from_center(row, self.rows) * self.square_m,
             )
         })
     }
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn impossible_chessboards_say_what_is_possible() {
+    fn errors_of_chessboards_name_the_valid_range() {
         let error = |sides, square_m| Checkerboard::new(sides, square_m).unwrap_err().to_string();
         assert!(
             error((9, 2), 0.025).contains("3 to 100 inner corners across and down, found 9 x 2")

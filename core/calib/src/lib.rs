@@ -1,8 +1,15 @@
-//! What is measured once, so that everything else can be right: lenses, with the board for that, and where cameras
-//! stand.
+//! Calibration: lenses, camera poses, and the supervision of camera poses.
+//!
+//! | module | input | output |
+//! | --- | --- | --- |
+//! | [`lens`] | views of a [`board`] or [`checkerboard`], or moving roundels | camera parameters with covariance |
+//! | [`arena`] | a recording of moving roundels, reference roundels | pose and clock of every camera |
+//! | [`watch`] | live detections of all cameras | cameras that were moved or drift |
 
 pub mod arena;
 pub mod board;
 pub mod checkerboard;
+mod least_squares;
 pub mod lens;
+mod robust;
 pub mod watch;

@@ -1,55 +1,55 @@
-//! What cameras and roundels would reach before anybody has bought or printed them: the sensor model of the
-//! paper's section 5, and ours where ours is better founded.
+//! Predicts what cameras and roundels can do before they are bought or printed. Extends the sensor model of the paper's
+//! section 5.
 //!
 //! | question | module | paper |
 //! | --- | --- | --- |
-//! | how a roundel is imaged, and whether it is found and read | [`sight`] | eq. (12), D of eq. (14) |
-//! | how near and how far, how wide | [`reach`] | eqs. (13) to (16) |
-//! | how exactly | [`precision`] | eqs. (17) to (19) |
-//! | all of it, and how fast, as the paper has it | [`paper`] | eqs. (12) to (20) |
+//! | whether a roundel is detected and its code read | [`visibility`] | eq. (12), D of eq. (14) |
+//! | range and field of view | [`range`] | eqs. (13) to (16) |
+//! | precision | [`precision`] | eqs. (17) to (19) |
+//! | the paper's predictions | [`paper`] | eqs. (12) to (20) |
 //! | several cameras over an arena | [`map`] | – |
-//! | which roundel, how many cameras and where | [`search`] | – |
+//! | required roundel, number and positions of cameras | [`search`] | – |
 //!
-//! A roundel's rims are projected through the whole lens model; the detector's own limits say whether they would
-//! be found; and the covariance is what [`roundel_vision::pose::locate`] says of such rims, with the noise that the picture
-//! leaves them ([`precision`]). Over an arena it is carried into the world by the very code that carries
-//! detections there ([`roundel_fusion::world::seen_in_world`]).
+//! The rims of a roundel are projected through the whole lens model ([`roundel_image`]); the detector's limits decide
+//! whether they are detected; [`roundel_vision::pose::locate`] gives the covariance for the rim noise that the picture
+//! causes. Over an arena, [`roundel_fusion::world::seen_in_world`] carries it into the world, as in fusion.
 //!
-//! What no formula foretells well, the least diameter that is found and how exactly small rings are located, is tried with
-//! the real detector on pictures drawn for that (`tried`, `trial`, `shot`); what was tried is kept in [`Trials`]. The
-//! pictures are drawn by code of their own, which neither the demo nor what judges the plan shares.
+//! The minimum diameter and the precision of small rings have no good formula. They are measured with the real detector on
+//! rendered rings (`monte_carlo`, `ring_trial`, `ring_image`) and cached in [`TrialCache`]. The renderer shares no code
+//! with the demo's or with the one that judges the predictions.
 //!
-//! How well this foretells what happens: `cargo run --release -p roundel-tests --bin plans`, a hundred set-ups
-//! rendered, detected and located.
+//! Accuracy: `cargo run --release -p roundel-tests --bin plans` compares predictions with a hundred rendered set-ups.
 
 pub mod map;
+mod monte_carlo;
 pub mod paper;
+mod pose_model;
 pub mod precision;
-pub mod reach;
-mod rim;
+pub mod range;
+mod rim_noise;
+mod ring_image;
+mod ring_trial;
+pub mod roundel_image;
 pub mod search;
-mod shot;
-pub mod sight;
-mod trial;
-mod tried;
+pub mod visibility;
 
+pub use monte_carlo::TrialCache;
 use thiserror::Error;
-pub use tried::Trials;
 
 use roundel_vision::{
     camera::Camera,
     marker::{DetectorError, Kind, Mode, Params},
 };
 
-/// Grey levels there are.
+/// White level.
 const FULL_SCALE: f64 = 255.0;
 
-/// How a camera images.
+/// Image quality of a camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Imaging {
-    /// Deviation of the noise, grey levels of 255.
+    /// Standard deviation of the noise, grey levels of 255.
     pub noise: f64,
-    /// Deviation of the lens' blur, pixels.
+    /// Standard deviation of the lens' blur, pixels.
     pub blur_px: f64,
     /// Grey level of black print.
     pub black: f64,
@@ -58,26 +58,26 @@ pub struct Imaging {
 }
 
 impl Default for Imaging {
-    /// A middling camera in a lit room.
+    /// A typical camera in a lit lab.
     fn default() -> Self {
         Self { noise: 2.0, blur_px: 0.7, black: 40.0, white: 200.0 }
     }
 }
 
-/// A camera with how it images and how its pictures are searched.
+/// A camera with its image quality and the mode of its detector.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sensor {
-    /// Its model.
+    /// Intrinsics.
     pub camera: Camera,
-    /// Its pictures.
+    /// Image quality.
     pub imaging: Imaging,
-    /// What is worth more.
+    /// Mode of the detector.
     pub mode: Mode,
-    /// What was tried of its pictures; sensors that share it are tried once.
-    pub trials: Trials,
+    /// Cached trials; sensors may share them.
+    pub trials: TrialCache,
 }
 
-/// Why there is no plan.
+/// Why a prediction is impossible.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum PlanError {
     /// A number is out of range.
@@ -85,18 +85,18 @@ pub enum PlanError {
     Value {
         /// Name of the number.
         field: &'static str,
-        /// The range it must lie in.
+        /// Valid range.
         expected: &'static str,
-        /// What came.
+        /// The given number.
         found: f64,
     },
-    /// The detector knows no such roundel.
+    /// The detector does not support the kind.
     #[error(transparent)]
     Kind(#[from] DetectorError),
-    /// It is found, or its code read, nowhere before this camera.
+    /// The roundel is not detected, or its code not read, at any distance.
     #[error(
-        "a roundel of {outer_mm} mm tilted by {tilt_deg:.0}° is {wanted} at no distance from this camera, in which it \
-         is at most {most_px:.1} px wide where it fits in, of {least_px:.1} that it takes; take a longer focal length, \
+        "a roundel of {outer_mm} mm tilted by {tilt_deg:.0}° is {requirement} at no distance from this camera, in which it \
+         is at most {max_px:.1} px wide where it fits in, of {min_px:.1} that it takes; take a longer focal length, \
          more pixels or less tilt"
     )]
     NoReach {
@@ -104,38 +104,38 @@ pub enum PlanError {
         outer_mm: f64,
         /// Tilt, degrees.
         tilt_deg: f64,
-        /// What has to be at a distance that counts.
-        wanted: &'static str,
-        /// Widest it gets while it is wholly in the picture, pixels.
-        most_px: f64,
-        /// The shorter diameter that it takes, pixels.
-        least_px: f64,
+        /// What is required of the roundel.
+        requirement: &'static str,
+        /// Maximum diameter within the picture, pixels.
+        max_px: f64,
+        /// Required shorter diameter, pixels.
+        min_px: f64,
     },
-    /// Nothing that was tried does what is wanted.
+    /// The search found no solution.
     #[error("{0}")]
     Unreachable(String),
 }
 
 impl Imaging {
-    /// Checks each number on its own.
+    /// Checks the range of each number.
     pub fn check(&self) -> Result<(), PlanError> {
         within("noise", self.noise, [0.0, 60.0], "0 to 60 grey levels")?;
         within("blur", self.blur_px, [0.1, 5.0], "0.1 to 5 px")?;
         within("black", self.black, [0.0, FULL_SCALE], "0 to 255 grey levels")?;
         within("white", self.white, [0.0, FULL_SCALE], "0 to 255 grey levels")?;
-        let least = f64::from(Params::default().min_contrast);
+        let min = f64::from(Params::default().min_contrast);
         let contrast = self.white - self.black;
-        within("white less black", contrast, [least, FULL_SCALE], "at least 20 grey levels")
+        within("white less black", contrast, [min, FULL_SCALE], "at least 20 grey levels")
     }
 
-    /// White less black, grey levels.
+    /// White minus black, grey levels.
     pub fn contrast(&self) -> f64 {
         self.white - self.black
     }
 }
 
 impl Sensor {
-    /// Checks how it images; the camera's model has been checked already.
+    /// Checks the image quality and the kind.
     pub fn check(&self, kind: &Kind) -> Result<(), PlanError> {
         self.imaging.check()?;
         roundel_vision::marker::Detector::new(vec![kind.clone()], Params::default())?;
@@ -143,7 +143,7 @@ impl Sensor {
     }
 }
 
-/// Also refuses NaN.
+/// Rejects NaN too.
 fn within(
     field: &'static str,
     found: f64,
@@ -162,10 +162,12 @@ mod tests {
     use nalgebra::{DMatrix, Translation3, UnitQuaternion, Vector3};
 
     use super::{
-        map::{Field, Station, map},
-        precision::LensDoubt,
-        reach::reach,
-        search::{Wish, fewest, fewest_of_any_size, scaled, smallest_m},
+        map::{MapArea, PlacedCamera, map},
+        precision::LensUncertainty,
+        range::detection_range,
+        search::{
+            Requirements, fewest_cameras, fewest_cameras_of_any_size, scaled, smallest_diameter_m,
+        },
         *,
     };
     use roundel_fusion::world::CameraPlacement;
@@ -191,7 +193,7 @@ mod tests {
             camera,
             imaging: Imaging::default(),
             mode: Mode::Precise,
-            trials: Trials::default(),
+            trials: TrialCache::default(),
         }
     }
 
@@ -200,108 +202,113 @@ mod tests {
     }
 
     #[test]
-    fn without_distortion_ranges_are_the_papers_but_for_the_least_diameter() {
-        let found = reach(&sensor(), &kind(), 0.0).unwrap();
+    fn ranges_without_distortion_match_the_paper() {
+        let found = detection_range(&sensor(), &kind(), 0.0).unwrap();
         let paper = paper::Pinhole {
             size_px: [640.0, 480.0],
             focal_px: [700.0; 2],
             outer_m: 0.16,
             tilt_rad: [0.0; 2],
-            least_px: found.least_minor_px,
+            min_px: found.min_minor_px,
             shrink: [1.0; 2],
         };
         let near = |one: f64, other: f64| (one / other - 1.0).abs() < 0.02;
-        assert!(near(found.most_m, paper.most_distance_m()), "{found:?}");
-        assert!(near(found.most_corner_m, found.most_m), "{found:?}");
-        assert!(near(found.least_m, paper.least_distance_m()), "{found:?}");
-        // The paper leaves out two diameters, of which one would do.
+        assert!(near(found.max_m, paper.max_distance_m()), "{found:?}");
+        assert!(near(found.max_corner_m, found.max_m), "{found:?}");
+        assert!(near(found.min_m, paper.min_distance_m()), "{found:?}");
+        // The paper subtracts two diameters, where one suffices.
         let base_m = [0, 1].map(|axis| paper.base_m()[axis] + paper.outer_m);
         assert!(near(found.base_m[0], base_m[0]) && near(found.base_m[1], base_m[1]), "{found:?}");
-        let tilted = reach(&sensor(), &kind(), 0.7).unwrap();
-        assert!(tilted.most_m < 0.9 * found.most_m);
+        let tilted = detection_range(&sensor(), &kind(), 0.7).unwrap();
+        assert!(tilted.max_m < 0.9 * found.max_m);
     }
 
-    /// The same print with teeth.
+    /// The same print with a code.
     fn coded(bits: u8) -> Kind {
         let pattern = Pattern::Coded(CodeLayout { bits, min_distance: 1 });
         Kind { pattern, ..Kind::plain("robot", 0.16, 0.16 * CodeLayout::RATIO) }
     }
 
     #[test]
-    fn a_code_is_read_less_far_than_its_ring_is_found() {
-        for (bits, least_px) in [(5, 30.0), (8, 36.0), (10, 48.0), (12, 60.0), (16, 90.0)] {
-            let found = reach(&sensor(), &coded(bits), 0.0).unwrap();
-            assert_eq!(found.least_minor_px, least_px);
-            let by_pinhole_m = 700.0 * 0.16 / least_px;
-            assert!((found.most_m / by_pinhole_m - 1.0).abs() < 0.02, "{bits}: {found:?}");
+    fn a_code_has_a_shorter_range_than_its_ring() {
+        for (bits, min_px) in [(5, 30.0), (8, 36.0), (10, 48.0), (12, 60.0), (16, 90.0)] {
+            let found = detection_range(&sensor(), &coded(bits), 0.0).unwrap();
+            assert_eq!(found.min_minor_px, min_px);
+            let by_pinhole_m = 700.0 * 0.16 / min_px;
+            assert!((found.max_m / by_pinhole_m - 1.0).abs() < 0.02, "{bits}: {found:?}");
             let ring = found.unread.unwrap();
-            assert!(ring.least_minor_px < 20.0 && ring.most_m > 1.5 * found.most_m, "{found:?}");
+            assert!(ring.min_minor_px < 20.0 && ring.max_m > 1.5 * found.max_m, "{found:?}");
         }
-        assert_eq!(reach(&sensor(), &kind(), 0.0).unwrap().unread, None);
-        let face_on = reach(&sensor(), &coded(8), 0.0).unwrap();
-        let tilted = reach(&sensor(), &coded(8), 0.8).unwrap();
-        let ratio = tilted.most_m / face_on.most_m;
+        assert_eq!(detection_range(&sensor(), &kind(), 0.0).unwrap().unread, None);
+        let face_on = detection_range(&sensor(), &coded(8), 0.0).unwrap();
+        let tilted = detection_range(&sensor(), &coded(8), 0.8).unwrap();
+        let ratio = tilted.max_m / face_on.max_m;
         assert!((ratio / 0.8f64.cos() - 1.0).abs() < 0.02, "{tilted:?}");
-        assert!(tilted.most_corner_m <= tilted.most_m && tilted.base_m[0] < face_on.base_m[0]);
+        assert!(tilted.max_corner_m <= tilted.max_m && tilted.base_m[0] < face_on.base_m[0]);
     }
 
     #[test]
-    fn what_covers_an_arena_reads_its_codes() {
+    fn coverage_of_coded_roundels_requires_reading_the_code() {
         let at = (4.0, 0.0);
-        let [plain_m, coded_m] =
-            [kind(), coded(8)].map(|kind| smallest_m(&sensor(), None, &kind, at, None).unwrap());
+        let [plain_m, coded_m] = [kind(), coded(8)]
+            .map(|kind| smallest_diameter_m(&sensor(), None, &kind, at.0, at.1, None).unwrap());
         assert!(plain_m < 0.5 * coded_m && (coded_m / (36.0 * 4.0 / 700.0) - 1.0).abs() < 0.02);
         // From 3.5 m the ring is 32 px wide.
         let mut stations = row(&[0.0]);
         let lift = Translation3::new(0.0, 0.0, 0.5);
         let place = &mut stations[0].place;
         place.world_from_camera = lift * place.world_from_camera;
-        let field = Field { low_m: [-0.5, -0.4], high_m: [0.5, 0.4], height_m: 0.0, step_m: 0.1 };
+        let area = MapArea { min_m: [-0.5, -0.4], max_m: [0.5, 0.4], height_m: 0.0, step_m: 0.1 };
         let [plain, unread, read] = [kind(), coded(8), scaled(&coded(8), 0.2)]
-            .map(|kind| map(&stations, &kind, field).unwrap().summary().seen_share);
+            .map(|kind| map(&stations, &kind, area).unwrap().summary().seen_share);
         assert_eq!([plain, unread, read], [1.0, 0.0, 1.0]);
-        let wish = Wish { field, mount_m: [3.0, 3.5], views: 1, share: 1.0, most_m: None };
-        let grid = fewest(&sensor(), None, &coded(8), &wish).unwrap();
+        let requirements =
+            Requirements { area, mount_m: [3.0, 3.5], views: 1, share: 1.0, max_m: None };
+        let grid = fewest_cameras(&sensor(), None, &coded(8), &requirements).unwrap();
         assert!(grid.mount_m < 3.2, "{}", grid.mount_m);
-        let refused = fewest(&sensor(), None, &coded(12), &wish).unwrap_err().to_string();
+        let refused =
+            fewest_cameras(&sensor(), None, &coded(12), &requirements).unwrap_err().to_string();
         assert!(refused.contains("is found and its code read from"), "{refused}");
         assert!(refused.contains("hang 3.00 to 3.50 m above it"), "{refused}");
-        let refused = smallest_m(&sensor(), None, &coded(8), (1e4, 0.0), None).unwrap_err();
+        let refused = smallest_diameter_m(&sensor(), None, &coded(8), 1e4, 0.0, None).unwrap_err();
         assert!(refused.to_string().contains("found and its code read at 10000 m"), "{refused}");
     }
 
     #[test]
-    fn the_roundel_that_an_arena_asks_for_does_it_with_the_fewest_cameras() {
-        let field = Field { low_m: [-1.2, -0.9], high_m: [1.2, 0.9], height_m: 0.0, step_m: 0.1 };
-        let most_m = Some(1.5e-3);
-        let wish = Wish { field, mount_m: [2.0, 3.5], views: 1, share: 0.95, most_m };
-        let (outer_m, grid) = fewest_of_any_size(&sensor(), None, &kind(), &wish).unwrap();
-        // It does what is wished, and so many cameras do it with it.
-        let own = fewest(&sensor(), None, &scaled(&kind(), outer_m), &wish).unwrap();
+    fn the_searched_roundel_needs_the_fewest_cameras() {
+        let area = MapArea { min_m: [-1.2, -0.9], max_m: [1.2, 0.9], height_m: 0.0, step_m: 0.1 };
+        let max_m = Some(1.5e-3);
+        let requirements = Requirements { area, mount_m: [2.0, 3.5], views: 1, share: 0.95, max_m };
+        let (outer_m, grid) =
+            fewest_cameras_of_any_size(&sensor(), None, &kind(), &requirements).unwrap();
+        // It meets the requirements with the same number of cameras.
+        let own =
+            fewest_cameras(&sensor(), None, &scaled(&kind(), outer_m), &requirements).unwrap();
         assert_eq!(own.stations.len(), grid.stations.len(), "{outer_m}");
-        // Fewer do not, however large it is.
+        // No larger roundel needs fewer cameras.
         for larger in [1.0, 1.5, 2.5, 4.0] {
-            let found = fewest(&sensor(), None, &scaled(&kind(), larger * outer_m), &wish);
+            let found =
+                fewest_cameras(&sensor(), None, &scaled(&kind(), larger * outer_m), &requirements);
             assert!(found.map_or(usize::MAX, |it| it.stations.len()) >= grid.stations.len());
         }
     }
 
     #[test]
-    fn a_lens_that_shrinks_corners_sees_less_far_there() {
+    fn barrel_distortion_reduces_the_range_in_corners() {
         let mut bent = sensor();
         let lens = Lens::PlumbBob([-0.2, 0.02, 0.0, 0.0, 0.0]);
         let intrinsics = Intrinsics { lens, ..bent.camera.intrinsics().clone() };
         bent.camera = Camera::new(intrinsics).unwrap();
-        let found = reach(&bent, &kind(), 0.0).unwrap();
-        assert!(found.most_corner_m < 0.95 * found.most_m, "{found:?}");
+        let found = detection_range(&bent, &kind(), 0.0).unwrap();
+        assert!(found.max_corner_m < 0.95 * found.max_m, "{found:?}");
     }
 
     #[test]
-    fn what_cannot_be_planned_says_why() {
+    fn errors_name_the_wrong_value() {
         let refused = |change: &dyn Fn(&mut Sensor), kind: &Kind, tilt_rad: f64| {
             let mut sensor = sensor();
             change(&mut sensor);
-            reach(&sensor, kind, tilt_rad).unwrap_err().to_string()
+            detection_range(&sensor, kind, tilt_rad).unwrap_err().to_string()
         };
         let as_is = |_: &mut Sensor| {};
         assert!(
@@ -320,26 +327,28 @@ mod tests {
     }
 
     #[test]
-    fn the_smallest_roundel_does_it_and_a_smaller_one_does_not() {
+    fn the_smallest_roundel_is_just_sufficient() {
         let at = (8.0, 0.3);
-        let outer_m = smallest_m(&sensor(), None, &kind(), at, Some(2e-3)).unwrap();
+        let outer_m =
+            smallest_diameter_m(&sensor(), None, &kind(), at.0, at.1, Some(2e-3)).unwrap();
         let error_m = |outer_m: f64| {
-            let pose = reach::before(NormalizedPoint::default(), at.0, at.1);
+            let pose = range::pose_in_front(NormalizedPoint::default(), at.0, at.1);
             let kind = scaled(&kind(), outer_m);
-            precision::expect(&sensor(), None, &kind, &pose).map(|it| it.position_m())
+            precision::predict(&sensor(), None, &kind, &pose).map(|it| it.position_m())
         };
         assert!(error_m(outer_m).unwrap() <= 2e-3);
         assert!(error_m(0.98 * outer_m).is_none_or(|error_m| error_m > 2e-3));
-        let refused = smallest_m(&sensor(), None, &kind(), at, Some(1e-6)).unwrap_err();
+        let refused =
+            smallest_diameter_m(&sensor(), None, &kind(), at.0, at.1, Some(1e-6)).unwrap_err();
         assert!(refused.to_string().contains("the best of this camera is"), "{refused}");
     }
 
-    /// Cameras along x that look straight down from 3 m.
-    fn row(places_m: &[f64]) -> Vec<Station> {
+    /// Cameras along x, 3 m up and looking straight down.
+    fn row(places_m: &[f64]) -> Vec<PlacedCamera> {
         let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
-        let station = |&x_m: &f64| Station {
+        let station = |&x_m: &f64| PlacedCamera {
             sensor: sensor(),
-            doubt: None,
+            lens_uncertainty: None,
             place: CameraPlacement {
                 world_from_camera: Rigid::from_parts(Translation3::new(x_m, 0.0, 3.0), down),
                 covariance: Covariance6::zeros(),
@@ -350,73 +359,87 @@ mod tests {
     }
 
     #[test]
-    fn where_two_cameras_see_a_roundel_it_is_known_better() {
-        let field = Field { low_m: [-0.5, -0.4], high_m: [0.5, 0.4], height_m: 0.2, step_m: 0.1 };
-        let one = map(&row(&[0.2]), &kind(), field).unwrap();
-        let two = map(&row(&[0.2, -0.2]), &kind(), field).unwrap();
+    fn two_cameras_are_more_precise_than_one() {
+        let area = MapArea { min_m: [-0.5, -0.4], max_m: [0.5, 0.4], height_m: 0.2, step_m: 0.1 };
+        let one = map(&row(&[0.2]), &kind(), area).unwrap();
+        let two = map(&row(&[0.2, -0.2]), &kind(), area).unwrap();
         assert_eq!((one.columns, one.rows, one.spots.len()), (11, 9, 99));
         for (one, two) in one.spots.iter().zip(&two.spots) {
             assert_eq!((one.cameras, two.cameras), (1, 2));
             let ratio = two.deviation.unwrap().total_m / one.deviation.unwrap().total_m;
             assert!((0.1..0.9).contains(&ratio), "{ratio}");
         }
-        // Depth, which is upright here, is what a camera knows worst.
+        // The depth, vertical here, is the least precise.
         let deviation = one.spots[49].deviation.unwrap();
         assert!(deviation.upright_m > 2.0 * deviation.level_m, "{deviation:?}");
-        let far = Field { low_m: [5.0, 5.0], high_m: [6.0, 6.0], ..field };
+        let far = MapArea { min_m: [5.0, 5.0], max_m: [6.0, 6.0], ..area };
         let unseen = map(&row(&[0.0]), &kind(), far).unwrap();
         assert!(unseen.summary().seen_share == 0.0 && unseen.summary().median_m.is_nan());
-        // What each sees is what it would see alone.
-        let wide = Field { low_m: [-3.0, -1.0], high_m: [2.0, 1.0], ..field };
+        // The share of each camera is the one it has alone.
+        let wide = MapArea { min_m: [-3.0, -1.0], max_m: [2.0, 1.0], ..area };
         let places_m = [1.5, -1.0];
         let both = map(&row(&places_m), &kind(), wide).unwrap();
         let alone = places_m.map(|x| map(&row(&[x]), &kind(), wide).unwrap().summary().seen_share);
         assert_eq!(both.seen_shares, alone);
         assert!(0.0 < alone[0] && alone[0] < alone[1] && alone[1] < 1.0, "{alone:?}");
-        let seen = Field::seen_by(&row(&[0.0]), 0.2, 100).unwrap();
-        assert!((seen.high_m[0] - 2.8 * 320.0 / 700.0).abs() < 0.01, "{seen:?}");
+        let seen = MapArea::seen_by(&row(&[0.0]), 0.2, 100).unwrap();
+        assert!((seen.max_m[0] - 2.8 * 320.0 / 700.0).abs() < 0.01, "{seen:?}");
     }
 
     #[test]
-    fn doubtful_lenses_make_a_map_worse_each_by_itself() {
-        let field = Field { low_m: [-0.5, -0.4], high_m: [0.5, 0.4], height_m: 0.2, step_m: 0.1 };
-        // Both focal lengths off together by half a percent.
+    fn uncertain_lenses_are_independent() {
+        let area = MapArea { min_m: [-0.5, -0.4], max_m: [0.5, 0.4], height_m: 0.2, step_m: 0.1 };
+        // Both focal lengths are off by the same half percent.
         let mut covariance = DMatrix::zeros(4, 4);
         covariance.view_mut((0, 0), (2, 2)).fill(3.5f64.powi(2));
-        let doubt = LensDoubt { free: Vec::new(), covariance };
-        let upright_m = |places_m: &[f64], doubt: Option<&LensDoubt>| {
+        let lens_uncertainty = LensUncertainty { free: Vec::new(), covariance };
+        let upright_m = |places_m: &[f64], lens_uncertainty: Option<&LensUncertainty>| {
             let mut stations = row(places_m);
-            stations.iter_mut().for_each(|station| station.doubt = doubt.cloned());
-            map(&stations, &kind(), field).unwrap().spots[49].deviation.unwrap().upright_m
+            stations
+                .iter_mut()
+                .for_each(|station| station.lens_uncertainty = lens_uncertainty.cloned());
+            map(&stations, &kind(), area).unwrap().spots[49].deviation.unwrap().upright_m
         };
-        let (exact_m, doubtful_m) = (upright_m(&[0.0], None), upright_m(&[0.0], Some(&doubt)));
+        let (exact_m, doubtful_m) =
+            (upright_m(&[0.0], None), upright_m(&[0.0], Some(&lens_uncertainty)));
         let by_lens_m = (doubtful_m.powi(2) - exact_m.powi(2)).sqrt();
         assert!((by_lens_m / (0.005 * 2.8) - 1.0).abs() < 0.1, "{exact_m} {doubtful_m}");
-        // What one lens is off by says nothing of the other.
-        let both_m = upright_m(&[0.0, 0.0], Some(&doubt));
+        // Errors of the two lenses are independent.
+        let both_m = upright_m(&[0.0, 0.0], Some(&lens_uncertainty));
         assert!((both_m / doubtful_m - 0.5f64.sqrt()).abs() < 1e-6, "{both_m} {doubtful_m}");
     }
 
     #[test]
     fn the_fewest_cameras_cover_the_arena() {
-        let field = Field { low_m: [-2.0, -0.85], high_m: [2.0, 0.85], height_m: 0.0, step_m: 0.1 };
-        let wish = Wish { field, mount_m: [3.0, 3.0], views: 1, share: 0.98, most_m: None };
-        let grid = fewest(&sensor(), None, &kind(), &wish).unwrap();
-        // A picture shows 2.74 x 2.06 m of the floor.
+        let area = MapArea { min_m: [-2.0, -0.85], max_m: [2.0, 0.85], height_m: 0.0, step_m: 0.1 };
+        let requirements =
+            Requirements { area, mount_m: [3.0, 3.0], views: 1, share: 0.98, max_m: None };
+        let grid = fewest_cameras(&sensor(), None, &kind(), &requirements).unwrap();
+        // A picture covers 2.74 x 2.06 m of the floor.
         assert_eq!(grid.counts, [2, 1], "{:?}", grid.map.summary());
         assert!(grid.map.summary().seen_share >= 0.98);
-        let twice = fewest(&sensor(), None, &kind(), &Wish { views: 2, ..wish }).unwrap();
+        let twice =
+            fewest_cameras(&sensor(), None, &kind(), &Requirements { views: 2, ..requirements })
+                .unwrap();
         assert!(twice.stations.len() > 2 && twice.map.summary().twice_share >= 0.98);
-        let refused = fewest(&sensor(), None, &scaled(&kind(), 0.008), &wish).unwrap_err();
+        let refused =
+            fewest_cameras(&sensor(), None, &scaled(&kind(), 0.008), &requirements).unwrap_err();
         assert!(refused.to_string().contains("hang 3.00 to 3.00 m above it"), "{refused}");
-        let low = fewest(&sensor(), None, &kind(), &Wish { mount_m: [-1.0, 2.0], ..wish });
+        let low = fewest_cameras(
+            &sensor(),
+            None,
+            &kind(),
+            &Requirements { mount_m: [-1.0, 2.0], ..requirements },
+        );
         assert!(low.unwrap_err().to_string().starts_with("mount: expected metres, 0.05"));
-        // Where the lowest mount is too near, a higher one does it.
-        let wide = Wish { mount_m: [0.1, 3.0], share: 0.6, ..wish };
-        assert!(fewest(&sensor(), None, &kind(), &wide).unwrap().mount_m > 1.0);
-        // An arena that all cameras together are too few for.
-        let field = Field { low_m: [-400.0; 2], high_m: [400.0; 2], ..wish.field };
-        let refused = fewest(&sensor(), None, &kind(), &Wish { field, ..wish }).unwrap_err();
+        // The lowest mount is too near, a higher one suffices.
+        let wide = Requirements { mount_m: [0.1, 3.0], share: 0.6, ..requirements };
+        assert!(fewest_cameras(&sensor(), None, &kind(), &wide).unwrap().mount_m > 1.0);
+        // An arena too large for the maximum number of cameras.
+        let area = MapArea { min_m: [-400.0; 2], max_m: [400.0; 2], ..requirements.area };
+        let refused =
+            fewest_cameras(&sensor(), None, &kind(), &Requirements { area, ..requirements })
+                .unwrap_err();
         assert!(
             refused.to_string().contains("64 times the 6 m² that one sees from 3 m"),
             "{refused}"

@@ -1,13 +1,12 @@
-//! What several cameras would make of roundels all over an arena.
+//! Coverage and precision over an arena with several cameras.
 //!
-//! At each spot of a level grid a roundel lies face up. Each camera that would find it and, if it is coded, read its
-//! code gives a detection with its expected covariance ([`super::precision`], what its lens leaves open included),
-//! carried into the world as fusion does it ([`roundel_fusion::world::seen_in_world`]: the camera's own place and the floor of
-//! what is believed included). Of detections at one instant fusion's update leaves (Σ Cᵢ⁻¹)⁻¹; so much is known of one
-//! set of frames, before time averages anything. Lenses of several cameras are off each by itself, so that more cameras
-//! help; all roundels that one camera sees its lens moves alike, so that distances between neighbours are known better
-//! than each place. A camera that finds a coded ring and does not read it is left out, though fusion takes what it sees
-//! of one that another camera has read.
+//! At each spot of a horizontal grid a roundel lies face up. Each camera that detects it and reads its code contributes a
+//! detection with the predicted covariance ([`super::precision`], including the lens), carried into the world as in fusion
+//! ([`roundel_fusion::world::seen_in_world`], including the camera's pose and the minimum covariance). The combined
+//! covariance (Σ Cᵢ⁻¹)⁻¹ is that of one set of frames without filtering over time. Lens errors of different cameras are
+//! independent; those of one camera shift all its roundels alike, so distances of neighbours are more precise than
+//! positions. A camera that does not read the code is left out, although fusion may use its detection of a roundel that
+//! another camera has identified.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -16,7 +15,7 @@ use rayon::prelude::*;
 
 use super::{
     PlanError, Sensor,
-    precision::{LensDoubt, expect},
+    precision::{LensUncertainty, predict},
     within,
 };
 use roundel_fusion::world::{CameraPlacement, FusionParams, seen_in_world};
@@ -26,96 +25,96 @@ use roundel_vision::{
     rigid::Rigid,
 };
 
-/// Most spots of a map.
-pub const MOST_SPOTS: usize = 1_000_000;
-/// Rays along each side of a picture that say where it looks.
-const RAYS: usize = 8;
-/// What is looked at goes no farther than this from a camera, metres.
-const FARTHEST_M: f64 = 60.0;
+/// Maximum number of spots.
+pub const MAX_SPOTS: usize = 1_000_000;
+/// Rays per side of a picture for its footprint.
+const RAYS_PER_SIDE: usize = 8;
+/// Maximum distance of a footprint from its camera, metres.
+const MAX_DISTANCE_M: f64 = 60.0;
 
-/// A camera that stands.
+/// A camera with its pose.
 #[derive(Clone, Debug)]
-pub struct Station {
+pub struct PlacedCamera {
     /// The camera.
     pub sensor: Sensor,
-    /// How well its lens is known; `None`: exactly.
-    pub doubt: Option<LensDoubt>,
-    /// Where it stands, and how well that is known.
+    /// Uncertainty of its lens; `None` if it is exact.
+    pub lens_uncertainty: Option<LensUncertainty>,
+    /// Its pose with covariance.
     pub place: CameraPlacement,
-    /// Where it does not look.
+    /// Parts of the picture that are ignored.
     pub mask: Mask,
 }
 
-/// The spots that are looked at: a level grid, from edge to edge.
+/// Horizontal grid of spots, from edge to edge.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Field {
-    /// Least x and y, metres.
-    pub low_m: [f64; 2],
-    /// Greatest x and y, metres.
-    pub high_m: [f64; 2],
+pub struct MapArea {
+    /// Minimum x and y, metres.
+    pub min_m: [f64; 2],
+    /// Maximum x and y, metres.
+    pub max_m: [f64; 2],
     /// Height of the roundels, metres.
     pub height_m: f64,
     /// Distance of spots along x and y, metres.
     pub step_m: f64,
 }
 
-/// What is known of a roundel at one spot.
+/// Prediction for one spot.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Spot {
-    /// Cameras that would find it and, if it is coded, read its code.
+    /// Number of cameras that detect the roundel and read its code.
     pub cameras: usize,
-    /// How exactly it would be known, if any would.
+    /// Precision, if any camera does.
     pub deviation: Option<Deviation>,
 }
 
-/// How exactly a place is known from one set of frames.
+/// Precision of a position from one set of frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Deviation {
-    /// Root mean square of the distance from the truth, metres.
+    /// Rms error, metres.
     pub total_m: f64,
-    /// The part of it that is level, metres.
+    /// Horizontal part, metres.
     pub level_m: f64,
-    /// The part of it that is upright, metres.
+    /// Vertical part, metres.
     pub upright_m: f64,
 }
 
-/// A map.
+/// Predictions for all spots.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Map {
-    /// Where the spots lie.
-    pub field: Field,
+    /// The grid.
+    pub area: MapArea,
     /// Spots along x.
     pub columns: usize,
     /// Spots along y.
     pub rows: usize,
-    /// Row by row from the least y on, each from the least x on.
+    /// Rows by increasing y, spots of a row by increasing x.
     pub spots: Vec<Spot>,
-    /// Share of the spots that each camera sees, and reads the code at, whatever the others do; in their order.
+    /// Share of the spots that each camera covers.
     pub seen_shares: Vec<f64>,
 }
 
-/// A map in a few numbers.
+/// Statistics of a map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Summary {
-    /// Share of spots that one camera sees at least.
+    /// Share of spots covered by at least one camera.
     pub seen_share: f64,
-    /// Share of spots that two see at least.
+    /// Share of spots covered by at least two cameras.
     pub twice_share: f64,
-    /// Median of the spots' deviations that are seen, metres; NaN if none is.
+    /// Median deviation of covered spots, metres; NaN without any.
     pub median_m: f64,
-    /// 95 % of them are smaller, metres.
+    /// 95th percentile, metres.
     pub p95_m: f64,
 }
 
-impl Field {
-    /// Heights that roundels may have, metres.
+impl MapArea {
+    /// Valid heights of roundels, metres.
     pub const HEIGHTS_M: [f64; 2] = [-1e3, 1e3];
 
-    /// What the cameras look at in the plane of this height, with about `spots` spots; `None` if none looks there.
-    pub fn seen_by(stations: &[Station], height_m: f64, spots: usize) -> Option<Self> {
+    /// Bounding box of all footprints at this height, with about `spots` spots; `None` if no camera looks there.
+    pub fn seen_by(stations: &[PlacedCamera], height_m: f64, spots: usize) -> Option<Self> {
         let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         for station in stations {
-            for point in station.looks_at(height_m) {
+            for point in station.footprint(height_m) {
                 for axis in 0..2 {
                     low[axis] = low[axis].min(point[axis]);
                     high[axis] = high[axis].max(point[axis]);
@@ -127,44 +126,39 @@ impl Field {
             return None;
         }
         let step_m = (sides[0] * sides[1] / spots.max(4) as f64).sqrt();
-        Some(Self { low_m: low, high_m: high, height_m, step_m })
+        Some(Self { min_m: low, max_m: high, height_m, step_m })
     }
 
     /// Spots along x and y.
     pub fn counts(&self) -> Result<[usize; 2], PlanError> {
-        let sides = [0, 1].map(|axis| self.high_m[axis] - self.low_m[axis]);
-        for (field, side) in ["arena along x", "arena along y"].into_iter().zip(sides) {
-            within(field, side, [1e-3, 1e4], "a side of 0.001 to 10000 m")?;
+        let sides = [0, 1].map(|axis| self.max_m[axis] - self.min_m[axis]);
+        for (name, side) in ["arena along x", "arena along y"].into_iter().zip(sides) {
+            within(name, side, [1e-3, 1e4], "a side of 0.001 to 10000 m")?;
         }
         within("height", self.height_m, Self::HEIGHTS_M, "-1000 to 1000 m")?;
         within("step", self.step_m, [1e-6, 1e4], "0.000001 to 10000 m")?;
         let counts = sides.map(|side| (side / self.step_m).round().max(1.0) + 1.0);
         let all = counts[0] * counts[1];
-        within(
-            "spots of the map",
-            all,
-            [1.0, MOST_SPOTS as f64],
-            "at most 1000000: a longer step",
-        )?;
+        within("spots of the map", all, [1.0, MAX_SPOTS as f64], "at most 1000000: a longer step")?;
         Ok(counts.map(|count| count as usize))
     }
 }
 
-impl Station {
-    /// Where the edges of its picture lie in a plane of this height, as far as it looks down on it.
-    fn looks_at(&self, height_m: f64) -> Vec<[f64; 2]> {
+impl PlacedCamera {
+    /// Points of the picture's border in a plane of this height below the camera.
+    fn footprint(&self, height_m: f64) -> Vec<[f64; 2]> {
         let camera = &self.sensor.camera;
         let ends = [camera.width(), camera.height()].map(|side| side as f64 - 1.0);
         let eye = self.place.world_from_camera.translation.vector;
         let mut points = Vec::new();
-        for step in 0..=RAYS {
-            let share = step as f64 / RAYS as f64;
+        for step in 0..=RAYS_PER_SIDE {
+            let share = step as f64 / RAYS_PER_SIDE as f64;
             let (u, v) = (share * ends[0], share * ends[1]);
             for (u, v) in [(u, 0.0), (u, ends[1]), (0.0, v), (ends[0], v)] {
                 let Ok(ray) = camera.bearing(PixelPoint { u, v }) else { continue };
                 let ray = self.place.world_from_camera.rotation * ray;
                 let reach_m = (height_m - eye.z) / ray.z;
-                if ray.z < 0.0 && (0.0..=FARTHEST_M).contains(&reach_m) {
+                if ray.z < 0.0 && (0.0..=MAX_DISTANCE_M).contains(&reach_m) {
                     let point = eye + ray * reach_m;
                     points.push([point.x, point.y]);
                 }
@@ -173,8 +167,7 @@ impl Station {
         points
     }
 
-    /// The information that this camera has of a roundel's place in the world; `None` if it would not find it, or not
-    /// read its code.
+    /// Information about a roundel's position in the world; `None` if it is not detected or its code not read.
     fn information(
         &self,
         kind: &Kind,
@@ -182,8 +175,9 @@ impl Station {
         params: &FusionParams,
     ) -> Option<Matrix3<f64>> {
         let camera_from_roundel = self.place.world_from_camera.inv_mul(world_from_roundel);
-        let expected = expect(&self.sensor, self.doubt.as_ref(), kind, &camera_from_roundel)?;
-        if !expected.is_read || self.mask.covers(expected.sighting.ring.outer.center) {
+        let expected =
+            predict(&self.sensor, self.lens_uncertainty.as_ref(), kind, &camera_from_roundel)?;
+        if !expected.is_readable || self.mask.covers(expected.image.ring.outer.center) {
             return None;
         }
         let (_, covariance) = seen_in_world(&expected.detection(), &self.place, params)?;
@@ -191,9 +185,9 @@ impl Station {
     }
 }
 
-/// What is known of a roundel that lies face up at a place of the world; the cameras that see it are counted in `seen`.
+/// Prediction for a roundel that lies face up; counts the cameras that cover it in `seen`.
 fn spot(
-    stations: &[Station],
+    stations: &[PlacedCamera],
     kind: &Kind,
     position_m: Vector3<f64>,
     params: &FusionParams,
@@ -218,48 +212,48 @@ fn spot(
     Spot { cameras, deviation }
 }
 
-/// The map of a kind of roundel.
-pub fn map(stations: &[Station], kind: &Kind, field: Field) -> Result<Map, PlanError> {
-    let map = map_while(stations, kind, field, || true)?;
+/// Computes the map of a kind of roundel.
+pub fn map(stations: &[PlacedCamera], kind: &Kind, area: MapArea) -> Result<Map, PlanError> {
+    let map = map_while(stations, kind, area, || true)?;
     Ok(map.expect("it goes on to the last spot"))
 }
 
-/// Like [`map`]; returns `None` as soon as `goes_on`, which is asked before each spot, returns false.
+/// Like [`map`]. Calls `keep_going` before each spot, and returns `None` once it returns false.
 pub fn map_while(
-    stations: &[Station],
+    stations: &[PlacedCamera],
     kind: &Kind,
-    field: Field,
-    goes_on: impl Fn() -> bool + Sync,
+    area: MapArea,
+    keep_going: impl Fn() -> bool + Sync,
 ) -> Result<Option<Map>, PlanError> {
     for station in stations {
         station.sensor.check(kind)?;
     }
-    let [columns, rows] = field.counts()?;
+    let [columns, rows] = area.counts()?;
     let params = FusionParams::default();
     let at = |index: usize, count: usize, axis: usize| {
         let share = index as f64 / (count - 1) as f64;
-        field.low_m[axis] + share * (field.high_m[axis] - field.low_m[axis])
+        area.min_m[axis] + share * (area.max_m[axis] - area.min_m[axis])
     };
     let seen: Vec<AtomicUsize> = stations.iter().map(|_| AtomicUsize::new(0)).collect();
     let spots = (0..columns * rows)
         .into_par_iter()
         .map(|index| {
             let (x, y) = (at(index % columns, columns, 0), at(index / columns, rows, 1));
-            let place_m = Vector3::new(x, y, field.height_m);
-            goes_on().then(|| spot(stations, kind, place_m, &params, &seen))
+            let place_m = Vector3::new(x, y, area.height_m);
+            keep_going().then(|| spot(stations, kind, place_m, &params, &seen))
         })
         .collect::<Option<_>>();
     let Some(spots) = spots else { return Ok(None) };
     let all = (columns * rows) as f64;
     let seen_shares = seen.into_iter().map(|count| count.into_inner() as f64 / all).collect();
-    Ok(Some(Map { field, columns, rows, spots, seen_shares }))
+    Ok(Some(Map { area, columns, rows, spots, seen_shares }))
 }
 
 impl Map {
-    /// In a few numbers.
+    /// Statistics over all spots.
     pub fn summary(&self) -> Summary {
-        let share = |least: usize| {
-            let count = self.spots.iter().filter(|spot| spot.cameras >= least).count();
+        let share = |min: usize| {
+            let count = self.spots.iter().filter(|spot| spot.cameras >= min).count();
             count as f64 / self.spots.len() as f64
         };
         let mut deviations: Vec<f64> =

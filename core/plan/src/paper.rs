@@ -1,18 +1,18 @@
-//! The sensor model of the paper (section 5, equations 12 to 20), for comparison: for a pinhole, where the print is
-//! wrong as corrected in `core/docs/errata.md`.
+//! The sensor model of the paper (section 5, equations 12 to 20) for a pinhole, for comparison; with the corrections in
+//! `core/docs/errata.md`.
 //!
-//! Symbols are the paper's: d₀ the roundel's outer diameter, φ and ψ its tilts, D the least diameter in pixels that
-//! is found, ε the uncertainties of the lens' coefficients. Distances are those from the image plane, along the
-//! optical axis.
+//! Symbols are those of the paper: d₀ is the roundel's outer diameter, φ and ψ its tilts, D the minimum detected diameter
+//! in pixels, ε the uncertainties of the lens' coefficients. Distances are measured from the image plane, along the optical
+//! axis.
 
 use std::f64::consts::FRAC_PI_4;
 
-/// D of equation (14): the diameter that WhyCon finds reliably, pixels.
-pub const LEAST_DIAMETER_PX: f64 = 12.0;
-/// Δe₀ of equation (19), typically, pixels.
+/// D of equation (14): the diameter that WhyCon detects reliably, pixels.
+pub const MIN_DIAMETER_PX: f64 = 12.0;
+/// Typical Δe₀ of equation (19), pixels.
 pub const AXIS_ERROR_PX: f64 = 0.15;
 
-/// An ideal pinhole with the roundel before it.
+/// An ideal pinhole with a roundel in front of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pinhole {
     /// w and h, pixels.
@@ -24,8 +24,8 @@ pub struct Pinhole {
     /// φ and ψ, radians.
     pub tilt_rad: [f64; 2],
     /// D, pixels.
-    pub least_px: f64,
-    /// kₓ and k_y of equation (15) in the corner that counts ([`shrink`]); 1 where the lens does not shrink it.
+    pub min_px: f64,
+    /// kₓ and k_y of equation (15) in the relevant corner ([`shrink`]); 1 without distortion.
     pub shrink: [f64; 2],
 }
 
@@ -37,32 +37,32 @@ impl Pinhole {
     }
 
     /// Equation (13): v_min, metres.
-    pub fn least_distance_m(&self) -> f64 {
+    pub fn min_distance_m(&self) -> f64 {
         let per_size = [0, 1].map(|axis| self.focal_px[axis] / self.size_px[axis]);
         self.outer_m * per_size[0].max(per_size[1])
     }
 
     /// Equation (14): v′_max, on the optical axis, metres.
-    pub fn most_distance_m(&self) -> f64 {
-        Self { shrink: [1.0; 2], ..*self }.most_corner_distance_m()
+    pub fn max_distance_m(&self) -> f64 {
+        Self { shrink: [1.0; 2], ..*self }.max_corner_distance_m()
     }
 
     /// Equation (15): v_max, at the picture's corners, metres.
-    pub fn most_corner_distance_m(&self) -> f64 {
+    pub fn max_corner_distance_m(&self) -> f64 {
         let seen =
             [0, 1].map(|axis| self.shrink[axis] * self.focal_px[axis] * self.tilt_rad[axis].cos());
-        self.outer_m / self.least_px * seen[0].min(seen[1])
+        self.outer_m / self.min_px * seen[0].min(seen[1])
     }
 
     /// Equation (16): v_y and v_z, the base at v_max, metres.
     pub fn base_m(&self) -> [f64; 2] {
-        let most_m = self.most_corner_distance_m();
-        [0, 1].map(|axis| self.size_px[axis] * most_m / self.focal_px[axis] - 2.0 * self.outer_m)
+        let max_m = self.max_corner_distance_m();
+        [0, 1].map(|axis| self.size_px[axis] * max_m / self.focal_px[axis] - 2.0 * self.outer_m)
     }
 }
 
-/// kₓ and k_y of equation (15): by how much a lens with these coefficients of `plumb_bob` (k₁ k₂ p₁ p₂ k₃) shrinks
-/// the image along both axes at (x, y) of the plane z = 1. Of p₁ and p₂ the equation knows nothing.
+/// kₓ and k_y of equation (15): scale of the image along both axes at (x, y) of the plane z = 1, for `plumb_bob`
+/// coefficients (k₁ k₂ p₁ p₂ k₃). The equation ignores p₁ and p₂.
 pub fn shrink([k1, k2, _, _, k3]: [f64; 5], [x, y]: [f64; 2]) -> [f64; 2] {
     let r2 = x * x + y * y;
     let factor = 1.0 + k1 * r2 + k2 * r2.powi(2) + k3 * r2.powi(3);
@@ -70,8 +70,8 @@ pub fn shrink([k1, k2, _, _, k3]: [f64; 5], [x, y]: [f64; 2]) -> [f64; 2] {
     [factor + x * x * slope, factor + y * y * slope]
 }
 
-/// Equations (17) and (18), η_hom: the error of a place by the lens' coefficients, as a share of its distance, at
-/// (x, y) of the plane z = 1 where these (k₁ k₂ p₁ p₂ k₃) are uncertain by ε₁ to ε₅.
+/// Equations (17) and (18), η_hom: relative position error at (x, y) of the plane z = 1 for uncertainties ε₁ to ε₅
+/// of the coefficients (k₁ k₂ p₁ p₂ k₃).
 pub fn lens_share([k1, k2, p1, p2, k3]: [f64; 5], [x, y]: [f64; 2]) -> f64 {
     let (x, y) = (x.abs(), y.abs());
     let r2 = x * x + y * y;
@@ -81,8 +81,8 @@ pub fn lens_share([k1, k2, p1, p2, k3]: [f64; 5], [x, y]: [f64; 2]) -> f64 {
     along.hypot(across)
 }
 
-/// Equation (19): the distance's error as a share of it, from Δf / f, Δe₀ and e₀ (pixels, the outer rim's longer
-/// semiaxis), and η_hom. They are independent and add in squares.
+/// Equation (19): relative distance error from Δf / f, Δe₀ and e₀ (pixels, longer semiaxis of the outer rim) and
+/// η_hom. They are independent and add in squares.
 pub fn range_share(
     focal_share: f64,
     axis_error_px: f64,
@@ -97,27 +97,27 @@ pub fn pattern_pixels(diameter_px: f64) -> f64 {
     FRAC_PI_4 * diameter_px.powi(2)
 }
 
-/// The constants of equation (20) on one machine.
+/// Constants of equation (20) for one machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Speed {
-    /// k₀ o: of each pattern whatever its size, seconds.
+    /// k₀ o: time per pattern, seconds.
     pub pattern_s: f64,
-    /// k₁ o: of each of its pixels, seconds.
+    /// k₁ o: time per pixel of a pattern, seconds.
     pub pixel_s: f64,
-    /// Of each pixel of an image that is searched, seconds; the paper's is the same as `pixel_s`.
+    /// Time per pixel of a searched image, seconds; the paper uses `pixel_s`.
     pub searched_pixel_s: f64,
 }
 
 impl Speed {
-    /// The paper's constants and its example: two cores of 53·10⁹ operations a second in all.
+    /// The paper's constants and example: two cores with 53·10⁹ operations per second in total.
     pub const PAPER: Speed = Speed {
         pattern_s: 5e5 * 2.0 / 53e9,
         pixel_s: 900.0 * 2.0 / 53e9,
         searched_pixel_s: 900.0 * 2.0 / 53e9,
     };
 
-    /// Equation (20): seconds a frame with `count` patterns of this diameter, of which the share α is lost and
-    /// searched for in all `image_px` pixels.
+    /// Equation (20): seconds per frame for `count` patterns of this diameter, of which the share α is lost and
+    /// searched in all `image_px` pixels.
     pub fn frame_s(&self, count: usize, diameter_px: f64, lost_share: f64, image_px: f64) -> f64 {
         let followed_s = self.pixel_s * pattern_pixels(diameter_px) * (1.0 - lost_share);
         let searched_s = self.searched_pixel_s * image_px * lost_share;
@@ -131,7 +131,7 @@ mod tests {
 
     /// 50 patterns of 30 px on two cores and 53 GIPS: 2.1 ms, where the paper prints 1.2.
     #[test]
-    fn the_papers_example_of_time_is_what_its_equation_gives() {
+    fn the_example_of_equation_20_is_reproduced() {
         let frame_s = Speed::PAPER.frame_s(50, 30.0, 0.0, 640.0 * 480.0);
         assert!((frame_s - 2.14e-3).abs() < 1e-5, "{frame_s}");
         let lost_s = Speed::PAPER.frame_s(50, 30.0, 1.0, 640.0 * 480.0);
@@ -140,30 +140,30 @@ mod tests {
     }
 
     #[test]
-    fn distances_scale_as_the_equations_say() {
+    fn distances_scale_as_in_the_equations() {
         let pinhole = Pinhole {
             size_px: [640.0, 480.0],
             focal_px: [500.0, 500.0],
             outer_m: 0.06,
             tilt_rad: [0.0, 0.0],
-            least_px: LEAST_DIAMETER_PX,
+            min_px: MIN_DIAMETER_PX,
             shrink: [0.9, 0.95],
         };
-        assert!((pinhole.least_distance_m() - 0.06 * 500.0 / 480.0).abs() < 1e-12);
-        assert!((pinhole.most_distance_m() - 2.5).abs() < 1e-12);
-        assert!((pinhole.most_corner_distance_m() - 2.25).abs() < 1e-12);
+        assert!((pinhole.min_distance_m() - 0.06 * 500.0 / 480.0).abs() < 1e-12);
+        assert!((pinhole.max_distance_m() - 2.5).abs() < 1e-12);
+        assert!((pinhole.max_corner_distance_m() - 2.25).abs() < 1e-12);
         let tilted = Pinhole { tilt_rad: [1.0, 0.0], ..pinhole };
-        assert!((tilted.most_distance_m() / 2.5 - 1f64.cos()).abs() < 1e-12);
+        assert!((tilted.max_distance_m() / 2.5 - 1f64.cos()).abs() < 1e-12);
         assert!((pinhole.pattern_px(2.5)[0] - 12.0).abs() < 1e-12);
         let [wide, high] = pinhole.base_m();
         assert!((wide - (640.0 * 2.25 / 500.0 - 0.12)).abs() < 1e-12 && high < wide);
-        // Three parts in a thousand of the focal length, 0.06 of 15 px, and a lens known to 12 parts.
+        // Three thousandths of the focal length, 0.06 of 15 px, and twelve thousandths for the lens.
         let share = range_share(3e-3, 0.06, 15.0, 12e-3);
         assert!((share - 13e-3).abs() < 1e-12, "{share}");
     }
 
     #[test]
-    fn shrinking_is_the_slope_of_the_lens() {
+    fn shrink_is_the_derivative_of_the_distortion() {
         let bent = [-0.12, 0.05, 0.0, 0.0, -0.01];
         let distorted = |x: f64, y: f64| {
             let r2 = x * x + y * y;
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lens_known_exactly_adds_nothing_and_all_corners_are_alike() {
+    fn an_exact_lens_adds_no_error_and_corners_are_symmetric() {
         assert_eq!(lens_share([0.0; 5], [0.3, 0.2]), 0.0);
         let at = |x: f64, y: f64| lens_share([1e-3, 1e-3, 1e-4, 1e-4, 1e-3], [x, y]);
         assert!(at(0.0, 0.0) == 0.0 && at(0.1, 0.05) < at(0.4, 0.2));

@@ -1,18 +1,18 @@
-//! The reverse questions: which roundel does it, how many cameras, and where.
+//! Searches: the smallest roundel, and the fewest cameras, that meet the requirements.
 //!
-//! Both are plain searches over what the forward model says, so that what they give is what it holds: the diameter by
-//! bisection, the cameras by trying every grid of downward cameras, fewer before more, at a number of heights. Where both are
-//! asked for, the fewest cameras count first, then the smallest roundel that one of them would locate so exactly straight
-//! below and that does it with so many; what several that overlap know together might let a smaller one do.
+//! Both use the forward predictions. The diameter is found by bisection, the cameras by trying all grids of downward cameras
+//! in increasing number at several heights. If both are unknown, the number of cameras has priority; then the smallest
+//! roundel is found that a camera locates precisely enough straight below and that suffices over the grid. Combining several
+//! cameras might allow a smaller one.
 
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 use super::{
     PlanError, Sensor,
-    map::{Field, Map, Station, Summary, map},
-    precision::{LensDoubt, expect},
-    reach::{before, reach},
-    sight::wanted,
+    map::{Map, MapArea, PlacedCamera, Summary, map},
+    precision::{LensUncertainty, predict},
+    range::{detection_range, pose_in_front},
+    visibility::requirement,
     within,
 };
 use roundel_fusion::world::CameraPlacement;
@@ -22,20 +22,20 @@ use roundel_vision::{
     rigid::{Covariance6, Rigid},
 };
 
-/// Outer diameters that are looked at, metres.
+/// Searched outer diameters, metres.
 const DIAMETERS_M: (f64, f64) = (0.002, 10.0);
-/// A diameter is found to this share.
+/// Relative precision of a diameter.
 const SHARE: f64 = 1e-3;
-/// Most cameras that are tried.
-pub const MOST_CAMERAS: usize = 64;
-/// Heights that are tried.
+/// Maximum number of cameras.
+pub const MAX_CAMERAS: usize = 64;
+/// Number of mounting heights.
 const HEIGHTS: usize = 10;
-/// Spots of a map that a grid of cameras is judged by.
-const SPOTS: f64 = 300.0;
-/// Diameters that are tried below a grid, of the smallest that would do straight below a camera: larger ones reach further
-/// out, until they no longer fit into the picture.
-const LADDER: [f64; 7] = [1.0, 1.3, 1.7, 2.2, 3.0, 4.5, 7.0];
-/// A diameter below a grid is found to this share.
+/// Spots of the map that judges a grid.
+const GRID_SPOTS: f64 = 300.0;
+/// Diameters tried for a grid, relative to the one that suffices straight below a camera. Larger ones are visible
+/// farther out until they do not fit into the picture.
+const DIAMETER_STEPS: [f64; 7] = [1.0, 1.3, 1.7, 2.2, 3.0, 4.5, 7.0];
+/// Relative precision of a diameter for a grid.
 const GRID_SHARE: f64 = 0.01;
 
 /// The kind with another outer diameter and the same proportions.
@@ -51,38 +51,40 @@ pub fn scaled(kind: &Kind, outer_m: f64) -> Kind {
     Kind { outer_diameter_m: outer_m, inner_diameter_m, pattern, ..kind.clone() }
 }
 
-/// The smallest outer diameter, metres, of roundels like this one that are found at a distance along the optical axis,
-/// tilted so, read if they are coded, and located to `most_m` (rms of the distance from the truth) if that is given.
-pub fn smallest_m(
+/// Smallest outer diameter, metres, of roundels of these proportions that are detected at this distance and tilt on
+/// the optical axis, with code read if coded, and located with an rms error of at most `max_m`.
+pub fn smallest_diameter_m(
     sensor: &Sensor,
-    doubt: Option<&LensDoubt>,
+    lens_uncertainty: Option<&LensUncertainty>,
     kind: &Kind,
-    (distance_m, tilt_rad): (f64, f64),
-    most_m: Option<f64>,
+    distance_m: f64,
+    tilt_rad: f64,
+    max_m: Option<f64>,
 ) -> Result<f64, PlanError> {
     sensor.check(kind)?;
     within("distance", distance_m, [1e-3, 1e4], "0.001 to 10000 m")?;
-    if let Some(most_m) = most_m {
-        within("precision", most_m, [1e-7, 1e3], "0.0000001 to 1000 m")?;
+    if let Some(max_m) = max_m {
+        within("precision", max_m, [1e-7, 1e3], "0.0000001 to 1000 m")?;
     }
     let error_m = |outer_m: f64| {
-        let pose = before(NormalizedPoint::default(), distance_m, tilt_rad);
-        let expected = expect(sensor, doubt, &scaled(kind, outer_m), &pose)?;
-        expected.is_read.then(|| expected.position_m())
+        let pose = pose_in_front(NormalizedPoint::default(), distance_m, tilt_rad);
+        let expected = predict(sensor, lens_uncertainty, &scaled(kind, outer_m), &pose)?;
+        expected.is_readable.then(|| expected.position_m())
     };
-    let does = |outer_m: f64| {
-        error_m(outer_m).is_some_and(|error_m| most_m.is_none_or(|most_m| error_m <= most_m))
+    let is_sufficient = |outer_m: f64| {
+        error_m(outer_m).is_some_and(|error_m| max_m.is_none_or(|max_m| error_m <= max_m))
     };
-    // The largest that still fits into the picture is the best that there is.
+    // The best precision is reached by the largest roundel that fits into the picture.
     let steps = (DIAMETERS_M.1 / DIAMETERS_M.0).ln() / 0.05;
-    let tried = || (0..=steps as usize).map(|step| DIAMETERS_M.0 * (0.05 * step as f64).exp());
-    let Some(mut good) = tried().find(|&outer_m| does(outer_m)) else {
-        let best = tried().filter_map(|outer| Some((outer, error_m(outer)?)));
+    let diameters_m =
+        || (0..=steps as usize).map(|step| DIAMETERS_M.0 * (0.05 * step as f64).exp());
+    let Some(mut good) = diameters_m().find(|&outer_m| is_sufficient(outer_m)) else {
+        let best = diameters_m().filter_map(|outer| Some((outer, error_m(outer)?)));
         return Err(PlanError::Unreachable(match best.min_by(|a, b| a.1.total_cmp(&b.1)) {
             Some((outer_m, error_m)) => format!(
                 "no roundel is located to {:.3} mm at {distance_m} m: the best of this camera is {:.3} mm, with one \
                  of {:.0} mm; take more pixels, a longer focal length, or cameras nearer by",
-                most_m.unwrap_or(f64::NAN) * 1e3,
+                max_m.unwrap_or(f64::NAN) * 1e3,
                 error_m * 1e3,
                 outer_m * 1e3
             ),
@@ -90,7 +92,7 @@ pub fn smallest_m(
                 "no roundel of {:.0} mm to {:.0} m is {} at {distance_m} m, tilted by {:.0}°",
                 DIAMETERS_M.0 * 1e3,
                 DIAMETERS_M.1,
-                wanted(kind),
+                requirement(kind),
                 tilt_rad.to_degrees()
             ),
         }));
@@ -98,198 +100,220 @@ pub fn smallest_m(
     let mut bad = good * (-0.05f64).exp();
     while (good / bad).ln() > SHARE {
         let middle = (good * bad).sqrt();
-        if does(middle) { good = middle } else { bad = middle }
+        if is_sufficient(middle) { good = middle } else { bad = middle }
     }
     Ok(good)
 }
 
-/// What a grid of cameras has to reach.
+/// Requirements on a grid of cameras.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Wish {
-    /// The arena: least and greatest x and y, and the height of the roundels, metres.
-    pub field: Field,
-    /// Lowest and highest mount, metres.
+pub struct Requirements {
+    /// Extent of the arena and height of the roundels.
+    pub area: MapArea,
+    /// Minimum and maximum mounting height, metres.
     pub mount_m: [f64; 2],
-    /// Cameras that have to see a spot.
+    /// Number of cameras that must see each spot.
     pub views: usize,
-    /// Share of the spots for which that and the precision have to hold.
+    /// Share of the spots that must meet the requirements.
     pub share: f64,
-    /// What a spot's rms distance from the truth may be, metres, if that matters.
-    pub most_m: Option<f64>,
+    /// Maximum rms error of a spot, metres, if required.
+    pub max_m: Option<f64>,
 }
 
-/// Cameras that hang in a grid and look straight down.
+/// Grid of cameras that look straight down.
 #[derive(Clone, Debug)]
 pub struct Grid {
-    /// Along x and y.
+    /// Cameras along x and y.
     pub counts: [usize; 2],
-    /// Height, metres.
+    /// Mounting height, metres.
     pub mount_m: f64,
-    /// Whether the pictures' longer side lies along y.
+    /// Whether the longer side of the pictures lies along y.
     pub is_turned: bool,
     /// The cameras.
-    pub stations: Vec<Station>,
-    /// What they see.
+    pub stations: Vec<PlacedCamera>,
+    /// Coverage and precision.
     pub map: Map,
 }
 
-/// The fewest cameras that do what is wished; of equally many the most precise.
-pub fn fewest(
+/// The fewest cameras that meet the requirements, and among equal numbers the most precise grid.
+pub fn fewest_cameras(
     sensor: &Sensor,
-    doubt: Option<&LensDoubt>,
+    lens_uncertainty: Option<&LensUncertainty>,
     kind: &Kind,
-    wish: &Wish,
+    requirements: &Requirements,
 ) -> Result<Grid, PlanError> {
     sensor.check(kind)?;
-    let field = wish.check()?;
-    let does = |mount_m: f64| {
-        let straight = before(NormalizedPoint::default(), mount_m - field.height_m, 0.0);
-        expect(sensor, doubt, kind, &straight).is_some_and(|expected| expected.is_read)
+    let area = requirements.check()?;
+    let is_sufficient = |mount_m: f64| {
+        let straight = pose_in_front(NormalizedPoint::default(), mount_m - area.height_m, 0.0);
+        predict(sensor, lens_uncertainty, kind, &straight)
+            .is_some_and(|expected| expected.is_readable)
     };
-    if !heights(wish.mount_m).any(does) {
-        let reach = reach(sensor, kind, 0.0)?;
-        let [nearest_m, farthest_m] = wish.mount_m.map(|mount_m| mount_m - field.height_m);
+    if !heights(requirements.mount_m).any(is_sufficient) {
+        let range = detection_range(sensor, kind, 0.0)?;
+        let [nearest_m, farthest_m] = requirements.mount_m.map(|mount_m| mount_m - area.height_m);
         return Err(PlanError::Unreachable(format!(
             "a roundel of {:.0} mm is {} from {:.2} to {:.2} m before this camera, and cameras at {} to {} m hang \
              {nearest_m:.2} to {farthest_m:.2} m above it: take other heights, another size of roundels, or another \
              camera",
             kind.outer_diameter_m * 1e3,
-            wanted(kind),
-            reach.least_m,
-            reach.most_m,
-            wish.mount_m[0],
-            wish.mount_m[1],
+            requirement(kind),
+            range.min_m,
+            range.max_m,
+            requirements.mount_m[0],
+            requirements.mount_m[1],
         )));
     }
-    let mut best: Option<(f64, Grid)> = None;
-    for count in 1..=MOST_CAMERAS {
-        let mut done: Option<Grid> = None;
-        for grid in tried(count, wish, sensor, doubt) {
-            let map = map(&grid.stations, kind, field)?;
-            let share = wish.fulfilled(&map);
-            let grid = Grid { map, ..grid };
-            if best.as_ref().is_none_or(|(most, _)| share > *most) {
-                best = Some((share, grid.clone()));
-            }
-            let p95_m = |grid: &Grid| grid.map.summary().p95_m;
-            if share >= wish.share && done.as_ref().is_none_or(|done| p95_m(&grid) < p95_m(done)) {
-                done = Some(grid);
-            }
-        }
-        if let Some(done) = done {
-            return Ok(done);
-        }
-    }
-    Err(wish.missed(sensor, best))
+    search_grids(sensor, lens_uncertainty, requirements, |grid, found: Option<&Grid>, closest| {
+        let (share, grid) = requirements.judged(grid, kind, area)?;
+        closest.offer(share, &grid);
+        let p95_m = |grid: &Grid| grid.map.summary().p95_m;
+        let is_best = found.is_none_or(|found| p95_m(&grid) < p95_m(found));
+        Ok((share >= requirements.share && is_best).then_some(grid))
+    })
 }
 
-/// The fewest cameras that do what is wished with roundels like this one of some diameter, and such a diameter, metres: the
-/// smallest but for what several cameras know together.
-pub fn fewest_of_any_size(
+/// The fewest cameras that meet the requirements with roundels of any size, and the required diameter, metres.
+pub fn fewest_cameras_of_any_size(
     sensor: &Sensor,
-    doubt: Option<&LensDoubt>,
+    lens_uncertainty: Option<&LensUncertainty>,
     kind: &Kind,
-    wish: &Wish,
+    requirements: &Requirements,
 ) -> Result<(f64, Grid), PlanError> {
     sensor.check(kind)?;
-    let field = wish.check()?;
-    // Also says why if nothing would do, and how well the best does.
-    let lowest_m = wish.mount_m[0] - field.height_m;
-    smallest_m(sensor, doubt, kind, (lowest_m, 0.0), wish.most_m)?;
-    let mut best: Option<(f64, Grid)> = None;
-    for count in 1..=MOST_CAMERAS {
-        let mut done: Option<(f64, Grid)> = None;
-        for grid in tried(count, wish, sensor, doubt) {
-            let straight_m = grid.mount_m - field.height_m;
-            let Ok(least_m) = smallest_m(sensor, doubt, kind, (straight_m, 0.0), wish.most_m)
-            else {
-                continue;
-            };
-            if done.as_ref().is_some_and(|(outer_m, _)| *outer_m <= least_m) {
-                continue;
-            }
-            let mapped = |outer_m: f64| -> Result<(f64, Grid), PlanError> {
-                let map = map(&grid.stations, &scaled(kind, outer_m), field)?;
-                Ok((wish.fulfilled(&map), Grid { map, ..grid.clone() }))
-            };
-            let mut bad_m = least_m;
-            for step in LADDER {
-                let outer_m = least_m * step;
-                if done.as_ref().is_some_and(|(smallest_m, _)| *smallest_m <= outer_m) {
+    let area = requirements.check()?;
+    // Returns the reason if no roundel suffices.
+    let lowest_m = requirements.mount_m[0] - area.height_m;
+    smallest_diameter_m(sensor, lens_uncertainty, kind, lowest_m, 0.0, requirements.max_m)?;
+    search_grids(
+        sensor,
+        lens_uncertainty,
+        requirements,
+        |grid, found: Option<&(f64, Grid)>, closest| {
+            let straight_m = grid.mount_m - area.height_m;
+            let min_m = smallest_diameter_m(
+                sensor,
+                lens_uncertainty,
+                kind,
+                straight_m,
+                0.0,
+                requirements.max_m,
+            );
+            let Ok(min_m) = min_m else { return Ok(None) };
+            let judged =
+                |outer_m: f64| requirements.judged(grid.clone(), &scaled(kind, outer_m), area);
+            let mut bad_m = min_m;
+            for outer_m in DIAMETER_STEPS.map(|step| min_m * step) {
+                if found.is_some_and(|(smallest_m, _)| *smallest_m <= outer_m) {
                     break;
                 }
-                let (share, found) = mapped(outer_m)?;
-                if best.as_ref().is_none_or(|(most, _)| share > *most) {
-                    best = Some((share, found.clone()));
-                }
-                if share < wish.share {
+                let (share, judged_grid) = judged(outer_m)?;
+                closest.offer(share, &judged_grid);
+                if share < requirements.share {
                     bad_m = outer_m;
                     continue;
                 }
-                let (mut good_m, mut good) = (outer_m, found);
+                let (mut good_m, mut good) = (outer_m, judged_grid);
                 while (good_m / bad_m).ln() > GRID_SHARE {
                     let middle_m = (good_m * bad_m).sqrt();
-                    let (share, found) = mapped(middle_m)?;
-                    if share >= wish.share {
-                        (good_m, good) = (middle_m, found);
+                    let (share, judged_grid) = judged(middle_m)?;
+                    if share >= requirements.share {
+                        (good_m, good) = (middle_m, judged_grid);
                     } else {
                         bad_m = middle_m;
                     }
                 }
-                done = Some((good_m, good));
-                break;
+                return Ok(Some((good_m, good)));
             }
-        }
-        if let Some(done) = done {
-            return Ok(done);
-        }
-    }
-    Err(wish.missed(sensor, best))
+            Ok(None)
+        },
+    )
 }
 
-impl Wish {
-    /// Cameras hang so far above the roundels at least, metres.
-    pub const LEAST_ABOVE_M: f64 = 0.05;
+/// The grid that comes closest to the requirements, with its share of sufficient spots.
+#[derive(Default)]
+struct Closest(Option<(f64, Grid)>);
 
-    /// The field with the spots that are judged.
-    fn check(&self) -> Result<Field, PlanError> {
+impl Closest {
+    fn offer(&mut self, share: f64, grid: &Grid) {
+        if self.0.as_ref().is_none_or(|(max, _)| share > *max) {
+            self.0 = Some((share, grid.clone()));
+        }
+    }
+}
+
+/// The best solution with the fewest cameras. `improve` returns a solution for a grid if it is better than the one found
+/// so far with as many cameras.
+fn search_grids<T>(
+    sensor: &Sensor,
+    lens_uncertainty: Option<&LensUncertainty>,
+    requirements: &Requirements,
+    mut improve: impl FnMut(Grid, Option<&T>, &mut Closest) -> Result<Option<T>, PlanError>,
+) -> Result<T, PlanError> {
+    let mut closest = Closest::default();
+    for count in 1..=MAX_CAMERAS {
+        let mut found = None;
+        for grid in candidate_grids(count, requirements, sensor, lens_uncertainty) {
+            if let Some(better) = improve(grid, found.as_ref(), &mut closest)? {
+                found = Some(better);
+            }
+        }
+        if let Some(found) = found {
+            return Ok(found);
+        }
+    }
+    Err(requirements.unreachable(sensor, closest.0))
+}
+
+impl Requirements {
+    /// Minimum height of cameras above the roundels, metres.
+    pub const MIN_HEIGHT_ABOVE_M: f64 = 0.05;
+
+    /// The grid of judged spots.
+    fn check(&self) -> Result<MapArea, PlanError> {
         let [low_m, high_m] = self.mount_m;
         within(
             "mount",
             low_m,
-            [self.field.height_m + Self::LEAST_ABOVE_M, 1e3],
+            [self.area.height_m + Self::MIN_HEIGHT_ABOVE_M, 1e3],
             "metres, 0.05 or more above the roundels",
         )?;
         within("highest mount", high_m, [low_m, 1e3], "not below the lowest one")?;
         within("views", self.views as f64, [1.0, 16.0], "1 to 16 cameras")?;
         within("share", self.share, [0.01, 1.0], "0.01 to 1")?;
-        if let Some(most_m) = self.most_m {
-            within("precision", most_m, [1e-7, 1e3], "0.0000001 to 1000 m")?;
+        if let Some(max_m) = self.max_m {
+            within("precision", max_m, [1e-7, 1e3], "0.0000001 to 1000 m")?;
         }
-        let sides = [0, 1].map(|axis| self.field.high_m[axis] - self.field.low_m[axis]);
+        let sides = [0, 1].map(|axis| self.area.max_m[axis] - self.area.min_m[axis]);
         for side in sides {
             within("arena", side, [0.05, 1e3], "sides of 0.05 to 1000 m")?;
         }
-        Ok(Field { step_m: (sides[0] * sides[1] / SPOTS).sqrt(), ..self.field })
+        Ok(MapArea { step_m: (sides[0] * sides[1] / GRID_SPOTS).sqrt(), ..self.area })
     }
 
-    /// Share of spots with enough views, exact enough.
-    fn fulfilled(&self, map: &Map) -> f64 {
+    /// The grid with its map, and the share of spots that meet the requirements.
+    fn judged(&self, grid: Grid, kind: &Kind, area: MapArea) -> Result<(f64, Grid), PlanError> {
+        let map = map(&grid.stations, kind, area)?;
+        Ok((self.satisfied_share(&map), Grid { map, ..grid }))
+    }
+
+    /// Share of spots that meet the requirements.
+    fn satisfied_share(&self, map: &Map) -> f64 {
         let good = map.spots.iter().filter(|spot| {
-            let exact = spot.deviation.is_some_and(|deviation| {
-                self.most_m.is_none_or(|most_m| deviation.total_m <= most_m)
-            });
+            let exact = spot
+                .deviation
+                .is_some_and(|deviation| self.max_m.is_none_or(|max_m| deviation.total_m <= max_m));
             spot.cameras >= self.views && exact
         });
         good.count() as f64 / map.spots.len() as f64
     }
 
-    fn missed(&self, sensor: &Sensor, best: Option<(f64, Grid)>) -> PlanError {
-        let most = "take larger roundels, other heights, or more pixels";
-        let (tried, remedy) = match best {
+    fn unreachable(&self, sensor: &Sensor, best: Option<(f64, Grid)>) -> PlanError {
+        let remedy = "take larger roundels, other heights, or more pixels";
+        let (reason, remedy) = match best {
             Some((share, grid)) if share > 0.0 => {
                 let Summary { median_m, .. } = grid.map.summary();
-                let told = format!(
+                let reason = format!(
                     "the best, {} x {} at {:.2} m, does it for {:.0} % (median {:.2} mm)",
                     grid.counts[0],
                     grid.counts[1],
@@ -297,28 +321,28 @@ impl Wish {
                     share * 100.0,
                     median_m * 1e3
                 );
-                (told, most)
+                (reason, remedy)
             }
-            Some(_) => ("none of them sees a spot well enough".to_owned(), most),
-            // Not one was worth a map.
+            Some(_) => ("none of them sees a spot well enough".to_owned(), remedy),
+            // No grid was worth a map.
             None => {
-                let sides_m = [0, 1].map(|axis| self.field.high_m[axis] - self.field.low_m[axis]);
-                let each_m2 = seen_m2(sensor, self.mount_m[1] - self.field.height_m);
-                let told = format!(
-                    "{MOST_CAMERAS} times the {each_m2:.0} m² that one sees from {} m, {} on every place, are less \
+                let sides_m = [0, 1].map(|axis| self.area.max_m[axis] - self.area.min_m[axis]);
+                let each_m2 = seen_m2(sensor, self.mount_m[1] - self.area.height_m);
+                let reason = format!(
+                    "{MAX_CAMERAS} times the {each_m2:.0} m² that one sees from {} m, {} on every place, are less \
                      than its {:.0} m²",
                     self.mount_m[1],
                     self.views,
                     sides_m[0] * sides_m[1]
                 );
                 (
-                    told,
+                    reason,
                     "hang them higher, take a wider lens, or plan parts of the arena by themselves",
                 )
             }
         };
         PlanError::Unreachable(format!(
-            "no grid of up to {MOST_CAMERAS} such cameras at {} to {} m does it for {:.0} % of the arena: {tried}; \
+            "no grid of up to {MAX_CAMERAS} such cameras at {} to {} m does it for {:.0} % of the arena: {reason}; \
              {remedy}",
             self.mount_m[0],
             self.mount_m[1],
@@ -327,31 +351,32 @@ impl Wish {
     }
 }
 
-/// Every grid of so many cameras that could cover the arena, with an empty map.
-fn tried<'a>(
+/// All grids of this number of cameras that could cover the arena, with an empty map.
+fn candidate_grids<'a>(
     count: usize,
-    wish: &'a Wish,
+    requirements: &'a Requirements,
     sensor: &'a Sensor,
-    doubt: Option<&'a LensDoubt>,
+    lens_uncertainty: Option<&'a LensUncertainty>,
 ) -> impl Iterator<Item = Grid> + 'a {
     let pairs = (1..=count).filter(move |columns| count.is_multiple_of(*columns));
     let grids = pairs.flat_map(move |columns| {
         let counts = [columns, count / columns];
-        heights(wish.mount_m)
+        heights(requirements.mount_m)
             .flat_map(move |mount_m| [false, true].map(|is_turned| (counts, mount_m, is_turned)))
     });
     grids.filter_map(move |(counts, mount_m, is_turned)| {
-        if !could_cover(wish, sensor, counts, mount_m) {
+        if !could_cover(requirements, sensor, counts, mount_m) {
             return None;
         }
-        let stations = hung(wish, sensor, doubt, (counts, mount_m, is_turned));
-        let (field, spots, seen_shares) = (wish.field, Vec::new(), Vec::new());
-        let map = Map { field, columns: 0, rows: 0, spots, seen_shares };
+        let stations =
+            downward_cameras(requirements, sensor, lens_uncertainty, counts, mount_m, is_turned);
+        let (area, spots, seen_shares) = (requirements.area, Vec::new(), Vec::new());
+        let map = Map { area, columns: 0, rows: 0, spots, seen_shares };
         Some(Grid { counts, mount_m, is_turned, stations, map })
     })
 }
 
-/// The heights that are tried, from the highest on.
+/// Mounting heights from the highest down.
 fn heights([low_m, high_m]: [f64; 2]) -> impl Iterator<Item = f64> {
     let count = if high_m > low_m { HEIGHTS } else { 1 };
     (0..count).map(move |number| {
@@ -360,33 +385,40 @@ fn heights([low_m, high_m]: [f64; 2]) -> impl Iterator<Item = f64> {
     })
 }
 
-/// What one camera sees from above, by its focal length, square metres.
+/// Area in the view of one camera by its focal length, square metres.
 fn seen_m2(sensor: &Sensor, above_m: f64) -> f64 {
     let camera = sensor.camera.intrinsics();
     let [wide, high] = [camera.width as f64 / camera.fx_px, camera.height as f64 / camera.fy_px];
     wide * high * above_m * above_m
 }
 
-/// Whether the pictures are wide enough together, by half again for what the lens adds at the corners.
-fn could_cover(wish: &Wish, sensor: &Sensor, counts: [usize; 2], mount_m: f64) -> bool {
-    let arena_m = [0, 1].map(|axis| wish.field.high_m[axis] - wish.field.low_m[axis]);
-    let each_m2 = seen_m2(sensor, mount_m - wish.field.height_m);
+/// Whether the pictures together are large enough, with 50 % allowance for distortion at the corners.
+fn could_cover(
+    requirements: &Requirements,
+    sensor: &Sensor,
+    counts: [usize; 2],
+    mount_m: f64,
+) -> bool {
+    let arena_m = [0, 1].map(|axis| requirements.area.max_m[axis] - requirements.area.min_m[axis]);
+    let each_m2 = seen_m2(sensor, mount_m - requirements.area.height_m);
     let together_m2 = each_m2 * (counts[0] * counts[1]) as f64 * 1.5;
-    together_m2 >= wish.share * wish.views as f64 * arena_m[0] * arena_m[1]
+    together_m2 >= requirements.share * requirements.views as f64 * arena_m[0] * arena_m[1]
 }
 
-/// Cameras over the middles of a grid's cells, looking straight down.
-fn hung(
-    wish: &Wish,
+/// Cameras above the centres of a grid's cells, looking straight down.
+fn downward_cameras(
+    requirements: &Requirements,
     sensor: &Sensor,
-    doubt: Option<&LensDoubt>,
-    (counts, mount_m, is_turned): ([usize; 2], f64, bool),
-) -> Vec<Station> {
+    lens_uncertainty: Option<&LensUncertainty>,
+    counts: [usize; 2],
+    mount_m: f64,
+    is_turned: bool,
+) -> Vec<PlacedCamera> {
     let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
     let quarter = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
     let rotation = if is_turned { quarter * down } else { down };
     let at = |index: usize, axis: usize| {
-        let (low, high) = (wish.field.low_m[axis], wish.field.high_m[axis]);
+        let (low, high) = (requirements.area.min_m[axis], requirements.area.max_m[axis]);
         low + (high - low) * (index as f64 + 0.5) / counts[axis] as f64
     };
     let place = |index: usize| {
@@ -394,9 +426,9 @@ fn hung(
         Rigid::from_parts(Translation3::new(x, y, mount_m), rotation)
     };
     (0..counts[0] * counts[1])
-        .map(|index| Station {
+        .map(|index| PlacedCamera {
             sensor: sensor.clone(),
-            doubt: doubt.cloned(),
+            lens_uncertainty: lens_uncertainty.cloned(),
             place: CameraPlacement {
                 world_from_camera: place(index),
                 covariance: Covariance6::zeros(),

@@ -1,5 +1,4 @@
-//! How much light a point of a print gives back, its edges as wide as blur and motion make them: see
-//! [`super::patch`].
+//! Albedo of a point of a print, with edges widened by blur and motion: see [`super::patch`].
 
 use super::teeth::Teeth;
 
@@ -13,14 +12,14 @@ pub(super) struct PlanePoint {
     pub(super) y_m: f32,
     pub(super) x_by_px: [f32; 2],
     pub(super) y_by_px: [f32; 2],
-    /// During the exposure.
+    /// Motion during the exposure.
     pub(super) motion_px: [f32; 2],
-    /// Of the blur.
+    /// Variance of the blur.
     pub(super) variance_px2: f32,
 }
 
-/// Distance from the plane's origin, what turns a distance to a rim into standard deviations, and
-/// half the blur's variance along a rim.
+/// Distance from the plane's origin, the factor from distances to standard deviations, and half of the blur's
+/// variance along a rim.
 pub(super) struct Radial {
     radius_m: f32,
     sharpness: f32,
@@ -28,7 +27,7 @@ pub(super) struct Radial {
 }
 
 impl PlanePoint {
-    /// The blur's variance, in the plane, of a coordinate that has this gradient.
+    /// Variance of the blur in the plane, for a coordinate with this gradient.
     #[inline(always)]
     pub(super) fn variance(&self, gradient: [f32; 2]) -> f32 {
         let along = self.motion_px[0] * gradient[0] + self.motion_px[1] * gradient[1];
@@ -46,7 +45,7 @@ impl PlanePoint {
     pub(super) fn radial(&self) -> Radial {
         let squared = self.x_m * self.x_m + self.y_m * self.y_m + 1e-12;
         let radius_m = squared.sqrt();
-        // Times the radius: dividing by it once is enough.
+        // Scaled by the radius, so that one division suffices.
         let gradient =
             [0, 1].map(|axis| self.x_m * self.x_by_px[axis] + self.y_m * self.y_by_px[axis]);
         let along =
@@ -58,7 +57,7 @@ impl PlanePoint {
         }
     }
 
-    /// In units of its semiaxes an ellipse is the unit circle, and the plane as flat as it was.
+    /// Scales the plane so that the ellipse becomes the unit circle.
     #[inline(always)]
     pub(super) fn elliptical_albedo(&self, outer_radius_m: f32, semiaxes_m: [f32; 2]) -> f32 {
         let [per_x, per_y] = semiaxes_m.map(|semiaxis_m| 1.0 / semiaxis_m);
@@ -73,8 +72,7 @@ impl PlanePoint {
         WHITE - (WHITE - BLACK) * black
     }
 
-    /// Coverage of what lies counter-clockwise of the ray from the origin that has this cosine and
-    /// sine, up to half a turn.
+    /// Coverage of the half plane counter-clockwise of the ray from the origin with this cosine and sine.
     #[inline(always)]
     pub(super) fn beside(&self, cosine: f32, sine: f32) -> f32 {
         let gradient = [0, 1].map(|axis| cosine * self.y_by_px[axis] - sine * self.x_by_px[axis]);
@@ -87,8 +85,8 @@ impl PlanePoint {
         let disc = radial.inside(teeth.inner_radius_m);
         let mut share = 0.0;
         for [from_cosine, from_sine, to_cosine, to_sine] in teeth.edges() {
-            // Of both half planes one holds the other, but for the wedge, and on the far side its opposite. Their
-            // product would lose what blur takes across a narrow tooth.
+            // The difference of two half planes is the wedge, and negative on the opposite side. Their product
+            // would be wrong for narrow teeth.
             let wedge = self.beside(*from_cosine, *from_sine) - self.beside(*to_cosine, *to_sine);
             share += wedge.max(0.0);
         }
@@ -121,10 +119,10 @@ impl Radial {
     }
 }
 
-/// Standard normal distribution, to 2e-7 (Abramowitz and Stegun 7.1.28, without a branch).
+/// Standard normal distribution, accurate to 2e-7 (Abramowitz and Stegun 7.1.28, without a branch).
 #[inline(always)]
 pub(super) fn normal_cdf(x: f32) -> f32 {
-    // Beyond 6 standard deviations nothing changes, but powers would overflow.
+    // Constant beyond 6 standard deviations, where powers would overflow.
     let t = (x.abs() * std::f32::consts::FRAC_1_SQRT_2).min(4.5);
     let series = 1.0
         + t * (0.070_523_08

@@ -1,4 +1,4 @@
-//! The image that shapes are painted on, and cleaned of afterwards.
+//! Working image with a background that can be restored.
 
 use super::{
     patch::{Patch, Shape},
@@ -6,7 +6,7 @@ use super::{
 };
 use roundel_vision::camera::{Camera, PixelPoint};
 
-/// The working image: levels in steps of 1 / 64, painted over a background that can be restored.
+/// Levels in steps of 1 / 64, painted over a background.
 pub(super) struct Canvas {
     width: usize,
     pixels: Vec<i16>,
@@ -24,7 +24,6 @@ struct Span {
 }
 
 impl Canvas {
-    /// A canvas over a background of whole rows.
     pub fn new(width: usize, background: Vec<i16>) -> Self {
         Self {
             width,
@@ -36,12 +35,11 @@ impl Canvas {
         }
     }
 
-    /// Row `v` as painted.
     pub fn row(&self, v: usize) -> &[i16] {
         &self.pixels[v * self.width..(v + 1) * self.width]
     }
 
-    /// Takes away all that was painted since.
+    /// Restores the background.
     pub fn restore(&mut self) {
         for span in self.painted.drain(..) {
             let range = span.v * self.width + span.from..span.v * self.width + span.to;
@@ -49,14 +47,14 @@ impl Canvas {
         }
     }
 
-    /// Paints a shape on a patch, as far as it lies in the image.
+    /// Paints the part of a shape that lies in the image.
     pub fn paint(&mut self, camera: &Camera, grid: &RayGrid, patch: &Patch, shape: &Shape) {
         let Some(outline) = patch.outline_px(camera, shape) else { return };
         let height = self.pixels.len() / self.width;
         let (top, bottom) = fill_rows(&outline, height, &mut self.rows);
         for v in top..bottom {
             let [left, right] = self.rows[v - top];
-            // Whole cells of the grid, so that the painting is all vector code.
+            // Whole cells of the grid, which allows vectorization.
             let from = left.clamp(0.0, self.width as f64) as usize / STEP_PX * STEP_PX;
             let to = (right.max(0.0) as usize + 1).next_multiple_of(STEP_PX).min(self.width);
             if from < to {
@@ -69,8 +67,7 @@ impl Canvas {
     }
 }
 
-/// Leftmost and rightmost place of a polygon in each image row that it meets; gives the first row
-/// and the one after the last.
+/// Extent of a polygon in each image row; returns the first row and the one after the last.
 fn fill_rows(polygon: &[PixelPoint], height: usize, rows: &mut Vec<[f64; 2]>) -> (usize, usize) {
     let (low, high) = polygon
         .iter()

@@ -1,8 +1,7 @@
-//! Tests that painted rims lie where a blurring lens images the true ones.
+//! Tests of the position of painted rims.
 //!
-//! The truth is the rim's own points, projected one by one, and moved inwards as blur moves a curved
-//! edge: by σ²κ/2, κ the curvature of the projected rim; the picture's rim is where the grey level
-//! crosses the middle between the ring's black and white paper along the image of a radius.
+//! The reference is the projected rim, shifted inwards by σ²κ/2 for the curvature κ, as blur does. The painted rim is where
+//! the grey level along the image of a radius crosses the middle between ring and paper.
 
 use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3};
 
@@ -15,14 +14,13 @@ use super::{
 };
 use roundel_vision::{camera::Camera, rigid::Rigid};
 
-/// Grey levels at places between pixels, by Lagrange's polynomial through the nearest six by six:
-/// fewer would bend rims of a few pixels' radius by more than what is tested.
+/// Interpolated grey levels (Lagrange polynomial of 6 x 6 pixels; fewer would shift rims with small radii).
 struct Picture<'a> {
     width: usize,
     level: &'a dyn Fn(usize) -> f64,
 }
 
-/// Weights of samples at -2 … 3 for a place in 0 to 1.
+/// Weights of samples at -2 … 3 for a position in 0 to 1.
 fn lagrange_weights(place: f64) -> [f64; 6] {
     std::array::from_fn(|i| {
         let here = i as f64 - 2.0;
@@ -47,9 +45,8 @@ impl Picture<'_> {
         sum
     }
 
-    /// Largest distance, pixels, between the picture's rim and the true one as blurred, and their
-    /// mean signed distance (outwards positive). The roundel moves by `motion_m` while it is exposed, and by
-    /// `per_row_m` from one row's exposure to the next.
+    /// Largest distance between the painted and the blurred true rim, and their mean signed distance (outwards
+    /// positive), pixels. The roundel moves by `motion_m` during the exposure, and by `per_row_m` per row.
     fn rim_error_px(
         &self,
         camera: &Camera,
@@ -84,14 +81,14 @@ impl Picture<'_> {
                 let pixel = pixel(radius_m);
                 self.at(pixel.u, pixel.v)
             };
-            // Light is linear over a roundel: white on both sides of the ring tells it at the rim.
+            // Light is linear over a roundel: white on both sides of the ring gives its value at the rim.
             let slope = if white_m > 0.0 { (level(white_m) - level(0.0)) / white_m } else { 0.0 };
             let white = |radius_m: f64| level(0.0) + slope * radius_m;
             let black_m = (INNER_M + OUTER_M) / 2.0;
             let black = level(black_m) * white(radius_m) / white(black_m);
             let middle = (black + white(radius_m)) / 2.0;
             let rising = level(outside_m) > level(inside_m);
-            // Along the image of a radius, by bisection.
+            // Bisection along the image of a radius.
             let (mut low, mut high) = (inside_m, outside_m);
             for _ in 0..40 {
                 let half = (low + high) / 2.0;
@@ -103,7 +100,7 @@ impl Picture<'_> {
             };
             let [before, here, after] = [angle - 0.02, angle, angle + 0.02].map(on_rim);
             let tangent = (after - before).normalize();
-            // Of the circle through the three points.
+            // Curvature of the circle through the three points.
             let curvature = 2.0 * (here - before).perp(&(after - here)).abs()
                 / ((here - before).norm() * (after - here).norm() * (after - before).norm());
             let variance_px2 = BLUR_PX * BLUR_PX + (1.0 + motion_px.dot(&tangent).powi(2)) / 12.0;
@@ -119,32 +116,31 @@ impl Picture<'_> {
     }
 }
 
-/// That of the presets.
+/// As in the presets.
 const BLUR_PX: f64 = 0.7;
 const OUTER_M: f64 = 0.08;
 const INNER_M: f64 = 0.032;
-/// Both rims, each with a place inside it, one outside, and the radius at which white is
-/// read outside the ring (0: inside only).
+/// Both rims, each with radii inside and outside of it, and the radius where white is sampled outside of the ring
+/// (0: inside only).
 fn rims_m(white_m: f64) -> [[f64; 4]; 2] {
     let black_m = (INNER_M + OUTER_M) / 2.0;
     [[0.0, INNER_M, black_m, white_m], [black_m, OUTER_M, 1.17 * OUTER_M, white_m]]
 }
 
-/// A roundel on the ray (x, y, 1), turned from facing along the axis by `tilt_rad` about an axis in
-/// the image plane.
-fn posed([x, y]: [f64; 2], depth_m: f64, tilt_rad: f64, axis_rad: f64) -> Rigid {
+/// A roundel on the ray (x, y, 1) that faces the camera, rotated by `tilt_rad` about an axis in the image plane.
+fn roundel_pose([x, y]: [f64; 2], depth_m: f64, tilt_rad: f64, axis_rad: f64) -> Rigid {
     let axis = Vector3::new(axis_rad.cos(), axis_rad.sin(), 0.0);
     let flip = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
     let turn = UnitQuaternion::from_scaled_axis(axis * tilt_rad) * flip;
     Rigid::from_parts(Vector3::new(x * depth_m, y * depth_m, depth_m).into(), turn)
 }
 
-/// Of the painted roundel while it is exposed.
+/// Motion during the exposure.
 const MOTION_M: [f64; 3] = [0.003, -0.001, 0.0];
-/// From one row's exposure to the next: 1 m/s at 12 µs.
+/// Motion per row: 1 m/s at 12 µs.
 const PER_ROW_M: [f64; 3] = [7e-6, -9e-6, 0.0];
 
-/// Paints a roundel on an even page; gives the working image.
+/// Working image of a roundel on an even page.
 fn painted(camera: &Camera, camera_from_roundel: Rigid, sheet: Sheet) -> Canvas {
     let setting = Setting {
         light: [0.8, 0.05, -0.03],
@@ -168,13 +164,13 @@ fn half_levels_lie_on_the_projected_rims() {
     let width = camera.width();
     let sheets = [Sheet::Disc(1.5 * OUTER_M as f32), Sheet::Square(1.5 * OUTER_M as f32)];
     let mut checked = 0;
-    // Depths for outer diameters of 16 to 110 px, places from the middle to the corner.
+    // Outer diameters of 16 to 110 px, positions from the middle to the corner.
     for (depth_m, sheet) in [7.0, 5.0, 3.0, 1.1].into_iter().zip(sheets.into_iter().cycle()) {
         for place in [[0.0, 0.0], [0.31, -0.22], [-0.75, 0.38]] {
             for (tilt_rad, axis_rad) in [(0.0, 0.0), (0.5, 0.7), (0.9, 2.9)] {
-                let camera_from_roundel = posed(place, depth_m, tilt_rad, axis_rad);
-                // The disc's image is bent most sharply with a radius of b² / a; where that comes
-                // down to the blur, the levels between pixels cannot be told well enough.
+                let camera_from_roundel = roundel_pose(place, depth_m, tilt_rad, axis_rad);
+                // The smallest radius of curvature of the disc's image is b² / a; near the blur, interpolation is
+                // too inexact.
                 let sight = camera_from_roundel.translation.vector.normalize();
                 let facing = (camera_from_roundel.rotation * Vector3::z()).dot(&sight);
                 if INNER_M * 733.0 / depth_m * facing * facing < 2.2 {
@@ -219,7 +215,7 @@ fn frames_show_robots_where_the_truth_has_them() {
             let center = Point3::from(robot.world_from_roundel.translation.vector);
             let distance_m =
                 camera.world_from_camera.inverse_transform_point(&center).coords.norm();
-            // Farther ones are small, and those with a neighbour may lie under its rotors.
+            // Farther roundels are small, and the rotors of a neighbour may cover one.
             if distance_m > 5.2 || !camera.sees(&center, 30.0) {
                 continue;
             }
@@ -239,7 +235,7 @@ fn frames_show_robots_where_the_truth_has_them() {
             let camera_from_roundel =
                 camera.world_from_camera.inverse() * exposed.world_from_roundel;
             for radii_m in rims_m(0.0) {
-                // In the fraction of a frame that it is exposed it moves by too little to matter.
+                // Motion during the exposure is negligible.
                 let turn = camera.world_from_camera.rotation.inverse();
                 let per_row_m = turn * exposed.velocity_m_s * camera.line_time_s;
                 let motions_m = [Vector3::zeros(), per_row_m];

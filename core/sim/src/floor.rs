@@ -1,5 +1,4 @@
-//! The still picture behind the robots: a lab's floor with joints, stains, tape and stickers, some
-//! boxes at its edge, under uneven light.
+//! Static background: a lab floor with joints, stains, tape and stickers, boxes at its edge, under uneven light.
 
 use nalgebra::{Point3, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -10,16 +9,15 @@ use super::{
     noise::{STEPS_PER_LEVEL, smooth_noise},
     params::ScenarioParams,
     ray::{RayGrid, RayRow},
-    rig::SimCamera,
+    sim_camera::SimCamera,
 };
 
-/// Side of the floor's slabs, metres, and half the width of the joints between them.
+/// Side of the slabs and half the width of their joints, metres.
 const SLAB_M: f64 = 1.25;
 const JOINT_HALF_M: f64 = 0.004;
-/// Half the width of the tape round the arena.
+/// Half the width of the tape around the arena, metres.
 const TAPE_HALF_M: f64 = 0.025;
 
-/// The floor and what stands on it.
 pub(super) struct Floor {
     seed: u64,
     half_m: [f64; 2],
@@ -27,24 +25,24 @@ pub(super) struct Floor {
     boxes: Vec<Crate>,
 }
 
-/// Something flat on the floor.
+/// A flat mark on the floor.
 struct Mark {
     center_m: [f64; 2],
     axis: [f64; 2],
     half_m: f64,
     albedo: f64,
-    look: Look,
+    style: MarkStyle,
 }
 
 #[derive(Clone, Copy, PartialEq)]
-enum Look {
+enum MarkStyle {
     Square,
     Disc,
     Cross,
     Stain,
 }
 
-/// A box that stands on the floor, aligned with the arena.
+/// A box on the floor, aligned with the arena.
 struct Crate {
     low_m: [f64; 3],
     high_m: [f64; 3],
@@ -58,11 +56,15 @@ impl Floor {
         let half_m = params.arena_m.map(|side| side / 2.0);
         let area_m2 = params.arena_m[0] * params.arena_m[1];
         let mut marks = Vec::new();
-        let looks =
-            [(Look::Stain, 0.25), (Look::Square, 0.2), (Look::Disc, 0.15), (Look::Cross, 0.1)];
-        for (look, per_m2) in looks {
+        let styles = [
+            (MarkStyle::Stain, 0.25),
+            (MarkStyle::Square, 0.2),
+            (MarkStyle::Disc, 0.15),
+            (MarkStyle::Cross, 0.1),
+        ];
+        for (style, per_m2) in styles {
             for _ in 0..(per_m2 * area_m2).min(400.0) as usize {
-                marks.push(Mark::random(look, half_m, &mut rng));
+                marks.push(Mark::random(style, half_m, &mut rng));
             }
         }
         let boxes = (0..(area_m2 / 10.0).min(40.0) as usize)
@@ -71,7 +73,7 @@ impl Floor {
         Self { seed: params.seed, half_m, marks, boxes }
     }
 
-    /// The background as a camera sees it, in the working image's levels.
+    /// The background in the image of a camera, in levels of the working image.
     pub fn picture(
         &self,
         camera: &SimCamera,
@@ -90,7 +92,7 @@ impl Floor {
             picture.extend(rays.x.iter().zip(&rays.y).map(|(&x, &y)| {
                 let (x, y) = (f64::from(x), f64::from(y));
                 let ray = camera.world_from_camera.rotation * Vector3::new(x, y, 1.0);
-                let level = self.look(&eye, &ray, pixel_m, &marks, light);
+                let level = self.brightness(&eye, &ray, pixel_m, &marks, light);
                 let scale = 255.0 * f64::from(STEPS_PER_LEVEL);
                 (scale * (level * falloff(x, y)).clamp(0.0, 1.0)) as f32
             }));
@@ -99,8 +101,8 @@ impl Floor {
         picture.into_iter().map(|level| level.round() as i16).collect()
     }
 
-    /// Share of full scale along a ray whose depth grows by 1 with each unit.
-    fn look(
+    /// Brightness along a ray with unit depth increment, as a share of full scale.
+    fn brightness(
         &self,
         eye: &Point3<f64>,
         ray: &Vector3<f64>,
@@ -120,7 +122,7 @@ impl Floor {
             return albedo * light.at(at.x, at.y);
         }
         if ray.z > -0.05 {
-            // A far wall.
+            // A distant wall.
             return 0.3 * light.at(0.0, 0.0);
         }
         let depth = -eye.z / ray.z;
@@ -135,10 +137,10 @@ impl Floor {
         let mut albedo =
             0.46 + 0.035 * noise(1.9, 1) + 0.02 * noise(0.4, 2) + 0.018 * noise(0.05, 3);
         let to_joint = |x: f64| (x / SLAB_M - (x / SLAB_M).round()).abs() * SLAB_M;
-        let joint = within(JOINT_HALF_M - to_joint(x_m).min(to_joint(y_m)), pixel_m);
+        let joint = soft_step(JOINT_HALF_M - to_joint(x_m).min(to_joint(y_m)), pixel_m);
         albedo *= 1.0 - 0.45 * joint;
         let beyond = (x_m.abs() - self.half_m[0]).max(y_m.abs() - self.half_m[1]);
-        let tape = within(TAPE_HALF_M - beyond.abs(), pixel_m);
+        let tape = soft_step(TAPE_HALF_M - beyond.abs(), pixel_m);
         albedo += tape * (0.72 - albedo);
         if beyond > TAPE_HALF_M {
             albedo *= 0.75;
@@ -153,41 +155,44 @@ impl Floor {
 }
 
 impl Mark {
-    fn random(look: Look, half_m: [f64; 2], rng: &mut ChaCha8Rng) -> Self {
+    fn random(style: MarkStyle, half_m: [f64; 2], rng: &mut ChaCha8Rng) -> Self {
         let (sine, cosine) = rng.random_range(0.0..std::f64::consts::TAU).sin_cos();
-        let size_m = match look {
-            Look::Stain => 0.1..0.45,
-            Look::Square => 0.02..0.14,
-            Look::Disc => 0.015..0.09,
-            Look::Cross => 0.08..0.15,
+        let size_m = match style {
+            MarkStyle::Stain => 0.1..0.45,
+            MarkStyle::Square => 0.02..0.14,
+            MarkStyle::Disc => 0.015..0.09,
+            MarkStyle::Cross => 0.08..0.15,
         };
-        let albedo = match look {
-            Look::Stain => rng.random_range(0.25..0.38),
-            Look::Cross => 0.75,
+        let albedo = match style {
+            MarkStyle::Stain => rng.random_range(0.25..0.38),
+            MarkStyle::Cross => 0.75,
             _ if rng.random_bool(0.5) => rng.random_range(0.06..0.25),
             _ => rng.random_range(0.6..0.88),
         };
         let center_m = half_m.map(|half| rng.random_range(-half..half));
-        Self { center_m, axis: [cosine, sine], half_m: rng.random_range(size_m), albedo, look }
+        Self { center_m, axis: [cosine, sine], half_m: rng.random_range(size_m), albedo, style }
     }
 
     fn coverage(&self, x_m: f64, y_m: f64, pixel_m: f64) -> f64 {
         let (dx, dy) = (x_m - self.center_m[0], y_m - self.center_m[1]);
         let [cosine, sine] = self.axis;
         let (along, across) = ((cosine * dx + sine * dy).abs(), (cosine * dy - sine * dx).abs());
-        match self.look {
-            Look::Square => within(self.half_m - along.max(across), pixel_m),
-            Look::Disc => within(self.half_m - along.hypot(across), pixel_m),
-            Look::Cross => {
+        match self.style {
+            MarkStyle::Square => soft_step(self.half_m - along.max(across), pixel_m),
+            MarkStyle::Disc => soft_step(self.half_m - along.hypot(across), pixel_m),
+            MarkStyle::Cross => {
                 let bar = self.half_m * 0.14;
                 let first = (self.half_m - along).min(bar - across);
                 let second = (self.half_m - across).min(bar - along);
-                within(first.max(second), pixel_m)
+                soft_step(first.max(second), pixel_m)
             }
-            Look::Stain => {
-                // Longer than wide, and ragged.
+            MarkStyle::Stain => {
+                // Elongated and irregular.
                 let ragged = 1.0 + 0.35 * smooth_noise(17, x_m / 0.12, y_m / 0.12);
-                0.6 * within(self.half_m - along.hypot(1.7 * across) * ragged, 0.25 * self.half_m)
+                0.6 * soft_step(
+                    self.half_m - along.hypot(1.7 * across) * ragged,
+                    0.25 * self.half_m,
+                )
             }
         }
     }
@@ -197,7 +202,7 @@ impl Mark {
     }
 }
 
-/// Which marks may touch a place, by squares of the floor.
+/// Grid of the marks near each square of the floor.
 struct MarkIndex {
     half_m: [f64; 2],
     columns: usize,
@@ -239,13 +244,13 @@ impl MarkIndex {
 }
 
 impl Crate {
-    /// A box just beyond the arena's edge, lower than the roundels, where no robot drives.
+    /// A box outside of the arena, lower than the roundels.
     fn random(half_m: [f64; 2], roundel_height_m: f64, rng: &mut ChaCha8Rng) -> Self {
         let size_m = [rng.random_range(0.2..0.6), rng.random_range(0.2..0.6)];
         let side = if rng.random_bool(0.5) { 1.0 } else { -1.0 };
         let across = usize::from(rng.random_bool(0.3));
         let mut center_m = half_m.map(|half| rng.random_range(-half..half));
-        // Most stand along the sides y = ±: a camera's image is wide rather than high.
+        // Most are along the sides y = ±, since images are wider than high.
         let axis = 1 - across;
         center_m[axis] = side * (half_m[axis] + size_m[axis] / 2.0 - 0.1);
         let height_m = rng.random_range(0.3..0.8) * roundel_height_m;
@@ -256,7 +261,7 @@ impl Crate {
         }
     }
 
-    /// Depth at which a ray enters, and how bright the face is that it meets (slab method).
+    /// Depth at which a ray enters, and brightness of the face it meets (slab method).
     fn hit(&self, eye: &Point3<f64>, ray: &Vector3<f64>) -> Option<(f64, f64)> {
         let (mut enter, mut leave, mut face) = (0.0, f64::INFINITY, 2);
         for axis in 0..3 {
@@ -273,13 +278,13 @@ impl Crate {
     }
 }
 
-/// Coverage at a signed distance inside an edge, softened over `width_m`.
-fn within(inside_m: f64, width_m: f64) -> f64 {
+/// Coverage at a signed distance from an edge of width `width_m`.
+fn soft_step(inside_m: f64, width_m: f64) -> f64 {
     let t = (inside_m / width_m + 0.5).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }
 
-/// Gaussian blur, row by row, then column by column; borders repeat the outermost pixel.
+/// Separable Gaussian blur with replicated borders.
 fn blur(picture: &mut [f32], width: usize, blur_px: f64) {
     let reach = (3.5 * blur_px).ceil() as usize;
     if blur_px < 0.05 {

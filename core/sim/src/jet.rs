@@ -1,18 +1,18 @@
-//! Functions of time with their first three derivatives, carried exactly.
+//! Functions of time with their first three derivatives (jets).
 //!
-//! A robot's path is a closed form of time; its velocity, acceleration and jerk come from the same
-//! expression by the product and chain rules, so they cannot disagree with it.
+//! Velocity, acceleration and jerk of a closed-form path follow from the same expression by the product and chain rules, so
+//! they are consistent.
 
 use std::ops::{Add, Mul};
 
-/// Value and first three derivatives by time at one instant.
+/// Value and first three derivatives at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Jet(pub [f64; 4]);
 
-/// A sinusoid of time, amplitude · sin(rate · t + phase).
+/// A sinusoid, amplitude · sin(rate · t + phase).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Wave {
-    /// In the unit of what it moves.
+    /// In the unit of the value.
     pub amplitude: f64,
     /// Angular rate, rad/s.
     pub rate_rad_s: f64,
@@ -21,7 +21,6 @@ pub(super) struct Wave {
 }
 
 impl Jet {
-    /// What never changes.
     pub fn constant(value: f64) -> Self {
         Self([value, 0.0, 0.0, 0.0])
     }
@@ -31,12 +30,11 @@ impl Jet {
         Self([offset + rate * t, rate, 0.0, 0.0])
     }
 
-    /// Times a constant.
     pub fn scale(self, factor: f64) -> Self {
         Self(self.0.map(|x| x * factor))
     }
 
-    /// Sine and cosine, by Faà di Bruno's rule to third order.
+    /// By Faà di Bruno's formula to third order.
     pub fn sin_cos(self) -> (Self, Self) {
         let [u, u1, u2, u3] = self.0;
         let (s, c) = u.sin_cos();
@@ -48,7 +46,7 @@ impl Jet {
 }
 
 impl Wave {
-    /// Its value and derivatives at time `t`.
+    /// Value and derivatives at time `t`.
     pub fn at(&self, t: f64) -> Jet {
         Jet::linear(self.phase_rad, self.rate_rad_s, t).sin_cos().0.scale(self.amplitude)
     }

@@ -1,11 +1,11 @@
-//! Simulated scenarios, rendered to pixels: the demo's world, and a truth to test against.
+//! Simulated scenarios, rendered to pixels: for the demo, and as ground truth for tests.
 //!
-//! [`ScenarioParams`] → [`Scenario`] (cameras, and each robot's pose at any time) → [`Renderer`] (one
-//! camera's 8-bit frames). Everything follows from the parameters, their seed, and what robots were told since
-//! ([`Scenario::drive`]); nothing is stored from frame to frame, so frames can be painted in any order and on any thread.
+//! [`ScenarioParams`] → [`Scenario`] (cameras, and each robot's pose at any time) → [`Renderer`] (8-bit frames of one
+//! camera). Everything depends on the parameters, their seed, and commands to robots ([`Scenario::drive`]) only, so frames
+//! can be rendered in any order and on any thread.
 //!
-//! What judges Roundel's precision is another renderer, in the workspace's `tests/`: this one shares
-//! its lens model with the detector that it feeds.
+//! Precision is judged by another renderer in the workspace's `tests/`, since this one shares the lens model with the
+//! detector.
 //!
 //! ```
 //! use roundel_sim::{Renderer, Scenario};
@@ -23,7 +23,7 @@ mod albedo;
 mod canvas;
 #[cfg(test)]
 mod contour;
-mod course;
+mod driven_path;
 mod floor;
 mod jet;
 mod layout;
@@ -34,12 +34,12 @@ mod patch;
 mod path;
 mod ray;
 mod render;
-mod rig;
 mod scenario;
+mod sim_camera;
 mod teeth;
 
-pub use course::Drive;
+pub use driven_path::Drive;
 pub use params::{CameraMount, ImageParams, Optics, ScenarioError, ScenarioParams};
 pub use render::{BufferError, Renderer};
-pub use rig::{SimCamera, look_at};
 pub use scenario::{RobotTruth, Scenario};
+pub use sim_camera::{SimCamera, look_at};

@@ -1,8 +1,8 @@
-//! How bright a place of the arena is, and a place of the image.
+//! Brightness over the arena and over the image.
 
 use super::{noise::mix, params::ScenarioParams};
 
-/// Share of the light that reaches the image along a ray (x, y, 1): less towards the corners.
+/// Vignetting: share of the light that reaches the image along a ray (x, y, 1).
 pub(super) fn falloff(x: f64, y: f64) -> f64 {
     1.0 / (1.0 + 0.16 * (x * x + y * y))
 }
@@ -15,7 +15,7 @@ pub(super) struct Light {
     lamps_m: [[f64; 2]; 3],
 }
 
-/// Share of the level that a lamp adds in its middle, and the radius of its pool.
+/// Share of the level that a lamp adds at its centre, and radius of its pool.
 const LAMP_SHARE: f64 = 0.08;
 const LAMP_RADIUS_M: f64 = 1.6;
 
@@ -36,7 +36,7 @@ impl Light {
         }
     }
 
-    /// Share of full scale that a white, level sheet at this place has in the image's middle.
+    /// Level of a white, horizontal sheet at this position in the middle of an image, as a share of full scale.
     pub fn at(&self, x_m: f64, y_m: f64) -> f64 {
         let slope = 1.0 + self.slope_per_m[0] * x_m + self.slope_per_m[1] * y_m;
         let lamps: f64 = self
@@ -47,7 +47,7 @@ impl Light {
                 (-squared / (2.0 * LAMP_RADIUS_M * LAMP_RADIUS_M)).exp()
             })
             .sum();
-        // Outside the arena the slope must not turn negative.
+        // Outside of the arena the slope must stay positive.
         self.level * (slope.max(0.2) + LAMP_SHARE * (lamps - 0.5))
     }
 }

@@ -1,16 +1,16 @@
-//! Repeatable randomness: a hash of integers, smooth noise over the plane, and the sensor's noise.
+//! Reproducible randomness: an integer hash, smooth noise over the plane, and sensor noise.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-/// Grey levels of the working image are multiples of 1 / 64.
+/// Steps of the working image per grey level.
 pub(super) const STEPS_PER_LEVEL: i16 = 64;
 
-/// Places in the tile at which a row may begin.
+/// Number of positions in the tile where a row may begin.
 const STARTS: usize = 1 << 16;
 
-/// A well-mixed number out of two (the finalizer of splitmix64, Steele et al. 2014).
+/// Hash of two numbers (finalizer of splitmix64, Steele et al. 2014).
 pub(super) fn mix(a: u64, b: u64) -> u64 {
     let mut z = a.wrapping_add(b.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -18,7 +18,7 @@ pub(super) fn mix(a: u64, b: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// Smooth noise of about unit wavelength, -1 to 1: a cubic blend of random values at integers.
+/// Smooth noise of about unit wavelength, -1 to 1: cubic interpolation of random values at integers.
 pub(super) fn smooth_noise(seed: u64, x: f64, y: f64) -> f64 {
     let corner = |i: i64, j: i64| {
         let hash = mix(mix(seed, i as u64), j as u64);
@@ -31,36 +31,35 @@ pub(super) fn smooth_noise(seed: u64, x: f64, y: f64) -> f64 {
     along(j) * (1.0 - t) + along(j + 1) * t
 }
 
-/// The sensor's noise: normal, independent of the signal, from a tile that each row of each frame
-/// enters at a place of its own. Drawing a million normal numbers a frame would cost more than all
-/// the rest of the picture.
+/// Normal sensor noise, independent of the signal. Each row of each frame reads a tile at a pseudorandom position;
+/// drawing a million normal numbers per frame would cost more than the rest of the picture.
 pub(super) struct SensorNoise {
     seed: u64,
     tile: Vec<i16>,
 }
 
 impl SensorNoise {
-    /// Noise of this standard deviation in grey levels for rows of up to `width` pixels.
+    /// Standard deviation in grey levels, for rows of up to `width` pixels.
     pub fn new(seed: u64, width: usize, levels: f64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let step = f64::from(STEPS_PER_LEVEL);
         let tile = (0..STARTS + width)
             .map(|_| {
                 let normal: f64 = rng.sample(StandardNormal);
-                // Half a level, so that the cut to whole levels rounds to the nearest.
+                // Half a level, so that truncation rounds to nearest.
                 (normal.clamp(-6.0, 6.0) * levels * step + step / 2.0).round() as i16
             })
             .collect();
         Self { seed, tile }
     }
 
-    /// Turns a row of the working image into 8-bit pixels with noise.
+    /// Converts a row of the working image to 8-bit pixels with noise.
     pub fn develop(&self, frame: u64, row: usize, working: &[i16], pixels: &mut [u8]) {
         const SHIFT: u32 = STEPS_PER_LEVEL.trailing_zeros();
         let start = mix(mix(self.seed, frame), row as u64) as usize % STARTS;
         let noise = &self.tile[start..start + working.len()];
         for ((pixel, &level), &noise) in pixels.iter_mut().zip(working).zip(noise) {
-            // Levels end at 255 · 64 and noise at 180 · 64: the sum stays within 16 bits.
+            // Levels are at most 255 · 64 and noise 180 · 64, so the sum fits into 16 bits.
             *pixel = (level.wrapping_add(noise) >> SHIFT).clamp(0, 255) as u8;
         }
     }
@@ -85,7 +84,7 @@ mod tests {
             }
         }
         let count = 409_600.0;
-        // The rows share one tile, so the mean is as good as 65,536 samples make it.
+        // The rows share a tile of about 65,536 samples.
         assert!((sum / count).abs() < 0.03, "mean {}", sum / count);
         let expected = 4.0 + 1.0 / 12.0;
         assert!((squares / count - expected).abs() < 0.1, "variance {}", squares / count);

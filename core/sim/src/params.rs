@@ -1,4 +1,4 @@
-//! What a scenario is made of, as plain numbers, and the reference installations as presets.
+//! Parameters of a scenario, and the reference installations as presets.
 
 use thiserror::Error;
 
@@ -8,38 +8,38 @@ use roundel_vision::{
     marker::{CodeError, CodeLayout, Kind, Pattern},
 };
 
-/// Everything that a scenario follows from; the same numbers always give the same pixels.
+/// Parameters of a scenario. Equal parameters give equal pixels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ScenarioParams {
-    /// Seed of all that is random: paths, phases, the floor's marks, noise.
+    /// Seed of all random choices: paths, phases, marks on the floor, noise.
     pub seed: u64,
-    /// The arena's sides along world x and y, centred on the world's origin, metres.
+    /// Sides of the arena along world x and y, centred on the origin, metres.
     pub arena_m: [f64; 2],
-    /// Robots in all.
+    /// Number of robots.
     pub robots: usize,
-    /// Of these, parked for good on the floor.
+    /// Number of robots that are parked.
     pub still: usize,
     /// Share of `robots` that fly (rounded), 0 to 1.
     pub flying_share: f64,
-    /// Kinds of roundel, dealt to the robots in turn.
+    /// Kinds of roundel, assigned to the robots in turn.
     pub kinds: Vec<Kind>,
     /// Height of the roundels of ground robots, metres.
     pub roundel_height_m: f64,
-    /// Flying robots' roundels stay below this height, metres.
+    /// Maximum height of flying robots' roundels, metres.
     pub flying_top_m: f64,
-    /// No robot accelerates more, m/s².
+    /// Maximum acceleration of a robot, m/s².
     pub acceleration_limit_m_s2: f64,
-    /// Where cameras hang; they are named `camera-0`, `camera-1`, ….
+    /// Positions of the cameras, named `camera-0`, `camera-1`, ….
     pub mounts: Vec<CameraMount>,
-    /// What all cameras have in common.
+    /// Common properties of all cameras.
     pub optics: Optics,
-    /// How pixels come about.
+    /// Image quality.
     pub image: ImageParams,
-    /// Beams that swing slowly above the robots and hide some now and then.
+    /// Number of beams that swing slowly above the robots and hide some.
     pub booms: usize,
 }
 
-/// Where a camera hangs and the point on its axis; see [`super::look_at`] for the turn.
+/// Position and target of a camera; see [`super::look_at`] for the rotation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraMount {
     /// World, metres.
@@ -48,7 +48,7 @@ pub struct CameraMount {
     pub target_m: [f64; 3],
 }
 
-/// What all cameras of a scenario have in common.
+/// Common properties of a scenario's cameras.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Optics {
     /// Columns, pixels.
@@ -59,35 +59,35 @@ pub struct Optics {
     pub focal_px: f64,
     /// Distortion.
     pub lens: Lens,
-    /// Each camera's principal point is off the image's centre by up to this, pixels.
+    /// Maximum offset of each principal point from the image's centre, pixels.
     pub center_offset_px: f64,
     /// Nominal rate, hertz.
     pub rate_hz: f64,
-    /// Each camera's frames are off the common beat by up to this, either way, seconds.
+    /// Maximum offset of each camera's frames from the common phase, seconds.
     pub phase_range_s: f64,
-    /// Each camera's rate is off the nominal one by up to this share, either way.
+    /// Maximum relative deviation of each camera's rate.
     pub rate_error: f64,
     /// Exposure of a row, seconds.
     pub exposure_s: f64,
-    /// From a row's exposure to the next one's, seconds; 0 for a global shutter.
+    /// Time from one row's exposure to the next one's, seconds; 0 for a global shutter.
     pub line_time_s: f64,
 }
 
-/// How pixels come about.
+/// Image quality.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImageParams {
     /// Standard deviation of the lens' blur, pixels.
     pub blur_px: f64,
     /// Standard deviation of the noise, grey levels of 255.
     pub noise_levels: f64,
-    /// Brightness that white paper would have in the arena's middle, share of full scale.
+    /// Brightness of white paper in the middle of the arena, as a share of full scale.
     pub light: f64,
-    /// How much brighter than the middle the brightest edge of the arena is, share of `light`; the
-    /// opposite edge is darker by as much.
+    /// Relative brightness increase at the brightest edge of the arena, as a share of `light`; the opposite edge is
+    /// darker by the same amount.
     pub light_gradient: f64,
 }
 
-/// Why parameters make no scenario.
+/// Why parameters are invalid.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum ScenarioError {
     /// A number is out of range.
@@ -95,67 +95,67 @@ pub enum ScenarioError {
     Value {
         /// Name of the parameter.
         field: &'static str,
-        /// The range it must lie in.
+        /// Valid range.
         expected: &'static str,
-        /// What came.
+        /// The given number.
         found: f64,
     },
-    /// More robots than keep clear of each other.
+    /// Too many robots for the arena.
     #[error(
-        "scenario: expected at most {most} {role} robots in this arena, found {found}; \
+        "scenario: expected at most {max} {role} robots in this arena, found {found}; \
          enlarge the arena, or ask for fewer"
     )]
     Crowded {
         /// `driving`, `flying` or `parked`.
         role: &'static str,
-        /// How many there is room for.
-        most: usize,
-        /// How many were asked for.
+        /// Maximum number.
+        max: usize,
+        /// Requested number.
         found: usize,
     },
-    /// More robots than there are codes.
-    #[error("scenario: expected at most {most} robots with codes of {bits} bits, found {found}")]
+    /// More robots than codes.
+    #[error("scenario: expected at most {max} robots with codes of {bits} bits, found {found}")]
     Codes {
-        /// The codes' bits.
+        /// Bits of the codes.
         bits: u8,
-        /// How many codes there are.
-        most: usize,
-        /// How many robots carry one.
+        /// Number of codes.
+        max: usize,
+        /// Number of coded robots.
         found: usize,
     },
-    /// There are no such codes.
+    /// Invalid code layout.
     #[error("scenario: {0}")]
     NoCodes(#[from] CodeError),
-    /// Too little of the arena is seen.
+    /// The cameras see too little of the arena.
     #[error(
         "scenario: expected the cameras to see a connected middle of the arena at heights of \
          {low_m} to {high_m} m, found none; hang them higher or nearer to the middle"
     )]
     Uncovered {
-        /// Lowest height looked at, metres.
+        /// Lowest height, metres.
         low_m: f64,
-        /// Highest height looked at, metres.
+        /// Highest height, metres.
         high_m: f64,
     },
-    /// Intrinsics or lens are none.
+    /// Invalid intrinsics.
     #[error("scenario: {0}")]
     Camera(#[from] CameraError),
-    /// The lens images more than the half space before the camera, or ends within the image.
+    /// The lens model does not cover the whole image.
     #[error("scenario: expected a lens that reaches to the image's corners, found none: {0}")]
     Lens(#[from] LensError),
-    /// No such camera.
+    /// There is no such camera.
     #[error("scenario: expected a camera from 0 to {last}, found {found}")]
     NoSuchCamera {
-        /// The last one there is.
+        /// Index of the last camera.
         last: usize,
-        /// What was asked for.
+        /// Requested index.
         found: usize,
     },
 }
 
 impl ScenarioParams {
-    /// R4, the reference installation: 10 × 8 m, four cameras 1920x1080 at 60 Hz, 24 robots with
-    /// coded roundels of 160 mm (8 bits), a third of them flying, 4 standing still.
+    /// R4, the reference installation: 10 × 8 m, four cameras 1920x1080 at 60 Hz, 24 robots with coded roundels of
+    /// 160 mm (8 bits), a third of them flying, 4 parked.
     pub fn r4(seed: u64) -> Self {
         let mounts = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)].map(|(x, y)| {
             CameraMount { position_m: [2.5 * x, 2.0 * y, 5.0], target_m: [1.25 * x, y, 0.0] }
@@ -195,7 +195,7 @@ impl ScenarioParams {
         }
     }
 
-    /// R4 for the demo: the same with 1280x720 pixels at 30 Hz, too few for teeth, so with plain roundels.
+    /// R4 for the demo: 1280x720 pixels at 30 Hz, too few for codes, so with plain roundels.
     pub fn r4_lite(seed: u64) -> Self {
         let mut params = Self::r4(seed);
         let optics = &mut params.optics;
@@ -207,8 +207,8 @@ impl ScenarioParams {
         params
     }
 
-    /// The demo's installation with roundels of three kinds whose discs are elliptical: each robot shows
-    /// where it heads, or the opposite.
+    /// The demo's installation with roundels of three kinds with elliptical discs, which show the heading up to
+    /// 180°.
     pub fn r4_elliptical(seed: u64) -> Self {
         let kind = |name: &str, along_m: f64, minor_diameter_m: f64| Kind {
             pattern: Pattern::Elliptical { minor_diameter_m },
@@ -222,12 +222,12 @@ impl ScenarioParams {
         Self { kinds, ..Self::r4_lite(seed) }
     }
 
-    /// Robots that fly.
+    /// Number of flying robots.
     pub fn flying(&self) -> usize {
         (self.robots as f64 * self.flying_share).round() as usize
     }
 
-    /// Checks each number on its own; [`super::Scenario::new`] also checks that robots have room.
+    /// Checks the range of each number; [`super::Scenario::new`] also checks the number of robots.
     pub fn validate(&self) -> Result<(), ScenarioError> {
         within("arena_m[0]", self.arena_m[0], [2.0, 1000.0], "2 to 1000 m")?;
         within("arena_m[1]", self.arena_m[1], [2.0, 1000.0], "2 to 1000 m")?;
@@ -244,9 +244,9 @@ impl ScenarioParams {
 
     fn validate_robots(&self) -> Result<(), ScenarioError> {
         within("flying_share", self.flying_share, [0.0, 1.0], "0 to 1")?;
-        let most_still = (self.robots - self.flying().min(self.robots)) as f64;
+        let max_still = (self.robots - self.flying().min(self.robots)) as f64;
         let role = "0 to the number of robots that do not fly";
-        within("still", self.still as f64, [0.0, most_still], role)?;
+        within("still", self.still as f64, [0.0, max_still], role)?;
         within("kinds", self.kinds.len() as f64, [1.0, 65_536.0], "1 to 65536 kinds")?;
         for kind in &self.kinds {
             let outer_m = kind.outer_diameter_m;

@@ -1,17 +1,15 @@
-//! Flat shapes painted into an image through lens and perspective, with soft edges that lie where
-//! a blurring lens images the true outline.
+//! Paints flat shapes through lens and perspective, with soft edges at the position of a blurred outline.
 //!
-//! For each pixel of a shape's neighbourhood the ray (x, y, 1) meets the shape's plane at
+//! The ray (x, y, 1) of each pixel near a shape meets the shape's plane at
 //!
 //! (X, Y) = (h₁ · d / h₃ · d, h₂ · d / h₃ · d),  H = [eₓ e_y t]⁻¹, d = ray,
 //!
-//! exactly, so the outline itself is exact; only the edge's *width* is local: with the outline's
-//! signed distance s(X, Y) in the plane and its gradient g in the image, coverage is
-//! Φ(s / sqrt(σ² |g|² + (m · g)² / 12)), where σ² is the blur's variance plus 1/12 of the pixel's own
-//! square, and m the motion during the exposure in pixels. Under a rolling shutter what is seen v rows below the
-//! origin's has moved on by s v, s its motion from row to row in pixels: its ray is that of the pixel less s v. Blur moves a curved edge inwards: of a
-//! circle of radius r by v / 2r, v the blur's variance along the edge, in the plane, which keeps the
-//! area that is covered as a real lens does. Straight edges stay where they are.
+//! so outlines are exact; only the *width* of edges is a local approximation. With the outline's signed distance s(X, Y) in
+//! the plane and its gradient g in the image, the coverage is Φ(s / sqrt(σ² |g|² + (m · g)² / 12)), where σ² is the variance
+//! of the blur plus 1/12 for the pixel's square, and m the motion during the exposure in pixels. With a rolling shutter, the
+//! ray of a pixel v rows below the origin is that of the pixel less s v, for the motion s per row in pixels. Blur shifts a
+//! curved edge inwards, a circle of radius r by v / 2r with the blur's variance v along the edge in the plane, which
+//! preserves the covered area. Straight edges are not shifted.
 
 use nalgebra::{Isometry3, Matrix2, Matrix3, Point3, Vector2, Vector3};
 
@@ -20,38 +18,38 @@ use super::{
 };
 use roundel_vision::camera::{Camera, PixelPoint};
 
-/// Coverage beyond so many standard deviations of an edge is left out.
+/// Extent of an edge in standard deviations.
 const REACH_SIGMA: f64 = 3.6;
 /// Full scale of the working image.
 const FULL_SCALE: f32 = 255.0 * STEPS_PER_LEVEL as f32;
 
-/// What a patch looks like, in its own plane, metres.
+/// A shape in its own plane, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Shape<'a> {
-    /// One albedo within a circle.
+    /// Disc of constant albedo.
     Disc { radius_m: f32, albedo: f32 },
-    /// A shadow: darkest in its middle, (1 - r² / radius²)² of it away from there.
+    /// Shadow with the opacity profile (1 - r² / radius²)².
     Shadow { radius_m: f32, opacity: f32 },
-    /// One albedo within a rectangle.
+    /// Rectangle of constant albedo.
     Bar { half_m: [f32; 2], albedo: f32 },
-    /// Black ring, white disc, on a white sheet.
+    /// Black ring and white disc on a white sheet.
     Roundel { outer_radius_m: f32, inner_radius_m: f32, sheet: Sheet },
-    /// The same with an elliptical disc, its semiaxes along x and y.
+    /// The same with an elliptical disc, semiaxes along x and y.
     Elliptical { outer_radius_m: f32, semiaxes_m: [f32; 2], sheet: Sheet },
-    /// The same with teeth round the disc.
+    /// The same with the teeth of a code.
     Coded { outer_radius_m: f32, teeth: &'a Teeth, sheet: Sheet },
 }
 
-/// The white sheet round a roundel.
+/// White sheet of a roundel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Sheet {
-    /// Half the side.
+    /// Half of the side.
     Square(f32),
     /// Radius.
     Disc(f32),
 }
 
-/// A plane seen by a camera, and how it is lit.
+/// A plane in the view of a camera, with its light.
 #[derive(Clone, Debug)]
 pub(super) struct Patch {
     /// Ray at the origin of the plane.
@@ -62,33 +60,33 @@ pub(super) struct Patch {
     by_pixel: [[f32; 2]; 3],
     /// Motion during the exposure, pixels.
     motion_px: [f32; 2],
-    /// Row of the origin, and motion from one row's exposure to the next one's, pixels.
+    /// Row of the origin, and motion per row, pixels.
     row_px: f64,
     px_per_row: Vector2<f64>,
     /// Light that reaches the image from the origin, and its slope along X and Y, per metre.
     light: [f32; 3],
-    /// Blur's and pixel's variance, pixels².
+    /// Variance of blur and pixel, pixels².
     variance_px2: f32,
     camera_from_plane: Isometry3<f64>,
-    /// Metres in the plane that one pixel spans at most.
+    /// Maximum extent of a pixel in the plane, metres.
     metres_per_px: f64,
 }
 
-/// What surrounds a patch: light, motion, blur.
+/// Light, motion and blur of a patch.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Setting {
     /// Light at the origin, and its slope along the plane's X and Y, per metre.
     pub light: [f64; 3],
     /// Motion of the origin during the exposure, camera frame, metres.
     pub motion_m: Vector3<f64>,
-    /// The same from one row's exposure to the next one's.
+    /// Motion of the origin per row, camera frame, metres.
     pub per_row_m: Vector3<f64>,
-    /// The lens' blur, standard deviation, pixels.
+    /// Standard deviation of the lens' blur, pixels.
     pub blur_px: f64,
 }
 
 impl Patch {
-    /// The plane z = 0 of a frame; `None` if its origin has no image or it is seen from behind.
+    /// The plane z = 0 of a frame; `None` if its origin has no image or it faces away.
     pub fn new(
         camera: &Camera,
         camera_from_plane: Isometry3<f64>,
@@ -97,7 +95,7 @@ impl Patch {
         let center = camera_from_plane.translation.vector;
         let turn: Matrix3<f64> = camera_from_plane.rotation.to_rotation_matrix().into_inner();
         let columns = [turn.column(0).into_owned(), turn.column(1).into_owned(), center];
-        // Edge-on or from behind there is nothing to see.
+        // Edge-on or facing away.
         if turn.column(2).dot(&center) > -0.02 * center.norm() {
             return None;
         }
@@ -127,25 +125,25 @@ impl Patch {
             motion_px,
             row_px: pixel.v,
             px_per_row,
-            light: dim(setting.light, &camera_from_plane).map(|x| x as f32),
+            light: with_falloff(setting.light, &camera_from_plane).map(|x| x as f32),
             variance_px2: (setting.blur_px * setting.blur_px + 1.0 / 12.0) as f32,
             camera_from_plane,
             metres_per_px: plane_by_pixel.norm(),
         })
     }
 
-    /// How far beyond its outline a shape still shows, metres in the plane.
+    /// Extent of a shape's blurred edge beyond its outline, metres in the plane.
     fn reach_m(&self) -> f64 {
         let motion_px2 = f64::from(self.motion_px[0].hypot(self.motion_px[1])).powi(2) / 12.0;
         let edge_m = (f64::from(self.variance_px2) + motion_px2).sqrt() * self.metres_per_px;
         REACH_SIGMA * edge_m + self.metres_per_px
     }
 
-    /// Points of the plane round all that the shape touches, metres.
+    /// Points of the plane around everything that the shape touches, metres.
     fn outline_m(&self, shape: &Shape) -> Vec<[f64; 2]> {
         let circle = |radius_m: f64| {
             const CORNERS: u32 = 10;
-            // The polygon goes round the circle.
+            // The polygon encloses the circle.
             let radius_m = radius_m / (std::f64::consts::PI / f64::from(CORNERS)).cos();
             (0..CORNERS)
                 .map(|i| {
@@ -155,7 +153,7 @@ impl Patch {
                 .collect()
         };
         let rectangle = |half_m: [f64; 2]| {
-            // Long sides bend in the lens.
+            // Distortion bends long sides.
             const PARTS: u32 = 8;
             let corners = [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]];
             (0..4 * PARTS)
@@ -202,7 +200,7 @@ impl Patch {
             .collect()
     }
 
-    /// Paints the shape over a row of the working image whose pixels have these rays.
+    /// Paints the shape over a row of the working image with these rays.
     pub fn paint(&self, shape: &Shape, rays: &RayRow, row: &mut [i16]) {
         match *shape {
             Shape::Shadow { radius_m, opacity } => self.paint_with(rays, row, |at| {
@@ -254,9 +252,14 @@ impl Patch {
         }
     }
 
-    /// `look` gives (coverage, albedo). Kept free of branches so that it becomes vector code.
+    /// `shade` returns (coverage, albedo). Branch-free, so that it is vectorized.
     #[inline(always)]
-    fn paint_with(&self, rays: &RayRow, row: &mut [i16], look: impl Fn(&PlanePoint) -> (f32, f32)) {
+    fn paint_with(
+        &self,
+        rays: &RayRow,
+        row: &mut [i16],
+        shade: impl Fn(&PlanePoint) -> (f32, f32),
+    ) {
         /// Adding it leaves a number's rounded value in the low bits of its mantissa.
         const ROUNDER: f32 = 12_582_912.0;
         let [h0, h1, h2] = self.to_plane;
@@ -274,7 +277,7 @@ impl Patch {
                 motion_px: self.motion_px,
                 variance_px2: self.variance_px2,
             };
-            let (coverage, albedo) = look(&at);
+            let (coverage, albedo) = shade(&at);
             let light = self.light[0] + self.light[1] * x_m + self.light[2] * y_m;
             let level = (albedo * light).clamp(0.0, 1.0) * FULL_SCALE;
             let before = f32::from(*pixel);
@@ -284,8 +287,8 @@ impl Patch {
     }
 }
 
-/// Light on a plane, less what is lost towards the image's corners.
-fn dim(light: [f64; 3], camera_from_plane: &Isometry3<f64>) -> [f64; 3] {
+/// Light on a plane after vignetting.
+fn with_falloff(light: [f64; 3], camera_from_plane: &Isometry3<f64>) -> [f64; 3] {
     const STEP_M: f64 = 0.05;
     let at = |x_m: f64, y_m: f64| {
         let point = camera_from_plane * Point3::new(x_m, y_m, 0.0);

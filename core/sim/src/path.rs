@@ -1,13 +1,12 @@
-//! Where a robot is at any time: closed forms, so that no state is kept and any instant can be
-//! asked for in any order.
+//! Closed-form paths of robots, evaluated at any time without state.
 //!
 //! A moving robot follows a *lane*, a closed rounded rectangle
 //!
 //! x = (a + w(t)) (cos θ - h cos 3θ) / (1 - h),  y = (b + w(t)) (sin θ + h sin 3θ) / (1 - h)
 //!
-//! with θ(t) = θ₀ ± (ω t + s(t)), where w weaves it sideways and s makes it hurry and dawdle. Flying
-//! ones also rise and sink. A robot on the ground turns with its heading; a flying one tilts its
-//! normal along its specific thrust (a + g ẑ), as a multicopter must.
+//! with θ(t) = θ₀ ± (ω t + s(t)), where w moves it sideways and s varies its speed. Flying robots also rise and sink. A
+//! ground robot turns with its heading; the normal of a flying one follows its specific thrust (a + g ẑ), as for a
+//! multicopter.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
@@ -18,16 +17,16 @@ const SQUARENESS: f64 = 0.08;
 /// Standard gravity, m/s².
 const GRAVITY_M_S2: f64 = 9.806_65;
 
-/// One robot's motion.
+/// Path of a robot.
 #[derive(Clone, Debug)]
 pub(super) enum Path {
-    /// Parked for good.
+    /// Parked.
     Still { position_m: Vector3<f64>, yaw_rad: f64 },
     /// On a lane.
     Lane(LanePath),
 }
 
-/// One robot's way along its lane.
+/// Path of a robot along its lane.
 #[derive(Clone, Debug)]
 pub(super) struct LanePath {
     /// Semiaxes a, b of the lane.
@@ -37,13 +36,13 @@ pub(super) struct LanePath {
     /// ω, with the direction as its sign.
     pub rate_rad_s: f64,
     /// s: along the lane, radians.
-    pub hurry: Wave,
+    pub along_lane: Wave,
     /// w: across the lane, metres.
     pub weave: Wave,
-    /// Height's mean, and its change.
+    /// Mean height and its variation.
     pub height_m: f64,
     pub climb: Wave,
-    /// `Some` for a flying robot: its own heading at time zero and its turning rate.
+    /// For a flying robot: its heading at time zero and its turning rate.
     pub heading: Option<[f64; 2]>,
 }
 
@@ -72,7 +71,7 @@ impl Path {
         matches!(self, Path::Lane(lane) if lane.heading.is_some())
     }
 
-    /// Where the roundel's centre is and how it moves, `t` seconds after the scenario's start.
+    /// Motion of the roundel's centre, `t` seconds after the scenario's start.
     pub fn motion(&self, t: f64) -> Motion {
         match self {
             Path::Still { position_m, .. } => Motion {
@@ -85,7 +84,7 @@ impl Path {
         }
     }
 
-    /// How the roundel is turned while it moves like `motion`.
+    /// Orientation of the roundel for this motion.
     pub fn attitude(&self, t: f64, motion: &Motion) -> Attitude {
         match self {
             Path::Still { yaw_rad, .. } => Attitude {
@@ -105,8 +104,8 @@ impl Path {
 impl LanePath {
     fn motion(&self, t: f64) -> Motion {
         let direction = self.rate_rad_s.signum();
-        let angle =
-            Jet::linear(self.start_rad, self.rate_rad_s, t) + self.hurry.at(t).scale(direction);
+        let angle = Jet::linear(self.start_rad, self.rate_rad_s, t)
+            + self.along_lane.at(t).scale(direction);
         let weave = self.weave.at(t);
         let [x_unit, y_unit] = lane_shape(angle);
         let x = (Jet::constant(self.semiaxes_m[0]) + weave) * x_unit;
@@ -117,16 +116,16 @@ impl LanePath {
         Motion { position_m, velocity_m_s, acceleration_m_s2, jerk_m_s3 }
     }
 
-    /// A bound on the acceleration at any time, m/s², by the triangle inequality.
+    /// Upper bound of the acceleration, m/s², by the triangle inequality.
     pub fn acceleration_bound_m_s2(&self) -> f64 {
         // Largest |d/dθ| and |d²/dθ²| of either coordinate of the unit shape.
         const FIRST: f64 = (1.0 + 3.0 * SQUARENESS) / (1.0 - SQUARENESS);
         const SECOND: f64 = (1.0 + 9.0 * SQUARENESS) / (1.0 - SQUARENESS);
         let [weave, weave1, weave2] = amplitudes(&self.weave);
-        let [_, hurry1, hurry2] = amplitudes(&self.hurry);
+        let [_, hurry1, hurry2] = amplitudes(&self.along_lane);
         let rate = self.rate_rad_s.abs() + hurry1;
         let axis = |semiaxis: f64| {
-            // A coordinate of the shape reaches (1 + h) / (1 - h) at most.
+            // A coordinate of the shape is at most (1 + h) / (1 - h).
             let reach = (1.0 + SQUARENESS) / (1.0 - SQUARENESS);
             weave2 * reach
                 + 2.0 * weave1 * FIRST * rate
@@ -136,17 +135,17 @@ impl LanePath {
         Vector3::new(axis(self.semiaxes_m[0]), axis(self.semiaxes_m[1]), vertical).norm()
     }
 
-    /// The same way, run `factor` times as fast: accelerations change by its square.
+    /// The same path, `factor` times as fast: accelerations change by its square.
     pub fn with_pace(mut self, factor: f64) -> Self {
         self.rate_rad_s *= factor;
-        for wave in [&mut self.hurry, &mut self.weave, &mut self.climb] {
+        for wave in [&mut self.along_lane, &mut self.weave, &mut self.climb] {
             wave.rate_rad_s *= factor;
         }
         self
     }
 }
 
-/// The lane of unit semiaxes at an angle.
+/// Lane with unit semiaxes.
 fn lane_shape(angle: Jet) -> [Jet; 2] {
     let (sine, cosine) = angle.sin_cos();
     let (sine3, cosine3) = angle.scale(3.0).sin_cos();
@@ -157,7 +156,7 @@ fn lane_shape(angle: Jet) -> [Jet; 2] {
     ]
 }
 
-/// The point of a lane with these semiaxes at an angle, in the arena's plane.
+/// Point of a lane at an angle, in the arena's plane.
 pub(super) fn lane_point(semiaxes_m: [f64; 2], angle_rad: f64) -> [f64; 2] {
     let [x, y] = lane_shape(Jet::constant(angle_rad));
     [semiaxes_m[0] * x.0[0], semiaxes_m[1] * y.0[0]]
@@ -190,8 +189,8 @@ fn driving_attitude(motion: &Motion) -> Attitude {
     }
 }
 
-/// The smallest rotation that takes z to the thrust's direction, after the heading about z. Its
-/// rate comes from the quaternion Q = (1 + n·z, z × n): ω = 2 vec(Q̇ Q*) / |Q|².
+/// Smallest rotation of z to the thrust's direction, after the heading about z. Its rate follows from the
+/// quaternion Q = (1 + n·z, z × n): ω = 2 vec(Q̇ Q*) / |Q|².
 fn flying_attitude(heading_rad: f64, turn_rad_s: f64, motion: &Motion) -> Attitude {
     let thrust = motion.acceleration_m_s2 + Vector3::new(0.0, 0.0, GRAVITY_M_S2);
     let length = thrust.norm();

@@ -1,12 +1,11 @@
-//! Undistorted rays of all pixels, from a grid of exact ones.
+//! Undistorted rays of all pixels, interpolated from a grid of exact ones.
 //!
-//! Undistorting each pixel of each window in every frame would cost more than painting it. Between
-//! nodes 4 px apart the lens is as good as linear: a distortion k r³ / f² bends by h² · 6 k r / (8 f²)
-//! there, below 0.004 px for the reference lenses.
+//! Undistorting each painted pixel would cost more than painting it. Between nodes 4 px apart the lens is nearly linear: a
+//! distortion k r³ / f² deviates by h² · 6 k r / (8 f²), below 0.004 px for the reference lenses.
 
 use roundel_vision::camera::{Camera, LensError, PixelPoint};
 
-/// Between nodes, pixels.
+/// Distance of nodes, pixels.
 pub(super) const STEP_PX: usize = 4;
 
 /// Points on the plane z = 1 for the pixels of one camera.
@@ -15,7 +14,7 @@ pub(super) struct RayGrid {
     nodes: Vec<[f32; 2]>,
 }
 
-/// The rays of consecutive pixels of a row.
+/// Rays of consecutive pixels of a row.
 #[derive(Default)]
 pub(super) struct RayRow {
     pub x: Vec<f32>,
@@ -23,7 +22,7 @@ pub(super) struct RayRow {
 }
 
 impl RayGrid {
-    /// Fails where the lens model ends before the image's corners.
+    /// Fails if the lens model does not cover the image.
     pub fn new(camera: &Camera) -> Result<Self, LensError> {
         let columns = (camera.width() - 1) / STEP_PX + 2;
         let rows = (camera.height() - 1) / STEP_PX + 2;
@@ -38,7 +37,7 @@ impl RayGrid {
         Ok(Self { columns, nodes })
     }
 
-    /// Rays of the pixels `from..to` of row `v`, all within the image; `from` must be a node's column.
+    /// Rays of the pixels `from..to` of row `v`, all within the image; `from` must be the column of a node.
     pub fn row(&self, v: usize, from: usize, to: usize, rays: &mut RayRow) {
         debug_assert!(from.is_multiple_of(STEP_PX), "column {from} is not a node's");
         let below = (v % STEP_PX) as f32 / STEP_PX as f32;
@@ -49,9 +48,9 @@ impl RayGrid {
         let node = |upper: &[f32; 2], lower: &[f32; 2]| {
             [0, 1].map(|axis| upper[axis] + below * (lower[axis] - upper[axis]))
         };
-        let room = (last - first) * STEP_PX;
-        rays.x.resize(room, 0.0);
-        rays.y.resize(room, 0.0);
+        let length = (last - first) * STEP_PX;
+        rays.x.resize(length, 0.0);
+        rays.y.resize(length, 0.0);
         let cells = rays.x.chunks_exact_mut(STEP_PX).zip(rays.y.chunks_exact_mut(STEP_PX));
         let mut left = node(&upper[0], &lower[0]);
         for ((xs, ys), (upper, lower)) in cells.zip(upper.iter().zip(lower).skip(1)) {

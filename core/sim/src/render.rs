@@ -1,9 +1,8 @@
-//! A scenario's camera pictures, as 8-bit frames.
+//! Renders the 8-bit frames of a scenario's cameras.
 //!
-//! What never changes (floor, clutter, light) is painted once, through the lens. A frame then costs
-//! the windows of the robots in view and one pass that adds noise; see `benches/sim.rs`. Each robot
-//! is shown as it is in the middle of the exposure at the image row of its own centre, and its other rows
-//! as far on as the rolling shutter exposes them later, all moving alike.
+//! The static background (floor, clutter, light) is painted once, through the lens. A frame then costs the windows of
+//! visible robots and one pass for the noise; see `benches/sim.rs`. A robot is shown as it is at the middle of the exposure
+//! of its centre's image row; other rows are shifted with its velocity for the rolling shutter.
 
 use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 use thiserror::Error;
@@ -16,13 +15,13 @@ use super::{
     params::ScenarioError,
     patch::{Patch, Setting, Shape, Sheet},
     ray::RayGrid,
-    rig::SimCamera,
     scenario::{RobotTruth, Scenario},
+    sim_camera::SimCamera,
     teeth::Teeth,
 };
 use roundel_vision::{marker::Pattern, rigid::Rigid};
 
-/// Paints the frames of one camera. Each frame depends on scenario, camera and frame number alone.
+/// Renders the frames of one camera. Each frame depends on scenario, camera and frame number only.
 pub struct Renderer {
     scenario: Scenario,
     camera: SimCamera,
@@ -32,19 +31,18 @@ pub struct Renderer {
     canvas: Canvas,
 }
 
-/// A buffer of the wrong length.
+/// Buffer of a wrong length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[error("expected a buffer of {expected} bytes, one for each pixel, found {found}")]
 pub struct BufferError {
     /// Width times height.
     pub expected: usize,
-    /// The buffer's length.
+    /// Length of the buffer.
     pub found: usize,
 }
 
 impl Renderer {
-    /// A renderer for one camera of a scenario; paints the background, so it takes about as long as
-    /// a hundred frames.
+    /// Renderer for one camera of a scenario. Paints the background, which takes about as long as a hundred frames.
     pub fn new(scenario: &Scenario, camera_index: usize) -> Result<Self, ScenarioError> {
         let cameras = scenario.cameras();
         let camera = cameras
@@ -66,19 +64,18 @@ impl Renderer {
         })
     }
 
-    /// The camera whose frames these are.
+    /// The rendered camera.
     pub fn camera(&self) -> &SimCamera {
         &self.camera
     }
 
-    /// Has robots move as this scenario, one of the same parameters, has them from now on.
+    /// Adopts the commands of another scenario with the same parameters.
     pub fn follow(&mut self, scenario: &Scenario) {
         self.scenario.follow(scenario);
     }
 
-    /// Paints frame number `frame` into `pixels`, row by row without gaps, and gives its capture
-    /// time (middle of the exposure at the middle row), seconds after the scenario's start. The same
-    /// number always gives the same pixels.
+    /// Renders a frame into `pixels`, row by row without gaps, and returns its capture time (middle of the exposure
+    /// at the middle row), seconds after the scenario's start. The same number always gives the same pixels.
     pub fn render(&mut self, frame: u64, pixels: &mut [u8]) -> Result<f64, BufferError> {
         let (width, height) = (self.camera.camera.width(), self.camera.camera.height());
         if pixels.len() != width * height {
@@ -103,7 +100,7 @@ impl Renderer {
                 (distance_m, robot)
             })
             .collect();
-        // The nearer ones hide the farther ones.
+        // Nearer robots hide farther ones.
         robots.sort_by(|a, b| b.0.total_cmp(&a.0));
         for (_, robot) in &robots {
             self.paint_shadow(robot);
@@ -114,7 +111,7 @@ impl Renderer {
         }
     }
 
-    /// A robot as it is when the row of its own centre is exposed; `None` if far out of the image.
+    /// A robot when the row of its centre is exposed; `None` if far outside of the image.
     fn exposed(&self, index: usize, time_s: f64) -> Option<RobotTruth> {
         let robot = self.scenario.robot(index, time_s);
         let center = Point3::from(robot.world_from_roundel.translation.vector);
@@ -130,7 +127,7 @@ impl Renderer {
     fn paint_shadow(&mut self, robot: &RobotTruth) {
         let position = robot.world_from_roundel.translation.vector;
         let height_m = position.z as f32;
-        // The light falls in a little from the side.
+        // Slightly oblique light.
         let on_floor =
             Vector3::new(position.x + 0.12 * position.z, position.y - 0.08 * position.z, 0.0);
         let plane = Rigid::from_parts(Translation3::from(on_floor), UnitQuaternion::identity());
@@ -162,7 +159,7 @@ impl Renderer {
         } else {
             let base = Shape::Disc { radius_m: 0.175, albedo };
             self.paint_on(&place(0.0, 0.0, -0.06), &velocity, &[base]);
-            // Headlights show where the front is.
+            // Headlights mark the front.
             for side in [-1.0, 1.0] {
                 let lamp = Shape::Disc { radius_m: 0.014, albedo: 0.8 };
                 self.paint_on(&place(0.148, 0.045 * side, -0.06), &velocity, &[lamp]);
@@ -173,7 +170,7 @@ impl Renderer {
     fn paint_roundel(&mut self, robot: &RobotTruth) {
         let kind = &self.scenario.params().kinds[usize::from(robot.kind.0)];
         let outer_radius_m = (kind.outer_diameter_m / 2.0) as f32;
-        // The white margin is at least 1.35 outer diameters wide in all.
+        // The white margin is at least 1.35 outer diameters wide in total.
         let sheet = if robot.flying {
             Sheet::Disc(1.4 * outer_radius_m)
         } else {
@@ -204,7 +201,7 @@ impl Renderer {
         }
     }
 
-    /// Paints shapes, one over the other, on a plane of the world that moves.
+    /// Paints shapes, one over the other, on a moving plane.
     fn paint_on(
         &mut self,
         world_from_plane: &Rigid,
@@ -227,7 +224,7 @@ impl Renderer {
         }
     }
 
-    /// Light at a plane's origin and its slope along X and Y; a tilted plane gets less of it.
+    /// Light at a plane's origin and its slope along X and Y; a tilted plane receives less.
     fn light_on(&self, world_from_plane: &Rigid) -> [f64; 3] {
         const STEP_M: f64 = 0.1;
         let up = (world_from_plane.rotation * Vector3::z()).z.max(0.2);
@@ -274,7 +271,7 @@ mod tests {
     #[test]
     fn pixels_use_the_range_without_clipping() {
         let mut params = ScenarioParams::r4_lite(6);
-        // Brightest corners included.
+        // Includes the brightest corners.
         params.image.light_gradient = 0.2;
         let scenario = Scenario::new(params).unwrap();
         for camera in 0..4 {
@@ -293,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn teeth_say_which_robot_it_is_and_how_it_is_turned() {
+    fn codes_identify_robots_and_their_heading() {
         let scenario = Scenario::r4(3);
         let params = scenario.params();
         let detector = Detector::new(params.kinds.clone(), Params::default()).unwrap();
@@ -328,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn elliptical_discs_say_which_kind_a_robot_is_of_and_how_it_is_turned() {
+    fn elliptical_discs_identify_kind_and_heading() {
         let scenario = Scenario::new(ScenarioParams::r4_elliptical(3)).unwrap();
         let params = scenario.params();
         let detector = Detector::new(params.kinds.clone(), Params::default()).unwrap();
@@ -368,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_buffers_and_cameras_are_refused() {
+    fn wrong_buffers_and_cameras_are_rejected() {
         let scenario = Scenario::r4_lite(1);
         let missing = Renderer::new(&scenario, 4).err().unwrap();
         assert_eq!(missing.to_string(), "scenario: expected a camera from 0 to 3, found 4");

@@ -1,4 +1,4 @@
-//! A seeded world: robots on their ways, cameras above them, and the truth about both.
+//! A seeded world: paths of robots, cameras, and the ground truth.
 
 use std::collections::BTreeMap;
 
@@ -14,54 +14,54 @@ use roundel_vision::{
 };
 
 use super::{
-    course::{Course, Drive, Walls},
+    driven_path::{Drive, DrivenPath, Walls},
     layout,
     params::{ScenarioError, ScenarioParams},
     path::Path,
-    rig::{SimCamera, look_at},
+    sim_camera::{SimCamera, look_at},
 };
 
-/// A simulated installation. Pure: what it says depends on parameters, time and what its robots were told alone, so
-/// any instant can be asked for in any order, from any thread.
+/// A simulated installation. A pure function of parameters, time and commands, so any instant can be evaluated in
+/// any order, from any thread.
 #[derive(Clone, Debug)]
 pub struct Scenario {
     params: ScenarioParams,
     cameras: Vec<SimCamera>,
     paths: Vec<Path>,
-    /// Robots that are driven, by index.
-    courses: BTreeMap<usize, Course>,
+    /// Driven robots by index.
+    driven_paths: BTreeMap<usize, DrivenPath>,
     booms: Vec<Boom>,
     /// By robot.
     codes: Vec<Option<PrintedCode>>,
 }
 
-/// What the teeth of a robot's roundel say, and as which word they are printed.
+/// Code of a robot's roundel and the printed word.
 #[derive(Clone, Copy, Debug)]
 struct PrintedCode {
     code: Code,
     word: u16,
 }
 
-/// The truth about one robot at one instant.
+/// Ground truth of one robot at an instant.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RobotTruth {
-    /// Its place in the scenario, from 0.
+    /// Index in the scenario, from 0.
     pub index: usize,
-    /// Kind of its roundel, a place in [`ScenarioParams::kinds`].
+    /// Kind of its roundel, an index of [`ScenarioParams::kinds`].
     pub kind: KindId,
-    /// What its teeth say; `None` for a plain roundel.
+    /// Code of its roundel; `None` for a plain one.
     pub code: Option<Code>,
     /// Pose of its roundel: origin at the rings' centre, z out of the print.
     pub world_from_roundel: Rigid,
-    /// Of the roundel's centre, world frame, m/s.
+    /// Velocity of the roundel's centre, world frame, m/s.
     pub velocity_m_s: Vector3<f64>,
-    /// Of the roundel's centre, world frame, m/s².
+    /// Acceleration of the roundel's centre, world frame, m/s².
     pub acceleration_m_s2: Vector3<f64>,
-    /// World frame, rad/s.
+    /// Angular velocity, world frame, rad/s.
     pub angular_velocity_rad_s: Vector3<f64>,
-    /// Flies.
+    /// Whether it flies.
     pub flying: bool,
-    /// Has never moved by then.
+    /// Whether it has never moved so far.
     pub still: bool,
 }
 
@@ -75,24 +75,24 @@ struct Boom {
     rate_rad_s: f64,
 }
 
-/// A beam at one instant: a flat bar that faces up.
+/// A beam at an instant: a flat bar that faces up.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BoomPose {
     /// Middle of the bar, x along it.
     pub world_from_boom: Rigid,
-    /// Half its length and half its width, metres.
+    /// Half of its length and width, metres.
     pub half_m: [f64; 2],
 }
 
-/// Half a boom's width, metres.
+/// Half of a boom's width, metres.
 const BOOM_HALF_WIDTH_M: f64 = 0.045;
 
 impl Scenario {
-    /// A scenario of these parameters. Fails on numbers out of range, on more robots than have
-    /// room, and on cameras that see too little of the arena.
+    /// A scenario with these parameters. Fails on numbers out of range, too many robots, and cameras that see too
+    /// little of the arena.
     pub fn new(params: ScenarioParams) -> Result<Self, ScenarioError> {
         params.validate()?;
-        // Each matter draws from a stream of its own: one more robot does not move the cameras.
+        // Independent random streams: one more robot does not move the cameras.
         let stream = |number: u64| {
             let mut rng = ChaCha8Rng::seed_from_u64(params.seed);
             rng.set_stream(number);
@@ -102,30 +102,30 @@ impl Scenario {
         let paths = layout::lay_out(&params, &cameras, &mut stream(2))?;
         let booms = booms(&params, &mut stream(3));
         let codes = codes(&params)?;
-        Ok(Self { params, cameras, paths, courses: BTreeMap::new(), booms, codes })
+        Ok(Self { params, cameras, paths, driven_paths: BTreeMap::new(), booms, codes })
     }
 
     /// The demo's installation, [`ScenarioParams::r4_lite`].
     pub fn r4_lite(seed: u64) -> Self {
-        Self::new(ScenarioParams::r4_lite(seed)).expect("the preset has room for its robots")
+        Self::new(ScenarioParams::r4_lite(seed)).expect("the preset is valid")
     }
 
     /// The reference installation, [`ScenarioParams::r4`].
     pub fn r4(seed: u64) -> Self {
-        Self::new(ScenarioParams::r4(seed)).expect("the preset has room for its robots")
+        Self::new(ScenarioParams::r4(seed)).expect("the preset is valid")
     }
 
-    /// What it follows from.
+    /// The parameters.
     pub fn params(&self) -> &ScenarioParams {
         &self.params
     }
 
-    /// Its cameras.
+    /// The cameras.
     pub fn cameras(&self) -> &[SimCamera] {
         &self.cameras
     }
 
-    /// Every robot, by index, `time_s` seconds after the scenario's start (any finite time).
+    /// All robots by index, `time_s` seconds after the scenario's start (any finite time).
     pub fn truth(&self, time_s: f64) -> Vec<RobotTruth> {
         (0..self.paths.len()).map(|index| self.robot(index, time_s)).collect()
     }
@@ -133,11 +133,11 @@ impl Scenario {
     /// One robot, as in [`Scenario::truth`]. Panics if there is no such robot.
     pub fn robot(&self, index: usize, time_s: f64) -> RobotTruth {
         let path = &self.paths[index];
-        let course = self.courses.get(&index);
-        let motion =
-            course.map_or_else(|| path.motion(time_s), |course| course.motion(path, time_s));
-        let attitude = match course {
-            Some(course) => course.attitude(path, time_s, &motion),
+        let driven_path = self.driven_paths.get(&index);
+        let motion = driven_path
+            .map_or_else(|| path.motion(time_s), |driven_path| driven_path.motion(path, time_s));
+        let attitude = match driven_path {
+            Some(driven_path) => driven_path.attitude(path, time_s, &motion),
             None => path.attitude(time_s, &motion),
         };
         RobotTruth {
@@ -152,36 +152,37 @@ impl Scenario {
             acceleration_m_s2: motion.acceleration_m_s2,
             angular_velocity_rad_s: attitude.angular_velocity_rad_s,
             flying: path.is_flying(),
-            still: path.is_still() && course.is_none_or(|course| !course.has_begun(time_s)),
+            still: path.is_still()
+                && driven_path.is_none_or(|driven_path| !driven_path.has_begun(time_s)),
         }
     }
 
-    /// Tells a robot how to move; what it was told before ends where that begins. Its way until then stays as it was,
-    /// so nobody who has asked for an instant before is contradicted. When the span ends, it stops. One that drives
-    /// keeps its height and turns no more. Panics if there is no such robot.
+    /// Commands a velocity; it replaces the previous command from its start on and does not change earlier motion.
+    /// The robot stops at its end. A ground robot keeps its height and orientation. Panics if there is no such
+    /// robot.
     pub fn drive(&mut self, index: usize, drive: Drive) {
-        let (path, course) = self.course(index, drive.span_s[0]);
-        course.tell(path, drive);
+        let (path, driven_path) = self.driven_path(index, drive.span_s[0]);
+        driven_path.command(path, drive);
     }
 
-    /// Puts a robot at a place at the scenario's start and has it move straight on from there. One on the ground keeps its
-    /// height, and none leaves the arena. Panics if there is no such robot.
+    /// Places a robot at the scenario's start with constant velocity. A ground robot keeps its height, and no robot
+    /// leaves the arena. Panics if there is no such robot.
     pub fn place(&mut self, index: usize, position_m: Vector3<f64>, velocity_m_s: Vector3<f64>) {
-        self.course(index, 0.0).1.start_at(position_m, velocity_m_s);
+        self.driven_path(index, 0.0).1.start_at(position_m, velocity_m_s);
     }
 
-    /// Adds a velocity to whatever a robot does, for a while, as in [`Scenario::drive`].
+    /// Adds a velocity to a robot's motion for a limited time, as in [`Scenario::drive`].
     pub fn push(&mut self, index: usize, push: Drive) {
-        let (path, course) = self.course(index, push.span_s[0]);
-        course.push(path, push);
+        let (path, driven_path) = self.driven_path(index, push.span_s[0]);
+        driven_path.push(path, push);
     }
 
-    /// Has its robots move as another scenario of the same parameters has them.
+    /// Adopts the commands of another scenario with the same parameters.
     pub(super) fn follow(&mut self, other: &Self) {
-        self.courses.clone_from(&other.courses);
+        self.driven_paths.clone_from(&other.driven_paths);
     }
 
-    fn course(&mut self, index: usize, time_s: f64) -> (&Path, &mut Course) {
+    fn driven_path(&mut self, index: usize, time_s: f64) -> (&Path, &mut DrivenPath) {
         let path = &self.paths[index];
         let [width_m, depth_m] = self.params.arena_m;
         let z_m = if path.is_flying() {
@@ -193,17 +194,19 @@ impl Scenario {
             min_m: Vector3::new(-width_m / 2.0, -depth_m / 2.0, z_m[0]),
             max_m: Vector3::new(width_m / 2.0, depth_m / 2.0, z_m[1]),
         };
-        let course =
-            self.courses.entry(index).or_insert_with(|| Course::leaving(path, time_s, walls));
-        (path, course)
+        let driven_path = self
+            .driven_paths
+            .entry(index)
+            .or_insert_with(|| DrivenPath::leaving(path, time_s, walls));
+        (path, driven_path)
     }
 
-    /// The word that a robot's teeth are printed as; `None` for a plain roundel.
+    /// The printed word of a robot's code; `None` for a plain roundel.
     pub(super) fn word(&self, index: usize) -> Option<u16> {
         self.codes[index].map(|printed| printed.word)
     }
 
-    /// Whether the whole roundel lies in a camera's image, whatever may hide it.
+    /// Whether the whole roundel lies in a camera's image, ignoring occlusion.
     pub fn in_view(&self, camera: &SimCamera, robot: &RobotTruth) -> bool {
         let radius_m = self.params.kinds[usize::from(robot.kind.0)].outer_diameter_m / 2.0;
         (0..8).all(|i| {
@@ -213,7 +216,7 @@ impl Scenario {
         })
     }
 
-    /// Whether a boom or another robot crosses the line from a camera to the roundel's centre.
+    /// Whether a boom or another robot intersects the line from a camera to the roundel's centre.
     pub fn is_hidden(&self, camera: &SimCamera, robot: &RobotTruth, time_s: f64) -> bool {
         let eye = Point3::from(camera.world_from_camera.translation.vector);
         let target = Point3::from(robot.world_from_roundel.translation.vector);
@@ -242,16 +245,16 @@ impl Scenario {
     }
 }
 
-/// Each robot's code: those of its kind one after the other.
+/// Codes of all robots: those of each kind in order.
 fn codes(params: &ScenarioParams) -> Result<Vec<Option<PrintedCode>>, ScenarioError> {
     let mut codes = vec![None; params.robots];
     for (first, kind) in params.kinds.iter().enumerate() {
         let Pattern::Coded(layout) = kind.pattern else { continue };
         let dictionary = layout.codes()?;
         let robots = codes.iter_mut().skip(first).step_by(params.kinds.len());
-        let (found, most) = (robots.len(), dictionary.len());
-        if found > most {
-            return Err(ScenarioError::Codes { bits: layout.bits, most, found });
+        let (found, max) = (robots.len(), dictionary.len());
+        if found > max {
+            return Err(ScenarioError::Codes { bits: layout.bits, max, found });
         }
         for (robot, (code, word)) in robots.zip(dictionary.iter()) {
             *robot = Some(PrintedCode { code, word });
@@ -311,7 +314,7 @@ fn booms(params: &ScenarioParams, rng: &mut ChaCha8Rng) -> Vec<Boom> {
                     params.flying_top_m + 0.6,
                 ),
                 length_m: 0.3 * depth_m,
-                // Towards the middle of the arena, give or take.
+                // Roughly towards the middle of the arena.
                 middle_rad: -side * std::f64::consts::FRAC_PI_2 + rng.random_range(-0.3..0.3),
                 swing_rad: rng.random_range(0.7..1.0),
                 rate_rad_s: rng.random_range(0.08..0.16),

@@ -6,7 +6,7 @@ use axum::{
     http::{HeaderValue, header},
     response::{IntoResponse, Response},
 };
-use roundel_core::{calib::lens::Model, camera::MAX_SIDE_PX};
+use roundel_core::{calib::lens::DistortionModel, camera::MAX_SIDE_PX};
 use serde::Deserialize;
 use utoipa::ToSchema;
 
@@ -193,9 +193,9 @@ fn lens_run(api: &ApiState, request: &LensRequest) -> Result<LensRun, ApiError> 
         .map_err(|error| wrong("board")(error.to_string()))?;
     let model = match request.model.as_str() {
         "" => None,
-        "plumb_bob" => Some(Model::PlumbBob),
-        "rational_polynomial" => Some(Model::Rational),
-        "equidistant" => Some(Model::Equidistant),
+        "plumb_bob" => Some(DistortionModel::PlumbBob),
+        "rational_polynomial" => Some(DistortionModel::Rational),
+        "equidistant" => Some(DistortionModel::Equidistant),
         other => {
             let expected = "plumb_bob, rational_polynomial or equidistant";
             return Err(ApiError::invalid("model", expected, format!("{other:?}")));

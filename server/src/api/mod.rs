@@ -84,7 +84,7 @@ use std::{
 };
 
 use axum::{Router, extract::DefaultBodyLimit, middleware};
-use roundel_core::{marker::Kind, plan::Trials};
+use roundel_core::{marker::Kind, plan::TrialCache};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
@@ -187,7 +187,7 @@ pub struct ApiState {
     pub files: HeavyWork,
     /// Camera pictures, which others must not delay.
     pub pictures: HeavyWork,
-    pub trials: Trials,
+    pub trials: TrialCache,
 }
 
 impl ApiState {
@@ -221,7 +221,7 @@ impl ApiState {
             encoding_budget: Arc::default(),
             files: HeavyWork::new(half_of_the_processors(), FILE_BYTES),
             pictures: HeavyWork::new(half_of_the_processors(), PICTURE_BYTES),
-            trials: Trials::default(),
+            trials: TrialCache::default(),
         }
     }
 }

@@ -12,7 +12,7 @@ use roundel_core::{
     marker::{Kind, Polarity},
     plan::{
         Imaging, PlanError,
-        map::{Field, Station, map_while},
+        map::{MapArea, PlacedCamera, map_while},
     },
 };
 
@@ -79,7 +79,7 @@ pub async fn show(State(api): State<Arc<ApiState>>, uri: Uri) -> Result<Response
     let (format, show) = (format.unwrap_or(MapFormat::Json), show.unwrap_or_default());
     let kind = kind(&api, &mut parameters)?;
     let height_m = parameters.take_parsed("height", "metres")?.unwrap_or(HEIGHT_M);
-    let [least_m, most_m] = Field::HEIGHTS_M;
+    let [least_m, most_m] = MapArea::HEIGHTS_M;
     if !(least_m..=most_m).contains(&height_m) {
         let expected = format!("{least_m} to {most_m} metres");
         return Err(ApiError::invalid("height", expected, height_m));
@@ -149,15 +149,15 @@ fn kind(api: &ApiState, parameters: &mut QueryParameters) -> Result<Kind, ApiErr
 
 /// The requested part of the arena; by default what the cameras see.
 fn field(
-    stations: &[Station],
+    stations: &[PlacedCamera],
     height_m: f64,
     [low, high]: [Option<[f64; 2]>; 2],
     step_m: Option<f64>,
-) -> Result<Field, ApiError> {
-    let seen = Field::seen_by(stations, height_m, DEFAULT_SPOTS);
-    let (low_m, high_m) = match (low.zip(high), &seen) {
+) -> Result<MapArea, ApiError> {
+    let seen = MapArea::seen_by(stations, height_m, DEFAULT_SPOTS);
+    let (min_m, max_m) = match (low.zip(high), &seen) {
         (Some(corners), _) => corners,
-        (None, Some(seen)) => (low.unwrap_or(seen.low_m), high.unwrap_or(seen.high_m)),
+        (None, Some(seen)) => (low.unwrap_or(seen.min_m), high.unwrap_or(seen.max_m)),
         (None, None) => {
             let message = format!(
                 "no camera sees the plane at a height of {height_m} m from above: set `min` and `max`, or another height"
@@ -165,9 +165,9 @@ fn field(
             return Err(ApiError::Invalid { field: "height", message });
         }
     };
-    let sides = [high_m[0] - low_m[0], high_m[1] - low_m[1]];
+    let sides = [max_m[0] - min_m[0], max_m[1] - min_m[1]];
     let usual_m = (sides[0] * sides[1] / DEFAULT_SPOTS as f64).max(0.0).sqrt();
-    let field = Field { low_m, high_m, height_m, step_m: step_m.unwrap_or(usual_m) };
+    let field = MapArea { min_m, max_m, height_m, step_m: step_m.unwrap_or(usual_m) };
     let [columns, rows] = field.counts().map_err(wrong_query)?;
     if columns * rows > MAX_SPOTS {
         let expected = format!("a step that gives at most {MAX_SPOTS} spots");

@@ -4,7 +4,7 @@ use roundel_core::{
     calib::watch::CameraHealth,
     camera::{Camera, PixelPoint},
     marker::Reject,
-    plan::precision::LensDoubt,
+    plan::precision::LensUncertainty,
     rigid::Rigid,
     time::Timestamp,
     world::{CameraPlacement, ClockEstimate},
@@ -24,7 +24,7 @@ pub struct CameraInfo {
     /// `None` for a fixed camera.
     pub ride: Option<MountInfo>,
     /// Uncertainty of the lens according to the camera file.
-    pub lens_uncertainty: Option<LensDoubt>,
+    pub lens_uncertainty: Option<LensUncertainty>,
 }
 
 /// Mount of a camera on an object.

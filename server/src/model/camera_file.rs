@@ -14,7 +14,7 @@ use std::{
 
 use roundel_core::{
     camera::{Camera, CameraError, Intrinsics, Lens},
-    plan::precision::LensDoubt,
+    plan::precision::LensUncertainty,
 };
 use serde::Deserialize;
 use serde_saphyr::Spanned;
@@ -91,7 +91,9 @@ pub fn load(path: &Path) -> Result<Camera, CameraFileError> {
 }
 
 /// With the uncertainty of the parameters, if the file has it.
-pub fn load_with_uncertainty(path: &Path) -> Result<(Camera, Option<LensDoubt>), CameraFileError> {
+pub fn load_with_uncertainty(
+    path: &Path,
+) -> Result<(Camera, Option<LensUncertainty>), CameraFileError> {
     let path_buf = || path.to_owned();
     let text = regular_file::read_text(path, MAX_BYTES)
         .map_err(|source| CameraFileError::Read { path: path_buf(), source })?;
@@ -104,7 +106,7 @@ pub fn load_with_uncertainty(path: &Path) -> Result<(Camera, Option<LensDoubt>),
     })
 }
 
-fn parse(text: &str) -> Result<(Camera, Option<LensDoubt>), FieldError> {
+fn parse(text: &str) -> Result<(Camera, Option<LensUncertainty>), FieldError> {
     let document: CameraFileYaml = serde_saphyr::from_str(text).map_err(|error| {
         let line = error.location().map_or(1, |location| location.line());
         let reason = error.without_snippet().to_string();
@@ -239,7 +241,7 @@ pub fn write(name: &str, camera: &Camera) -> String {
 pub fn write_with_uncertainty(
     name: &str,
     camera: &Camera,
-    uncertainty: Option<&LensDoubt>,
+    uncertainty: Option<&LensUncertainty>,
 ) -> String {
     let Intrinsics { width, height, fx_px, fy_px, cx_px, cy_px, lens } = camera.intrinsics();
     let coefficients = lens.coefficients();
@@ -335,7 +337,7 @@ binning_x: 0
             let root = nalgebra::DMatrix::from_fn(free.len() + 4, free.len() + 4, |row, column| {
                 1.0 / (1.0 + row as f64 * 3.0 + column as f64)
             });
-            let uncertainty = LensDoubt { free, covariance: &root * root.transpose() };
+            let uncertainty = LensUncertainty { free, covariance: &root * root.transpose() };
             let text = write_with_uncertainty("known", &camera, Some(&uncertainty));
             let read = unwrap(parse(&text)).1.unwrap();
             assert_eq!(read.free, uncertainty.free);

@@ -5,7 +5,7 @@ use nalgebra::DMatrix;
 use roundel_core::{
     camera::{Camera, Intrinsics, Lens},
     id::CameraId,
-    plan::precision::LensDoubt,
+    plan::precision::LensUncertainty,
     rigid::{Covariance6, Rigid},
     world::CameraPlacement,
 };
@@ -79,7 +79,7 @@ async fn serves_the_map_as_numbers_and_as_drawings() {
     let installation = rig.hub.installation();
     for (id, info) in &installation.cameras {
         let covariance = DMatrix::from_diagonal_element(4, 4, 5.0 * 5.0);
-        let lens_uncertainty = Some(LensDoubt { free: Vec::new(), covariance });
+        let lens_uncertainty = Some(LensUncertainty { free: Vec::new(), covariance });
         rig.hub.set_camera(*id, CameraInfo { lens_uncertainty, ..info.as_ref().clone() });
     }
     let doubtful = rig.get(query).await.json();

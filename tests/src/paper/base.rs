@@ -52,7 +52,7 @@ fn corners(
 fn farthest_in_corners_m(camera: &PaperCamera, outer_m: f64, pictures: usize, seed: u64) -> f64 {
     let mut finder = Finder::new(camera, outer_m);
     let mut random = Random::new(2, seed);
-    let start_m = model::pinhole(&camera.optics, outer_m, 0.0, [0.5; 2]).most_corner_distance_m();
+    let start_m = model::pinhole(&camera.optics, outer_m, 0.0, [0.5; 2]).max_corner_distance_m();
     farthest_m(start_m, 4 * pictures, |distance_m, number| {
         let jitter_px = Vector2::new(random.uniform(0.0, 1.0), random.uniform(0.0, 1.0));
         let ray = corners(camera, outer_m, distance_m, jitter_px)[number % 4];
@@ -64,7 +64,7 @@ fn farthest_in_corners_m(camera: &PaperCamera, outer_m: f64, pictures: usize, se
 fn farthest_in_middle_m(camera: &PaperCamera, outer_m: f64, pictures: usize, seed: u64) -> f64 {
     let mut finder = Finder::new(camera, outer_m);
     let mut random = Random::new(3, seed);
-    let start_m = model::pinhole(&camera.optics, outer_m, 0.0, [0.5; 2]).most_corner_distance_m();
+    let start_m = model::pinhole(&camera.optics, outer_m, 0.0, [0.5; 2]).max_corner_distance_m();
     farthest_m(start_m, 4 * pictures, |z, _| {
         let mut aside = || random.uniform(-8.0, 8.0) * z / camera.optics.focal_px[0];
         let place = Vector3::new(aside(), aside(), z);
@@ -83,7 +83,7 @@ fn base(index: usize, pictures: usize) -> Vec<Row> {
     let corner = top_left.xy();
     let shrinking = model::shrinking(&camera.optics, corner.x, corner.y);
     let pinhole = model::pinhole(&camera.optics, outer_m, 0.0, shrinking);
-    let model_m = pinhole.most_corner_distance_m();
+    let model_m = pinhole.max_corner_distance_m();
     let [model_across_m, model_down_m] = pinhole.base_m();
     let here = [farthest_m, across_m, down_m];
     let model = [model_m, model_across_m, model_down_m];

@@ -26,7 +26,7 @@ pub fn pinhole(optics: &Pinhole, outer_m: f64, tilt_rad: f64, shrink: [f64; 2]) 
         focal_px: optics.focal_px,
         outer_m,
         tilt_rad: [tilt_rad; 2],
-        least_px: LEAST_PX,
+        min_px: LEAST_PX,
         shrink,
     }
 }

@@ -14,9 +14,9 @@ use roundel_core::{
     camera::NormalizedPoint,
     marker::{Mode, Params},
     plan::{
-        Imaging as PlannedImaging, Sensor, Trials,
+        Imaging as PlannedImaging, Sensor, TrialCache,
         paper::{lens_share, range_share},
-        precision::expect,
+        precision::predict,
     },
     pose::Detection,
     world::reference::{Homography, Sighting, align},
@@ -194,7 +194,7 @@ fn foretold(lens: &Calibrated, distance_m: f64) -> anyhow::Result<Foretold> {
     let (kind, _) = printed(OUTER_M);
     let camera_from_world = look_at(Vector3::new(0.0, -1.2, 2.8), Vector3::zeros()).inverse();
     let pose = camera_from_world * Isometry3::translation(0.4, 0.2, 0.0);
-    let trials = Trials::default();
+    let trials = TrialCache::default();
     let deviations = |speed_m_s: f64| {
         let smear_px = speed_m_s * EXPOSURE_S * lens.optics.focal_px[0] / distance_m;
         let blur_px = (imaging.blur_px.powi(2) + smear_px * smear_px / 24.0).sqrt();
@@ -210,7 +210,7 @@ fn foretold(lens: &Calibrated, distance_m: f64) -> anyhow::Result<Foretold> {
             trials: trials.clone(),
         };
         let expected =
-            expect(&sensor, None, &kind, &pose).context("a target that would be found")?;
+            predict(&sensor, None, &kind, &pose).context("a target that would be found")?;
         anyhow::Ok([expected.across_m(), expected.depth_m()])
     };
     // Means of distances on a plane and along a line, and what the four that define the frame add, which between them

@@ -89,7 +89,7 @@ pub fn table(length: Length) -> anyhow::Result<Table> {
     )| {
         let camera = which.camera();
         let (outer_m, tilt_rad) = (outer_cm / 100.0, tilt_deg.to_radians());
-        let model_m = model::pinhole(&camera.optics, outer_m, tilt_rad, [1.0; 2]).most_distance_m();
+        let model_m = model::pinhole(&camera.optics, outer_m, tilt_rad, [1.0; 2]).max_distance_m();
         let mut finder = Finder::new(&camera, outer_m);
         let mut random = Random::new(1, index as u64);
         let here = farthest_m(model_m / 2.0, pictures, |z, _| {

@@ -1,4 +1,4 @@
-//! Why there is no calibration.
+//! Errors of the arena calibration.
 
 use std::{error::Error, fmt};
 
@@ -6,41 +6,41 @@ use super::finding::{Names, Numbers};
 use roundel_fusion::world::reference::ReferenceError;
 use roundel_vision::id::CameraId;
 
-/// Why there is no calibration.
+/// Why an arena calibration failed.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ArenaError {
-    /// No cameras, or the same twice.
+    /// There are no cameras, or one is listed twice.
     Cameras {
-        /// Those given.
+        /// The given cameras.
         found: Vec<CameraId>,
     },
-    /// No camera sees enough of the references.
+    /// No camera sees three references.
     References {
-        /// How many each camera sees.
+        /// Number of references that each camera sees.
         seen: Vec<(CameraId, usize)>,
     },
-    /// The references contradict one another as a camera sees them.
+    /// A camera's view of the references is inconsistent.
     Placing {
-        /// Which camera.
+        /// The camera.
         camera: CameraId,
-        /// Why.
+        /// The inconsistency.
         source: ReferenceError,
     },
-    /// One reference or more is not where it was said to be, and which cannot be told.
+    /// At least one reference is not at its stated position, and it is ambiguous which.
     Misplaced {
-        /// Which camera sees it.
+        /// The camera that sees it.
         camera: CameraId,
-        /// Each reference and how far off it appears, metres.
+        /// References and their distance from the stated position, metres.
         offs_m: Vec<(usize, f64)>,
     },
-    /// Nothing ties any other camera to the ones that see references.
+    /// The observations do not determine the poses of all cameras.
     Undetermined,
-    /// The caller wanted no more of it.
+    /// Cancelled by the caller.
     Cancelled,
 }
 
 impl ArenaError {
-    /// In a sentence.
+    /// The error as a sentence.
     pub fn message(&self, names: &dyn Names) -> String {
         match self {
             Self::Cameras { found } => format!("expected each camera once, found {found:?}"),
@@ -57,8 +57,8 @@ impl ArenaError {
                 };
                 let offs: Vec<String> = offs_m.iter().map(say).collect();
                 format!(
-                    "{}: the references are not where they were said to be: {}; measure their places and \
-                     diameters again, or say that the lens is not exact",
+                    "{}: the references are not at their stated positions: {}; measure their places and \
+                     diameters again, or have the lens refined",
                     names.camera(*camera),
                     offs.join(", ")
                 )

@@ -1,5 +1,5 @@
-//! What a person should know of a calibration: each finding says which camera or reference is meant and what
-//! to do, by the [`Names`] that the installation has for them.
+//! Findings about a calibration: what is wrong, with which camera or reference, and what to do. [`Names`] provides the
+//! installation's names.
 
 use std::fmt;
 
@@ -8,20 +8,20 @@ use roundel_vision::{
     marker::Code,
 };
 
-/// Centres of two roundels are further apart than this, metres.
-const LEAST_APART_M: f64 = 0.02;
+/// Minimum distance of the centres of two different roundels, metres.
+const MIN_APART_M: f64 = 0.02;
 
-/// What an installation calls its things, as parts of a sentence.
+/// Names of an installation, as parts of a sentence.
 pub trait Names {
-    /// "camera north".
+    /// Such as "camera north".
     fn camera(&self, id: CameraId) -> String;
-    /// "reference 2"; the index counts from 0 in the order given.
+    /// Such as "reference 2". The index counts from 0 in the given order.
     fn reference(&self, index: usize) -> String;
-    /// "kind robot".
+    /// Such as "kind robot".
     fn kind(&self, id: KindId) -> String;
 }
 
-/// Names by number, all from 0, for who has no others.
+/// Names by number, counted from 0.
 #[derive(Clone, Copy, Debug)]
 pub struct Numbers;
 
@@ -39,117 +39,117 @@ impl Names for Numbers {
     }
 }
 
-/// Something that a person should know.
+/// A problem or hint for the operator.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Finding {
     /// A camera saw no roundel.
     Unseen {
-        /// Which.
+        /// The camera.
         camera: CameraId,
-        /// Frames that it gave.
+        /// Number of its frames.
         frames: u64,
     },
-    /// A camera shares roundels with none that is placed.
+    /// A camera shares no roundels with any located camera.
     Apart {
-        /// Which.
+        /// The camera.
         camera: CameraId,
     },
-    /// What a camera shares with others moved too little.
+    /// The roundels that a camera shares with others moved too little.
     TooLittleMotion {
-        /// Which.
+        /// The camera.
         camera: CameraId,
-        /// The one that it shares most with.
+        /// The camera that shares most with it.
         other: CameraId,
-        /// Spread across two directions, rms, metres.
+        /// Spread in two directions, rms, metres.
         spread_m: f64,
     },
-    /// A reference stands elsewhere than was said.
+    /// A reference is not at its stated position.
     Misplaced {
-        /// In the order given, from 0.
+        /// Index in the given order, from 0.
         reference: usize,
-        /// Which camera sees it.
+        /// The camera that sees it.
         camera: CameraId,
-        /// By how much, metres.
+        /// Distance from the stated position, metres.
         off_m: f64,
     },
-    /// A reference was moved meanwhile.
+    /// A reference was moved during the recording.
     Moved {
-        /// In the order given, from 0.
+        /// Index in the given order, from 0.
         reference: usize,
-        /// Which camera saw it.
+        /// The camera that saw it.
         camera: CameraId,
-        /// By how much, metres.
+        /// Distance moved, metres.
         moved_m: f64,
     },
     /// No camera saw a reference.
     ReferenceUnseen {
-        /// In the order given, from 0.
+        /// Index in the given order, from 0.
         reference: usize,
     },
-    /// A camera saw two roundels of one code at once.
+    /// A camera saw two roundels with the same code at once.
     Twice {
-        /// Which.
+        /// The camera.
         camera: CameraId,
-        /// Of the roundels.
+        /// Kind of the roundels.
         kind: KindId,
-        /// Of both.
+        /// Code of both.
         code: Code,
     },
-    /// A camera saw a roundel where no other did.
+    /// A camera saw a roundel at another position than the other cameras.
     Elsewhere {
-        /// Which.
+        /// The camera.
         camera: CameraId,
-        /// Of the roundel.
+        /// Kind of the roundel.
         kind: KindId,
-        /// Of the roundel.
+        /// Code of the roundel.
         code: Code,
-        /// Of how many.
+        /// Number of sightings.
         sightings: usize,
-        /// Share that is off …
+        /// Share of inconsistent sightings.
         share: f64,
-        /// … and by how much across the line of sight, median, metres.
+        /// Their median offset across the line of sight, metres.
         off_m: f64,
     },
-    /// A camera's errors are larger than detections can be.
+    /// A camera's errors exceed those that its detections state.
     Doubtful {
-        /// Which.
+        /// The camera.
         camera: CameraId,
-        /// Errors over stated deviations.
+        /// Ratio of errors to stated deviations.
         ratio: f64,
         /// Reprojection error, pixels.
         rms_px: f64,
     },
-    /// A camera's place is known badly.
+    /// The pose of a camera is imprecise.
     Weak {
-        /// Which.
+        /// The camera.
         camera: CameraId,
         /// Rms over the axes, metres.
         deviation_m: f64,
-        /// The same of its rotation, radians.
+        /// Rms over the axes of the rotation, radians.
         deviation_rad: f64,
-        /// What would help most.
+        /// The most useful remedy.
         advice: Advice,
     },
 }
 
-/// What ties a camera better.
+/// How to improve the pose of a camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Advice {
-    /// Let robots drive where it overlaps this one.
+    /// Robots should drive where its view overlaps that of this camera.
     Overlap(CameraId),
-    /// Roundels were seen in so little of its image.
+    /// Robots should cover more of its image; the value is the covered share.
     Cover(f64),
-    /// The references are its only tie.
+    /// References should be spread over its view, as they alone determine its pose.
     References,
 }
 
 impl Finding {
-    /// Whether the result should not be used before somebody has looked at it.
+    /// Whether the result must be reviewed before use.
     pub fn is_grave(&self) -> bool {
         matches!(self, Self::Misplaced { .. } | Self::Doubtful { .. })
     }
 
-    /// In a sentence.
+    /// The finding as a sentence.
     pub fn message(&self, names: &dyn Names) -> String {
         let camera = |id: &CameraId| names.camera(*id);
         match self {
@@ -170,7 +170,7 @@ impl Finding {
                 camera(other)
             ),
             Self::Misplaced { reference, camera: id, off_m } => format!(
-                "{} appears {:.1} mm from where it was said to be, seen from {}; it was left out: measure it \
+                "{} appears {:.1} mm from its stated position, seen from {}; it was left out: measure it \
                  again",
                 names.reference(*reference),
                 off_m * 1e3,
@@ -199,7 +199,7 @@ impl Finding {
                 names.kind(*kind),
                 off_m * 1e3,
                 share * 100.0,
-                if *off_m < LEAST_APART_M {
+                if *off_m < MIN_APART_M {
                     "a lens file may be off there: have the lenses refined"
                 } else {
                     "look for two roundels with this code, or for one that is misread there"

@@ -1,42 +1,48 @@
-//! Where all cameras of an arena stand, from robots that drive about.
+//! Poses and clocks of all cameras of an arena, from moving roundels.
 //!
-//! In: what cameras saw for a minute or so ([`Recording`]), lenses, and at least three reference roundels
-//! with known places that one camera sees. Out: every camera's place in the world with its covariance, its
-//! clock's offset and drift, if asked its lens, and what a person should know about the result
-//! ([`ArenaCalibration`]). Cameras need not see the references, nor all of one another: chains of cameras
-//! that overlap with their neighbours will do.
+//! Input: about a minute of detections of all cameras ([`Recording`]), their lenses, and at least three reference roundels
+//! with known positions in the view of one camera. Output ([`ArenaCalibration`]): the pose of each camera in the world
+//! with its covariance, the offset and drift of its clock, optionally its refined lens, and findings for the operator.
+//! Not every camera must see the references, and cameras need not all overlap: chains of overlapping cameras suffice.
 //!
-//! Sightings are sorted by roundel (`gather`), references found among them (`reference`), roundels without codes
-//! told apart by how they move (`alike`), cameras tied to one another two by two (`start`), and all of it adjusted at once (`bundle`, with `station`, `subject`, `course`
-//! and `band`). `report` judges what came out.
+//! | step | module |
+//! | --- | --- |
+//! | sort the samples by roundel | `recording` |
+//! | find the reference roundels | `references` |
+//! | associate roundels without codes | `association` |
+//! | estimate relative poses | `initial_poses` |
+//! | bundle adjustment | `adjustment` |
+//! | results and findings | `report` |
 
-mod alike;
-mod band;
-mod bundle;
-mod course;
-mod coverage;
+mod adjustment;
+mod association;
 mod error;
 mod finding;
-mod gather;
-mod reference;
+mod image_coverage;
+mod initial_poses;
+mod recording;
+mod references;
 mod report;
-mod start;
-mod station;
-mod subject;
+#[cfg(test)]
+mod tests;
 
 use std::collections::BTreeMap;
 
 use nalgebra::Matrix3;
 
-use bundle::{Bundle, Failed, Prior};
-use course::Course;
-pub use coverage::Coverage;
+use adjustment::{
+    bundle::{AdjustError, Bundle, Prior},
+    camera_block::CameraBlock,
+    spline::Spline,
+    track_block::{Observation, TrackBlock},
+};
 pub use error::ArenaError;
 pub use finding::{Advice, Finding, Names, Numbers};
-pub use gather::Recording;
-use gather::{Name, Sample};
-use reference::Standing;
-use report::Found;
+pub use image_coverage::ImageCoverage;
+pub use recording::Recording;
+use recording::{RoundelKey, Sample};
+use references::ReferenceSet;
+use report::Survey;
 pub use report::{ArenaCalibration, CalibratedCamera, Neighbour, RefinedLens};
 use roundel_fusion::world::Landmark;
 use roundel_vision::{
@@ -44,51 +50,49 @@ use roundel_vision::{
     id::CameraId,
     rigid::{Covariance6, Rigid},
 };
-use station::Station;
-use subject::{Sight, Subject};
 
-/// A roundel seen by two cameras and less often than this together is left out.
-const LEAST_SIGHTS: usize = 12;
-/// Clock of the camera that all others' are counted from.
+/// Minimum number of samples of a roundel in a camera.
+const MIN_SIGHTS: usize = 12;
+/// Prior deviations (offset s, skew) of the reference clock.
 const BASE_CLOCK: [f64; 2] = [1e-9, 1e-12];
-/// Offset s and skew of all others.
+/// Prior deviations (offset s, skew) of the other clocks.
 const CLOCK: [f64; 2] = [1.0, 2e-4];
 
-/// One camera.
+/// A camera to be calibrated.
 #[derive(Clone, Debug)]
 pub struct ArenaCamera {
-    /// As in the recording.
+    /// Identifier in the recording.
     pub id: CameraId,
-    /// What its poses were computed with.
+    /// The lens that its detections were computed with.
     pub lens: Camera,
-    /// How well that lens is known; `None` takes it as exact. What is given is estimated as well.
+    /// Uncertainty of the lens, which is then refined; `None` if the lens is exact.
     pub lens_deviation: Option<LensDeviation>,
 }
 
 /// Standard deviations of a lens.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LensDeviation {
-    /// Of the focal length, relative.
+    /// Focal length, relative.
     pub focal: f64,
-    /// Of the principal point, each coordinate, pixels.
+    /// Each coordinate of the principal point, pixels.
     pub center_px: f64,
-    /// Of the first radial coefficient.
+    /// First radial coefficient.
     pub radial: f64,
 }
 
 impl Default for LensDeviation {
-    /// A lens that was calibrated with care.
+    /// Typical values after a careful lens calibration.
     fn default() -> Self {
         Self { focal: 1e-3, center_px: 1.0, radial: 2e-3 }
     }
 }
 
-/// How much detections are believed.
+/// Parameters of the adjustment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArenaParams {
-    /// Control points of a roundel's course are this far apart, seconds.
+    /// Distance of the control points of a roundel's spline, seconds.
     pub knot_s: f64,
-    /// Share of a detection's variance that is the same in every frame of what stands still.
+    /// Share of a detection's variance that is the same in every frame of a stationary roundel.
     pub systematic_share: f64,
 }
 
@@ -98,16 +102,16 @@ impl Default for ArenaParams {
     }
 }
 
-/// How far it has come.
+/// Progress of the adjustment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
-    /// Steps made.
+    /// Number of steps.
     pub step: usize,
-    /// Length of the last one in deviations of what it changed; below 0.001 is the end.
+    /// Length of the last step in standard deviations; it converges below 0.001.
     pub length: f64,
 }
 
-/// Finds all cameras' places. `go_on` hears of every step and may end it by `false`.
+/// Calibrates all cameras. Calls `go_on` before each step; `false` cancels.
 pub fn calibrate(
     recording: &Recording,
     cameras: &[ArenaCamera],
@@ -121,65 +125,68 @@ pub fn calibrate(
         let found = cameras.iter().map(|camera| camera.id).collect();
         return Err(ArenaError::Cameras { found });
     }
-    let (mut sorted, twice) = recording.sorted();
-    let standing = reference::take(&mut sorted, cameras, references, params)?;
-    alike::join(&mut sorted);
-    let roundels = moving(sorted, &ids);
-    let sights: Vec<start::Sights<'_>> =
+    let (mut by_roundel, duplicates) = recording.by_roundel();
+    let reference_set = references::take(&mut by_roundel, cameras, references, params)?;
+    association::associate(&mut by_roundel);
+    let roundels = moving(by_roundel, &ids);
+    let observations: Vec<initial_poses::CameraSamples<'_>> =
         (0..cameras.len()).map(|camera| seen_by(&roundels, camera)).collect();
-    let ties = start::ties(&sights);
-    let started = start::spread_out(&standing.placed, &ties);
-    let kept: Vec<usize> = (0..cameras.len()).filter(|&index| started[index].is_some()).collect();
-    let stations = kept.iter().filter_map(|&index| {
-        let (place, offset_s) = started[index]?;
+    let relative_poses = initial_poses::relative_poses(&observations);
+    let initial = initial_poses::propagate(&reference_set.camera_poses, &relative_poses);
+    let kept: Vec<usize> = (0..cameras.len()).filter(|&index| initial[index].is_some()).collect();
+    let blocks = kept.iter().filter_map(|&index| {
+        let (pose, offset_s) = initial[index]?;
         let lens = cameras[index].lens_deviation.map(|_| &cameras[index].lens);
-        Some(Station::new(place, offset_s, lens))
+        Some(CameraBlock::new(pose, offset_s, lens))
     });
-    let stations: Vec<Station> = stations.collect();
-    let subjects = subjects(&standing, &roundels, &kept, params);
-    let base = standing.placed.iter().position(Option::is_some);
+    let blocks: Vec<CameraBlock> = blocks.collect();
+    let tracks = tracks(&reference_set, &roundels, &kept, params);
+    let base = reference_set.camera_poses.iter().position(Option::is_some);
     let priors = kept
         .iter()
         .map(|&index| prior(Some(index) == base, cameras[index].lens_deviation))
         .collect();
-    let mut bundle = Bundle { stations, subjects, priors };
+    let mut bundle = Bundle::new(blocks, tracks, priors);
     let outcome =
         bundle.adjust(|step, length| go_on(Progress { step, length })).map_err(|failed| {
             match failed {
-                Failed::Undetermined => ArenaError::Undetermined,
-                Failed::Cancelled => ArenaError::Cancelled,
+                AdjustError::Undetermined => ArenaError::Undetermined,
+                AdjustError::Cancelled => ArenaError::Cancelled,
             }
         })?;
-    let found = Found { recording, cameras, standing, ties, twice, kept };
-    Ok(report::report(&found, &bundle, &outcome))
+    let survey = Survey { recording, cameras, reference_set, relative_poses, duplicates, kept };
+    Ok(report::report(&survey, &bundle, &outcome))
 }
 
-/// A robot's roundel with what each camera saw of it.
+/// A moving roundel with the samples of each camera.
 struct Roundel {
-    name: Name,
+    name: RoundelKey,
     seen: Vec<(usize, Vec<Sample>)>,
 }
 
-/// Roundels that two cameras saw or more.
-fn moving(sorted: gather::Sorted, ids: &BTreeMap<CameraId, usize>) -> Vec<Roundel> {
-    let roundel = |(name, seen): (Name, BTreeMap<CameraId, gather::Seen>)| {
+/// Roundels that at least two cameras saw.
+fn moving(
+    by_roundel: recording::SamplesByRoundel,
+    ids: &BTreeMap<CameraId, usize>,
+) -> Vec<Roundel> {
+    let roundel = |(name, seen): (RoundelKey, BTreeMap<CameraId, recording::RoundelSamples>)| {
         let seen = seen
             .into_iter()
-            .filter(|(_, seen)| seen.samples.len() >= LEAST_SIGHTS)
+            .filter(|(_, seen)| seen.samples.len() >= MIN_SIGHTS)
             .filter_map(|(camera, seen)| Some((*ids.get(&camera)?, seen.samples)));
         Roundel { name, seen: seen.collect() }
     };
-    sorted.into_iter().map(roundel).filter(|roundel| roundel.seen.len() > 1).collect()
+    by_roundel.into_iter().map(roundel).filter(|roundel| roundel.seen.len() > 1).collect()
 }
 
-fn seen_by(roundels: &[Roundel], camera: usize) -> start::Sights<'_> {
-    let mut sights = start::Sights::new();
-    for (subject, roundel) in roundels.iter().enumerate() {
+fn seen_by(roundels: &[Roundel], camera: usize) -> initial_poses::CameraSamples<'_> {
+    let mut observations = initial_poses::CameraSamples::new();
+    for (track, roundel) in roundels.iter().enumerate() {
         if let Some((_, samples)) = roundel.seen.iter().find(|(other, _)| *other == camera) {
-            sights.insert(subject, samples);
+            observations.insert(track, samples);
         }
     }
-    sights
+    observations
 }
 
 fn prior(is_base: bool, lens: Option<LensDeviation>) -> Prior {
@@ -188,37 +195,46 @@ fn prior(is_base: bool, lens: Option<LensDeviation>) -> Prior {
     Prior { deviations: [offset_s, skew, focal, center_px, center_px, radial] }
 }
 
-/// References first, then robots; cameras counted among those kept.
-fn subjects(
-    standing: &Standing,
+/// References first, then robots; cameras are numbered among `kept`.
+fn tracks(
+    reference_set: &ReferenceSet,
     roundels: &[Roundel],
     kept: &[usize],
     params: &ArenaParams,
-) -> Vec<Subject> {
-    let sight = |camera: usize, sample: &Sample| {
+) -> Vec<TrackBlock> {
+    let observation = |camera: usize, sample: &Sample| {
         let camera = kept.iter().position(|&index| index == camera)?;
         let whitener = whitener(&sample.covariance)?;
-        Some(Sight { camera, stamp_s: sample.stamp_s, place_m: sample.place_m, whitener })
+        Some(Observation {
+            camera,
+            stamp_s: sample.stamp_s,
+            position_m: sample.position_m,
+            whitener,
+        })
     };
-    let references = standing.references.iter().filter_map(|reference| {
-        let sights = reference.seen.iter().filter_map(|(camera, sample)| sight(*camera, sample));
-        let sights: Vec<Sight> = sights.collect();
+    let references = reference_set.references.iter().filter_map(|reference| {
+        let observations =
+            reference.seen.iter().filter_map(|(camera, sample)| observation(*camera, sample));
+        let observations: Vec<Observation> = observations.collect();
         let stated = (reference.position_m, reference.deviation_m);
-        let course = Course::standing(stated.0);
-        (!sights.is_empty()).then(|| Subject::new(course, Some(stated), sights))
+        let spline = Spline::constant(stated.0);
+        (!observations.is_empty()).then(|| TrackBlock::new(spline, Some(stated), observations))
     });
     let robots = roundels.iter().filter_map(|roundel| {
-        let sights: Vec<Sight> = roundel
+        let observations: Vec<Observation> = roundel
             .seen
             .iter()
             .flat_map(|(camera, samples)| {
-                samples.iter().filter_map(|sample| sight(*camera, sample))
+                samples.iter().filter_map(|sample| observation(*camera, sample))
             })
             .collect();
         let name = Some(roundel.name);
-        let stamps = sights.iter().map(|sight| sight.stamp_s);
-        let span = (stamps.clone().reduce(f64::min)?, stamps.reduce(f64::max)?);
-        Some(Subject { name, ..Subject::new(Course::over(span, params.knot_s), None, sights) })
+        let stamps = observations.iter().map(|observation| observation.stamp_s);
+        let (first_s, last_s) = (stamps.clone().reduce(f64::min)?, stamps.reduce(f64::max)?);
+        Some(TrackBlock {
+            name,
+            ..TrackBlock::new(Spline::over(first_s, last_s, params.knot_s), None, observations)
+        })
     });
     references.chain(robots).collect()
 }
@@ -228,10 +244,10 @@ fn whitener(covariance: &Matrix3<f64>) -> Option<Matrix3<f64>> {
     covariance.cholesky()?.l().try_inverse()
 }
 
-/// A covariance over (position, rotation) out of a camera's unknowns.
-fn place_covariance(covariance: &nalgebra::DMatrix<f64>, first: usize) -> Covariance6 {
+/// Block over (position, rotation) of a camera.
+fn pose_covariance(covariance: &nalgebra::DMatrix<f64>, first: usize) -> Covariance6 {
     covariance.fixed_view::<6, 6>(first, first).into_owned()
 }
 
-/// A camera's place and which it is.
-type Placed = Vec<Option<Rigid>>;
+/// Poses of all cameras; `None` if unknown.
+type CameraPoses = Vec<Option<Rigid>>;

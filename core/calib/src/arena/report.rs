@@ -1,21 +1,23 @@
-//! What came out, judged.
+//! Result of the arena calibration with findings.
 //!
-//! Reprojection errors are those of
-//! roundels' centres in raw pixels; coverage is the share of an image's 8 × 6 fields in which roundels were
-//! seen.
+//! Reprojection errors are distances of roundel centres in raw pixels. Coverage is the share of the 8 × 6 cells of an
+//! image in which roundels were observed.
 
 use super::{
     ArenaCamera,
-    bundle::{Bundle, Outcome, excess_squared, is_outlier},
-    coverage::Coverage,
+    adjustment::{
+        bundle::{Bundle, Outcome, excess_squared, is_outlier},
+        camera_block::POSE_AND_CLOCK,
+        track_block::{Observation, TrackBlock},
+    },
     finding::{Advice, Finding},
-    gather::{Name, Recording},
-    place_covariance,
-    reference::Standing,
-    start::{LEAST_SPREAD_M, Tie},
-    station::WITHOUT_LENS,
-    subject::{Sight, Subject},
+    image_coverage::ImageCoverage,
+    initial_poses::{MIN_SPREAD_M, RelativePose},
+    pose_covariance,
+    recording::{Recording, RoundelKey},
+    references::ReferenceSet,
 };
+use crate::robust::median;
 use roundel_vision::{
     camera::Camera,
     id::{CameraId, KindId},
@@ -23,102 +25,101 @@ use roundel_vision::{
     rigid::{Covariance6, Rigid},
 };
 
-/// A place known worse than this, rms over the axes, is weak: metres and radians.
+/// Maximum rms deviation of position and rotation without a warning, metres and radians.
 const WEAK_M: f64 = 0.003;
 const WEAK_RAD: f64 = 0.0005;
-/// Sightings of one roundel by one camera of which this share is off are of another one.
-const ELSEWHERE: f64 = 0.5;
-/// A camera whose errors are larger than stated by this factor has another lens than was said.
-const DOUBTFUL: f64 = 3.0;
+/// A camera that disagrees about a roundel in more than this share of its sightings sees another roundel.
+const MISPLACED_SHARE: f64 = 0.5;
+/// A camera whose errors exceed the stated ones by this factor probably has a wrong lens file.
+const DOUBTFUL_RATIO: f64 = 3.0;
 
-/// All cameras' places.
+/// Result of an arena calibration.
 #[derive(Clone, Debug)]
 pub struct ArenaCalibration {
-    /// In the order given, without those that nothing ties to the references.
+    /// In the given order, without cameras that cannot be located.
     pub cameras: Vec<CalibratedCamera>,
-    /// What a person should know, the gravest first.
+    /// Findings, most important first.
     pub findings: Vec<Finding>,
-    /// Sightings that were used.
+    /// Number of sightings used.
     pub sightings: usize,
-    /// Robots' roundels that two cameras saw or more.
+    /// Number of moving roundels that at least two cameras saw.
     pub roundels: usize,
-    /// Seconds of the recording.
+    /// Duration of the recording, seconds.
     pub length_s: f64,
-    /// Steps of the adjustment.
+    /// Number of steps of the adjustment.
     pub steps: usize,
 }
 
-/// One camera's result.
+/// Result for one camera.
 #[derive(Clone, Debug)]
 pub struct CalibratedCamera {
-    /// Which.
+    /// The camera.
     pub camera: CameraId,
-    /// Where it stands.
+    /// Its pose.
     pub world_from_camera: Rigid,
     /// Over (position, rotation), world frame, left perturbation.
     pub covariance: Covariance6,
-    /// What its stamps are ahead of the first camera's that sees references, at the recording's middle, seconds.
+    /// Its clock minus that of the first camera that sees references, at the middle of the recording, seconds.
     pub clock_offset_s: f64,
-    /// Standard deviation of that.
+    /// Standard deviation of the offset.
     pub clock_offset_deviation_s: f64,
-    /// What it gains a second.
+    /// Change of the offset, seconds per second.
     pub clock_skew: f64,
-    /// Standard deviation of that.
+    /// Standard deviation of the skew.
     pub clock_skew_deviation: f64,
-    /// If it was asked for.
+    /// The refined lens, if requested.
     pub lens: Option<RefinedLens>,
-    /// Sightings that were used.
+    /// Number of sightings used.
     pub sightings: usize,
-    /// Root mean square distance between roundels' centres as seen and as explained, pixels.
+    /// Rms distance of observed and predicted roundel centres, pixels.
     pub reprojection_rms_px: f64,
-    /// Errors over what was stated, by their median: 1 if detections err as they say.
+    /// Median ratio of errors to stated deviations; 1 if detections are consistent.
     pub error_ratio: f64,
-    /// Share of the image's fields in which roundels were seen.
+    /// Share of the image's cells with observations.
     pub coverage: f64,
     /// Cameras that saw the same roundels at the same times.
     pub neighbours: Vec<Neighbour>,
 }
 
-/// A lens as the arena shows it.
+/// A lens refined by the adjustment.
 #[derive(Clone, Debug)]
 pub struct RefinedLens {
-    /// In place of the one that was given.
+    /// The refined camera.
     pub camera: Camera,
-    /// Standard deviations: of the focal length, relative, the principal point, pixels, and the first radial
-    /// coefficient.
+    /// Standard deviations of focal length (relative), principal point (pixels) and first radial coefficient.
     pub deviations: [f64; 4],
 }
 
-/// How a camera is tied to another one.
+/// Overlap with another camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Neighbour {
-    /// Which.
+    /// The other camera.
     pub camera: CameraId,
-    /// Sightings that both had at the same time, of those looked at.
+    /// Number of simultaneous samples.
     pub shared: usize,
-    /// How far these spread, across, rms, metres.
+    /// Their rms spread in two directions, metres.
     pub spread_m: f64,
 }
 
-/// What was known before the adjustment.
-pub(super) struct Found<'a> {
+/// State before the adjustment.
+pub(super) struct Survey<'a> {
     pub(super) recording: &'a Recording,
     pub(super) cameras: &'a [ArenaCamera],
-    pub(super) standing: Standing,
-    pub(super) ties: Vec<Tie>,
-    /// Codes that a camera saw in two places at once.
-    pub(super) twice: Vec<(CameraId, KindId, Code)>,
+    pub(super) reference_set: ReferenceSet,
+    pub(super) relative_poses: Vec<RelativePose>,
+    /// Codes that a camera saw at two positions at once.
+    pub(super) duplicates: Vec<(CameraId, KindId, Code)>,
     /// Cameras that were adjusted.
     pub(super) kept: Vec<usize>,
 }
 
-pub(super) fn report(found: &Found<'_>, bundle: &Bundle, outcome: &Outcome) -> ArenaCalibration {
-    let mut findings = before(found);
-    let (seen, elsewhere) = seen(found, bundle, outcome);
-    let results: Vec<CalibratedCamera> = seen
+pub(super) fn report(survey: &Survey<'_>, bundle: &Bundle, outcome: &Outcome) -> ArenaCalibration {
+    let mut findings = findings_before(survey);
+    let (residuals, elsewhere) = residuals(survey, bundle, outcome);
+    let results: Vec<CalibratedCamera> = residuals
         .into_iter()
         .enumerate()
-        .map(|(at, seen)| calibrated(found, at, seen, (bundle, outcome)))
+        .map(|(at, residuals)| calibrated(survey, at, residuals, bundle, outcome))
         .collect();
     findings.extend(elsewhere);
     findings.extend(results.iter().filter_map(doubtful));
@@ -127,35 +128,45 @@ pub(super) fn report(found: &Found<'_>, bundle: &Bundle, outcome: &Outcome) -> A
         sightings: results.iter().map(|camera| camera.sightings).sum(),
         cameras: results,
         findings,
-        roundels: bundle.subjects.iter().filter(|subject| subject.stated.is_none()).count(),
-        length_s: found.recording.length_s(),
+        roundels: bundle.tracks.iter().filter(|track| track.stated.is_none()).count(),
+        length_s: survey.recording.length_s(),
         steps: outcome.steps,
     }
 }
 
-/// What is known before anything is adjusted.
-fn before(found: &Found<'_>) -> Vec<Finding> {
-    let Found { recording, cameras, standing, ties, twice, kept } = found;
+/// Findings that do not depend on the adjustment.
+fn findings_before(survey: &Survey<'_>) -> Vec<Finding> {
+    let Survey { recording, cameras, reference_set, relative_poses, duplicates, kept } = survey;
     let id = |index: usize| cameras[index].id;
-    let misplaced = standing.misplaced.iter().map(|&(reference, camera, off_m)| {
+    let misplaced = reference_set.misplaced.iter().map(|&(reference, camera, off_m)| {
         Finding::Misplaced { reference, camera: id(camera), off_m }
     });
-    let moved = standing.moved.iter().map(|&(reference, camera, moved_m)| Finding::Moved {
+    let moved = reference_set.moved.iter().map(|&(reference, camera, moved_m)| Finding::Moved {
         reference,
         camera: id(camera),
         moved_m,
     });
-    let unseen = standing.unseen.iter().map(|&reference| Finding::ReferenceUnseen { reference });
-    let twice = twice.iter().map(|&(camera, kind, code)| Finding::Twice { camera, kind, code });
-    let mut findings: Vec<Finding> = misplaced.chain(moved).chain(unseen).chain(twice).collect();
+    let unseen =
+        reference_set.unseen.iter().map(|&reference| Finding::ReferenceUnseen { reference });
+    let duplicates =
+        duplicates.iter().map(|&(camera, kind, code)| Finding::Twice { camera, kind, code });
+    let mut findings: Vec<Finding> =
+        misplaced.chain(moved).chain(unseen).chain(duplicates).collect();
     for index in (0..cameras.len()).filter(|index| !kept.contains(index)) {
         let camera = id(index);
-        let of = |tie: &&Tie| tie.one == index || tie.other == index;
-        let best = ties.iter().filter(of).max_by(|a, b| a.spread_m.total_cmp(&b.spread_m));
+        let of = |relative_pose: &&RelativePose| {
+            relative_pose.one == index || relative_pose.other == index
+        };
+        let best =
+            relative_poses.iter().filter(of).max_by(|a, b| a.spread_m.total_cmp(&b.spread_m));
         findings.push(match best {
-            Some(tie) if !tie.holds() => {
-                let other = id(if tie.one == index { tie.other } else { tie.one });
-                Finding::TooLittleMotion { camera, other, spread_m: tie.spread_m }
+            Some(relative_pose) if !relative_pose.is_determined() => {
+                let other = id(if relative_pose.one == index {
+                    relative_pose.other
+                } else {
+                    relative_pose.one
+                });
+                Finding::TooLittleMotion { camera, other, spread_m: relative_pose.spread_m }
             }
             None if !recording.has_seen(camera) => {
                 Finding::Unseen { camera, frames: recording.frames(camera) }
@@ -166,71 +177,82 @@ fn before(found: &Found<'_>) -> Vec<Finding> {
     findings
 }
 
-/// One camera's sightings after the adjustment.
+/// Residuals of one camera after the adjustment.
 #[derive(Clone, Debug, Default)]
-struct Seen {
-    /// Squared errors of those that were used.
+struct CameraResiduals {
+    /// Squared errors of the used sightings.
     squares: Vec<f64>,
     square_px: f64,
-    coverage: Coverage,
+    coverage: ImageCoverage,
 }
 
-/// What each camera saw, and who was seen elsewhere by one than by others.
-fn seen(found: &Found<'_>, bundle: &Bundle, outcome: &Outcome) -> (Vec<Seen>, Vec<Finding>) {
-    let mut seen = vec![Seen::default(); found.kept.len()];
+/// Residuals of each camera, and roundels that a camera saw elsewhere than the others.
+fn residuals(
+    survey: &Survey<'_>,
+    bundle: &Bundle,
+    outcome: &Outcome,
+) -> (Vec<CameraResiduals>, Vec<Finding>) {
+    let mut residuals = vec![CameraResiduals::default(); survey.kept.len()];
     let mut findings = Vec::new();
-    for subject in &bundle.subjects {
-        // Sightings of each camera, and those that are off.
-        let mut shares = vec![(0usize, 0usize); found.kept.len()];
-        for (sight, square) in subject.sights.iter().zip(subject.squares(&bundle.stations)) {
+    for track in &bundle.tracks {
+        // Sightings of each camera, and the inconsistent ones among them.
+        let mut shares = vec![(0usize, 0usize); survey.kept.len()];
+        for (observation, square) in track.observations.iter().zip(track.squares(&bundle.blocks)) {
             let is_off = is_outlier(square, outcome.excess);
-            shares[sight.camera].0 += 1;
-            shares[sight.camera].1 += usize::from(is_off);
+            shares[observation.camera].0 += 1;
+            shares[observation.camera].1 += usize::from(is_off);
             if !is_off {
-                let lens = &found.cameras[found.kept[sight.camera]].lens;
-                seen[sight.camera].add(sight, square, lens, (bundle, subject));
+                let lens = &survey.cameras[survey.kept[observation.camera]].lens;
+                residuals[observation.camera].add(observation, square, lens, bundle, track);
             }
         }
         for (camera, (sightings, off)) in shares.into_iter().enumerate() {
             let share = off as f64 / sightings.max(1) as f64;
-            if let Some(Name::Coded(kind, code)) = subject.name.filter(|_| share > ELSEWHERE) {
-                let off_m = apart_m(subject, camera, bundle);
-                let camera = found.cameras[found.kept[camera]].id;
+            if let Some(RoundelKey::Coded(kind, code)) =
+                track.name.filter(|_| share > MISPLACED_SHARE)
+            {
+                let off_m = distance_m(track, camera, bundle);
+                let camera = survey.cameras[survey.kept[camera]].id;
                 findings.push(Finding::Elsewhere { camera, kind, code, sightings, share, off_m });
             }
         }
     }
-    (seen, findings)
+    (residuals, findings)
 }
 
-/// How far a camera sees a roundel from where others do, across the line of sight: median, metres.
-fn apart_m(subject: &Subject, camera: usize, bundle: &Bundle) -> f64 {
-    let station = &bundle.stations[camera];
-    let own = subject.sights.iter().filter(|sight| sight.camera == camera);
-    let mut apart_m: Vec<f64> = own
-        .filter_map(|sight| {
-            let point_m = subject.course.at(station.time_s(sight.stamp_s)).position_m;
-            let sine = sight.place_m.normalize().cross(&station.sees(&point_m)?.normalize()).norm();
-            Some(sine * sight.place_m.norm())
+/// Median offset across the line of sight between a camera's sightings and the adjusted track, metres.
+fn distance_m(track: &TrackBlock, camera: usize, bundle: &Bundle) -> f64 {
+    let block = &bundle.blocks[camera];
+    let own = track.observations.iter().filter(|observation| observation.camera == camera);
+    let mut distance_m: Vec<f64> = own
+        .filter_map(|observation| {
+            let point_m = track.spline.at(block.time_s(observation.stamp_s)).position_m;
+            let sine = observation
+                .position_m
+                .normalize()
+                .cross(&block.predict(&point_m)?.normalize())
+                .norm();
+            Some(sine * observation.position_m.norm())
         })
         .collect();
-    apart_m.sort_by(f64::total_cmp);
-    apart_m.get(apart_m.len() / 2).copied().unwrap_or(f64::INFINITY)
+    median(&mut distance_m).unwrap_or(f64::INFINITY)
 }
 
-impl Seen {
+impl CameraResiduals {
     fn add(
         &mut self,
-        sight: &Sight,
+        observation: &Observation,
         square: f64,
         lens: &Camera,
-        (bundle, subject): (&Bundle, &Subject),
+        bundle: &Bundle,
+        track: &TrackBlock,
     ) {
         self.squares.push(square);
-        let station = &bundle.stations[sight.camera];
-        let point_m = subject.course.at(station.time_s(sight.stamp_s)).position_m;
-        let Some(explained_m) = station.sees(&point_m) else { return };
-        let pixels = [sight.place_m, explained_m].map(|place_m| lens.project(&place_m));
+        let block = &bundle.blocks[observation.camera];
+        let point_m = track.spline.at(block.time_s(observation.stamp_s)).position_m;
+        let Some(explained_m) = block.predict(&point_m) else { return };
+        let pixels =
+            [observation.position_m, explained_m].map(|position_m| lens.project(&position_m));
         let [Ok(one), Ok(other)] = pixels else { return };
         self.square_px += (one.u - other.u).powi(2) + (one.v - other.v).powi(2);
         self.coverage.add(lens, one);
@@ -238,41 +260,50 @@ impl Seen {
 }
 
 fn calibrated(
-    found: &Found<'_>,
+    survey: &Survey<'_>,
     at: usize,
-    mut seen: Seen,
-    (bundle, outcome): (&Bundle, &Outcome),
+    mut residuals: CameraResiduals,
+    bundle: &Bundle,
+    outcome: &Outcome,
 ) -> CalibratedCamera {
-    let (cameras, ties, index) = (found.cameras, &found.ties, found.kept[at]);
-    let station = &bundle.stations[at];
-    let first = at * outcome.width;
+    let (cameras, relative_poses, index) =
+        (survey.cameras, &survey.relative_poses, survey.kept[at]);
+    let block = &bundle.blocks[at];
+    let first = at * outcome.unknowns;
     let deviation = |number: usize| {
         let at = first + number;
         outcome.covariance[(at, at)].max(0.0).sqrt()
     };
-    let lens = station.lens().map(|lens| RefinedLens {
+    let lens = block.lens().map(|lens| RefinedLens {
         camera: lens.clone(),
-        deviations: std::array::from_fn(|number| deviation(WITHOUT_LENS + number)),
+        deviations: std::array::from_fn(|number| deviation(POSE_AND_CLOCK + number)),
     });
-    let neighbours = ties.iter().filter(|tie| tie.one == index || tie.other == index);
+    let neighbours = relative_poses
+        .iter()
+        .filter(|relative_pose| relative_pose.one == index || relative_pose.other == index);
     CalibratedCamera {
         camera: cameras[index].id,
-        world_from_camera: station.world_from_camera,
-        covariance: place_covariance(&outcome.covariance, first),
-        clock_offset_s: station.offset_s,
+        world_from_camera: block.world_from_camera,
+        covariance: pose_covariance(&outcome.covariance, first),
+        clock_offset_s: block.offset_s,
         clock_offset_deviation_s: deviation(6),
-        clock_skew: station.skew,
+        clock_skew: block.skew,
         clock_skew_deviation: deviation(7),
         lens,
-        sightings: seen.squares.len(),
-        reprojection_rms_px: (seen.square_px / seen.squares.len().max(1) as f64).sqrt(),
-        error_ratio: excess_squared(&mut seen.squares).sqrt(),
-        coverage: seen.coverage.share(),
+        sightings: residuals.squares.len(),
+        reprojection_rms_px: (residuals.square_px / residuals.squares.len().max(1) as f64).sqrt(),
+        error_ratio: excess_squared(&mut residuals.squares).sqrt(),
+        coverage: residuals.coverage.share(),
         neighbours: neighbours
-            .map(|tie| Neighbour {
-                camera: cameras[if tie.one == index { tie.other } else { tie.one }].id,
-                shared: tie.pairs,
-                spread_m: tie.spread_m,
+            .map(|relative_pose| Neighbour {
+                camera: cameras[if relative_pose.one == index {
+                    relative_pose.other
+                } else {
+                    relative_pose.one
+                }]
+                .id,
+                shared: relative_pose.pairs,
+                spread_m: relative_pose.spread_m,
             })
             .collect(),
     }
@@ -280,7 +311,7 @@ fn calibrated(
 
 fn doubtful(camera: &CalibratedCamera) -> Option<Finding> {
     let (ratio, rms_px) = (camera.error_ratio, camera.reprojection_rms_px);
-    (ratio > DOUBTFUL).then_some(Finding::Doubtful { camera: camera.camera, ratio, rms_px })
+    (ratio > DOUBTFUL_RATIO).then_some(Finding::Doubtful { camera: camera.camera, ratio, rms_px })
 }
 
 fn weak(camera: &CalibratedCamera) -> Option<Finding> {
@@ -294,7 +325,7 @@ fn weak(camera: &CalibratedCamera) -> Option<Finding> {
     let thinnest = camera
         .neighbours
         .iter()
-        .filter(|neighbour| neighbour.spread_m >= LEAST_SPREAD_M)
+        .filter(|neighbour| neighbour.spread_m >= MIN_SPREAD_M)
         .min_by_key(|neighbour| neighbour.shared);
     let advice = match thinnest {
         _ if camera.coverage < 0.3 => Advice::Cover(camera.coverage),

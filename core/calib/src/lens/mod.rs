@@ -1,101 +1,94 @@
-//! A lens from views of a board: focal lengths, principal point, distortion, and how well each is known.
+//! Camera intrinsics from views of a board: focal lengths, principal point and distortion, with covariance.
 //!
-//! In: the board's roundels as ellipses in raw pixels, or a chessboard's corners as points ([`Target`]), in some ten views
-//! from different sides ([`view`]). Out: a [`Camera`] with the covariance of its parameters.
+//! Input: some ten views from different directions ([`View`]) of a board of roundels (ellipses in raw pixels) or of a
+//! chessboard (corners), described by a [`Target`]. Output: a [`Camera`] with the covariance of its parameters
+//! ([`LensCalibration`]). [`moving`] calibrates from moving roundels instead.
 //!
-//! The method is Zhang's (2000): a homography of each view ([`flat`]) gives the focal length
-//! and where the board was ([`start`]); then all is refined together ([`bundle`]) until the *ellipses' centres* are
-//! where they should be. The image of a circle's centre is not its ellipse's centre, and a lens bends the ellipse as
-//! well; so what is predicted is the centroid of the circle's image under the whole camera model
-//! ([`rim`]), exact to a thousandth of a pixel. Which distortion model is right is decided by its evidence, Schwarz's
-//! criterion ([`choice`]). Views that are blurred beside the others are left out ([`blur`]); roundels whose code was misread, and
-//! views that were smeared, fall out by their errors.
+//! Method (Zhang 2000): homographies of the views (`views::homography`) give the focal length and the board poses
+//! (`fit::initial`); bundle adjustment (`fit::bundle`) then minimizes the distances between observed and predicted
+//! *ellipse centres*. The image of a circle's centre is not the centre of its ellipse, and distortion bends the ellipse;
+//! the prediction is therefore the centroid of the circle's image under the whole camera model (`fit::rim`), exact to a
+//! thousandth of a pixel. Schwarz's criterion selects the distortion model (`fit::model_selection`). Views that are
+//! blurred relative to the others are left out (`views::blur`); misread codes and smeared views are rejected by their
+//! residuals.
 //!
-//! With 30 rendered views of 35 roundels (noise 2/255, blur 0.8 px) see `tests/tests/lens.rs` for what is
-//! reached. Limits: the board is flat, and the shutter's time from row to row is not modelled, so the board should be
-//! held still under a rolling shutter.
+//! Accuracy: `tests/tests/lens.rs`, with 30 rendered views of 35 roundels (noise 2/255, blur 0.8 px). Limits: the board is
+//! flat, and the rolling shutter is not modelled, so the board must be held still in front of one.
 
-mod blur;
-mod bundle;
-mod candidate;
-mod choice;
-mod chooser;
-mod coverage;
-mod descent;
-mod flat;
-mod model;
+mod fit;
 pub mod moving;
-mod rim;
-mod robust;
-mod shape;
-mod start;
-mod target;
-pub mod view;
-mod weighing;
-mod width;
+mod views;
 
 use std::fmt;
 
 use nalgebra::{DMatrix, Isometry3};
 use thiserror::Error;
 
+use self::{
+    fit::{diameter_check, initial, model_selection},
+    views::{blur, layout_check},
+};
 pub use self::{
-    choice::{Evidence, STRONG},
-    chooser::{Chooser, Verdict},
-    coverage::{Coverage, Side, VISITED, Want, ZONES},
-    model::Model,
-    target::Target,
-    view::{Sighting, View},
-    width::Width,
+    fit::{
+        diameter_check::DiameterCheck,
+        distortion_model::DistortionModel,
+        model_selection::{Evidence, STRONG_EVIDENCE},
+    },
+    views::{
+        coverage::{Coverage, MIN_ZONE_SIGHTINGS, MissingView, Side, ZONES},
+        selection::{ViewSelector, ViewVerdict},
+        target::Target,
+        view::{Sighting, View},
+    },
 };
 use super::board::Board;
 use roundel_vision::camera::Camera;
 
-/// Fewest views that a lens is told from.
-pub const LEAST_VIEWS: usize = 5;
+/// Minimum number of views.
+pub const MIN_VIEWS: usize = 5;
 
-/// A lens that was found.
+/// Result of a lens calibration.
 #[derive(Clone, Debug)]
 pub struct LensCalibration {
-    /// The camera.
+    /// The calibrated camera.
     pub camera: Camera,
-    /// The model that was taken, and which of its coefficients were estimated; others are zero.
-    pub model: Model,
-    /// Covariance of fx, fy, cx, cy (pixels) and the estimated coefficients, in the model's order.
+    /// Selected model with its estimated coefficients; all others are zero.
+    pub model: DistortionModel,
+    /// Covariance of fx, fy, cx, cy (pixels) and of the estimated coefficients, in the model's order.
     pub covariance: DMatrix<f64>,
-    /// Rms distance between seen and predicted centres, pixels.
+    /// Rms distance of observed and predicted centres, pixels.
     pub rms_px: f64,
-    /// Each view as given, in order, or why it was left out.
-    pub views: Vec<Result<ViewFit, LeftOut>>,
-    /// Roundels, or corners, that were left out of the views that were used.
+    /// The fit of each given view, in order, or the reason for its rejection.
+    pub views: Vec<Result<ViewFit, ViewRejection>>,
+    /// Roundels or corners rejected from the views that were used.
     pub outliers: usize,
-    /// What speaks for each model, the likeliest first; a simpler one may have been taken ([`STRONG`]).
+    /// Evidence for each model, best first; a simpler one may have been selected ([`STRONG_EVIDENCE`]).
     pub evidence: Vec<Evidence>,
-    /// How wide the roundels look beside their pitch, where that can be told.
-    pub width: Option<Width>,
+    /// Comparison of the roundels' apparent and stated diameter; `None` if the views do not determine it.
+    pub diameter_check: Option<DiameterCheck>,
 }
 
-/// One view as it was fitted.
+/// Fit of one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ViewFit {
     /// camera_from_board, metres.
     pub pose: Isometry3<f64>,
-    /// Rms distance between seen and predicted centres, pixels.
+    /// Rms distance of observed and predicted centres, pixels.
     pub rms_px: f64,
-    /// Roundels, or corners, that were used.
+    /// Number of roundels or corners used.
     pub roundels: usize,
 }
 
-/// Why a view was left out.
+/// Reason for the rejection of a view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LeftOut {
-    /// It is blurred beside the others.
+pub enum ViewRejection {
+    /// Blurred relative to the other views.
     Blurred,
-    /// It contradicts the others: smeared, bent, or of something else.
+    /// Inconsistent with the other views: smeared, bent, or of another object.
     Contradicts,
 }
 
-impl fmt::Display for LeftOut {
+impl fmt::Display for ViewRejection {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(match self {
             Self::Blurred => "blurred beside the others",
@@ -105,63 +98,63 @@ impl fmt::Display for LeftOut {
 }
 
 impl LensCalibration {
-    /// Standard deviations in the covariance's order.
+    /// Standard deviations in the order of the covariance.
     pub fn deviations(&self) -> Vec<f64> {
         self.covariance.diagonal().iter().map(|variance| variance.max(0.0).sqrt()).collect()
     }
 }
 
-/// Why there is no lens.
+/// Why a lens calibration failed.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum LensCalibrationError {
-    /// Not enough to tell anything.
-    #[error("expected at least {LEAST_VIEWS} different views of the board, found {found}; {}", wants(.missing))]
+    /// Too few usable views.
+    #[error("expected at least {MIN_VIEWS} different views of the board, found {found}; {}", missing_views(.missing))]
     TooFew {
-        /// Views that could be used.
+        /// Number of usable views.
         found: usize,
-        /// What would help most.
-        missing: Vec<Want>,
+        /// Views that would help, most important first.
+        missing: Vec<MissingView>,
     },
-    /// All from nearly the same side.
-    #[error("the {found} views are too much alike to tell the focal length; {}", wants(.missing))]
+    /// All views are from nearly the same direction.
+    #[error("the {found} views are too similar to determine the focal length; {}", missing_views(.missing))]
     TooSimilar {
-        /// Views that could be used.
+        /// Number of usable views.
         found: usize,
-        /// What would help most.
-        missing: Vec<Want>,
+        /// Views that would help, most important first.
+        missing: Vec<MissingView>,
     },
-    /// The print has other columns or rows than is said.
+    /// The print has other columns or rows than stated.
     #[error(
         "the print looks like {found_columns} x {found_rows} roundels, not {columns} x {rows}: describe it as it was \
          printed (`--board {found_columns}x{found_rows}`)"
     )]
     OtherBoard {
-        /// As described.
+        /// Stated columns.
         columns: usize,
-        /// As described.
+        /// Stated rows.
         rows: usize,
-        /// As it looks.
+        /// Apparent columns.
         found_columns: usize,
-        /// As it looks; there may be more beyond the pictures.
+        /// Apparent rows. The print may have more, outside the pictures.
         found_rows: usize,
     },
-    /// The print's roundels are wider or narrower, beside their pitch, than is said.
+    /// The roundels have another ratio of diameter to pitch than stated.
     #[error(
         "the roundels look {found_outer_mm:.1} mm wide, not {outer_mm:.1}, if they are {pitch_mm:.1} mm from one to the \
-         next (or those {found_pitch_mm:.1} mm apart if {outer_mm:.1} mm wide): measure both on the print, and say them \
+         next (or those {found_pitch_mm:.1} mm apart if {outer_mm:.1} mm wide): measure both on the print, and pass them \
          (`--marker`, `--pitch`)"
     )]
     OtherWidth {
-        /// Diameter, as described.
+        /// Stated diameter, millimetres.
         outer_mm: f64,
-        /// From centre to centre, as described.
+        /// Stated pitch, millimetres.
         pitch_mm: f64,
-        /// Diameter as it looks, beside the pitch.
+        /// Diameter that matches the stated pitch, millimetres.
         found_outer_mm: f64,
-        /// From centre to centre as it looks, beside the diameter.
+        /// Pitch that matches the stated diameter, millimetres.
         found_pitch_mm: f64,
     },
-    /// The picture has no such size.
+    /// Size of the picture out of range.
     #[error("expected pictures of 16 to 16384 pixels a side, found {width} x {height}")]
     Size {
         /// Columns.
@@ -169,35 +162,36 @@ pub enum LensCalibrationError {
         /// Rows.
         height: usize,
     },
-    /// No model explains what was seen.
+    /// No model fits the views.
     #[error(
         "no lens explains the views: is the board flat, printed at 100 %, and described as it was printed \
          ({columns} x {rows}, {pitch_mm} mm from one to the next)?"
     )]
     Unexplained {
-        /// The board's.
+        /// Columns of the board.
         columns: usize,
-        /// The board's.
+        /// Rows of the board.
         rows: usize,
-        /// The board's.
+        /// Pitch of the board, millimetres.
         pitch_mm: f64,
     },
 }
 
-fn wants(missing: &[Want]) -> String {
+fn missing_views(missing: &[MissingView]) -> String {
     if missing.is_empty() {
         return "move the board about".to_owned();
     }
-    let wants: Vec<String> = missing.iter().map(Want::to_string).collect();
-    format!("still missing: {}", wants.join("; "))
+    let missing_views: Vec<String> = missing.iter().map(MissingView::to_string).collect();
+    format!("still missing: {}", missing_views.join("; "))
 }
 
-/// [`LensCalibrationError::OtherBoard`], if the views are those of another board than is described.
+/// Returns [`LensCalibrationError::OtherBoard`] if the views show another board than described.
 fn other_board(board: &Board, views: &[View]) -> Option<LensCalibrationError> {
-    let others: Vec<_> = views.iter().filter_map(|view| shape::other_sides(board, view)).collect();
-    let fewer = || Some((board.columns(), shape::fewer_rows(board, views.iter())?));
+    let others: Vec<_> =
+        views.iter().filter_map(|view| layout_check::other_sides(board, view)).collect();
+    let fewer = || Some((board.columns(), layout_check::fewer_rows(board, views.iter())?));
     let (found_columns, found_rows) = if others.len() > views.len() / 2 {
-        // The view that shows most of it.
+        // From the view that shows most of the board.
         others.into_iter().max_by_key(|&(_, rows)| rows)?
     } else {
         fewer()?
@@ -206,13 +200,13 @@ fn other_board(board: &Board, views: &[View]) -> Option<LensCalibrationError> {
     Some(LensCalibrationError::OtherBoard { columns, rows, found_columns, found_rows })
 }
 
-/// Finds the lens of a camera of `size` = (columns, rows) from views of a board; with `model` of that one, else of
-/// the one for which most speaks.
+/// Calibrates a camera of `size` = (columns, rows) from views of a board, with the given `model` or the one
+/// selected by evidence.
 pub fn calibrate(
     target: &Target,
     size: (usize, usize),
     views: &[View],
-    model: Option<Model>,
+    model: Option<DistortionModel>,
 ) -> Result<LensCalibration, LensCalibrationError> {
     let (width, height) = size;
     let is_side = |side: usize| (16..=roundel_vision::camera::MAX_SIDE_PX).contains(&side);
@@ -222,19 +216,21 @@ pub fn calibrate(
     if let Some(other) = target.board().and_then(|board| other_board(board, views)) {
         return Err(other);
     }
-    let blurred = blur::blurred(views);
-    let started = start::start(target, size, views, &blurred)?;
-    let models = model.map_or_else(|| Model::ALL.to_vec(), |model| vec![model]);
-    let outcome = choice::best(target, size, &started, &models).ok_or_else(|| {
-        LensCalibrationError::Unexplained {
-            columns: target.columns(),
-            rows: target.rows(),
-            pitch_mm: target.pitch_m() * 1e3,
-        }
-    })?;
-    let found = outcome.told(&blurred, &started);
-    let width = width::check(target, views, &found)?;
-    Ok(LensCalibration { width, ..found })
+    let blurs_px: Vec<Option<f64>> = views.iter().map(|view| view.blur_px).collect();
+    let blurred = blur::blurred(&blurs_px);
+    let initial = initial::estimate(target, size, views, &blurred)?;
+    let models = model.map_or_else(|| DistortionModel::ALL.to_vec(), |model| vec![model]);
+    let selected =
+        model_selection::select_model(target, size, &initial, &models).ok_or_else(|| {
+            LensCalibrationError::Unexplained {
+                columns: target.columns(),
+                rows: target.rows(),
+                pitch_mm: target.pitch_m() * 1e3,
+            }
+        })?;
+    let found = selected.into_calibration(&blurred, &initial);
+    let diameter_check = diameter_check::check(target, views, &found)?;
+    Ok(LensCalibration { diameter_check, ..found })
 }
 
 #[cfg(test)]
@@ -271,7 +267,7 @@ mod tests {
         .unwrap()
     }
 
-    /// Views from all sides, as the camera sees the roundels whole.
+    /// Views from all directions that show at least 20 whole roundels.
     fn views(camera: &Camera, count: usize, tilt_rad: f64, rng: &mut ChaCha8Rng) -> Vec<View> {
         views_of(&board(), camera, count, tilt_rad, rng)
     }
@@ -295,10 +291,11 @@ mod tests {
             let pose = Isometry3::from_parts(Translation3::from(place), lean * turn * faced);
             let mut sightings = Vec::new();
             for number in 1..=(target.columns() * target.rows()) as u16 {
-                let Some(center) = target.at(number) else { continue };
+                let Some(center) = target.point_m(number) else { continue };
                 let at = pose * Point3::new(center.x, center.y, 0.0);
                 let Ok(pixel) = camera.project(&at.coords) else { continue };
-                let imaged = target.rim_m().map(|it| rim::image(camera, &pose, &center, it));
+                let imaged =
+                    target.rim_m().map(|it| fit::rim::project_rim(camera, &pose, &center, it));
                 let Ok(imaged) = imaged.transpose() else { continue };
                 let (u, v) = imaged.as_ref().map_or((0.0, 0.0), |image| image.offset_px);
                 let radius_px = 0.015 * 900.0 / at.z;
@@ -324,7 +321,7 @@ mod tests {
         let truth = camera(lens);
         let mut rng = ChaCha8Rng::seed_from_u64(5);
         let mut views = views(&truth, 24, 0.7, &mut rng);
-        // Two codes misread as each other, and a view that is smeared.
+        // Two codes misread as each other, and a smeared view.
         let (one, other) = (views[3].sightings[2].center, views[3].sightings[9].center);
         (views[3].sightings[2].center, views[3].sightings[9].center) = (other, one);
         let smear = Normal::new(0.0, 1.0).unwrap();
@@ -346,7 +343,8 @@ mod tests {
         }
         let views = (found.views[3], found.views[7]);
         assert!(
-            views.0.is_ok_and(|view| view.rms_px < 0.1) && views.1 == Err(LeftOut::Contradicts),
+            views.0.is_ok_and(|view| view.rms_px < 0.1)
+                && views.1 == Err(ViewRejection::Contradicts),
             "{views:?}"
         );
         assert!((found.rms_px / (NOISE_PX * 2.0_f64.sqrt()) - 1.0).abs() < 0.1, "{}", found.rms_px);
@@ -358,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fisheye_is_found_and_told_from_other_lenses() {
+    fn a_fisheye_lens_is_identified() {
         check(Lens::Equidistant([0.02, -0.01, 0.0, 0.0]), "equidistant");
     }
 
@@ -370,7 +368,7 @@ mod tests {
         for seed in 0..SEEDS {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             let views = views(&truth, 12, 0.7, &mut rng);
-            let found = calibrate(&board(), SIZE, &views, Some(Model::Radial2)).unwrap();
+            let found = calibrate(&board(), SIZE, &views, Some(DistortionModel::Radial2)).unwrap();
             let is = found.camera.intrinsics();
             let k = is.lens.coefficients();
             let errors = [
@@ -386,12 +384,12 @@ mod tests {
                 *sum += (error / deviation).powi(2) / SEEDS as f64;
             }
         }
-        // Chi square with 30 degrees of freedom over 30: 0.45 to 1.8 holds 99.8 % for one of them.
+        // χ² with 30 degrees of freedom, over 30: 99.8 % lie between 0.45 and 1.8 for a single parameter.
         assert!(squares.iter().all(|square| (0.4..1.9).contains(square)), "{squares:?}");
     }
 
     #[test]
-    fn corners_tell_a_lens_as_roundels_do() {
+    fn corners_calibrate_as_roundels_do() {
         let target = Target::from(Checkerboard::new((9, 6), 0.025).unwrap());
         let truth = camera(Lens::PlumbBob([-0.12, 0.03, 0.001, -0.0008, 0.0]));
         let mut rng = ChaCha8Rng::seed_from_u64(11);
@@ -406,7 +404,7 @@ mod tests {
     }
 
     #[test]
-    fn too_few_or_similar_views_end_in_what_is_missing() {
+    fn too_few_or_similar_views_are_rejected_with_advice() {
         let truth = camera(Lens::PlumbBob([0.0; 5]));
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let few = views(&truth, 3, 0.7, &mut rng);
@@ -414,23 +412,21 @@ mod tests {
         assert!(error.contains("found 3") && error.contains("still missing"), "{error}");
         let flat = views(&truth, 12, 0.02, &mut rng);
         let error = calibrate(&board(), SIZE, &flat, None).unwrap_err().to_string();
-        assert!(
-            error.contains("too much alike") && error.contains("nearer to the camera"),
-            "{error}"
-        );
+        assert!(error.contains("too similar") && error.contains("nearer to the camera"), "{error}");
     }
 
     #[test]
-    fn a_board_with_another_pitch_than_is_said_is_told() {
+    fn a_wrong_pitch_is_rejected() {
         let truth = camera(Lens::PlumbBob([-0.1, 0.02, 0.0, 0.0, 0.0]));
         let mut rng = ChaCha8Rng::seed_from_u64(6);
         let views = views(&truth, 12, 0.7, &mut rng);
         let layout = CodeLayout { bits: 9, min_distance: 1 };
-        let said = |pitch_m: f64| Target::from(Board::new((7, 5), pitch_m, 0.03, layout).unwrap());
-        // What a ruler may be off by is none.
-        assert!(calibrate(&said(0.0365), SIZE, &views, None).is_ok());
+        let stated =
+            |pitch_m: f64| Target::from(Board::new((7, 5), pitch_m, 0.03, layout).unwrap());
+        // An error of a ruler is accepted.
+        assert!(calibrate(&stated(0.0365), SIZE, &views, None).is_ok());
         for pitch_m in [0.06, 0.0385] {
-            let error = calibrate(&said(pitch_m), SIZE, &views, None).unwrap_err().to_string();
+            let error = calibrate(&stated(pitch_m), SIZE, &views, None).unwrap_err().to_string();
             assert!(error.contains("(or those 36.0 mm apart"), "{error}");
             let found_mm = format!("look {:.1} mm wide, not 30.0", 30.0 * pitch_m / 0.036);
             assert!(error.contains(&found_mm), "{error}");
@@ -438,7 +434,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pitch_that_is_some_percent_off_is_told_with_numbers_however_pictures_bloom() {
+    fn a_pitch_some_percent_off_is_measured_despite_blooming() {
         let truth = camera(Lens::PlumbBob([-0.1, 0.02, 0.0, 0.0, 0.0]));
         let layout = CodeLayout { bits: 9, min_distance: 1 };
         for bloom_px in [-0.6, 0.0, 0.6] {
@@ -452,29 +448,29 @@ mod tests {
             {
                 let board = Board::new((7, 5), pitch_mm * 1e-3, 0.03, layout).unwrap();
                 let found = calibrate(&Target::from(board), SIZE, &views, None).unwrap();
-                let width = found.width.unwrap();
-                assert_eq!(width.is_doubtful(), is_doubtful, "{bloom_px} px: {width:?}");
-                assert!((width.found_pitch_mm() - 36.0).abs() < 0.1, "{bloom_px} px: {width:?}");
+                let check = found.diameter_check.unwrap();
+                assert_eq!(check.is_doubtful(), is_doubtful, "{bloom_px} px: {check:?}");
+                assert!((check.found_pitch_mm() - 36.0).abs() < 0.1, "{bloom_px} px: {check:?}");
             }
         }
     }
 
     #[test]
-    fn a_chooser_keeps_what_is_new_and_still() {
+    fn a_selector_keeps_new_still_views() {
         let truth = camera(Lens::PlumbBob([0.0; 5]));
         let mut rng = ChaCha8Rng::seed_from_u64(2);
         let views = views(&truth, 3, 0.7, &mut rng);
-        let mut chooser = Chooser::new(board(), SIZE, true);
-        assert_eq!(chooser.offer(View::default()), Verdict::NoBoard);
-        assert_eq!(chooser.offer(views[0].clone()), Verdict::Moving);
-        assert_eq!(chooser.offer(views[0].clone()), Verdict::Taken);
-        assert_eq!(chooser.offer(views[0].clone()), Verdict::Alike(0));
-        assert_eq!(chooser.offer(views[1].clone()), Verdict::Moving);
+        let mut selector = ViewSelector::new(board(), SIZE, true);
+        assert_eq!(selector.offer(View::default()), ViewVerdict::NoBoard);
+        assert_eq!(selector.offer(views[0].clone()), ViewVerdict::Moving);
+        assert_eq!(selector.offer(views[0].clone()), ViewVerdict::Taken);
+        assert_eq!(selector.offer(views[0].clone()), ViewVerdict::Duplicate(0));
+        assert_eq!(selector.offer(views[1].clone()), ViewVerdict::Moving);
         let cut = View { sightings: views[1].sightings[..17].to_vec(), ..View::default() };
-        assert_eq!(chooser.offer(cut), Verdict::TooLittle, "17 of 35");
-        assert_eq!(chooser.taken().len(), 1);
-        let mut photographs = Chooser::new(board(), SIZE, false);
-        assert_eq!(photographs.offer(views[0].clone()), Verdict::Taken);
-        assert_eq!(photographs.offer(views[1].clone()), Verdict::Taken);
+        assert_eq!(selector.offer(cut), ViewVerdict::TooLittle, "17 of 35");
+        assert_eq!(selector.taken().len(), 1);
+        let mut photographs = ViewSelector::new(board(), SIZE, false);
+        assert_eq!(photographs.offer(views[0].clone()), ViewVerdict::Taken);
+        assert_eq!(photographs.offer(views[1].clone()), ViewVerdict::Taken);
     }
 }

@@ -1,80 +1,80 @@
-//! What the watch tells.
+//! Events and states of the camera supervision.
 
 use roundel_fusion::world::CameraPlacement;
 use roundel_vision::id::CameraId;
 
-/// What became known of cameras' places.
+/// A change in the knowledge of camera poses.
 #[derive(Clone, Debug, PartialEq)]
 pub enum WatchEvent {
-    /// It does not stand where it did: it is to be left out.
+    /// A camera was moved and must not be used.
     Bumped {
-        /// Which.
+        /// The camera.
         camera: CameraId,
-        /// How far it moved, as far as is known at once, metres.
+        /// Estimated displacement, metres.
         moved_m: f64,
-        /// And turned, radians.
+        /// Estimated rotation, radians.
         turned_rad: f64,
     },
-    /// It rests, and this is where: it is to be used again.
+    /// A moved camera rests and may be used again.
     Returned {
-        /// Which.
+        /// The camera.
         camera: CameraId,
-        /// Where.
+        /// Its new pose.
         placement: CameraPlacement,
     },
-    /// It drifted, and stands here now; it was good enough to be used all the time.
+    /// A camera drifted and its pose was corrected; it stayed in use.
     Drifted {
-        /// Which.
+        /// The camera.
         camera: CameraId,
-        /// Where.
+        /// Its corrected pose.
         placement: CameraPlacement,
-        /// By how much what it sees moves with that, rms, metres.
+        /// Rms displacement of its observations, metres.
         moved_m: f64,
     },
-    /// One of these moved; which of them cannot be known.
+    /// One of these cameras moved; it is ambiguous which.
     Contradiction {
         /// Ascending.
         cameras: Vec<CameraId>,
     },
-    /// These stand where somebody said, have not agreed with others since, and nobody can tell who is wrong: they were
-    /// not bumped, but never measured well. Told once.
+    /// These manually placed cameras have never agreed with others: at least one stated pose is wrong. Reported
+    /// once.
     Misplaced {
         /// Ascending.
         cameras: Vec<CameraId>,
     },
-    /// They agree again, or it is known who moved.
+    /// The cameras of a contradiction agree again, or the moved one was found.
     Agreed {
-        /// As they were named before.
+        /// The cameras of the contradiction.
         cameras: Vec<CameraId>,
     },
 }
 
-/// How a camera stands to the others.
+/// Agreement of a camera with the others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WatchState {
-    /// Others see what it sees.
+    /// Other cameras see the same roundels.
     Watched,
-    /// Others see it elsewhere; who is right is not known yet, or cannot be.
+    /// It disagrees with others; the cause is unknown.
     Suspected,
-    /// It was bumped.
+    /// It was moved and is not in use.
     Quarantined,
-    /// Of late no other saw what it sees.
+    /// No other camera has recently seen the same roundels.
     Alone,
 }
 
-/// What is known of how right a camera's place is.
+/// Quality of a camera's pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraHealth {
-    /// How it stands to the others.
+    /// Agreement with the others.
     pub state: WatchState,
-    /// By how much it would have to move to agree best with the others, metres …
+    /// Displacement that would agree best with the others, metres.
     pub error_m: f64,
-    /// … and to turn, radians.
+    /// Rotation that would agree best with the others, radians.
     pub error_rad: f64,
-    /// Standard deviations of both.
+    /// Standard deviation of the displacement, metres.
     pub deviation_m: f64,
-    /// Radians.
+    /// Standard deviation of the rotation, radians.
     pub deviation_rad: f64,
-    /// What it sees is off by so much, rms, metres.
+    /// Rms displacement of its observations, metres.
     pub seen_error_m: f64,
 }

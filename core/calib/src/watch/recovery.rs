@@ -1,8 +1,8 @@
-//! Where a camera stands that was bumped: from its own views since then against what others see.
+//! Finds the new pose of a moved camera from its views since then.
 //!
-//! While its place over a second and over the second before differ, it still moves, and all is begun anew.
-//! From then on its place is taken over all that was seen since it rests, until that is known well enough, and
-//! held against what is seen in the second after, which it was not made from.
+//! While its poses over consecutive seconds differ, the camera still moves and the search restarts. Then its pose is
+//! estimated from all views since it rests until the precision suffices, and is finally checked against the views of
+//! another second.
 
 use std::collections::{BTreeSet, VecDeque};
 
@@ -10,114 +10,115 @@ use nalgebra::{Point3, Vector6};
 
 use super::{
     BIN_S, WatchParams,
-    fit::{Fit, Round, cost, excess, release},
-    meeting::{Meeting, Roundel},
+    co_observation::{CoObservation, Roundel},
+    pose_fit::{Comparison, PoseFit, cost, excess, fit_pose},
 };
 use roundel_vision::rigid::{Rigid, mahalanobis_squared};
 
-/// Bins of a look at whether it rests, and of the last check.
-const LOOK_BINS: usize = 4;
-/// Bins kept.
-const MOST_BINS: usize = 240;
-/// Two looks that differ by more are of a camera that moves: χ² of 6 beyond 1 - 10⁻⁶, and metres.
+/// Bins of a pose estimate for the check of rest, and of the final check.
+const CHECK_BINS: usize = 4;
+/// Maximum number of bins.
+const MAX_BINS: usize = 240;
+/// Poses that differ by more than both limits indicate motion: χ² of 6 beyond 1 - 10⁻⁶, and metres.
 const MOVES_SQUARED: f64 = 40.0;
 const MOVES_M: f64 = 1e-3;
-/// The same in the last check.
-const WRONG_SQUARED: f64 = 40.0;
-const WRONG_M: f64 = 1.5e-3;
+/// The same for the final check.
+const REJECTED_SQUARED: f64 = 40.0;
+const REJECTED_M: f64 = 1.5e-3;
 
-/// A camera out of service.
+/// A camera that is not in use.
 #[derive(Clone, Debug)]
 pub(super) struct Recovery {
-    /// As far as is known.
-    pub(super) place: Rigid,
-    /// A bin's meetings with cameras in service, the newest last.
-    bins: VecDeque<Vec<Meeting>>,
-    /// Bins without any, one after another.
+    /// Current estimate.
+    pub(super) pose: Rigid,
+    /// Co-observations with cameras in use by bin, the newest last.
+    bins: VecDeque<Vec<CoObservation>>,
+    /// Consecutive bins without any.
     pub(super) idle_bins: usize,
-    candidate: Option<Fit>,
+    candidate: Option<PoseFit>,
     checked: usize,
 }
 
 impl Recovery {
-    pub(super) fn new(place: Rigid) -> Self {
-        Self { place, bins: VecDeque::new(), idle_bins: 0, candidate: None, checked: 0 }
+    pub(super) fn new(pose: Rigid) -> Self {
+        Self { pose, bins: VecDeque::new(), idle_bins: 0, candidate: None, checked: 0 }
     }
 
-    /// What it saw together with that camera is not to be used.
-    pub(super) fn forget(&mut self, post: usize) {
-        self.bins.iter_mut().flatten().for_each(|meeting| meeting.forget(post));
+    /// Drops the views of another camera.
+    pub(super) fn forget(&mut self, slot: usize) {
+        self.bins.iter_mut().flatten().for_each(|group| group.forget(slot));
         self.candidate = None;
     }
 
-    /// With whom it met: landmarks, and other cameras by post.
-    pub(super) fn met(&self, post: usize) -> (BTreeSet<Roundel>, BTreeSet<usize>) {
-        let met = || {
-            let meetings = self.bins.iter().flatten();
-            meetings.filter(|meeting| meeting.sights.iter().any(|(it, _)| *it == post))
+    /// Landmarks and slots of other cameras that it shares roundels with.
+    pub(super) fn counterparts(&self, slot: usize) -> (BTreeSet<Roundel>, BTreeSet<usize>) {
+        let counterparts = || {
+            let groups = self.bins.iter().flatten();
+            groups.filter(|group| group.views.iter().any(|(it, _)| *it == slot))
         };
-        let fixed = met().filter(|meeting| meeting.fixed.is_some());
-        let others = met().flat_map(|meeting| meeting.sights.iter().map(|(other, _)| *other));
-        (fixed.map(|meeting| meeting.roundel).collect(), others.filter(|it| *it != post).collect())
+        let fixed = counterparts().filter(|group| group.fixed.is_some());
+        let others = counterparts().flat_map(|group| group.views.iter().map(|(other, _)| *other));
+        (fixed.map(|group| group.roundel).collect(), others.filter(|it| *it != slot).collect())
     }
 
-    /// What was seen so far is not to be used.
+    /// Drops all views.
     pub(super) fn restart(&mut self) {
-        *self = Self::new(self.place);
+        *self = Self::new(self.pose);
     }
 
-    /// Takes in a bin; where it stands, once that is sure. `others` has the places of cameras in service.
+    /// Adds a bin; returns the pose once it is confirmed. `others` are the poses of cameras in use.
     pub(super) fn advance(
         &mut self,
-        post: usize,
-        meetings: &[Meeting],
+        slot: usize,
+        groups: &[CoObservation],
         others: &[Option<Rigid>],
         params: &WatchParams,
-    ) -> Option<Fit> {
-        let is_told = |meeting: &&Meeting| {
+    ) -> Option<PoseFit> {
+        let is_usable = |group: &&CoObservation| {
             let sees = |wanted: bool| {
-                meeting.sights.iter().any(|(it, _)| {
-                    if wanted { *it == post } else { *it != post && others[*it].is_some() }
+                group.views.iter().any(|(it, _)| {
+                    if wanted { *it == slot } else { *it != slot && others[*it].is_some() }
                 })
             };
-            sees(true) && (sees(false) || meeting.fixed.is_some())
+            sees(true) && (sees(false) || group.fixed.is_some())
         };
-        let told: Vec<Meeting> = meetings.iter().filter(is_told).cloned().collect();
-        if told.is_empty() {
+        let usable: Vec<CoObservation> = groups.iter().filter(is_usable).cloned().collect();
+        if usable.is_empty() {
             self.idle_bins += 1;
             return None;
         }
         self.idle_bins = 0;
-        self.bins.push_back(told);
-        if self.bins.len() > MOST_BINS {
+        self.bins.push_back(usable);
+        if self.bins.len() > MAX_BINS {
             self.bins.pop_front();
         }
         let count = self.bins.len();
         if let Some(fit) = self.candidate {
             self.checked += 1;
-            if self.checked < LOOK_BINS {
+            if self.checked < CHECK_BINS {
                 return None;
             }
             self.candidate = None;
-            let newest = self.look(count - LOOK_BINS..count, post, others, params)?;
-            if differ(&fit, &newest, (WRONG_SQUARED, WRONG_M)) {
+            let newest = self.fit_bins(count - CHECK_BINS..count, slot, others, params)?;
+            if differ(&fit, &newest, REJECTED_SQUARED, REJECTED_M) {
                 self.restart();
                 return None;
             }
             return Some(fit);
         }
-        if count < 2 * LOOK_BINS || !count.is_multiple_of(LOOK_BINS) {
+        if count < 2 * CHECK_BINS || !count.is_multiple_of(CHECK_BINS) {
             return None;
         }
-        let before = self.look(count - 2 * LOOK_BINS..count - LOOK_BINS, post, others, params);
-        let newest = self.look(count - LOOK_BINS..count, post, others, params)?;
-        self.place = newest.place;
-        if before.is_none_or(|before| differ(&before, &newest, (MOVES_SQUARED, MOVES_M))) {
-            self.bins.drain(..count - LOOK_BINS);
+        let before =
+            self.fit_bins(count - 2 * CHECK_BINS..count - CHECK_BINS, slot, others, params);
+        let newest = self.fit_bins(count - CHECK_BINS..count, slot, others, params)?;
+        self.pose = newest.pose;
+        if before.is_none_or(|before| differ(&before, &newest, MOVES_SQUARED, MOVES_M)) {
+            self.bins.drain(..count - CHECK_BINS);
             return None;
         }
-        let all = self.look(0..count, post, others, params)?;
-        self.place = all.place;
+        let all = self.fit_bins(0..count, slot, others, params)?;
+        self.pose = all.pose;
         let [off_m, off_rad] = deviations(&all);
         let seconds = count as f64 * BIN_S;
         let is_good = |times: f64| {
@@ -131,44 +132,44 @@ impl Recovery {
         None
     }
 
-    fn look(
+    fn fit_bins(
         &self,
         bins: std::ops::Range<usize>,
-        post: usize,
+        slot: usize,
         others: &[Option<Rigid>],
         params: &WatchParams,
-    ) -> Option<Fit> {
-        let mut places = others.to_vec();
-        places[post] = Some(self.place);
+    ) -> Option<PoseFit> {
+        let mut poses = others.to_vec();
+        poses[slot] = Some(self.pose);
         let count = bins.len();
-        let mut rounds: Vec<Round> = self
+        let mut comparisons: Vec<Comparison> = self
             .bins
             .range(bins)
             .flatten()
-            .filter_map(|meeting| Round::of(meeting, &places, count, params))
+            .filter_map(|group| Comparison::of(group, &poses, count, params))
             .collect();
-        let fit = release(&mut rounds, post, &self.place)?;
-        debug_assert!(cost(&rounds).is_finite());
-        Some(Fit { covariance: fit.covariance * excess(&rounds), ..fit })
+        let fit = fit_pose(&mut comparisons, slot, &self.pose)?;
+        debug_assert!(cost(&comparisons).is_finite());
+        Some(PoseFit { covariance: fit.covariance * excess(&comparisons), ..fit })
     }
 }
 
-/// Of (place m, rotation rad), each as the root of its trace.
-pub(super) fn deviations(fit: &Fit) -> [f64; 2] {
+/// Standard deviations of position, metres, and rotation, radians: square roots of the traces.
+pub(super) fn deviations(fit: &PoseFit) -> [f64; 2] {
     [0, 3].map(|corner| fit.covariance.fixed_view::<3, 3>(corner, corner).trace().sqrt())
 }
 
-/// Whether two places, found from different sights, are not the same.
-fn differ(one: &Fit, other: &Fit, (most_squared, most_m): (f64, f64)) -> bool {
-    let shift = other.place.translation.vector - one.place.translation.vector;
-    let turn = (other.place.rotation * one.place.rotation.inverse()).scaled_axis();
+/// Whether two poses from different views differ significantly.
+fn differ(one: &PoseFit, other: &PoseFit, max_squared: f64, max_m: f64) -> bool {
+    let shift = other.pose.translation.vector - one.pose.translation.vector;
+    let turn = (other.pose.rotation * one.pose.rotation.inverse()).scaled_axis();
     let change = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
     let squared = mahalanobis_squared(&change, &(one.covariance + other.covariance));
-    seen_m(one, other) > most_m && squared.is_none_or(|squared| squared > most_squared)
+    displacement_m(one, other) > max_m && squared.is_none_or(|squared| squared > max_squared)
 }
 
-/// How far what one place sees a few metres ahead is from what the other sees there.
-fn seen_m(one: &Fit, other: &Fit) -> f64 {
+/// Maximum distance between the views of two poses a few metres ahead.
+fn displacement_m(one: &PoseFit, other: &PoseFit) -> f64 {
     let ahead = [[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]].map(|[x, y]| Point3::new(x, y, 4.0));
-    ahead.iter().map(|point| (one.place * point - other.place * point).norm()).fold(0.0, f64::max)
+    ahead.iter().map(|point| (one.pose * point - other.pose * point).norm()).fold(0.0, f64::max)
 }

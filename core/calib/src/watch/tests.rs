@@ -13,7 +13,7 @@ const KIND: KindId = KindId(0);
 const FRAME_S: f64 = 1.0 / 30.0;
 const SIGMA_M: f64 = 3e-4;
 
-/// Cameras 4 m up that look down, side by side, and robots that circle below all of them.
+/// Cameras side by side, 4 m up and looking down, and robots that circle below all of them.
 struct World {
     truth: Vec<Rigid>,
     robots: usize,
@@ -24,16 +24,16 @@ struct World {
 impl World {
     fn new(cameras: usize) -> Self {
         let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
-        let place = |index: usize| {
+        let pose = |index: usize| {
             Rigid::from_parts(Vector3::new(0.8 * index as f64, 0.0, 4.0).into(), down)
         };
-        Self { truth: (0..cameras).map(place).collect(), robots: 6, is_coded: true, seed: 1 }
+        Self { truth: (0..cameras).map(pose).collect(), robots: 6, is_coded: true, seed: 1 }
     }
 
     fn watch(&self) -> Watch {
         let mut watch = Watch::new(WatchParams::default());
-        for (index, place) in self.truth.iter().enumerate() {
-            watch.set_camera(CameraId(index as u32), placement(place));
+        for (index, pose) in self.truth.iter().enumerate() {
+            watch.set_camera(CameraId(index as u32), placement(pose));
         }
         watch
     }
@@ -51,7 +51,7 @@ impl World {
         middle + Vector3::new(0.2 * cos, 0.2 * sin, 0.0)
     }
 
-    fn look(&mut self, camera: usize, t: f64) -> Vec<Detection> {
+    fn world_view(&mut self, camera: usize, t: f64) -> Vec<Detection> {
         let mut seen = Vec::new();
         for robot in 0..self.robots {
             let place_m =
@@ -64,7 +64,7 @@ impl World {
         seen
     }
 
-    /// Lets so many seconds pass; `change` may alter what is seen.
+    /// Runs from one time to another; `change` may alter the detections.
     fn run(
         &mut self,
         watch: &mut Watch,
@@ -75,9 +75,9 @@ impl World {
         let (first, last) = ((from_s / FRAME_S) as usize, (to_s / FRAME_S) as usize);
         for frame in first..last {
             for camera in 0..self.truth.len() {
-                // Frames of different cameras are not at the same time.
+                // Frames of different cameras are not simultaneous.
                 let t = (frame as f64 + 0.37 * camera as f64) * FRAME_S;
-                let mut detections = self.look(camera, t);
+                let mut detections = self.world_view(camera, t);
                 change(camera, &mut detections);
                 let time = at(t);
                 watch.observe(
@@ -107,8 +107,8 @@ fn at(t: f64) -> Timestamp {
     Timestamp::from_ns(1_800_000_000_000_000_000).plus_seconds(t)
 }
 
-fn placement(place: &Rigid) -> CameraPlacement {
-    CameraPlacement { world_from_camera: *place, covariance: Matrix6::zeros() }
+fn placement(pose: &Rigid) -> CameraPlacement {
+    CameraPlacement { world_from_camera: *pose, covariance: Matrix6::zeros() }
 }
 
 fn detection(number: u64, code: Option<Code>, position_m: Vector3<f64>, t: f64) -> Detection {
@@ -154,7 +154,7 @@ fn assert_healed(world: &mut World) {
     };
     let error = placement.world_from_camera.inverse() * world.truth[1];
     assert!(error.translation.vector.norm() < 1e-3 && error.rotation.angle() < 3e-4, "{error}");
-    // Said again, nothing is forgotten.
+    // Setting the same pose keeps the evidence.
     watch.set_camera(CameraId(1), placement);
     assert_eq!(watch.health(CameraId(1)).unwrap().state, WatchState::Watched);
 }
@@ -170,7 +170,7 @@ fn roundels_without_codes_will_do() {
 }
 
 #[test]
-fn of_two_that_contradict_each_other_none_is_moved() {
+fn a_contradiction_of_two_cameras_corrects_neither() {
     let mut world = World::new(2);
     let mut watch = world.watch();
     assert_eq!(world.run(&mut watch, (0.0, 4.0), |_, _| ()), []);
@@ -185,14 +185,14 @@ fn of_two_that_contradict_each_other_none_is_moved() {
 }
 
 #[test]
-fn a_reference_says_which_of_two_moved() {
+fn a_reference_identifies_which_of_two_moved() {
     let mut world = World::new(2);
     let mut watch = world.watch();
     let reference_m = Vector3::new(0.3, 0.2, 0.0);
     let code = Code { bits: 8, number: 99 };
     let landmark = Landmark::new(KIND, Some(code), reference_m);
     watch.set_landmarks(&[landmark]);
-    let places = world.truth.clone();
+    let poses = world.truth.clone();
     let with_reference = |truth: Vec<Rigid>| {
         move |camera: usize, seen: &mut Vec<Detection>| {
             let place_m = truth[camera].inverse() * nalgebra::Point3::from(reference_m);
@@ -200,7 +200,7 @@ fn a_reference_says_which_of_two_moved() {
             seen.push(detection(99, Some(code), place_m.coords, t));
         }
     };
-    assert_eq!(world.run(&mut watch, (0.0, 4.0), with_reference(places)), []);
+    assert_eq!(world.run(&mut watch, (0.0, 4.0), with_reference(poses)), []);
     world.bump(1);
     let truth = world.truth.clone();
     let events = world.run(&mut watch, (4.0, 7.0), with_reference(truth));
@@ -208,10 +208,10 @@ fn a_reference_says_which_of_two_moved() {
 }
 
 #[test]
-fn a_code_that_is_on_show_twice_moves_nobody() {
+fn a_code_shown_twice_has_no_effect() {
     let mut world = World::new(3);
     let mut watch = world.watch();
-    // Camera 2 sees another roundel with the code of the first, which it does not see itself.
+    // Camera 2 sees another roundel with the code of the first, which it does not see.
     let events = world.run(&mut watch, (0.0, 10.0), |camera, seen| {
         if camera == 2 {
             seen[0].pose.as_mut().unwrap().position_m.x += 0.7;
@@ -221,7 +221,7 @@ fn a_code_that_is_on_show_twice_moves_nobody() {
 }
 
 #[test]
-fn who_sees_nothing_together_is_alone() {
+fn a_camera_without_common_roundels_is_alone() {
     let mut world = World::new(3);
     let mut watch = world.watch();
     let events = world.run(&mut watch, (0.0, 8.0), |camera, seen| {
@@ -248,15 +248,15 @@ fn drift_is_followed() {
             assert!(matches!(event, WatchEvent::Drifted { camera: CameraId(2), .. }), "{event:?}");
         }
     }
-    let found = watch.posts[2].placement.world_from_camera;
+    let found = watch.slots[2].placement.world_from_camera;
     let error_m = (found.translation.vector - world.truth[2].translation.vector).norm();
     let way_m = (still[2].translation.vector - world.truth[2].translation.vector).norm();
     assert!(error_m < 1e-3 && way_m > 2.9e-3, "{error_m}");
-    assert_eq!(watch.posts[0].placement.world_from_camera, still[0]);
+    assert_eq!(watch.slots[0].placement.world_from_camera, still[0]);
 }
 
 #[test]
-fn what_is_told_of_a_place_does_not_grow_with_every_recovery() {
+fn the_covariance_does_not_grow_with_every_recovery() {
     let mut world = World::new(4);
     let mut watch = world.watch();
     let mut spread = Vec::new();
@@ -276,7 +276,7 @@ fn what_is_told_of_a_place_does_not_grow_with_every_recovery() {
 }
 
 #[test]
-fn a_new_place_of_one_camera_leaves_what_is_known_of_others() {
+fn a_new_pose_of_one_camera_keeps_the_evidence_about_others() {
     let mut world = World::new(4);
     let mut watch = world.watch();
     assert_eq!(world.run(&mut watch, (0.0, 30.0), |_, _| ()), []);
@@ -300,7 +300,7 @@ fn is_noticed(world: &mut World, watch: &mut Watch, from_s: f64) -> bool {
 }
 
 #[test]
-fn a_place_that_was_only_written_is_not_healed_but_told() {
+fn a_wrong_manual_pose_is_reported_and_not_corrected() {
     let mut world = World::new(4);
     let mut watch = world.watch();
     let rough = Rigid::translation(0.07, -0.03, 0.1);
@@ -309,14 +309,14 @@ fn a_place_that_was_only_written_is_not_healed_but_told() {
     let cameras = (0..4).map(CameraId).collect();
     let events = world.run(&mut watch, (0.0, 20.0), |_, _| ());
     assert_eq!(events, [WatchEvent::Misplaced { cameras }]);
-    // A calibration puts it right.
+    // A calibration corrects the pose.
     watch.set_camera(CameraId(1), placement(&world.truth[1]));
     assert_eq!(world.run(&mut watch, (20.0, 30.0), |_, _| ()), []);
     assert!(is_noticed(&mut world, &mut watch, 30.0));
 }
 
 #[test]
-fn a_place_that_was_written_and_right_is_healed() {
+fn a_correct_manual_pose_is_supervised() {
     let mut world = World::new(4);
     let mut watch = world.watch();
     (0..4).for_each(|camera| watch.distrust(CameraId(camera)));
@@ -325,7 +325,7 @@ fn a_place_that_was_written_and_right_is_healed() {
 }
 
 #[test]
-fn of_a_camera_that_is_held_back_less_is_believed() {
+fn a_held_camera_has_a_lower_threshold() {
     for is_held in [false, true] {
         let mut world = World::new(3);
         let mut watch = world.watch();

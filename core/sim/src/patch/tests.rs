@@ -14,10 +14,10 @@ fn normal_cdf_agrees_with_tabled_values() {
     assert!(normal_cdf(50.0) == 1.0 && normal_cdf(-50.0) < 1e-6);
 }
 
-/// Of a print of 25 px, whose slots are as narrow as its blur at the core, against the sharp print, blurred sample by
-/// sample.
+/// Compares a print of 25 px, whose slots are as narrow as the blur at the core, with a numerically blurred sharp
+/// print.
 #[test]
-fn narrow_teeth_are_as_dark_as_blur_leaves_them() {
+fn narrow_teeth_have_the_correct_level() {
     const FINE: i32 = 20;
     const BLUR_PX: f32 = 0.7;
     let layout = CodeLayout { bits: 9, min_distance: 1 };

@@ -1,4 +1,4 @@
-//! What the scenario's robots and cameras keep to.
+//! Limits and invariants of scenarios.
 
 use super::*;
 use crate::CameraMount;
@@ -10,7 +10,7 @@ fn instants() -> impl Iterator<Item = f64> {
 }
 
 #[test]
-fn truth_is_the_derivative_of_truth() {
+fn velocities_are_derivatives_of_poses() {
     let scenario = Scenario::r4_lite(11);
     let step_s = 1e-4;
     for time_s in instants().step_by(37).take_while(|&t| t < 1e4) {
@@ -32,7 +32,7 @@ fn truth_is_the_derivative_of_truth() {
     }
 }
 
-/// Checks limits and distances of all robots at one time.
+/// Checks limits and distances of all robots at an instant.
 fn check_traffic(scenario: &Scenario, time_s: f64) {
     let params = scenario.params();
     let robots = scenario.truth(time_s);
@@ -65,7 +65,7 @@ fn check_traffic(scenario: &Scenario, time_s: f64) {
 }
 
 #[test]
-fn robots_keep_their_limits_and_their_distance() {
+fn robots_keep_limits_and_distance() {
     for seed in 1..=6 {
         let scenario = Scenario::r4_lite(seed);
         instants().for_each(|time_s| check_traffic(&scenario, time_s));
@@ -97,19 +97,19 @@ fn a_large_arena_takes_two_hundred_robots() {
 #[test]
 fn a_dense_crowd_still_keeps_its_distance() {
     let mut params = ScenarioParams::r4_lite(5);
-    // As many as there is room for.
+    // The maximum number.
     (params.flying_share, params.still, params.acceleration_limit_m_s2) = (0.0, 8, 0.2);
     params.robots = 400;
-    let Err(ScenarioError::Crowded { most, .. }) = Scenario::new(params.clone()) else {
-        panic!("400 robots have no room")
+    let Err(ScenarioError::Crowded { max, .. }) = Scenario::new(params.clone()) else {
+        panic!("400 robots do not fit")
     };
-    params.robots = most + params.still;
+    params.robots = max + params.still;
     let scenario = Scenario::new(params).unwrap();
     instants().step_by(3).for_each(|time_s| check_traffic(&scenario, time_s));
 }
 
 #[test]
-fn roles_are_dealt_as_asked() {
+fn roles_are_assigned_as_configured() {
     let robots = Scenario::r4_lite(2).truth(5.0);
     assert_eq!(robots.len(), 24);
     assert_eq!(robots.iter().filter(|robot| robot.flying).count(), 8);
@@ -119,7 +119,7 @@ fn roles_are_dealt_as_asked() {
 }
 
 #[test]
-fn a_camera_sees_every_robot_unless_something_hides_it() {
+fn every_robot_is_visible_unless_occluded() {
     let (mut shown, mut hidden) = (0, 0);
     for seed in 1..=3 {
         let scenario = Scenario::r4_lite(seed);
@@ -147,7 +147,7 @@ fn a_camera_sees_every_robot_unless_something_hides_it() {
 }
 
 #[test]
-fn cameras_are_out_of_step() {
+fn cameras_are_not_synchronized() {
     let scenario = Scenario::r4_lite(3);
     let cameras = scenario.cameras();
     assert_eq!(cameras.len(), 4);
@@ -178,16 +178,16 @@ fn a_boom_hides_what_lies_behind_it() {
 }
 
 #[test]
-fn too_many_robots_are_refused_with_the_number_that_fits() {
+fn too_many_robots_are_rejected_with_the_maximum() {
     let mut params = ScenarioParams::r4_lite(1);
     params.robots = 400;
     let message = Scenario::new(params.clone()).unwrap_err().to_string();
-    let most: usize = message
+    let max: usize = message
         .split_once("expected at most ")
         .and_then(|(_, rest)| rest.split_once(' '))
         .and_then(|(number, _)| number.parse().ok())
         .unwrap_or_else(|| panic!("no number in: {message}"));
-    params.robots = most + params.still;
+    params.robots = max + params.still;
     params.flying_share = 0.0;
     assert!(Scenario::new(params.clone()).is_ok(), "{message}");
     params.robots += 1;
@@ -195,7 +195,7 @@ fn too_many_robots_are_refused_with_the_number_that_fits() {
 }
 
 #[test]
-fn cameras_that_see_nothing_of_the_arena_are_refused() {
+fn cameras_that_see_nothing_of_the_arena_are_rejected() {
     let mut params = ScenarioParams::r4_lite(1);
     for mount in &mut params.mounts {
         mount.target_m = [mount.position_m[0] * 4.0, mount.position_m[1] * 4.0, 4.0];
@@ -204,7 +204,7 @@ fn cameras_that_see_nothing_of_the_arena_are_refused() {
 }
 
 #[test]
-fn a_robot_that_is_driven_leaves_its_way_without_a_step() {
+fn a_driven_robot_leaves_its_path_smoothly() {
     for mut scenario in [Scenario::r4_lite(3), Scenario::r4(4)] {
         let undisturbed = scenario.clone();
         let robots = scenario.truth(5.0).len();

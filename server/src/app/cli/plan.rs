@@ -21,7 +21,7 @@ use clap::{
 };
 use roundel_core::{
     marker::{CodeLayout, Kind, Mode},
-    plan::{Imaging, map::Field, search::Wish},
+    plan::{Imaging, map::MapArea, search::Requirements},
 };
 
 use crate::lab::{
@@ -204,11 +204,11 @@ impl PlanArgs {
             map_format(path)?;
         }
         let height = self.height();
-        let [least, most] = Field::HEIGHTS_M;
+        let [least, most] = MapArea::HEIGHTS_M;
         if !(least..=most).contains(&height) {
             bail!("--height: expected {least} to {most} m, found {height}");
         }
-        let least_above = Wish::LEAST_ABOVE_M;
+        let least_above = Requirements::MIN_HEIGHT_ABOVE_M;
         if let (Some(_), Some([low, _])) = (self.arena, self.mount)
             && low < height + least_above
         {

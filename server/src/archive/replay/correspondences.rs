@@ -11,7 +11,7 @@ use std::{
 use nalgebra::{Matrix3, Matrix3x6};
 use prost::Message;
 use roundel_core::{
-    calib::lens::moving::{Glimpse, Way, Waypoint},
+    calib::lens::moving::{RimObservation, Trajectory, Waypoint},
     id::KindId,
     marker::{Code, Kind},
     rigid::Rigid,
@@ -54,9 +54,9 @@ pub struct Correspondences {
     /// Columns and rows of the camera's picture.
     pub size: (usize, usize),
     /// Trajectories of the coded roundels that both saw.
-    pub ways: Vec<Way>,
+    pub trajectories: Vec<Trajectory>,
     /// The camera's sightings of these.
-    pub glimpses: Vec<Glimpse>,
+    pub observations: Vec<RimObservation>,
     pub clock: ClockPrior,
     /// Number of the camera's frames.
     pub frames: u64,
@@ -100,7 +100,7 @@ type CodedRoundel = (KindId, Code);
 #[derive(Default)]
 struct CorrespondenceBuilder {
     waypoints: BTreeMap<CodedRoundel, Vec<Waypoint>>,
-    sightings: Vec<(CodedRoundel, Glimpse)>,
+    sightings: Vec<(CodedRoundel, RimObservation)>,
     frames: u64,
     /// Frames of all cameras.
     all_frames: u64,
@@ -153,7 +153,7 @@ pub fn correspondences(
     }
     let mut found = builder.build(size, clock, kinds);
     found.damage = session.reader.file().damage().sentences.clone();
-    if found.glimpses.is_empty() {
+    if found.observations.is_empty() {
         return Err(CorrespondenceError::Alone { path, camera: name, sightings });
     }
     Ok(found)
@@ -253,8 +253,8 @@ impl CorrespondenceBuilder {
             let outer = detection.ring.outer;
             let stamp_s = detection.capture_time.seconds_since(begin);
             let radius_px = outer.mean_radius_px();
-            let glimpse = Glimpse { way: 0, stamp_s, center: outer.center, radius_px };
-            self.sightings.push(((kind, code.code), glimpse));
+            let rim = RimObservation { trajectory: 0, stamp_s, center: outer.center, radius_px };
+            self.sightings.push(((kind, code.code), rim));
         }
     }
 
@@ -262,7 +262,7 @@ impl CorrespondenceBuilder {
     fn build(self, size: (usize, usize), clock: ClockPrior, kinds: &[Kind]) -> Correspondences {
         let Self { mut waypoints, sightings, frames, lateness_s, .. } = self;
         let epoch_s = lateness_s.filter(|it| it.abs() > EPOCH_DIFFERENCE_S).unwrap_or(0.0);
-        let stamps = sightings.iter().map(|(_, glimpse)| glimpse.stamp_s + epoch_s);
+        let stamps = sightings.iter().map(|(_, rim)| rim.stamp_s + epoch_s);
         let (least_s, most_s) =
             stamps.fold((f64::MAX, f64::MIN), |(least, most), it| (least.min(it), most.max(it)));
         let middle_s = 0.5 * (least_s + most_s);
@@ -270,26 +270,34 @@ impl CorrespondenceBuilder {
         waypoints.retain(|name, _| names.contains(name));
         let numbers: BTreeMap<CodedRoundel, usize> =
             waypoints.keys().enumerate().map(|(number, name)| (*name, number)).collect();
-        let ways = waypoints.into_iter().map(|((kind, _), mut waypoints)| {
+        let trajectories = waypoints.into_iter().map(|((kind, _), mut waypoints)| {
             waypoints.iter_mut().for_each(|it| it.time_s -= middle_s);
             let kind = kinds.get(usize::from(kind.0));
-            Way::new(kind.map_or(0.0, |kind| kind.outer_diameter_m) / 2.0, waypoints)
+            Trajectory::new(kind.map_or(0.0, |kind| kind.outer_diameter_m) / 2.0, waypoints)
         });
-        let ways: Vec<Way> = ways.collect();
+        let trajectories: Vec<Trajectory> = trajectories.collect();
         let all = sightings.len();
-        let glimpses = sightings.into_iter().filter_map(|(name, glimpse)| {
-            let stamp_s = glimpse.stamp_s + epoch_s - middle_s;
-            Some(Glimpse { way: *numbers.get(&name)?, stamp_s, ..glimpse })
+        let observations = sightings.into_iter().filter_map(|(name, rim)| {
+            let stamp_s = rim.stamp_s + epoch_s - middle_s;
+            Some(RimObservation { trajectory: *numbers.get(&name)?, stamp_s, ..rim })
         });
         // The clock estimate moves sightings by less than its prior deviation.
         let slack_s = clock.offset_s.max(STEP_S);
-        let is_matched = |glimpse: &Glimpse| {
-            let way = &ways[glimpse.way];
-            [-slack_s, 0.0, slack_s].iter().any(|by_s| way.at(glimpse.stamp_s + by_s).is_some())
+        let is_matched = |rim: &RimObservation| {
+            let trajectory = &trajectories[rim.trajectory];
+            [-slack_s, 0.0, slack_s].iter().any(|by_s| trajectory.at(rim.stamp_s + by_s).is_some())
         };
-        let glimpses: Vec<Glimpse> = glimpses.filter(is_matched).collect();
-        let unmatched = all - glimpses.len();
-        Correspondences { size, unmatched, ways, glimpses, clock, frames, damage: Vec::new() }
+        let observations: Vec<RimObservation> = observations.filter(is_matched).collect();
+        let unmatched = all - observations.len();
+        Correspondences {
+            size,
+            unmatched,
+            trajectories,
+            observations,
+            clock,
+            frames,
+            damage: Vec::new(),
+        }
     }
 }
 
@@ -322,7 +330,7 @@ fn waypoint(state: &ObjectState, object_from_roundel: &Rigid, time_s: f64) -> Wa
     carry.fixed_view_mut::<3, 3>(0, 3).copy_from(&-arm_m.cross_matrix());
     Waypoint {
         time_s,
-        place_m: state.position_m + arm_m,
+        position_m: state.position_m + arm_m,
         velocity_m_s: state.velocity_m_s + state.angular_velocity_rad_s.cross(&arm_m),
         orientation: state.orientation * object_from_roundel.rotation,
         covariance_m2: carry * state.covariance * carry.transpose(),

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use roundel_core::{
-    calib::arena::{Coverage, Recording},
+    calib::arena::{ImageCoverage, Recording},
     camera::Camera,
     id::{CameraId, KindId},
     marker::Code,
@@ -38,7 +38,7 @@ struct CameraSamples {
     lens: Camera,
     summary: RecordedCamera,
     codes: BTreeSet<(KindId, Code)>,
-    coverage: Coverage,
+    coverage: ImageCoverage,
 }
 
 impl DetectionRecorder {
@@ -48,7 +48,7 @@ impl DetectionRecorder {
             lens: lens.clone(),
             summary: RecordedCamera::default(),
             codes: BTreeSet::new(),
-            coverage: Coverage::default(),
+            coverage: ImageCoverage::default(),
         };
         Self {
             recording: Recording::new(MAX_DETECTIONS_HZ),

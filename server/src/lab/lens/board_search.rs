@@ -3,7 +3,7 @@
 use roundel_core::{
     calib::{
         board::Board,
-        lens::{Chooser, LensCalibrationError, Target, Verdict, View},
+        lens::{LensCalibrationError, Target, View, ViewSelector, ViewVerdict},
     },
     frame::Frame,
     marker::{Detector, DetectorError, Mode, Params, Ring, Scratch},
@@ -58,12 +58,12 @@ pub struct SizeChanged {
     pub found: (usize, usize),
 }
 
-/// Views and counts of pictures by their [`Verdict`].
+/// Views and counts of pictures by their [`ViewVerdict`].
 #[derive(Clone, Debug)]
 pub struct CollectedViews {
     /// Columns and rows of the pictures.
     pub size: (usize, usize),
-    pub chooser: Chooser,
+    pub selector: ViewSelector,
     /// All pictures.
     pub frames: usize,
     pub without_board: usize,
@@ -80,7 +80,7 @@ impl CollectedViews {
     /// Numbers of pictures, of views kept, and of pictures left out by reason.
     pub fn describe(&self) -> String {
         let Self { frames, without_board, too_little, moving, alike, others, .. } = self;
-        let taken = self.chooser.taken().len();
+        let taken = self.selector.taken().len();
         let counted = |count: usize, one: &str| match count {
             1 => format!("1 {one}"),
             _ => format!("{count} {one}s"),
@@ -102,17 +102,18 @@ impl CollectedViews {
 
     /// The mismatch between the print and its description, once it is certain. `is_over`: there are no more pictures.
     pub fn other_print(&self, is_over: bool) -> Option<PrintMismatch> {
-        if let Some(error) = self.chooser.other_board() {
+        if let Some(error) = self.selector.other_board() {
             return Some(PrintMismatch::Board(error));
         }
-        let Target::Corners(board) = self.chooser.target() else { return None };
-        let taken = self.chooser.taken().len();
+        let Target::Corners(board) = self.selector.target() else { return None };
+        let taken = self.selector.taken().len();
         self.grids.mismatch(board, taken, is_over).map(PrintMismatch::Chessboard)
     }
 
     /// Whether there are enough views and the coverage is complete.
     pub fn is_complete(&self) -> bool {
-        self.chooser.taken().len() >= GOOD_VIEWS && self.chooser.coverage().wants().is_empty()
+        self.selector.taken().len() >= GOOD_VIEWS
+            && self.selector.coverage().missing_views().is_empty()
     }
 }
 
@@ -175,11 +176,11 @@ impl BoardSearch {
     }
 
     /// Searches a picture, and returns the rings found in it.
-    pub fn look(&mut self, frame: &Frame<'_>) -> Result<(Verdict, &[Ring]), SizeChanged> {
+    pub fn look(&mut self, frame: &Frame<'_>) -> Result<(ViewVerdict, &[Ring]), SizeChanged> {
         let found = (frame.width(), frame.height());
         let gathered = self.gathered.get_or_insert_with(|| CollectedViews {
             size: found,
-            chooser: Chooser::new(self.target.clone(), found, self.still),
+            selector: ViewSelector::new(self.target.clone(), found, self.still),
             frames: 0,
             without_board: 0,
             too_little: 0,
@@ -194,19 +195,19 @@ impl BoardSearch {
         gathered.frames += 1;
         let (view, rings) = self.finder.find(frame);
         let verdict = match view {
-            Ok(view) => gathered.chooser.offer(view),
+            Ok(view) => gathered.selector.offer(view),
             Err(sides) => {
                 gathered.grids.add(sides);
-                Verdict::TooLittle
+                ViewVerdict::TooLittle
             }
         };
         match verdict {
-            Verdict::Taken => {}
-            Verdict::NoBoard => gathered.without_board += 1,
-            Verdict::TooLittle => gathered.too_little += 1,
-            Verdict::Moving => gathered.moving += 1,
-            Verdict::Alike(_) => gathered.alike += 1,
-            Verdict::OtherBoard(..) => gathered.others += 1,
+            ViewVerdict::Taken => {}
+            ViewVerdict::NoBoard => gathered.without_board += 1,
+            ViewVerdict::TooLittle => gathered.too_little += 1,
+            ViewVerdict::Moving => gathered.moving += 1,
+            ViewVerdict::Duplicate(_) => gathered.alike += 1,
+            ViewVerdict::OtherBoard(..) => gathered.others += 1,
         }
         Ok((verdict, rings))
     }
@@ -223,10 +224,10 @@ impl BoardSearch {
     /// The progress and the most useful next view, for the operator who moves the board.
     pub fn message(&self) -> String {
         let Some(gathered) = &self.gathered else { return "waiting for a picture".to_owned() };
-        let coverage = gathered.chooser.coverage();
-        let taken = gathered.chooser.taken().len();
+        let coverage = gathered.selector.coverage();
+        let taken = gathered.selector.taken().len();
         let covered = (coverage.share() * 100.0).round();
-        let next = coverage.wants().first().map_or_else(
+        let next = coverage.missing_views().first().map_or_else(
             || "hold the board still at new places".to_owned(),
             |want| format!("next: {want}"),
         );

@@ -31,7 +31,7 @@ use std::{
 
 use roundel_core::calib::{
     board::Board,
-    lens::{LEAST_VIEWS, LensCalibration, Model},
+    lens::{DistortionModel, LensCalibration, MIN_VIEWS},
 };
 use thiserror::Error;
 
@@ -51,7 +51,7 @@ pub use picture_source::{OpenedSource, PictureSource};
 use report::{LensStatus, Stage};
 
 /// Allowed range of [`LensRun::max_views`].
-pub const VIEWS: (usize, usize) = (LEAST_VIEWS, 100);
+pub const VIEWS: (usize, usize) = (MIN_VIEWS, 100);
 pub const DEFAULT_VIEWS: usize = 40;
 const IDLE_TIMEOUT: Duration = Duration::from_secs(60);
 
@@ -66,7 +66,7 @@ pub struct LensRun {
     /// Maximum number of views to keep, within [`VIEWS`].
     pub max_views: usize,
     /// The distortion model; `None` selects it automatically.
-    pub model: Option<Model>,
+    pub model: Option<DistortionModel>,
 }
 
 #[derive(Debug, Error)]
@@ -203,7 +203,7 @@ impl LensCalibrator {
             source,
             board,
             enough: GOOD_VIEWS.min(run.max_views),
-            least: LEAST_VIEWS,
+            least: MIN_VIEWS,
             most: run.max_views,
             ..LensStatus::default()
         });

@@ -1,9 +1,9 @@
 //! Progress and result of a lens calibration, as clients see them.
 
 use roundel_core::{
-    calib::lens::{LensCalibration, VISITED, Verdict, View, Width, ZONES},
+    calib::lens::{DiameterCheck, LensCalibration, MIN_ZONE_SIGHTINGS, View, ViewVerdict, ZONES},
     camera::PixelPoint,
-    plan::precision::LensDoubt,
+    plan::precision::LensUncertainty,
 };
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -144,7 +144,7 @@ impl LensReport {
 
 /// A warning if the print's diameter and pitch look different from their description.
 pub fn width_doubt(found: &LensCalibration) -> Option<String> {
-    let width = found.width.filter(Width::is_doubtful)?;
+    let width = found.diameter_check.filter(DiameterCheck::is_doubtful)?;
     Some(format!(
         "diameter and pitch contradict the pictures: the roundels appear {:.2} mm wide, not {:.2}, if their pitch is {:.2} mm; \
          or the pitch is {:.2} mm if they are {:.2} mm wide (± {:.1} %). Measure both on the print: errors in them falsify \
@@ -161,7 +161,7 @@ pub fn width_doubt(found: &LensCalibration) -> Option<String> {
 /// The `camera_info` YAML of a lens with its covariance.
 pub fn camera_file(name: &str, found: &LensCalibration) -> String {
     let (free, covariance) = (found.model.free().to_vec(), found.covariance.clone());
-    let doubt = LensDoubt { free, covariance };
+    let doubt = LensUncertainty { free, covariance };
     camera_file::write_with_uncertainty(name, &found.camera, Some(&doubt))
 }
 
@@ -180,21 +180,24 @@ pub fn parameters(found: &LensCalibration) -> Vec<(&'static str, f64, f64)> {
 
 impl LensStatus {
     /// Updates the status with the views so far, and the verdict and view of the newest picture.
-    pub(super) fn update(&mut self, gathered: &CollectedViews, newest: Verdict, view: &View) {
-        let chooser = &gathered.chooser;
+    pub(super) fn update(&mut self, gathered: &CollectedViews, newest: ViewVerdict, view: &View) {
+        let selector = &gathered.selector;
         (self.width, self.height) = gathered.size;
         self.frames = gathered.frames;
         self.newest = verdict_text(newest).to_owned();
-        self.newest_taken = newest == Verdict::Taken;
+        self.newest_taken = newest == ViewVerdict::Taken;
         self.outline = corners(&view.outline());
         self.left_out = gathered.describe();
-        if chooser.taken().len() != self.taken || self.coverage.zones.is_empty() {
-            self.taken = chooser.taken().len();
+        if selector.taken().len() != self.taken || self.coverage.zones.is_empty() {
+            self.taken = selector.taken().len();
             let (columns, rows) = ZONES;
-            let (zones, share) = (chooser.coverage().zones().to_vec(), chooser.coverage().share());
-            self.coverage = CoverageReport { columns, rows, zones, visited_from: VISITED, share };
-            self.outlines = chooser.taken().iter().map(|view| corners(&view.outline())).collect();
-            self.missing = chooser.coverage().wants().iter().map(ToString::to_string).collect();
+            let (zones, share) =
+                (selector.coverage().zones().to_vec(), selector.coverage().share());
+            self.coverage =
+                CoverageReport { columns, rows, zones, visited_from: MIN_ZONE_SIGHTINGS, share };
+            self.outlines = selector.taken().iter().map(|view| corners(&view.outline())).collect();
+            self.missing =
+                selector.coverage().missing_views().iter().map(ToString::to_string).collect();
         }
         self.error.clear();
     }
@@ -206,13 +209,13 @@ fn corners(outline: &[PixelPoint]) -> Vec<[f64; 2]> {
 }
 
 /// The verdict on a picture, for the operator who moves the board.
-fn verdict_text(verdict: Verdict) -> &'static str {
+fn verdict_text(verdict: ViewVerdict) -> &'static str {
     match verdict {
-        Verdict::Taken => "view taken: move the board to the next place",
-        Verdict::NoBoard => "no roundel of the board is visible",
-        Verdict::TooLittle => "less than half of the board is visible, or it is another board",
-        Verdict::OtherBoard(..) => "the board has other columns or rows than entered",
-        Verdict::Moving => "the board is moving: hold it still for a moment",
-        Verdict::Alike(_) => "a similar view was taken already: move the board",
+        ViewVerdict::Taken => "view taken: move the board to the next place",
+        ViewVerdict::NoBoard => "no roundel of the board is visible",
+        ViewVerdict::TooLittle => "less than half of the board is visible, or it is another board",
+        ViewVerdict::OtherBoard(..) => "the board has other columns or rows than entered",
+        ViewVerdict::Moving => "the board is moving: hold it still for a moment",
+        ViewVerdict::Duplicate(_) => "a similar view was taken already: move the board",
     }
 }

@@ -80,7 +80,7 @@ fn collect_views(
         if let Some(error) = gathered.other_print(false) {
             return Err(error.to_string());
         }
-        Ok(gathered.is_complete() || gathered.chooser.taken().len() >= run.max_views)
+        Ok(gathered.is_complete() || gathered.selector.taken().len() >= run.max_views)
     };
     match &run.picture_source {
         PictureSource::Camera(id, name) => {
@@ -118,8 +118,8 @@ fn collect_views(
 
 fn solve(run: &LensRun, gathered: &CollectedViews) -> Result<LensResult, LensCalibrationError> {
     let begun = Instant::now();
-    let taken = gathered.chooser.taken();
-    let target = gathered.chooser.target();
+    let taken = gathered.selector.taken();
+    let target = gathered.selector.target();
     let lens = Arc::new(calibrate(target, gathered.size, taken, run.model)?);
     let seconds = begun.elapsed().as_secs_f64();
     tracing::info!(views = taken.len(), rms_px = lens.rms_px, seconds, "lens found");

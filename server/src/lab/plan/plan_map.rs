@@ -86,9 +86,9 @@ impl PlanMap {
         });
         Self {
             roundel: roundel.to_owned(),
-            height_m: map.field.height_m,
-            min_m: map.field.low_m,
-            max_m: map.field.high_m,
+            height_m: map.area.height_m,
+            min_m: map.area.min_m,
+            max_m: map.area.max_m,
             columns: map.columns,
             rows: map.rows,
             cameras: map.spots.iter().map(|spot| spot.cameras).collect(),

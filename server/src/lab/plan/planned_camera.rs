@@ -2,7 +2,7 @@
 
 use roundel_core::{
     marker::{Mask, Mode},
-    plan::{Imaging, Sensor, Trials, map::Station},
+    plan::{Imaging, Sensor, TrialCache, map::PlacedCamera},
     rigid::Covariance6,
     world::CameraPlacement,
 };
@@ -16,15 +16,15 @@ use crate::model::{
 pub struct PlannedCamera {
     pub name: String,
     /// The input of the plan, or why the camera is left out and what to do.
-    pub station: Result<Box<Station>, String>,
+    pub station: Result<Box<PlacedCamera>, String>,
 }
 
 /// The cameras that the plan can use, or why there are none.
-pub fn usable_stations(cameras: &[PlannedCamera]) -> Result<Vec<Station>, String> {
+pub fn usable_stations(cameras: &[PlannedCamera]) -> Result<Vec<PlacedCamera>, String> {
     let (mut stations, mut reasons) = (Vec::new(), Vec::new());
     for camera in cameras {
         match &camera.station {
-            Ok(station) => stations.push(Station::clone(station)),
+            Ok(station) => stations.push(PlacedCamera::clone(station)),
             Err(reason) => reasons.push(format!("{}: {reason}", camera.name)),
         }
     }
@@ -37,7 +37,7 @@ pub fn usable_stations(cameras: &[PlannedCamera]) -> Result<Vec<Station>, String
 }
 
 /// A camera of a configuration. Cameras with equal optics and shared `trials` are simulated once.
-pub fn from_config(camera: &CameraConfig, imaging: Imaging, trials: &Trials) -> PlannedCamera {
+pub fn from_config(camera: &CameraConfig, imaging: Imaging, trials: &TrialCache) -> PlannedCamera {
     let station = || {
         let place = match &camera.pose {
             PoseConfig::Known(world_from_camera) => CameraPlacement {
@@ -54,7 +54,12 @@ pub fn from_config(camera: &CameraConfig, imaging: Imaging, trials: &Trials) -> 
         let (calibration, mode) = (camera.calibration.clone(), camera.mode);
         let sensor = Sensor { camera: calibration, imaging, mode, trials: trials.clone() };
         let mask = Mask::of_polygons(&camera.mask).map_err(|error| error.to_string())?;
-        Ok(Box::new(Station { sensor, doubt: camera.lens_uncertainty.clone(), place, mask }))
+        Ok(Box::new(PlacedCamera {
+            sensor,
+            lens_uncertainty: camera.lens_uncertainty.clone(),
+            place,
+            mask,
+        }))
     };
     PlannedCamera { name: camera.name.clone(), station: station() }
 }
@@ -64,7 +69,7 @@ pub fn from_running(
     info: &CameraInfo,
     state: &CameraState,
     usual: Imaging,
-    trials: &Trials,
+    trials: &TrialCache,
 ) -> PlannedCamera {
     let station = || {
         if info.ride.is_some() {
@@ -85,9 +90,9 @@ pub fn from_running(
         let is_fast = state.counts.precise == 0 && state.counts.fast > 0;
         let mode = if is_fast { Mode::Fast } else { Mode::Precise };
         let mask = Mask::of_polygons(&info.mask).map_err(|error| error.to_string())?;
-        let doubt = info.lens_uncertainty.clone();
+        let lens_uncertainty = info.lens_uncertainty.clone();
         let sensor = Sensor { camera, imaging, mode, trials: trials.clone() };
-        Ok(Box::new(Station { sensor, doubt, place, mask }))
+        Ok(Box::new(PlacedCamera { sensor, lens_uncertainty, place, mask }))
     };
     PlannedCamera { name: info.name.clone(), station: station() }
 }

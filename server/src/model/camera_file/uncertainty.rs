@@ -1,7 +1,7 @@
 //! Uncertainty of a camera file's parameters: `parameter_names` and `parameter_covariance`.
 
 use nalgebra::DMatrix;
-use roundel_core::{camera::Lens, plan::precision::LensDoubt};
+use roundel_core::{camera::Lens, plan::precision::LensUncertainty};
 use serde_saphyr::Spanned;
 
 use super::{FieldError, Matrix};
@@ -19,7 +19,7 @@ pub(super) fn uncertainty(
     lens: &Lens,
     names: Option<Vec<String>>,
     covariance: Option<Spanned<Matrix>>,
-) -> Result<Option<LensDoubt>, FieldError> {
+) -> Result<Option<LensUncertainty>, FieldError> {
     let (Some(names), Some(covariance)) = (names, covariance) else { return Ok(None) };
     let line = covariance.referenced.line();
     let wrong = |message: String| {
@@ -52,10 +52,13 @@ pub(super) fn uncertainty(
     {
         return Err(wrong("`parameter_covariance.data` must be a covariance: symmetric, finite, no variance below 0".to_owned()));
     }
-    Ok(Some(LensDoubt { free, covariance: matrix }))
+    Ok(Some(LensUncertainty { free, covariance: matrix }))
 }
 
-pub(super) fn written(lens: &Lens, LensDoubt { free, covariance }: &LensDoubt) -> String {
+pub(super) fn written(
+    lens: &Lens,
+    LensUncertainty { free, covariance }: &LensUncertainty,
+) -> String {
     let known = coefficient_names(lens);
     let free = free.iter().map(|&index| known[index]);
     let names: Vec<&str> = ["fx", "fy", "cx", "cy"].into_iter().chain(free).collect();

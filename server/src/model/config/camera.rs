@@ -10,7 +10,7 @@ use std::{
 use roundel_core::{
     camera::{Camera, PixelPoint},
     marker::Mode,
-    plan::precision::LensDoubt,
+    plan::precision::LensUncertainty,
     rigid::Rigid,
     sim::SimCamera,
 };
@@ -113,7 +113,7 @@ pub struct CameraConfig {
     /// From the camera file, or a simulated camera's own.
     pub calibration: Camera,
     /// Uncertainty of the lens according to the camera file.
-    pub lens_uncertainty: Option<LensDoubt>,
+    pub lens_uncertainty: Option<LensUncertainty>,
     /// From the configuration, until a calibration replaces it.
     pub pose: PoseConfig,
     /// Time from one image row's exposure to the next, seconds.
@@ -167,7 +167,7 @@ pub(super) struct CameraContext<'a, 't, 'i> {
 type SimulatedWorld = (SimAddress, Result<Vec<SimCamera>, String>);
 
 /// Lens and uncertainty, or the error.
-type ParsedCameraFile = Result<(Camera, Option<LensDoubt>), String>;
+type ParsedCameraFile = Result<(Camera, Option<LensUncertainty>), String>;
 
 impl CameraContext<'_, '_, '_> {
     /// The rules that bind a source; `None` for one of the operator's file.

@@ -183,8 +183,8 @@ fn pattern(table: &Table<'_, '_>) -> Option<Pattern> {
     }
     let code = table.table("code", "code", &["bits", "min_distance"])?;
     code.require("bits", "8");
-    let (fewest, most) = CodeLayout::BITS;
-    let bits = code.whole("bits", usize::from(fewest)..=usize::from(most));
+    let (fewest_cameras, most) = CodeLayout::BITS;
+    let bits = code.whole("bits", usize::from(fewest_cameras)..=usize::from(most));
     let min_distance = if code.has("min_distance") {
         code.whole("min_distance", 1..=usize::from(most))
     } else {

@@ -1,12 +1,11 @@
-//! A camera's lens, place and clock refined together, by Levenberg and Marquardt's steps.
+//! Joint estimate of a camera's intrinsics, pose and clock, by damped least squares.
 //!
-//! What is compared is the centre of a roundel's rim as seen and as predicted: the image of where the others had it at
-//! the camera's own time, less what the camera's clock is off, plus the centroid's offset from it
-//! ([`super::super::rim`]), brought up to date between rounds. Of its covariance J Σ Jᵀ + s² r̄/r + τ² v vᵀ the first
-//! part is what the others do not know of the place; s, the error of a rim's centre of the mean radius r̄, and
-//! τ, by which stamps are off from frame to frame (v: pixels a second), are estimated from the errors themselves ([`super::spread`]).
-//! First rounds count large errors linearly (Huber 1964), so that roundels taken for another's fall out; then what is off by
-//! more than five deviations is left out.
+//! The residual is the predicted minus the observed centre of a rim. The prediction is the image of the roundel's
+//! interpolated position at the corrected stamp, plus the centroid's offset ([`super::super::fit::rim`]), which is updated
+//! between rounds. Its covariance is J Σ Jᵀ + s² r̄/r + τ² v vᵀ: Σ is the uncertainty of the position, s the error of the
+//! centre of a rim of mean radius r̄, and τ the jitter of stamps (v: image velocity); s and τ are estimated from the
+//! residuals ([`super::noise_model`]). The first rounds use Huber's loss (1964), so that swapped roundels get little
+//! weight; then residuals beyond five deviations are rejected.
 
 use nalgebra::{
     DMatrix, DVector, Isometry3, Matrix2, Matrix2x3, Matrix2xX, Point2, UnitQuaternion, Vector2,
@@ -14,73 +13,80 @@ use nalgebra::{
 };
 
 use super::{
-    super::{
-        candidate::{Candidate, Slopes},
-        descent::{Descent, descend},
+    super::fit::{
+        parameters::{CameraJacobian, CameraParameters},
         rim,
-        robust::{HUBER, OUTLIER, deviation, huber},
     },
-    jackknife::{Jackknife, Part, jackknife},
-    spread::{Apart, Spread},
-    way::{Way, Waypoint},
+    jackknife::{Jackknife, Linearized, jackknife},
+    noise_model::{NoiseModel, NoiseSample},
+    trajectory::{Trajectory, Waypoint},
+};
+use crate::{
+    least_squares::{LeastSquares, damped, minimize},
+    robust::{HUBER, OUTLIER, deviation, huber},
 };
 use roundel_vision::{camera::Camera, rigid::Rigid};
 
-/// Rounds in which large errors count linearly, and rounds in all.
+/// Rounds with Huber's loss, and rounds in all.
 const ROBUST_ROUNDS: usize = 4;
 const ROUNDS: usize = 8;
-/// What cannot be seen at all is as far off as this while a camera is looked for, deviations.
+/// Steps of a round, and the relative gain at which it ends.
+const MAX_STEPS: usize = 30;
+const TOLERANCE: f64 = 1e-9;
+/// Cost of a point without image during the robust rounds, deviations.
 const UNSEEN: f64 = 1e4;
-/// Whitened errors below this are rounding.
+/// Whitened residuals below this are rounding errors.
 const LEAST: f64 = 1e-9;
-/// Pose and clock.
-const PLACE: usize = 6;
+/// Unknowns of pose and clock.
+const POSE_COUNT: usize = 6;
 const CLOCK: usize = 2;
 
-/// A sighting of the camera.
 #[derive(Clone)]
-pub(super) struct Pair {
-    /// Index of the way.
-    pub(super) way: usize,
+pub(super) struct Observation {
+    /// Index of the trajectory.
+    pub(super) trajectory: usize,
     pub(super) stamp_s: f64,
-    pub(super) seen: Vector2<f64>,
+    pub(super) observed: Vector2<f64>,
     pub(super) radius_px: f64,
-    /// The centroid less the centre's image, pixels.
+    /// Centroid minus image of the centre, pixels.
     offset: Vector2<f64>,
-    /// Of the inverse covariance Wᵀ W.
+    /// W, with Wᵀ W the inverse covariance.
     whitener: Matrix2<f64>,
 }
 
-impl Pair {
-    pub(super) fn new(way: usize, stamp_s: f64, seen: Vector2<f64>, radius_px: f64) -> Self {
+impl Observation {
+    pub(super) fn new(
+        trajectory: usize,
+        stamp_s: f64,
+        observed: Vector2<f64>,
+        radius_px: f64,
+    ) -> Self {
         let (offset, whitener) = (Vector2::zeros(), Matrix2::identity());
-        Self { way, stamp_s, seen, radius_px, offset, whitener }
+        Self { trajectory, stamp_s, observed, radius_px, offset, whitener }
     }
 }
 
-/// A camera with all that it saw.
 #[derive(Clone)]
 pub(super) struct Bundle<'a> {
-    pub(super) candidate: Candidate,
-    pub(super) ways: &'a [Way],
-    pub(super) pairs: Vec<Pair>,
+    pub(super) parameters: CameraParameters,
+    pub(super) trajectories: &'a [Trajectory],
+    pub(super) observations: Vec<Observation>,
     pub(super) camera_from_world: Rigid,
-    /// By how much its stamps are late, and by how much more each second.
+    /// Delay of the stamps, seconds, and its change per second.
     pub(super) clock: [f64; CLOCK],
-    /// Deviations of these beforehand.
+    /// Prior standard deviations of these.
     pub(super) clock_prior: [f64; CLOCK],
-    pub(super) spread: Spread,
-    /// Whether the spread is that of another bundle and stays.
-    pub(super) keeps_spread: bool,
+    pub(super) noise: NoiseModel,
+    /// Whether the noise model was estimated by another fit and must not change.
+    pub(super) is_noise_fixed: bool,
 }
 
-/// What was reached.
 pub(super) struct Fit<'a> {
     pub(super) bundle: Bundle<'a>,
     pub(super) camera: Camera,
-    /// Of the free parameters, the pose (rotation, then place: camera_from_world, left) and the clock.
+    /// Over free parameters, pose (rotation, then translation: camera_from_world, left perturbation) and clock.
     pub(super) covariance: DMatrix<f64>,
-    /// By how much the parameters' variances are larger than independent errors would make them.
+    /// Factor by which the parameters' variances exceed those for independent errors.
     pub(super) inflation: f64,
     /// Sum of whitened squares.
     pub(super) squares: f64,
@@ -88,15 +94,15 @@ pub(super) struct Fit<'a> {
     pub(super) rms_px: f64,
 }
 
-/// A pair at the state of now.
-struct Look {
+/// An observation at the current state.
+struct Residual {
     at: Waypoint,
-    /// Predicted less seen.
+    /// Predicted minus observed.
     error: Vector2<f64>,
-    /// Of the pixel by the place in the camera.
+    /// Derivative of the pixel by the position in the camera.
     jacobian: Matrix2x3<f64>,
-    /// From the camera's origin, the world's axes turned into the camera's.
-    turned_m: Vector3<f64>,
+    /// Position relative to the camera's origin before the translation, camera axes.
+    rotated_m: Vector3<f64>,
 }
 
 pub(super) struct Normal {
@@ -105,134 +111,144 @@ pub(super) struct Normal {
 }
 
 impl<'a> Bundle<'a> {
-    /// A few robust rounds without leaving anything out: the median whitened distance, or `None` if it is no camera.
-    pub(super) fn approach(&mut self) -> Option<f64> {
+    /// Runs a few robust rounds without rejections; returns the median whitened distance, or `None` if there is no
+    /// valid camera.
+    pub(super) fn fit_roughly(&mut self) -> Option<f64> {
         for _ in 0..2 {
-            self.renew()?;
+            self.update_weights()?;
             let limit = HUBER * self.scale()?;
-            descend(self, limit)?;
+            minimize(self, limit, MAX_STEPS, TOLERANCE)?;
         }
         self.scale()
     }
 
-    /// `None` if it does not converge to a camera.
+    /// Returns `None` if it does not converge to a valid camera.
     pub(super) fn fit(mut self) -> Option<Fit<'a>> {
         for round in 0..ROUNDS {
-            self.renew()?;
+            self.update_weights()?;
             if round == ROBUST_ROUNDS {
-                self.leave_out()?;
+                self.reject_outliers()?;
             }
             let limit = if round < ROBUST_ROUNDS { HUBER * self.scale()? } else { f64::MAX };
-            descend(&mut self, limit)?;
-            if !self.keeps_spread {
-                let camera = self.candidate.camera()?;
-                let apart: Vec<Apart> =
-                    self.pairs.iter().filter_map(|pair| self.apart(&camera, pair)).collect();
-                self.spread = Spread::of(&apart);
+            minimize(&mut self, limit, MAX_STEPS, TOLERANCE)?;
+            if !self.is_noise_fixed {
+                let camera = self.parameters.camera()?;
+                let samples: Vec<NoiseSample> = self
+                    .observations
+                    .iter()
+                    .filter_map(|observation| self.noise_sample(&camera, observation))
+                    .collect();
+                self.noise = NoiseModel::fit(&samples);
             }
         }
-        self.renew()?;
-        self.told()
+        self.update_weights()?;
+        self.finish()
     }
 
-    /// When a stamp was, by the clock of the others.
+    /// Time of a stamp on the clock of the other cameras.
     fn time_s(&self, stamp_s: f64) -> f64 {
         stamp_s - self.clock[0] - self.clock[1] * stamp_s
     }
 
-    /// `None`: nobody else saw it then, or this camera cannot see it.
-    fn look(&self, camera: &Camera, pair: &Pair) -> Option<Look> {
-        let at = self.ways[pair.way].at(self.time_s(pair.stamp_s))?;
-        let turned_m = self.camera_from_world.rotation * at.place_m;
-        let place_m = turned_m + self.camera_from_world.translation.vector;
-        let (pixel, jacobian) = camera.project_with_jacobian(&place_m).ok()?;
-        let error = Vector2::new(pixel.u, pixel.v) + pair.offset - pair.seen;
-        Some(Look { at, error, jacobian, turned_m })
+    /// Returns `None` if the trajectory has a gap at this time or the point has no image.
+    fn residual(&self, camera: &Camera, observation: &Observation) -> Option<Residual> {
+        let at = self.trajectories[observation.trajectory].at(self.time_s(observation.stamp_s))?;
+        let rotated_m = self.camera_from_world.rotation * at.position_m;
+        let position_m = rotated_m + self.camera_from_world.translation.vector;
+        let (pixel, jacobian) = camera.project_with_jacobian(&position_m).ok()?;
+        let error = Vector2::new(pixel.u, pixel.v) + observation.offset - observation.observed;
+        Some(Residual { at, error, jacobian, rotated_m })
     }
 
-    /// Centroids' offsets and weights as they are by now.
-    fn renew(&mut self) -> Option<()> {
-        let camera = self.candidate.camera()?;
-        let mut pairs = std::mem::take(&mut self.pairs);
-        let mean_px =
-            pairs.iter().map(|pair| pair.radius_px).sum::<f64>() / pairs.len().max(1) as f64;
-        for pair in &mut pairs {
-            let Some(look) = self.look(&camera, pair) else { continue };
-            let orientation = self.camera_from_world.rotation * look.at.orientation;
-            let place_m = look.turned_m + self.camera_from_world.translation.vector;
-            let pose = Isometry3::from_parts(place_m.into(), orientation);
-            let radius_m = self.ways[pair.way].radius_m();
-            if let Ok(image) = rim::image(&camera, &pose, &Point2::origin(), radius_m) {
+    /// Updates the centroids' offsets and the weights.
+    fn update_weights(&mut self) -> Option<()> {
+        let camera = self.parameters.camera()?;
+        let mut observations = std::mem::take(&mut self.observations);
+        let mean_px = observations.iter().map(|observation| observation.radius_px).sum::<f64>()
+            / observations.len().max(1) as f64;
+        for observation in &mut observations {
+            let Some(residual) = self.residual(&camera, observation) else { continue };
+            let orientation = self.camera_from_world.rotation * residual.at.orientation;
+            let position_m = residual.rotated_m + self.camera_from_world.translation.vector;
+            let pose = Isometry3::from_parts(position_m.into(), orientation);
+            let radius_m = self.trajectories[observation.trajectory].radius_m();
+            if let Ok(image) = rim::project_rim(&camera, &pose, &Point2::origin(), radius_m) {
                 let (u, v) = image.offset_px;
-                pair.offset = Vector2::new(u, v);
+                observation.offset = Vector2::new(u, v);
             }
-            let size = mean_px / pair.radius_px;
-            let covariance = self.unknown_place(&look)
-                + Matrix2::identity() * (self.spread.pixel_px.powi(2) * size)
-                + self.slip(&look) * self.slip(&look).transpose() * self.spread.stamp_s.powi(2);
+            let size = mean_px / observation.radius_px;
+            let covariance = self.position_covariance_px2(&residual)
+                + Matrix2::identity() * (self.noise.pixel_px.powi(2) * size)
+                + self.image_velocity(&residual)
+                    * self.image_velocity(&residual).transpose()
+                    * self.noise.stamp_s.powi(2);
             let lower = covariance.cholesky()?.l();
-            pair.whitener = lower.try_inverse()?;
+            observation.whitener = lower.try_inverse()?;
         }
-        self.pairs = pairs;
+        self.observations = observations;
         Some(())
     }
 
-    /// What the others do not know of the place, in the image.
-    fn unknown_place(&self, look: &Look) -> Matrix2<f64> {
+    /// Covariance of the image that the position's uncertainty causes.
+    fn position_covariance_px2(&self, residual: &Residual) -> Matrix2<f64> {
         let by_world =
-            look.jacobian * self.camera_from_world.rotation.to_rotation_matrix().into_inner();
-        by_world * look.at.covariance_m2 * by_world.transpose()
+            residual.jacobian * self.camera_from_world.rotation.to_rotation_matrix().into_inner();
+        by_world * residual.at.covariance_m2 * by_world.transpose()
     }
 
-    /// Pixels a second.
-    fn slip(&self, look: &Look) -> Vector2<f64> {
-        look.jacobian * (self.camera_from_world.rotation * look.at.velocity_m_s)
+    /// Pixels per second.
+    fn image_velocity(&self, residual: &Residual) -> Vector2<f64> {
+        residual.jacobian * (self.camera_from_world.rotation * residual.at.velocity_m_s)
     }
 
-    /// A pair's error along its motion and across it.
-    fn apart(&self, camera: &Camera, pair: &Pair) -> Option<Apart> {
-        let look = self.look(camera, pair)?;
-        let slip = self.slip(&look);
-        let along = slip.try_normalize(1e-9).unwrap_or_else(Vector2::x);
+    /// A residual along and across the motion.
+    fn noise_sample(&self, camera: &Camera, observation: &Observation) -> Option<NoiseSample> {
+        let residual = self.residual(camera, observation)?;
+        let image_velocity = self.image_velocity(&residual);
+        let along = image_velocity.try_normalize(1e-9).unwrap_or_else(Vector2::x);
         let across = Vector2::new(-along.y, along.x);
-        let known = self.unknown_place(&look);
-        let of = |axis: Vector2<f64>| (axis.dot(&look.error).powi(2), axis.dot(&(known * axis)));
-        Some(Apart {
+        let prior = self.position_covariance_px2(&residual);
+        let of =
+            |axis: Vector2<f64>| (axis.dot(&residual.error).powi(2), axis.dot(&(prior * axis)));
+        Some(NoiseSample {
             along: of(along),
             across: of(across),
-            px_per_s: slip.norm(),
-            radius_px: pair.radius_px,
+            px_per_s: image_velocity.norm(),
+            radius_px: observation.radius_px,
         })
     }
 
-    /// Whitened distance of each pair; infinite of what cannot be seen.
+    /// Whitened distances; infinite for points without image.
     fn distances(&self, camera: &Camera) -> Vec<f64> {
-        let distance = |pair: &Pair| {
-            let look = self.look(camera, pair)?;
-            Some((pair.whitener * look.error).norm()).filter(|it| it.is_finite())
+        let distance = |observation: &Observation| {
+            let residual = self.residual(camera, observation)?;
+            Some((observation.whitener * residual.error).norm()).filter(|it| it.is_finite())
         };
-        self.pairs.iter().map(|pair| distance(pair).unwrap_or(f64::INFINITY)).collect()
+        self.observations
+            .iter()
+            .map(|observation| distance(observation).unwrap_or(f64::INFINITY))
+            .collect()
     }
 
-    /// Deviation of a whitened coordinate.
+    /// Standard deviation of a whitened coordinate.
     fn scale(&self) -> Option<f64> {
-        let deviation = deviation(&mut self.distances(&self.candidate.camera()?))?;
+        let deviation = deviation(&mut self.distances(&self.parameters.camera()?))?;
         deviation.is_finite().then(|| deviation.max(LEAST))
     }
 
-    fn leave_out(&mut self) -> Option<()> {
+    fn reject_outliers(&mut self) -> Option<()> {
         let limit = OUTLIER * self.scale()?;
-        let mut distances = self.distances(&self.candidate.camera()?).into_iter();
-        self.pairs.retain(|_| distances.next().is_some_and(|it| it <= limit));
+        let mut distances = self.distances(&self.parameters.camera()?).into_iter();
+        self.observations.retain(|_| distances.next().is_some_and(|it| it <= limit));
         Some(())
     }
 
     fn unknowns(&self) -> usize {
-        self.candidate.unknowns() + PLACE + CLOCK
+        self.parameters.unknowns() + POSE_COUNT + CLOCK
     }
 
-    /// What is known of the clock beforehand.
-    fn known(&self) -> DMatrix<f64> {
+    /// Prior information about the clock.
+    fn prior(&self) -> DMatrix<f64> {
         let size = self.unknowns();
         let mut information = DMatrix::zeros(size, size);
         for i in 0..CLOCK {
@@ -242,83 +258,97 @@ impl<'a> Bundle<'a> {
         information
     }
 
-    /// Of each pair that can be seen, weighted as large errors are; and the errors' squares.
-    fn parts(&self, limit: f64) -> Option<(Vec<Part>, f64)> {
-        let by_lens = self.candidate.slopes()?;
+    /// Linearized observations, weighted by Huber's loss, and the sum of squares.
+    fn linearized(&self, limit: f64) -> Option<(Vec<Linearized>, f64)> {
+        let camera_jacobian = self.parameters.jacobian()?;
         let mut squares = 0.0;
-        let part = |pair: &Pair| {
-            let look = self.look(&by_lens.camera, pair)?;
-            let mut error = pair.whitener * look.error;
+        let part = |observation: &Observation| {
+            let residual = self.residual(&camera_jacobian.camera, observation)?;
+            let mut error = observation.whitener * residual.error;
             let norm = error.norm();
             if !norm.is_finite() {
                 return None;
             }
             squares += norm * norm;
-            let mut slopes = self.slopes(&by_lens, pair, &look)?;
+            let mut slopes = self.slopes(&camera_jacobian, observation, &residual)?;
             if norm > limit {
                 let root = (limit / norm).sqrt();
                 error *= root;
                 slopes *= root;
             }
-            Some(Part { way: pair.way, stamp_s: pair.stamp_s, slopes, error })
+            Some(Linearized {
+                trajectory: observation.trajectory,
+                stamp_s: observation.stamp_s,
+                slopes,
+                error,
+            })
         };
-        let parts = self.pairs.iter().filter_map(part).collect();
-        Some((parts, squares))
+        let linearized = self.observations.iter().filter_map(part).collect();
+        Some((linearized, squares))
     }
 
     /// Whitened derivatives by all unknowns.
-    fn slopes(&self, by_lens: &Slopes, pair: &Pair, look: &Look) -> Option<Matrix2xX<f64>> {
-        let place_m = look.turned_m + self.camera_from_world.translation.vector;
-        let mut slopes = by_lens.at(&place_m)?;
+    fn slopes(
+        &self,
+        camera_jacobian: &CameraJacobian,
+        observation: &Observation,
+        residual: &Residual,
+    ) -> Option<Matrix2xX<f64>> {
+        let position_m = residual.rotated_m + self.camera_from_world.translation.vector;
+        let mut slopes = camera_jacobian.at(&position_m)?;
         let first = slopes.ncols();
         slopes = slopes.resize_horizontally(self.unknowns(), 0.0);
-        let by_turn = -look.jacobian * look.turned_m.cross_matrix();
+        let by_turn = -residual.jacobian * residual.rotated_m.cross_matrix();
         slopes.fixed_view_mut::<2, 3>(0, first).copy_from(&by_turn);
-        slopes.fixed_view_mut::<2, 3>(0, first + 3).copy_from(&look.jacobian);
-        let slip = -self.slip(look);
-        slopes.fixed_view_mut::<2, 1>(0, first + PLACE).copy_from(&slip);
-        slopes.fixed_view_mut::<2, 1>(0, first + PLACE + 1).copy_from(&(slip * pair.stamp_s));
-        Some(pair.whitener * slopes)
+        slopes.fixed_view_mut::<2, 3>(0, first + 3).copy_from(&residual.jacobian);
+        let image_velocity = -self.image_velocity(residual);
+        slopes.fixed_view_mut::<2, 1>(0, first + POSE_COUNT).copy_from(&image_velocity);
+        slopes
+            .fixed_view_mut::<2, 1>(0, first + POSE_COUNT + 1)
+            .copy_from(&(image_velocity * observation.stamp_s));
+        Some(observation.whitener * slopes)
     }
 
-    fn told(self) -> Option<Fit<'a>> {
-        let camera = self.candidate.camera()?;
-        let (parts, squares) = self.parts(f64::MAX)?;
-        let Jackknife { covariance, plain } = jackknife(&parts, &self.known())?;
-        let lens = self.candidate.unknowns();
+    fn finish(self) -> Option<Fit<'a>> {
+        let camera = self.parameters.camera()?;
+        let (linearized, squares) = self.linearized(f64::MAX)?;
+        let Jackknife { covariance, plain } = jackknife(&linearized, &self.prior())?;
+        let lens = self.parameters.unknowns();
         let ratio = (0..lens).map(|i| covariance[(i, i)] / plain[(i, i)]).sum::<f64>();
-        let distances = self.pairs.iter().filter_map(|pair| Some(self.look(&camera, pair)?.error));
+        let distances = self
+            .observations
+            .iter()
+            .filter_map(|observation| Some(self.residual(&camera, observation)?.error));
         let rms_px = (distances.map(|error| error.norm_squared()).sum::<f64>()
-            / self.pairs.len().max(1) as f64)
+            / self.observations.len().max(1) as f64)
             .sqrt();
         let inflation = (ratio / lens as f64).max(1.0);
         Some(Fit { bundle: self, camera, covariance, inflation, squares, rms_px })
     }
 }
 
-impl Descent for Bundle<'_> {
+impl LeastSquares for Bundle<'_> {
     type Normal = Normal;
-    const MOST_STEPS: usize = 30;
-    const SETTLED: f64 = 1e-9;
 
     fn cost(&self, limit: f64) -> Option<f64> {
-        // At last, a roundel whose way ends just there is no reason to take no step.
-        let unseen = if limit < f64::MAX { UNSEEN } else { OUTLIER };
-        let seen = self.distances(&self.candidate.camera()?).into_iter();
-        let seen = seen.map(|it| huber(if it.is_finite() { it } else { unseen }, limit));
+        // In the last rounds, a roundel whose trajectory ends here must not prevent a step.
+        let unseen_cost = if limit < f64::MAX { UNSEEN } else { OUTLIER };
+        let observed = self.distances(&self.parameters.camera()?).into_iter();
+        let observed =
+            observed.map(|it| huber(if it.is_finite() { it } else { unseen_cost }, limit));
         let clock = (0..CLOCK).map(|i| (self.clock[i] / self.clock_prior[i]).powi(2));
-        Some(seen.sum::<f64>() + clock.sum::<f64>())
+        Some(observed.sum::<f64>() + clock.sum::<f64>())
     }
 
     fn normal(&self, limit: f64) -> Option<Normal> {
-        let (parts, _) = self.parts(limit)?;
+        let (linearized, _) = self.linearized(limit)?;
         let size = self.unknowns();
-        let mut normal = Normal { information: self.known(), gradient: DVector::zeros(size) };
+        let mut normal = Normal { information: self.prior(), gradient: DVector::zeros(size) };
         for i in 0..CLOCK {
             let at = size - CLOCK + i;
             normal.gradient[at] -= self.clock[i] / self.clock_prior[i].powi(2);
         }
-        for Part { slopes, error, .. } in &parts {
+        for Linearized { slopes, error, .. } in &linearized {
             normal.information += slopes.transpose() * slopes;
             normal.gradient -= slopes.transpose() * error;
         }
@@ -326,34 +356,36 @@ impl Descent for Bundle<'_> {
     }
 
     fn stepped(&self, normal: &Normal, damping: f64) -> Option<Self> {
-        let mut damped = normal.information.clone();
-        for index in 0..damped.nrows() {
-            damped[(index, index)] *= 1.0 + damping;
-        }
+        let damped = damped(normal.information.clone(), damping);
         let step = damped.cholesky()?.solve(&normal.gradient);
         if !step.iter().all(|it| it.is_finite()) {
             return None;
         }
         let mut stepped = self.clone();
-        stepped.candidate.step(step.as_slice());
-        let place = self.candidate.unknowns();
+        stepped.parameters.step(step.as_slice());
+        let place = self.parameters.unknowns();
         let part = |first: usize| Vector3::new(step[first], step[first + 1], step[first + 2]);
         let turn = UnitQuaternion::from_scaled_axis(part(place));
-        let place_m = self.camera_from_world.translation.vector + part(place + 3);
+        let position_m = self.camera_from_world.translation.vector + part(place + 3);
         stepped.camera_from_world =
-            Rigid::from_parts(place_m.into(), turn * self.camera_from_world.rotation);
+            Rigid::from_parts(position_m.into(), turn * self.camera_from_world.rotation);
         for i in 0..CLOCK {
-            stepped.clock[i] += step[place + PLACE + i];
+            stepped.clock[i] += step[place + POSE_COUNT + i];
         }
         Some(stepped)
     }
 }
 
 impl Fit<'_> {
-    /// Where the roundels were before the camera, metres: of each pair its depth.
+    /// Depths of the observed roundels, metres.
     pub(super) fn depths_m(&self) -> Vec<f64> {
-        let looks =
-            self.bundle.pairs.iter().filter_map(|pair| self.bundle.look(&self.camera, pair));
-        looks.map(|look| look.turned_m.z + self.bundle.camera_from_world.translation.z).collect()
+        let residuals = self
+            .bundle
+            .observations
+            .iter()
+            .filter_map(|observation| self.bundle.residual(&self.camera, observation));
+        residuals
+            .map(|residual| residual.rotated_m.z + self.bundle.camera_from_world.translation.z)
+            .collect()
     }
 }

@@ -1,19 +1,20 @@
-//! Why moving roundels tell no lens, and what would help.
+//! Errors of the calibration from moving roundels.
 
 use std::fmt;
 
 use thiserror::Error;
 
-use super::{LEAST_PLACES, LEAST_SIGHTINGS};
+use super::{MIN_PLACES, MIN_SIGHTINGS};
+use crate::lens::views::coverage::zone_name;
 
-/// What would help.
+/// An observation that would help.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Missing {
     /// Roundels in this zone of the picture: 0 to 2 from the left, and from the top.
     Zone(usize, usize),
     /// Roundels at other distances from the camera.
     Depth {
-        /// The farthest ones' over the nearest ones'.
+        /// Largest over smallest distance.
         ratio: f64,
     },
 }
@@ -22,15 +23,7 @@ impl fmt::Display for Missing {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Self::Zone(column, row) => {
-                let across = ["left", "middle", "right"][column.min(2)];
-                let down = ["top", "middle", "bottom"][row.min(2)];
-                match (down, across) {
-                    ("middle", "middle") => write!(out, "roundels in the middle of the picture"),
-                    ("middle", side) | (side, "middle") => {
-                        write!(out, "roundels at the {side} edge of the picture")
-                    }
-                    _ => write!(out, "roundels in the {down} {across} corner of the picture"),
-                }
+                write!(out, "roundels {}", zone_name(column, row))
             }
             Self::Depth { ratio } => write!(
                 out,
@@ -42,10 +35,10 @@ impl fmt::Display for Missing {
     }
 }
 
-/// Why there is no lens.
+/// Why a calibration from moving roundels failed.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum MovingLensError {
-    /// The picture has no such size.
+    /// Size of the picture out of range.
     #[error("expected pictures of 16 to 16384 pixels a side, found {width} x {height}")]
     Size {
         /// Columns.
@@ -53,40 +46,40 @@ pub enum MovingLensError {
         /// Rows.
         height: usize,
     },
-    /// Not enough to tell anything.
+    /// Too few usable observations.
     #[error(
-        "expected at least {LEAST_SIGHTINGS} sightings in {LEAST_PLACES} places of the picture of coded roundels that other \
+        "expected at least {MIN_SIGHTINGS} sightings in {MIN_PLACES} places of the picture of coded roundels that other \
          cameras saw at the same time, found {found} in {places}; record for longer, with robots that drive all over what \
          this camera sees{}", also(.missing)
     )]
     TooFew {
-        /// Sightings that could be used.
+        /// Number of usable observations.
         found: usize,
-        /// Places of the picture, apart by a fiftieth of its diagonal or more.
+        /// Number of distinct image positions, at least a fiftieth of the picture's diagonal apart.
         places: usize,
-        /// What would help.
+        /// Observations that would help.
         missing: Vec<Missing>,
     },
-    /// No camera sees what was seen.
+    /// No camera fits the observations.
     #[error(
         "no lens explains what the camera saw: {agreeing} of {found} sightings agree with one; are the other cameras \
          calibrated (`roundel calibrate arena`), did this one stand still, and is each code there only once?"
     )]
     Unexplained {
-        /// Sightings that could be used.
+        /// Number of usable observations.
         found: usize,
-        /// Of these, those that the best lens explains.
+        /// Number of observations that the best camera fits.
         agreeing: usize,
     },
-    /// The focal length is not told.
+    /// The observations do not determine the focal length.
     #[error(
-        "the roundels do not tell the focal length: it is known to {:.1} % only; still missing: {}",
+        "the roundels do not determine the focal length: it is known to {:.1} % only; still missing: {}",
         100.0 * .deviation, list(.missing)
     )]
     Undetermined {
-        /// Relative deviation of the focal length.
+        /// Relative standard deviation of the focal length.
         deviation: f64,
-        /// What would help most.
+        /// Observations that would help most.
         missing: Vec<Missing>,
     },
 }

@@ -1,42 +1,43 @@
-//! A lens from nothing but coded roundels on moving robots, where other cameras of a calibrated arena saw them.
+//! Camera intrinsics from coded roundels on moving robots that other, calibrated cameras observe.
 //!
-//! In: where the other cameras had each roundel ([`Way`]: fused without the camera in question, which is not to judge itself),
-//! and where in its raw pixels that camera saw the centres of their rims ([`Glimpse`]). Out: a lens as
-//! from views of a board, with the camera's place and its clock, and how well each is known ([`MovingLens`]).
+//! Input: trajectories of the roundels, fused without the camera in question ([`Trajectory`]), and the rim centres in the
+//! raw pixels of that camera ([`RimObservation`]). Output: intrinsics as from views of a board, with the camera's pose and
+//! clock and their covariances ([`MovingLens`]).
 //!
-//! The method: a camera to begin with by radial alignment (`start`, Tsai 1987), then lens, place and clock refined together
-//! (`bundle`), errors weighed by what the others know of each place and by what the errors themselves show of rims and
-//! stamps (`spread`); the covariance is the one that leaving out each roundel's stretches shows (`jackknife`). The image of a circle's centre is not its ellipse's, so what is predicted is the
-//! centroid of the rim's image, with the orientation that the others gave. The model is chosen by Schwarz's criterion
-//! as for boards, where n numbers whose errors hang together count as n / ĉ (Burnham & Anderson 2002, section 2.5), ĉ being how much larger
-//! the parameters' variances are than independent errors would make them.
+//! Method: radial alignment gives an initial camera (`radial_alignment`, Tsai 1987); then intrinsics, pose and clock are
+//! refined together (`bundle`). Residuals are weighted by the uncertainty of the positions and by the estimated noise of
+//! rims and stamps (`noise_model`). The covariance comes from a block jackknife (`jackknife`). The prediction is the
+//! centroid of the rim's image, with the orientation of the fused track. The model is selected by Schwarz's criterion as
+//! for boards; n correlated values count as n / ĉ (Burnham, Anderson 2002, section 2.5), where ĉ is the factor by which
+//! the parameters' variances exceed those for independent errors.
 //!
 //! Accuracy: `tests::a_lens_is_found_from_moving_roundels` and, from a recording, `tests/tests/moving_lens.rs`.
-//! Limits: the camera stands still. What the other cameras' lenses and places are off by together is not in the deviations
-//! that are stated: they are relative to the arena as it is calibrated.
+//! Limits: the camera must not move. Stated deviations are relative to the calibrated arena; common errors of the other
+//! cameras are not included.
 
 mod bundle;
 mod error;
 mod jackknife;
-mod spread;
-mod start;
-mod way;
+mod noise_model;
+mod radial_alignment;
+mod trajectory;
 
 use nalgebra::{DMatrix, Vector2};
 
 use self::{
-    bundle::{Bundle, Fit, Pair},
-    spread::Spread,
+    bundle::{Bundle, Fit, Observation},
+    noise_model::NoiseModel,
 };
 pub use self::{
     error::{Missing, MovingLensError},
-    way::{Way, Waypoint},
+    trajectory::{Trajectory, Waypoint},
 };
 use super::{
-    LensCalibration,
-    candidate::Candidate,
-    choice::{Evidence, Judged, taken},
-    model::Model,
+    DistortionModel, LensCalibration,
+    fit::{
+        model_selection::{Evidence, ScoredFit, select_fit},
+        parameters::CameraParameters,
+    },
 };
 use roundel_fusion::world::ClockPrior;
 use roundel_vision::{
@@ -44,193 +45,199 @@ use roundel_vision::{
     rigid::{Covariance6, Rigid},
 };
 
-/// Fewest sightings and places of the picture that a lens is told from.
-pub const LEAST_SIGHTINGS: usize = 100;
-/// Fewest places of the picture that a lens is told from.
-pub const LEAST_PLACES: usize = 20;
-/// Places are apart by this share of the picture's diagonal.
+/// Minimum number of observations.
+pub const MIN_SIGHTINGS: usize = 100;
+/// Minimum number of distinct image positions.
+pub const MIN_PLACES: usize = 20;
+/// Minimum distance of distinct image positions, as a share of the picture's diagonal.
 const PLACE_SHARE: f64 = 0.02;
-/// More than so many sightings only cost time.
-const MOST_SIGHTINGS: usize = 6000;
-/// So many of them tell where to begin.
+/// Maximum number of observations used; more only cost time.
+const MAX_SIGHTINGS: usize = 6000;
+/// Number of observations used for the initial camera.
 const START_SIGHTINGS: usize = 250;
-/// A focal length that is known no better than this is not known.
-const MOST_DEVIATION: f64 = 0.01;
-/// Of the sightings that lie on a way so many have to agree with the lens.
-const LEAST_AGREEING: f64 = 0.5;
-/// Errors of rims beyond this many pixels are those of a wrong lens.
-const MOST_PIXEL_PX: f64 = 3.0;
-/// Zones of the picture across and down, and how many sightings are in one that was visited.
+/// Maximum relative deviation of the focal length.
+const MAX_DEVIATION: f64 = 0.01;
+/// Minimum share of observations that must agree with the result.
+const MIN_AGREEING: f64 = 0.5;
+/// Maximum noise of rim centres, pixels; more indicates a wrong result.
+const MAX_PIXEL_PX: f64 = 3.0;
+/// Zones of the picture across and down, and observations in a visited zone.
 const ZONES: usize = 3;
-const VISITED: usize = 20;
-/// Depths are told between these shares of the sightings.
+const MIN_ZONE_SIGHTINGS: usize = 20;
+/// Quantiles reported as nearest and farthest depth.
 const DEPTH_SHARES: [f64; 2] = [0.02, 0.98];
-/// Farthest over nearest depth that is enough.
+/// Sufficient ratio of farthest to nearest depth.
 const DEPTH_RATIO: f64 = 1.15;
-/// Stamps of what is called exact may be off by so much, seconds, and a second.
+/// Minimum prior deviations of the clock: seconds, and seconds per second.
 const EXACT: [f64; 2] = [1e-9, 1e-12];
 
-/// Where the camera saw a roundel.
+/// The image of a roundel's rim.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Glimpse {
-    /// Index of the roundel's way.
-    pub way: usize,
-    /// When, by the camera's clock, since the ways' epoch, seconds.
+pub struct RimObservation {
+    /// Index of the roundel's trajectory.
+    pub trajectory: usize,
+    /// Stamp by the camera's clock, seconds since the trajectories' epoch.
     pub stamp_s: f64,
-    /// The centre of its outer rim's ellipse, raw pixels.
+    /// Centre of the ellipse of the outer rim, raw pixels.
     pub center: PixelPoint,
     /// Geometric mean of the ellipse's semiaxes, pixels.
     pub radius_px: f64,
 }
 
-/// What a lens is found from.
+/// Input of [`calibrate`].
 #[derive(Clone, Debug)]
-pub struct Seen<'a> {
+pub struct MovingInput<'a> {
     /// Columns and rows of the picture.
     pub size: (usize, usize),
-    /// Where the others had each roundel.
-    pub ways: &'a [Way],
-    /// What the camera saw.
-    pub glimpses: &'a [Glimpse],
-    /// What is known of the camera's clock.
+    /// Trajectories of the roundels.
+    pub trajectories: &'a [Trajectory],
+    /// Observations of the camera.
+    pub observations: &'a [RimObservation],
+    /// Prior knowledge of the camera's clock.
     pub clock: ClockPrior,
 }
 
-/// A lens that was found, and what was found with it.
+/// Result of a calibration from moving roundels.
 #[derive(Clone, Debug)]
 pub struct MovingLens {
-    /// The lens; there are no views.
+    /// The intrinsics, without views.
     pub lens: LensCalibration,
-    /// Where the camera stands.
+    /// Pose of the camera.
     pub world_from_camera: Rigid,
     /// Over (position, rotation), world frame, left perturbation.
     pub pose_covariance: Covariance6,
-    /// By how much the camera's stamps are late, and its deviation, seconds.
+    /// Delay of the camera's stamps and its standard deviation, seconds.
     pub offset_s: (f64, f64),
-    /// Errors beside those of the places: of a rim's centre, pixels, and of stamps from frame to frame, seconds.
-    pub unstated: (f64, f64),
-    /// Sightings that were used.
+    /// Estimated noise: of a rim's centre, pixels, and of stamps from frame to frame, seconds.
+    pub estimated_noise: (f64, f64),
+    /// Number of observations used.
     pub sightings: usize,
-    /// Sightings by zone of the picture, row by row from the top left: 3 by 3.
+    /// Observations by zone of the picture, row by row from the top left: 3 by 3.
     pub zones: Vec<usize>,
-    /// Nearest and farthest roundels' depth, metres.
+    /// Depth of the nearest and farthest roundels, metres.
     pub depths_m: [f64; 2],
-    /// What would make it better known.
+    /// Observations that would improve the result.
     pub missing: Vec<Missing>,
 }
 
 impl MovingLens {
-    /// Share of the picture's zones in which roundels were, 0 to 1.
+    /// Share of the picture's zones with enough observations, 0 to 1.
     pub fn coverage(&self) -> f64 {
-        let visited = self.zones.iter().filter(|&&count| count >= VISITED).count();
+        let visited = self.zones.iter().filter(|&&count| count >= MIN_ZONE_SIGHTINGS).count();
         visited as f64 / self.zones.len() as f64
     }
 }
 
-/// Finds a camera's lens; with `model` of that one, else of the one for which most speaks.
-pub fn calibrate(seen: &Seen<'_>, model: Option<Model>) -> Result<MovingLens, MovingLensError> {
-    let (width, height) = seen.size;
+/// Calibrates a camera with the given `model` or the one selected by evidence.
+pub fn calibrate(
+    input: &MovingInput<'_>,
+    model: Option<DistortionModel>,
+) -> Result<MovingLens, MovingLensError> {
+    let (width, height) = input.size;
     let is_side = |side: usize| (16..=roundel_vision::camera::MAX_SIDE_PX).contains(&side);
     if !(is_side(width) && is_side(height)) {
         return Err(MovingLensError::Size { width, height });
     }
-    let pairs = pairs(seen);
-    let (found, places) = (pairs.len(), places(&pairs, seen.size));
-    let zones = zones(&pairs, seen.size);
-    if found < LEAST_SIGHTINGS || places < LEAST_PLACES {
+    let observations = observations(input);
+    let (found, places) = (observations.len(), places(&observations, input.size));
+    let zones = zones(&observations, input.size);
+    if found < MIN_SIGHTINGS || places < MIN_PLACES {
         return Err(MovingLensError::TooFew { found, places, missing: unvisited(&zones) });
     }
     let unexplained = |agreeing| MovingLensError::Unexplained { found, agreeing };
-    let begun = begin(seen, &pairs).ok_or(unexplained(0))?;
-    let models = model.map_or_else(|| Model::ALL.to_vec(), |model| vec![model]);
-    let (fit, evidence) = best(&begun, &pairs, &models).ok_or(unexplained(0))?;
-    let agreeing = fit.bundle.pairs.len();
-    if (agreeing as f64) < LEAST_AGREEING * found as f64
-        || fit.bundle.spread.pixel_px > MOST_PIXEL_PX
-    {
+    let initial = initial_bundle(input, &observations).ok_or(unexplained(0))?;
+    let models = model.map_or_else(|| DistortionModel::ALL.to_vec(), |model| vec![model]);
+    let (fit, evidence) = best(&initial, &observations, &models).ok_or(unexplained(0))?;
+    let agreeing = fit.bundle.observations.len();
+    if (agreeing as f64) < MIN_AGREEING * found as f64 || fit.bundle.noise.pixel_px > MAX_PIXEL_PX {
         return Err(unexplained(agreeing));
     }
-    told(fit, evidence, found)
+    finish(fit, evidence, found)
 }
 
-/// Sightings that lie on a way, thinned out evenly.
-fn pairs(seen: &Seen<'_>) -> Vec<Pair> {
-    let is_sound = |glimpse: &&Glimpse| {
-        let numbers = [glimpse.stamp_s, glimpse.center.u, glimpse.center.v, glimpse.radius_px];
-        let way = seen.ways.get(glimpse.way);
+/// Valid observations within a trajectory, thinned evenly.
+fn observations(input: &MovingInput<'_>) -> Vec<Observation> {
+    let is_sound = |rim: &&RimObservation| {
+        let numbers = [rim.stamp_s, rim.center.u, rim.center.v, rim.radius_px];
+        let trajectory = input.trajectories.get(rim.trajectory);
         numbers.into_iter().all(f64::is_finite)
-            && glimpse.radius_px > 0.0
-            && way.is_some_and(|way| way.at(glimpse.stamp_s).is_some())
+            && rim.radius_px > 0.0
+            && trajectory.is_some_and(|trajectory| trajectory.at(rim.stamp_s).is_some())
     };
-    let sound: Vec<&Glimpse> = seen.glimpses.iter().filter(is_sound).collect();
-    let pair = |glimpse: &&Glimpse| {
-        let center = Vector2::new(glimpse.center.u, glimpse.center.v);
-        Pair::new(glimpse.way, glimpse.stamp_s, center, glimpse.radius_px)
+    let sound: Vec<&RimObservation> = input.observations.iter().filter(is_sound).collect();
+    let observation = |rim: &&RimObservation| {
+        let center = Vector2::new(rim.center.u, rim.center.v);
+        Observation::new(rim.trajectory, rim.stamp_s, center, rim.radius_px)
     };
-    every(&sound, MOST_SIGHTINGS).map(pair).collect()
+    thinned(&sound, MAX_SIGHTINGS).map(observation).collect()
 }
 
-/// So many at most, evenly.
-fn every<T>(all: &[T], most: usize) -> impl Iterator<Item = &T> {
-    let count = all.len().min(most);
+/// At most `max` items, evenly spaced.
+fn thinned<T>(all: &[T], max: usize) -> impl Iterator<Item = &T> {
+    let count = all.len().min(max);
     (0..count).map(move |index| &all[index * all.len() / count.max(1)])
 }
 
-/// Places of the picture in which roundels were, none near another.
-fn places(pairs: &[Pair], (width, height): (usize, usize)) -> usize {
+/// Number of distinct image positions.
+fn places(observations: &[Observation], (width, height): (usize, usize)) -> usize {
     let apart_px = PLACE_SHARE * (width as f64).hypot(height as f64);
     let mut places: Vec<Vector2<f64>> = Vec::new();
-    for pair in pairs {
-        if places.iter().all(|place| (place - pair.seen).norm() >= apart_px) {
-            places.push(pair.seen);
+    for observation in observations {
+        if places.iter().all(|place| (place - observation.observed).norm() >= apart_px) {
+            places.push(observation.observed);
         }
     }
     places.len()
 }
 
-fn zones(pairs: &[Pair], (width, height): (usize, usize)) -> Vec<usize> {
+fn zones(observations: &[Observation], (width, height): (usize, usize)) -> Vec<usize> {
     let mut zones = vec![0; ZONES * ZONES];
-    for pair in pairs {
+    for observation in observations {
         let zone = |place_px: f64, side_px: usize| {
             ((place_px / side_px as f64 * ZONES as f64).max(0.0) as usize).min(ZONES - 1)
         };
-        zones[zone(pair.seen.y, height) * ZONES + zone(pair.seen.x, width)] += 1;
+        zones
+            [zone(observation.observed.y, height) * ZONES + zone(observation.observed.x, width)] +=
+            1;
     }
     zones
 }
 
 fn unvisited(zones: &[usize]) -> Vec<Missing> {
-    let zones = zones.iter().enumerate().filter(|(_, count)| **count < VISITED);
+    let zones = zones.iter().enumerate().filter(|(_, count)| **count < MIN_ZONE_SIGHTINGS);
     zones.map(|(index, _)| Missing::Zone(index % ZONES, index / ZONES)).collect()
 }
 
-/// The camera to begin with: the start from which a simple lens explains a part of the sightings best.
-fn begin<'a>(seen: &Seen<'a>, pairs: &[Pair]) -> Option<Bundle<'a>> {
-    let few: Vec<Pair> = every(pairs, START_SIGHTINGS).cloned().collect();
-    let middle = Vector2::new(seen.size.0 as f64 - 1.0, seen.size.1 as f64 - 1.0) / 2.0;
-    let side_px = seen.size.0.max(seen.size.1) as f64;
-    let placed: Vec<start::Pair> = few
+/// The initial camera: the candidate for which a simple model fits a part of the observations best.
+fn initial_bundle<'a>(input: &MovingInput<'a>, observations: &[Observation]) -> Option<Bundle<'a>> {
+    let few: Vec<Observation> = thinned(observations, START_SIGHTINGS).cloned().collect();
+    let middle = Vector2::new(input.size.0 as f64 - 1.0, input.size.1 as f64 - 1.0) / 2.0;
+    let side_px = input.size.0.max(input.size.1) as f64;
+    let placed: Vec<radial_alignment::Correspondence> = few
         .iter()
-        .filter_map(|pair| {
-            Some((seen.ways[pair.way].at(pair.stamp_s)?.place_m, pair.seen - middle))
+        .filter_map(|observation| {
+            Some((
+                input.trajectories[observation.trajectory].at(observation.stamp_s)?.position_m,
+                observation.observed - middle,
+            ))
         })
         .collect();
-    let clock_prior = [seen.clock.offset_s.max(EXACT[0]), seen.clock.skew.max(EXACT[1])];
+    let clock_prior = [input.clock.offset_s.max(EXACT[0]), input.clock.skew.max(EXACT[1])];
     let mut best: Option<(f64, Bundle<'a>)> = None;
-    for start in start::starts(&placed, side_px) {
-        for model in [Model::Radial1, Model::Equidistant2] {
+    for start in radial_alignment::initial_cameras(&placed, side_px) {
+        for model in [DistortionModel::Radial1, DistortionModel::Equidistant2] {
             let mut bundle = Bundle {
-                candidate: Candidate::new(seen.size, start.focal_px, model),
-                ways: seen.ways,
-                pairs: few.clone(),
+                parameters: CameraParameters::new(input.size, start.focal_px, model),
+                trajectories: input.trajectories,
+                observations: few.clone(),
                 camera_from_world: start.camera_from_world,
                 clock: [0.0; 2],
                 clock_prior,
-                spread: Spread::BEGIN,
-                keeps_spread: false,
+                noise: NoiseModel::INITIAL,
+                is_noise_fixed: false,
             };
-            let Some(scale) = bundle.approach() else { continue };
-            if best.as_ref().is_none_or(|(least, _)| scale < *least) {
+            let Some(scale) = bundle.fit_roughly() else { continue };
+            if best.as_ref().is_none_or(|(min, _)| scale < *min) {
                 best = Some((scale, bundle));
             }
         }
@@ -238,66 +245,66 @@ fn begin<'a>(seen: &Seen<'a>, pairs: &[Pair]) -> Option<Bundle<'a>> {
     best.map(|(_, bundle)| bundle)
 }
 
-/// The fit of the model that is taken, and what speaks against each.
+/// The fit of the selected model, and the evidence for all.
 fn best<'a>(
-    begun: &Bundle<'a>,
-    pairs: &[Pair],
-    models: &[Model],
+    initial: &Bundle<'a>,
+    observations: &[Observation],
+    models: &[DistortionModel],
 ) -> Option<(Fit<'a>, Vec<Evidence>)> {
-    let of = |model: Model, spread: Option<Spread>| {
+    let of = |model: DistortionModel, noise: Option<NoiseModel>| {
         let bundle = Bundle {
-            candidate: begun.candidate.with_model(model),
-            pairs: pairs.to_vec(),
-            spread: spread.unwrap_or(Spread::BEGIN),
-            keeps_spread: spread.is_some(),
-            ..begun.clone()
+            parameters: initial.parameters.with_model(model),
+            observations: observations.to_vec(),
+            noise: noise.unwrap_or(NoiseModel::INITIAL),
+            is_noise_fixed: noise.is_some(),
+            ..initial.clone()
         };
         bundle.fit()
     };
     let fits: Vec<Fit<'_>> = models.iter().filter_map(|&model| of(model, None)).collect();
-    // What errors beside the lens' there are shows with the lens that explains most; by these all are judged.
-    let by_spread = |one: &&Fit<'_>, other: &&Fit<'_>| {
-        one.bundle.spread.pixel_px.total_cmp(&other.bundle.spread.pixel_px)
+    // The best-fitting model determines the noise by which all models are compared.
+    let by_noise = |one: &&Fit<'_>, other: &&Fit<'_>| {
+        one.bundle.noise.pixel_px.total_cmp(&other.bundle.noise.pixel_px)
     };
-    let least = fits.iter().min_by(by_spread)?;
-    let (spread, inflation) = (least.bundle.spread, least.inflation);
-    let judged = |fit: Fit<'a>| {
-        let candidate = &fit.bundle.candidate;
-        let (model, parameters) = (candidate.model(), candidate.unknowns() as f64);
-        let fit = of(model, Some(spread))?;
-        let count = 2.0 * fit.bundle.pairs.len() as f64;
+    let min = fits.iter().min_by(by_noise)?;
+    let (noise, inflation) = (min.bundle.noise, min.inflation);
+    let scored = |fit: Fit<'a>| {
+        let parameters = &fit.bundle.parameters;
+        let (model, parameters) = (parameters.model(), parameters.unknowns() as f64);
+        let fit = of(model, Some(noise))?;
+        let count = 2.0 * fit.bundle.observations.len() as f64;
         let criterion = (fit.squares / count).max(1e-300).ln() * count / inflation
             + parameters * (count / inflation).max(1.0).ln();
-        Some(Judged { model, rms_px: fit.rms_px, criterion, count, fit })
+        Some(ScoredFit { model, rms_px: fit.rms_px, criterion, count, fit })
     };
-    let (_, fit, evidence) = taken(fits.into_iter().filter_map(judged).collect())?;
+    let (_, fit, evidence) = select_fit(fits.into_iter().filter_map(scored).collect())?;
     Some((fit, evidence))
 }
 
-fn told(
+fn finish(
     fit: Fit<'_>,
     evidence: Vec<Evidence>,
     given: usize,
 ) -> Result<MovingLens, MovingLensError> {
     let bundle = &fit.bundle;
-    let lens = bundle.candidate.unknowns();
+    let lens = bundle.parameters.unknowns();
     let mut depths_m = fit.depths_m();
     depths_m.sort_by(f64::total_cmp);
     let depths_m = DEPTH_SHARES.map(|share| {
         let at = (share * depths_m.len() as f64) as usize;
         depths_m.get(at.min(depths_m.len().saturating_sub(1))).copied().unwrap_or_default()
     });
-    let zones = zones(&bundle.pairs, bundle.candidate.size());
+    let zones = zones(&bundle.observations, bundle.parameters.size());
     let mut missing = Vec::new();
     let [nearest_m, farthest_m] = depths_m;
     let focal_px = fit.camera.intrinsics().fx_px;
     let deviation = fit.covariance[(0, 0)].max(fit.covariance[(1, 1)]).sqrt() / focal_px;
-    let is_told = deviation <= MOST_DEVIATION;
-    if farthest_m < DEPTH_RATIO * nearest_m || !is_told {
+    let is_determined = deviation <= MAX_DEVIATION;
+    if farthest_m < DEPTH_RATIO * nearest_m || !is_determined {
         missing.push(Missing::Depth { ratio: farthest_m / nearest_m });
     }
     missing.extend(unvisited(&zones));
-    if !is_told {
+    if !is_determined {
         return Err(MovingLensError::Undetermined { deviation, missing });
     }
     let world_from_camera = bundle.camera_from_world.inverse();
@@ -305,27 +312,27 @@ fn told(
     Ok(MovingLens {
         lens: LensCalibration {
             camera: fit.camera.clone(),
-            model: bundle.candidate.model(),
+            model: bundle.parameters.model(),
             covariance: fit.covariance.view((0, 0), (lens, lens)).into_owned(),
             rms_px: fit.rms_px,
             views: Vec::new(),
-            outliers: given - bundle.pairs.len(),
+            outliers: given - bundle.observations.len(),
             evidence,
-            width: None,
+            diameter_check: None,
         },
         pose_covariance: world_covariance(&fit.covariance, lens, &bundle.camera_from_world),
         world_from_camera,
         offset_s: (bundle.clock[0], clock_deviation_s),
-        unstated: (bundle.spread.pixel_px, bundle.spread.stamp_s),
-        sightings: bundle.pairs.len(),
+        estimated_noise: (bundle.noise.pixel_px, bundle.noise.stamp_s),
+        sightings: bundle.observations.len(),
         zones,
         depths_m,
         missing,
     })
 }
 
-/// From a turn δ and shift ε of camera_from_world, R → exp(δ) R and t → t + ε, to those of its inverse: the world turns by -Rᵀ δ,
-/// and the camera's origin -Rᵀ t moves by -Rᵀ (ε + [t]× δ).
+/// Carries a perturbation of camera_from_world, R → exp(δ) R and t → t + ε, to its inverse: the rotation changes by
+/// -Rᵀ δ, and the origin -Rᵀ t moves by -Rᵀ (ε + [t]× δ).
 fn world_covariance(
     covariance: &DMatrix<f64>,
     first: usize,

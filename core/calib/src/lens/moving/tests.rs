@@ -3,20 +3,20 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::{super::rim, *};
+use super::{super::fit::rim, *};
 use roundel_vision::camera::{Camera, Intrinsics, Lens};
 
 const SIZE: (usize, usize) = (1920, 1080);
 const RADIUS_M: f64 = 0.08;
-/// What the others do not know of a place, and for how long it stays, and the camera's own error.
+/// Standard deviation and correlation time of positions, and noise of the camera.
 const PLACE_M: f64 = 5e-4;
 const STAYS_S: f64 = 0.5;
 const PIXEL_PX: f64 = 0.05;
-/// The camera's clock.
+/// Delay of the camera's clock.
 const LATE_S: f64 = 0.03;
 const CLOCK: ClockPrior = ClockPrior { offset_s: 0.04, skew: 1e-4 };
 
-/// Robots on circles at these heights before a camera of R4.
+/// Robots on circles at these heights below a camera of R4.
 struct Scene {
     heights_m: Vec<f64>,
     camera_from_world: Rigid,
@@ -36,7 +36,7 @@ impl Scene {
             lens: Lens::PlumbBob([-0.08, 0.02, 2e-4, -3e-4, 0.0]),
         })
         .unwrap();
-        // Looks down at a slant from 5 m.
+        // Looks down obliquely from 5 m.
         let turn = UnitQuaternion::from_euler_angles(std::f64::consts::PI - 0.32, 0.05, 0.3);
         let place = Point3::new(0.4, -1.6, 5.0);
         let camera_from_world = Rigid::from_parts((-(turn * place.coords)).into(), turn);
@@ -60,11 +60,11 @@ impl Scene {
         (Rigid::from_parts(place.into(), turn), velocity)
     }
 
-    /// What the others tell, and what the camera saw.
-    fn seen(&self, robots: usize, rng: &mut ChaCha8Rng) -> (Vec<Way>, Vec<Glimpse>) {
+    /// Trajectories, and the observations of the camera.
+    fn seen(&self, robots: usize, rng: &mut ChaCha8Rng) -> (Vec<Trajectory>, Vec<RimObservation>) {
         let mut normal = || -> f64 { StandardNormal.sample(rng) };
-        let mut ways = Vec::new();
-        let mut glimpses = Vec::new();
+        let mut trajectories = Vec::new();
+        let mut observations = Vec::new();
         for robot in 0..robots {
             let mut off = Vector3::from_fn(|_, _| normal() * PLACE_M);
             let step_s = 1.0 / 60.0;
@@ -76,20 +76,21 @@ impl Scene {
                     + Vector3::from_fn(|_, _| normal() * PLACE_M * (1.0 - kept * kept).sqrt());
                 Waypoint {
                     time_s,
-                    place_m: pose.translation.vector + off,
+                    position_m: pose.translation.vector + off,
                     velocity_m_s,
                     orientation: pose.rotation,
                     covariance_m2: Matrix3::identity() * PLACE_M * PLACE_M,
                 }
             });
-            ways.push(Way::new(RADIUS_M, waypoints.collect()));
+            trajectories.push(Trajectory::new(RADIUS_M, waypoints.collect()));
             for frame in 0..(self.seconds * 30.0) as usize {
                 let time_s = frame as f64 / 30.0 + 0.011;
                 let (pose, _) = self.pose(robot, time_s);
                 let pose = self.camera_from_world * pose;
                 let Ok(pixel) = self.camera.project(&pose.translation.vector) else { continue };
-                let (u, v) =
-                    rim::image(&self.camera, &pose, &Point2::origin(), RADIUS_M).unwrap().offset_px;
+                let (u, v) = rim::project_rim(&self.camera, &pose, &Point2::origin(), RADIUS_M)
+                    .unwrap()
+                    .offset_px;
                 let center = PixelPoint {
                     u: pixel.u + u + normal() * PIXEL_PX,
                     v: pixel.v + v + normal() * PIXEL_PX,
@@ -99,19 +100,27 @@ impl Scene {
                 if inside(center.u, SIZE.0) && inside(center.v, SIZE.1) {
                     let radius_px = RADIUS_M * 1100.0 / pose.translation.z;
                     let stamp_s = time_s + LATE_S;
-                    glimpses.push(Glimpse { way: robot, stamp_s, center, radius_px });
+                    observations.push(RimObservation {
+                        trajectory: robot,
+                        stamp_s,
+                        center,
+                        radius_px,
+                    });
                 }
             }
         }
-        (ways, glimpses)
+        (trajectories, observations)
     }
 }
 
-fn found(ways: &[Way], glimpses: &[Glimpse]) -> Result<MovingLens, MovingLensError> {
-    calibrate(&Seen { size: SIZE, ways, glimpses, clock: CLOCK }, None)
+fn found(
+    trajectories: &[Trajectory],
+    observations: &[RimObservation],
+) -> Result<MovingLens, MovingLensError> {
+    calibrate(&MovingInput { size: SIZE, trajectories, observations, clock: CLOCK }, None)
 }
 
-/// What is found less what is true, with its deviation: lens, place and clock.
+/// Errors with their standard deviations: intrinsics, pose and clock.
 fn errors(scene: &Scene, found: &MovingLens) -> Vec<(f64, f64)> {
     let (is, was) = (found.lens.camera.intrinsics(), scene.camera.intrinsics());
     let lens =
@@ -131,14 +140,14 @@ fn errors(scene: &Scene, found: &MovingLens) -> Vec<(f64, f64)> {
 fn a_lens_is_found_from_moving_roundels() {
     let scene = Scene::new(&[0.3, 0.3, 1.4], 15.0);
     let mut rng = ChaCha8Rng::seed_from_u64(4);
-    let (ways, mut glimpses) = scene.seen(14, &mut rng);
-    // One in fifty is another's, and two numbers are none.
-    for index in (0..glimpses.len()).step_by(50) {
-        glimpses[index].way = (glimpses[index].way + 1) % ways.len();
+    let (trajectories, mut observations) = scene.seen(14, &mut rng);
+    // One of fifty belongs to another roundel, and two are invalid.
+    for index in (0..observations.len()).step_by(50) {
+        observations[index].trajectory = (observations[index].trajectory + 1) % trajectories.len();
     }
-    glimpses[1].center.u = f64::NAN;
-    glimpses[2].way = 99;
-    let found = found(&ways, &glimpses).unwrap();
+    observations[1].center.u = f64::NAN;
+    observations[2].trajectory = 99;
+    let found = found(&trajectories, &observations).unwrap();
     assert_eq!(found.lens.model.ros_name(), "plumb_bob", "{:?}", found.lens.evidence);
     let errors = errors(&scene, &found);
     for focal in &errors[..2] {
@@ -148,12 +157,12 @@ fn a_lens_is_found_from_moving_roundels() {
     for (error, deviation) in &errors {
         assert!(error.abs() < 4.0 * deviation, "{errors:?}");
     }
-    assert!((found.unstated.0 - PIXEL_PX).abs() < 0.05, "{:?}", found.unstated);
-    assert!(found.lens.outliers >= glimpses.len() / 50, "{}", found.lens.outliers);
+    assert!((found.estimated_noise.0 - PIXEL_PX).abs() < 0.05, "{:?}", found.estimated_noise);
+    assert!(found.lens.outliers >= observations.len() / 50, "{}", found.lens.outliers);
     assert!(found.coverage() > 0.8 && found.depths_m[0] < 4.2, "{found:?}");
 }
 
-/// Three parameters of four within two deviations is no proof, so over seeds: the mean square of error over deviation.
+/// Mean square of error over deviation across seeds.
 #[test]
 fn deviations_are_consistent() {
     let scene = Scene::new(&[0.3, 0.3, 1.4], 15.0);
@@ -161,49 +170,62 @@ fn deviations_are_consistent() {
     let mut squares = vec![0.0; 11];
     for seed in 0..SEEDS {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let (ways, glimpses) = scene.seen(10, &mut rng);
-        let thin: Vec<Glimpse> = glimpses.into_iter().step_by(3).collect();
-        let seen = Seen { size: SIZE, ways: &ways, glimpses: &thin, clock: CLOCK };
-        let found = calibrate(&seen, Some(Model::Tangential)).unwrap();
+        let (trajectories, observations) = scene.seen(10, &mut rng);
+        let thin: Vec<RimObservation> = observations.into_iter().step_by(3).collect();
+        let seen = MovingInput {
+            size: SIZE,
+            trajectories: &trajectories,
+            observations: &thin,
+            clock: CLOCK,
+        };
+        let found = calibrate(&seen, Some(DistortionModel::Tangential)).unwrap();
         for (sum, (error, deviation)) in squares.iter_mut().zip(errors(&scene, &found)) {
             *sum += (error / deviation).powi(2) / SEEDS as f64;
         }
     }
-    // Chi square with 20 degrees of freedom over 20: 0.35 to 2.1 holds 99.6 % for one of them.
+    // χ² with 20 degrees of freedom, over 20: 99.6 % lie between 0.35 and 2.1 for a single parameter.
     assert!(squares.iter().all(|square| (0.3..2.2).contains(square)), "{squares:?}");
 }
 
 #[test]
-fn what_is_missing_is_told() {
+fn missing_observations_are_named() {
     let scene = Scene::new(&[0.3], 4.0);
     let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let (ways, glimpses) = scene.seen(12, &mut rng);
-    let error = found(&ways, &glimpses[..60]).unwrap_err().to_string();
+    let (trajectories, observations) = scene.seen(12, &mut rng);
+    let error = found(&trajectories, &observations[..60]).unwrap_err().to_string();
     assert!(error.contains("found 60 in") && error.contains("missing: roundels"), "{error}");
-    let error = found(&ways[..0], &glimpses).unwrap_err().to_string();
+    let error = found(&trajectories[..0], &observations).unwrap_err().to_string();
     assert!(error.contains("found 0 in 0"), "{error}");
-    let seen = Seen { size: (0, 9), ways: &ways, glimpses: &glimpses, clock: CLOCK };
+    let seen = MovingInput {
+        size: (0, 9),
+        trajectories: &trajectories,
+        observations: &observations,
+        clock: CLOCK,
+    };
     let error = calibrate(&seen, None).unwrap_err().to_string();
     assert!(error.contains("found 0 x 9"), "{error}");
-    // All of them other robots' ways.
-    let mixed: Vec<Glimpse> = glimpses
+    // All assigned to other trajectories.
+    let mixed: Vec<RimObservation> = observations
         .iter()
         .enumerate()
-        .map(|(index, it)| Glimpse { way: (it.way + 1 + index % 10) % 12, ..*it })
+        .map(|(index, it)| RimObservation {
+            trajectory: (it.trajectory + 1 + index % 10) % 12,
+            ..*it
+        })
         .collect();
-    let error = found(&ways, &mixed).unwrap_err().to_string();
+    let error = found(&trajectories, &mixed).unwrap_err().to_string();
     assert!(error.contains("no lens explains"), "{error}");
 }
 
 #[test]
-fn one_plane_that_faces_the_camera_does_not_tell_the_focal_length() {
+fn a_plane_facing_the_camera_does_not_determine_the_focal_length() {
     let mut scene = Scene::new(&[0.3], 10.0);
     let turn = UnitQuaternion::from_euler_angles(std::f64::consts::PI, 0.0, 0.0);
     scene.camera_from_world =
         Rigid::from_parts((-(turn * Vector3::new(0.0, 0.2, 5.0))).into(), turn);
     let mut rng = ChaCha8Rng::seed_from_u64(2);
-    let (ways, glimpses) = scene.seen(14, &mut rng);
-    let error = found(&ways, &glimpses).unwrap_err();
+    let (trajectories, observations) = scene.seen(14, &mut rng);
+    let error = found(&trajectories, &observations).unwrap_err();
     assert!(matches!(error, MovingLensError::Undetermined { .. }), "{error}");
     let error = error.to_string();
     assert!(error.contains("distances differ by 0 %"), "{error}");

@@ -1,6 +1,6 @@
 //! Renders the coverage of the picture as text below the spinner.
 
-use roundel_core::calib::lens::{Coverage, Side, VISITED, ZONES};
+use roundel_core::calib::lens::{Coverage, MIN_ZONE_SIGHTINGS, Side, ZONES};
 
 /// The picture's zones, and beside them the sides of the board that have been tilted towards the camera.
 pub(super) fn render(coverage: &Coverage) -> String {
@@ -17,7 +17,7 @@ pub(super) fn render(coverage: &Coverage) -> String {
     let row = |(zones, nearer): (&[usize], String)| {
         let zone = |&count: &usize| match count {
             0 => "···",
-            1..VISITED => "▒▒▒",
+            1..MIN_ZONE_SIGHTINGS => "▒▒▒",
             _ => "███",
         };
         let zones: Vec<&str> = zones.iter().map(zone).collect();
@@ -32,7 +32,7 @@ mod tests {
     use roundel_core::{
         calib::{
             checkerboard::Checkerboard,
-            lens::{Chooser, Sighting, Target, Verdict, View},
+            lens::{Sighting, Target, View, ViewSelector, ViewVerdict},
         },
         camera::PixelPoint,
     };
@@ -58,12 +58,12 @@ mod tests {
     #[test]
     fn zones_and_sides_that_are_done_are_filled() {
         let target = Target::from(Checkerboard::new((9, 6), 0.025).unwrap());
-        let mut chooser = Chooser::new(target, (900, 600), false);
-        let empty = render(chooser.coverage());
+        let mut selector = ViewSelector::new(target, (900, 600), false);
+        let empty = render(selector.coverage());
         assert_eq!(empty.lines().count(), 3);
         assert!(!empty.contains('█') && empty.contains("· right"), "{empty}");
-        assert_eq!(chooser.offer(view()), Verdict::Taken);
-        let text = render(chooser.coverage());
+        assert_eq!(selector.offer(view()), ViewVerdict::Taken);
+        let text = render(selector.coverage());
         let lines: Vec<&str> = text.lines().collect();
         assert!(lines[0].starts_with("  ███ ··· ···"), "{text}");
         assert!(lines[2].starts_with("  ··· ··· ···"), "{text}");

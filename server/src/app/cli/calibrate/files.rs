@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use indicatif::ProgressBar;
-use roundel_core::calib::lens::Verdict;
+use roundel_core::calib::lens::ViewVerdict;
 
 use super::views::{BoardViews, ViewOptions};
 use crate::{
@@ -28,36 +28,37 @@ const PLAYER: &str = if cfg!(feature = "gst") {
 struct SameSizeImages {
     size: (usize, usize),
     /// In order, with their verdicts.
-    files: Vec<(PathBuf, Verdict)>,
+    files: Vec<(PathBuf, ViewVerdict)>,
     search: BoardSearch,
 }
 
 impl SameSizeImages {
     /// Files of the views, in their order.
     fn taken(&self) -> Vec<PathBuf> {
-        let taken = self.files.iter().filter(|(_, verdict)| *verdict == Verdict::Taken);
+        let taken = self.files.iter().filter(|(_, verdict)| *verdict == ViewVerdict::Taken);
         taken.map(|(file, _)| file.clone()).collect()
     }
 
     /// The other files, and why they were left out.
     fn left_out(&self) -> Vec<(PathBuf, String)> {
         let taken = self.taken();
-        let why = |verdict: Verdict| match verdict {
-            Verdict::Taken => None,
-            Verdict::NoBoard => Some("without the board".to_owned()),
-            Verdict::TooLittle => {
+        let why = |verdict: ViewVerdict| match verdict {
+            ViewVerdict::Taken => None,
+            ViewVerdict::NoBoard => Some("without the board".to_owned()),
+            ViewVerdict::TooLittle => {
                 Some("with less than half of the board, or of another one".to_owned())
             }
-            Verdict::Moving => Some("in motion".to_owned()),
-            Verdict::Alike(like) => {
+            ViewVerdict::Moving => Some("in motion".to_owned()),
+            ViewVerdict::Duplicate(like) => {
                 let file = taken.get(like).map(|file| file.display().to_string());
                 Some(format!("like {}", file.unwrap_or_default()))
             }
-            Verdict::OtherBoard(columns, rows) => {
+            ViewVerdict::OtherBoard(columns, rows) => {
                 Some(format!("of a board of {columns} x {rows} or more"))
             }
         };
-        let of_file = |(file, verdict): &(PathBuf, Verdict)| Some((file.clone(), why(*verdict)?));
+        let of_file =
+            |(file, verdict): &(PathBuf, ViewVerdict)| Some((file.clone(), why(*verdict)?));
         self.files.iter().filter_map(of_file).collect()
     }
 }
@@ -143,7 +144,7 @@ fn add_image(
     let group = &mut groups[index];
     let (verdict, _) = group.search.look(&frame)?;
     group.files.push((file.to_path_buf(), verdict));
-    Ok(Ok(group.search.gathered().is_some_and(|it| it.chooser.taken().len() >= views.max_views)))
+    Ok(Ok(group.search.gathered().is_some_and(|it| it.selector.taken().len() >= views.max_views)))
 }
 
 fn describe_error(error: &ImageError) -> String {

@@ -9,7 +9,7 @@ use std::{
 use anyhow::{Context, bail};
 use clap::Args;
 use roundel_core::{
-    calib::lens::{LensCalibration, Model, STRONG, calibrate},
+    calib::lens::{DistortionModel, LensCalibration, STRONG_EVIDENCE, calibrate},
     marker::{CodeLayout, Pattern},
 };
 use serde_json::{Value, json};
@@ -84,7 +84,7 @@ pub(super) struct LensArgs {
     code: Option<CodeLayout>,
     /// Distortion model [default: selected automatically]
     #[arg(long, value_parser = words(&MODELS))]
-    pub(super) model: Option<Model>,
+    pub(super) model: Option<DistortionModel>,
     /// Maximum number of views to use
     #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u16).range(5..=500))]
     views: u16,
@@ -120,10 +120,10 @@ fn parse_board(text: &str) -> Result<BoardArg, String> {
     }
 }
 
-const MODELS: [(&str, Model, &str); 3] = [
-    ("plumb_bob", Model::PlumbBob, "k1 k2 p1 p2 k3"),
-    ("rational_polynomial", Model::Rational, "k1 k2 p1 p2 k3 k4 k5 k6"),
-    ("equidistant", Model::Equidistant, "k1 k2 k3 k4, for fisheyes"),
+const MODELS: [(&str, DistortionModel, &str); 3] = [
+    ("plumb_bob", DistortionModel::PlumbBob, "k1 k2 p1 p2 k3"),
+    ("rational_polynomial", DistortionModel::Rational, "k1 k2 p1 p2 k3 k4 k5 k6"),
+    ("equidistant", DistortionModel::Equidistant, "k1 k2 k3 k4, for fisheyes"),
 ];
 
 pub(super) fn run(arguments: &LensArgs) -> anyhow::Result<ExitCode> {
@@ -131,8 +131,8 @@ pub(super) fn run(arguments: &LensArgs) -> anyhow::Result<ExitCode> {
     let max_views = usize::from(arguments.views);
     let options = ViewOptions { target: &target, max_views, size: arguments.size };
     let mut views_found = collect_views(&arguments.sources, &options)?;
-    let CollectedViews { chooser, size, .. } = &views_found.gathered;
-    let found = calibrate(chooser.target(), *size, chooser.taken(), arguments.model);
+    let CollectedViews { selector, size, .. } = &views_found.gathered;
+    let found = calibrate(selector.target(), *size, selector.taken(), arguments.model);
     let found = found.with_context(|| {
         format!("no lens was found: {}{}", views_found.summary(), hint(&target, &views_found))
     })?;
@@ -226,7 +226,7 @@ fn hint(target: &CalibrationTarget, BoardViews { gathered, .. }: &BoardViews) ->
         CalibrationTarget::Chessboard(Chessboard { markers: Some(_), .. }) if is_nowhere => {
             " (are these its counts of squares and its dictionary, and is the square at the top left black?)".to_owned()
         }
-        _ if gathered.moving > 0 && gathered.chooser.taken().is_empty() => {
+        _ if gathered.moving > 0 && gathered.selector.taken().is_empty() => {
             " (hold the board still for a moment at each place; pass photographs that are not consecutive frames as a \
              folder or as files)"
                 .to_owned()
@@ -237,7 +237,7 @@ fn hint(target: &CalibrationTarget, BoardViews { gathered, .. }: &BoardViews) ->
 
 fn report_of_views(found: &LensCalibration, views_found: &BoardViews) -> Value {
     let BoardViews { gathered, files_left_out, taken, left_out } = views_found;
-    let points = gathered.chooser.target().points();
+    let points = gathered.selector.target().points();
     let views: Vec<_> = found
         .views
         .iter()
@@ -259,8 +259,8 @@ fn report_of_views(found: &LensCalibration, views_found: &BoardViews) -> Value {
     report["files_left_out"] = json!(files_left_out);
     let of_file = |(file, why): &(PathBuf, String)| json!({"file": file, "why": why});
     report["left_out"] = json!(left_out.iter().map(of_file).collect::<Vec<_>>());
-    report["coverage"] = json!(gathered.chooser.coverage().share());
-    report["width"] = found.width.map_or(Value::Null, |width| {
+    report["coverage"] = json!(gathered.selector.coverage().share());
+    report["width"] = found.diameter_check.map_or(Value::Null, |width| {
         json!({
             "ratio": width.ratio,
             "deviation": width.deviation,
@@ -309,16 +309,16 @@ fn table(found: &LensCalibration, views_found: &BoardViews) -> anyhow::Result<St
         "{used} views used, {} left out, {} {} left out; rms {:.3} px; {} % of the picture covered",
         found.views.len() - used,
         found.outliers,
-        gathered.chooser.target().points(),
+        gathered.selector.target().points(),
         found.rms_px,
-        (gathered.chooser.coverage().share() * 100.0).round()
+        (gathered.selector.coverage().share() * 100.0).round()
     )?;
     write_parameters(&mut text, found)?;
     if let Some(doubt) = width_doubt(found) {
         writeln!(text, "Warning: {doubt}")?;
     }
     write_evidence(&mut text, found)?;
-    write_missing(&mut text, &gathered.chooser.coverage().wants())?;
+    write_missing(&mut text, &gathered.selector.coverage().missing_views())?;
     Ok(text)
 }
 
@@ -337,7 +337,7 @@ pub(super) fn write_evidence(text: &mut String, found: &LensCalibration) -> std:
     }
     writeln!(
         text,
-        "Distortion models (BIC above the lowest; the simplest model below {STRONG} is selected):"
+        "Distortion models (BIC above the lowest; the simplest model below {STRONG_EVIDENCE} is selected):"
     )?;
     for evidence in &found.evidence {
         let model = format!("{} ({})", evidence.model.ros_name(), evidence.model.names().join(" "));

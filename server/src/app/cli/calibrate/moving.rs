@@ -3,7 +3,7 @@
 use std::{fmt::Write as _, path::Path, process::ExitCode, time::Duration};
 
 use anyhow::Context;
-use roundel_core::calib::lens::moving::{MovingLens, Seen, calibrate};
+use roundel_core::calib::lens::moving::{MovingInput, MovingLens, calibrate};
 use serde_json::json;
 
 use super::lens::{self, LensArgs};
@@ -18,14 +18,14 @@ pub(super) fn run(arguments: &LensArgs, file: &Path, camera: &str) -> anyhow::Re
         bar.set_message(format!("fusing the other cameras' observations: {seconds:.1} s"));
         bar.tick();
     })?;
-    let Correspondences { size, ways, glimpses, clock, damage, .. } = &correspondences;
+    let Correspondences { size, trajectories, observations, clock, damage, .. } = &correspondences;
     for sentence in damage {
         bar.suspend(|| eprintln!("{}: damaged: {sentence}", file.display()));
     }
-    bar.set_message(format!("solving: {} sightings", glimpses.len()));
+    bar.set_message(format!("solving: {} sightings", observations.len()));
     bar.enable_steady_tick(Duration::from_millis(200));
-    let seen = Seen { size: *size, ways, glimpses, clock: *clock };
-    let found = calibrate(&seen, arguments.model);
+    let input = MovingInput { size: *size, trajectories, observations, clock: *clock };
+    let found = calibrate(&input, arguments.model);
     bar.finish_and_clear();
     let found = found
         .with_context(|| format!("no lens was found: {}", summary(camera, &correspondences)))?;
@@ -38,11 +38,11 @@ pub(super) fn run(arguments: &LensArgs, file: &Path, camera: &str) -> anyhow::Re
 }
 
 fn summary(camera: &str, correspondences: &Correspondences) -> String {
-    let Correspondences { ways, glimpses, frames, unmatched, .. } = correspondences;
+    let Correspondences { trajectories, observations, frames, unmatched, .. } = correspondences;
     format!(
         "{frames} frames of \"{camera}\", {} sightings of {} roundels that other cameras saw, {unmatched} of other roundels",
-        glimpses.len(),
-        ways.len()
+        observations.len(),
+        trajectories.len()
     )
 }
 
@@ -55,15 +55,15 @@ fn report(found: &MovingLens, correspondences: &Correspondences) -> serde_json::
         "frames": correspondences.frames,
         "sightings": found.sightings,
         "unwitnessed": correspondences.unmatched,
-        "roundels": correspondences.ways.len(),
+        "roundels": correspondences.trajectories.len(),
         "coverage": found.coverage(),
         "depths_m": found.depths_m,
         "position_m": place.translation.vector.as_slice(),
         "orientation_xyzw": place.rotation.coords.as_slice(),
         "pose_deviations": deviations,
         "clock_late_s": {"value": found.offset_s.0, "deviation": found.offset_s.1},
-        "rim_deviation_px": found.unstated.0,
-        "stamp_deviation_s": found.unstated.1,
+        "rim_deviation_px": found.estimated_noise.0,
+        "stamp_deviation_s": found.estimated_noise.1,
         "missing": found.missing.iter().map(ToString::to_string).collect::<Vec<_>>(),
     });
     if let (Some(report), serde_json::Value::Object(more)) = (report.as_object_mut(), more) {

@@ -102,13 +102,13 @@ pub(super) fn collect_from_stream(
             return Err(error.to_string());
         }
         if !bar.is_hidden() {
-            let map = coverage::render(gathered.chooser.coverage());
+            let map = coverage::render(gathered.selector.coverage());
             bar.set_message(format!("{}\n{map}", search.message()));
         } else if logged.elapsed() >= LOG_INTERVAL {
             logged = Instant::now();
             eprintln!("{}", search.message());
         }
-        Ok(gathered.is_complete() || gathered.chooser.taken().len() >= views.max_views)
+        Ok(gathered.is_complete() || gathered.selector.taken().len() >= views.max_views)
     };
     let opened = OpenedSource { address: address.clone(), rules: None, size: views.size };
     match for_each_source_frame(&opened, &stop, &mut look) {

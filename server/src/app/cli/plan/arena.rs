@@ -6,9 +6,12 @@ use anyhow::{Context, bail};
 use roundel_core::{
     marker::Kind,
     plan::{
-        Trials,
-        map::{Field, map},
-        search::{Grid, Wish, fewest as search, fewest_of_any_size as search_with_size, scaled},
+        TrialCache,
+        map::{MapArea, map},
+        search::{
+            Grid, Requirements, fewest_cameras as search,
+            fewest_cameras_of_any_size as search_with_size, scaled,
+        },
     },
 };
 use serde_json::{Value, json};
@@ -45,15 +48,16 @@ pub(super) fn plan_installation(
     }
     let kind = configured_kind(arguments, &config)?;
     let imaging = arguments.imaging();
-    let trials = Trials::default();
+    let trials = TrialCache::default();
     let cameras: Vec<PlannedCamera> =
         config.cameras.iter().map(|camera| planned_camera(camera, imaging, &trials)).collect();
     let stations = usable_stations(&cameras).map_err(anyhow::Error::msg)?;
-    let seen = Field::seen_by(&stations, arguments.height(), DEFAULT_SPOTS).with_context(|| {
-        format!("no camera sees the plane --height {} m from above", arguments.height())
-    })?;
-    let field = Field { step_m: arguments.step.unwrap_or(seen.step_m), ..seen };
-    let map = PlanMap::of(&map(&stations, &kind, field)?, &kind.name, &cameras);
+    let seen =
+        MapArea::seen_by(&stations, arguments.height(), DEFAULT_SPOTS).with_context(|| {
+            format!("no camera sees the plane --height {} m from above", arguments.height())
+        })?;
+    let area = MapArea { step_m: arguments.step.unwrap_or(seen.step_m), ..seen };
+    let map = PlanMap::of(&map(&stations, &kind, area)?, &kind.name, &cameras);
     ArenaPlan { kind, size: Size::Given, map, grid: None }.report(arguments, &cameras)
 }
 
@@ -91,22 +95,28 @@ pub(super) fn plan_arena(
     };
     let half_m = arena_m.map(|side| 0.5 * side);
     let step_m = arguments.step.unwrap_or((arena_m[0] * arena_m[1] / DEFAULT_SPOTS as f64).sqrt());
-    let field = Field {
-        low_m: half_m.map(|half| -half),
-        high_m: half_m,
+    let area = MapArea {
+        min_m: half_m.map(|half| -half),
+        max_m: half_m,
         height_m: arguments.height(),
         step_m,
     };
     let most_m = arguments.most_m();
-    let wish = Wish { field, mount_m, views: arguments.views, share: arguments.share, most_m };
+    let requirements = Requirements {
+        area,
+        mount_m,
+        views: arguments.views,
+        share: arguments.share,
+        max_m: most_m,
+    };
     let (kind, size, grid) = match (arguments.marker, most_m) {
         (None, Some(_)) => {
-            let (outer_m, grid) = search_with_size(&sensor, doubt.as_ref(), &kind, &wish)?;
+            let (outer_m, grid) = search_with_size(&sensor, doubt.as_ref(), &kind, &requirements)?;
             (scaled(&kind, outer_m), Size::Searched, grid)
         }
         (marker, _) => {
             let size = if marker.is_some() { Size::Given } else { Size::Assumed };
-            let grid = search(&sensor, doubt.as_ref(), &kind, &wish)?;
+            let grid = search(&sensor, doubt.as_ref(), &kind, &requirements)?;
             (kind, size, grid)
         }
     };
@@ -117,7 +127,7 @@ pub(super) fn plan_arena(
             station: Ok(Box::new(station.clone())),
         })
         .collect();
-    let map = PlanMap::of(&map(&grid.stations, &kind, field)?, &kind.name, &cameras);
+    let map = PlanMap::of(&map(&grid.stations, &kind, area)?, &kind.name, &cameras);
     ArenaPlan { kind, size, map, grid: Some(grid) }.report(arguments, &cameras)
 }
 

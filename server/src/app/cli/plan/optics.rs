@@ -3,7 +3,7 @@
 use anyhow::{Context, bail};
 use roundel_core::{
     camera::{Camera, Intrinsics, Lens, PixelPoint},
-    plan::{Sensor, Trials, precision::LensDoubt},
+    plan::{Sensor, TrialCache, precision::LensUncertainty},
 };
 
 use super::PlanArgs;
@@ -13,7 +13,9 @@ use crate::model::camera_file;
 const FOV_RANGE_DEG: std::ops::RangeInclusive<f64> = 1.0..=150.0;
 
 /// The camera, the uncertainty of its lens, and its name in the report.
-pub(super) fn sensor(arguments: &PlanArgs) -> anyhow::Result<(Sensor, Option<LensDoubt>, String)> {
+pub(super) fn sensor(
+    arguments: &PlanArgs,
+) -> anyhow::Result<(Sensor, Option<LensUncertainty>, String)> {
     let (camera, uncertainty, name) = if let Some(path) = &arguments.camera {
         let (camera, uncertainty) = camera_file::load_with_uncertainty(path)?;
         (camera, uncertainty, path.display().to_string())
@@ -26,7 +28,7 @@ pub(super) fn sensor(arguments: &PlanArgs) -> anyhow::Result<(Sensor, Option<Len
         );
     };
     let (imaging, mode) = (arguments.imaging(), arguments.mode.unwrap_or_default());
-    let sensor = Sensor { camera, imaging, mode, trials: Trials::default() };
+    let sensor = Sensor { camera, imaging, mode, trials: TrialCache::default() };
     Ok((sensor, uncertainty, name))
 }
 

@@ -7,9 +7,9 @@ use roundel_core::{
     marker::Kind,
     plan::{
         Sensor, paper,
-        precision::{Expected, expect},
-        reach::{Reach, before, reach},
-        search::{scaled, smallest_m},
+        precision::{Prediction, predict},
+        range::{DetectionRange, detection_range, pose_in_front},
+        search::{scaled, smallest_diameter_m},
     },
 };
 use serde_json::{Value, json};
@@ -28,9 +28,9 @@ struct PlanResult {
     sensor: Sensor,
     kind: Kind,
     was_searched: bool,
-    reach: Reach,
+    range: DetectionRange,
     distance_m: f64,
-    expected: Expected,
+    expected: Prediction,
     has_doubt: bool,
     motion_px: f64,
     times: FrameTimes,
@@ -55,25 +55,26 @@ fn plan_camera(arguments: &PlanArgs) -> anyhow::Result<PlanResult> {
             bail!("--precision: the required roundel depends on its distance: add --distance M");
         };
         let most_m = arguments.most_m();
-        let at = (distance_m, tilt_rad);
-        kind = scaled(&kind, smallest_m(&sensor, doubt.as_ref(), &kind, at, most_m)?);
+        let doubt = doubt.as_ref();
+        let outer_m = smallest_diameter_m(&sensor, doubt, &kind, distance_m, tilt_rad, most_m)?;
+        kind = scaled(&kind, outer_m);
     }
-    let reach = reach(&sensor, &kind, tilt_rad)?;
-    let distance_m = arguments.distance.unwrap_or(0.5 * (reach.least_m + reach.most_m));
+    let range = detection_range(&sensor, &kind, tilt_rad)?;
+    let distance_m = arguments.distance.unwrap_or(0.5 * (range.min_m + range.max_m));
     if !(distance_m > 0.0 && distance_m.is_finite()) {
         bail!("--distance: expected metres above 0, found {distance_m}");
     }
-    let pose = before(NormalizedPoint::default(), distance_m, tilt_rad);
-    let expected = expect(&sensor, doubt.as_ref(), &kind, &pose).with_context(|| {
+    let pose = pose_in_front(NormalizedPoint::default(), distance_m, tilt_rad);
+    let expected = predict(&sensor, doubt.as_ref(), &kind, &pose).with_context(|| {
         format!(
             "--distance: a roundel of {:.0} mm tilted by {:.0}° is detected from {:.2} to {:.2} m, not at {distance_m} m",
             kind.outer_diameter_m * 1e3,
             tilt_rad.to_degrees(),
-            reach.least_m,
-            reach.unread.map_or(reach.most_m, |ring| ring.most_m)
+            range.min_m,
+            range.unread.map_or(range.max_m, |ring| ring.max_m)
         )
     })?;
-    let ring = &expected.sighting.ring.outer;
+    let ring = &expected.image.ring.outer;
     // Tilt does not change the longer diameter.
     let per_m = 2.0 * ring.semi_major_px / kind.outer_diameter_m;
     let diameter_px = 2.0 * ring.mean_radius_px();
@@ -84,7 +85,7 @@ fn plan_camera(arguments: &PlanArgs) -> anyhow::Result<PlanResult> {
         sensor,
         kind,
         was_searched,
-        reach,
+        range,
         distance_m,
         expected,
         has_doubt: doubt.is_some(),
@@ -107,7 +108,7 @@ fn paper_pinhole(sensor: &Sensor, kind: &Kind, tilt_rad: f64) -> paper::Pinhole 
         focal_px: [*fx_px, *fy_px],
         outer_m: kind.outer_diameter_m,
         tilt_rad: [tilt_rad, 0.0],
-        least_px: paper::LEAST_DIAMETER_PX,
+        min_px: paper::MIN_DIAMETER_PX,
         shrink,
     }
 }
@@ -121,7 +122,7 @@ impl PlanResult {
     }
 
     fn table(&self, arguments: &PlanArgs) -> String {
-        let Self { sensor, kind, reach, expected, paper, .. } = self;
+        let Self { sensor, kind, range, expected, paper, .. } = self;
         let camera = &sensor.camera;
         let field = |deg: Option<f64>| deg.map_or("?".to_owned(), |deg| format!("{deg:.1}°"));
         let [wide, high] = optics::fields_deg(camera).map(field);
@@ -153,27 +154,27 @@ impl PlanResult {
         let mut row = |what: &str, plan: String, paper: Option<String>| {
             lines.push(format!("{what:36} {plan:>12} {:>12}", paper.unwrap_or_default()));
         };
-        let (least, most) = (paper.least_distance_m(), paper.most_distance_m());
-        row("minimum distance, any rotation", metres(reach.least_m), Some(metres(least)));
+        let (least, most) = (paper.min_distance_m(), paper.max_distance_m());
+        row("minimum distance, any rotation", metres(range.min_m), Some(metres(least)));
         let farthest =
-            if reach.unread.is_some() { "maximum distance, code read" } else { "maximum distance" };
-        row(&format!("{farthest}, on axis"), metres(reach.most_m), Some(metres(most)));
-        let papers_corner = metres(paper.most_corner_distance_m());
-        row(&format!("{farthest}, corners"), metres(reach.most_corner_m), Some(papers_corner));
-        row("  width x height covered there", sides(reach.base_m), Some(sides(paper.base_m())));
-        if let Some(ring) = reach.unread {
-            row("maximum distance, code not read", metres(ring.most_m), None);
-            row("minimum diameter, code read", pixels(reach.least_minor_px), None);
+            if range.unread.is_some() { "maximum distance, code read" } else { "maximum distance" };
+        row(&format!("{farthest}, on axis"), metres(range.max_m), Some(metres(most)));
+        let papers_corner = metres(paper.max_corner_distance_m());
+        row(&format!("{farthest}, corners"), metres(range.max_corner_m), Some(papers_corner));
+        row("  width x height covered there", sides(range.base_m), Some(sides(paper.base_m())));
+        if let Some(ring) = range.unread {
+            row("maximum distance, code not read", metres(ring.max_m), None);
+            row("minimum diameter, code read", pixels(range.min_minor_px), None);
         }
-        let found_px = reach.unread.map_or(reach.least_minor_px, |ring| ring.least_minor_px);
-        row("minimum diameter, detected", pixels(found_px), Some(pixels(paper.least_px)));
+        let found_px = range.unread.map_or(range.min_minor_px, |ring| ring.min_minor_px);
+        row("minimum diameter, detected", pixels(found_px), Some(pixels(paper.min_px)));
         row(
             &format!("diameter at {:.2} m", self.distance_m),
-            pixels(expected.sighting.minor_px),
+            pixels(expected.image.minor_px),
             None,
         );
-        if reach.unread.is_some() {
-            let read = if expected.is_read { "read" } else { "not read" };
+        if range.unread.is_some() {
+            let read = if expected.is_readable { "read" } else { "not read" };
             row("  code", read.to_owned(), None);
         }
         let papers_depth = millimetres(self.paper_depth_error_m());
@@ -203,7 +204,7 @@ impl PlanResult {
     }
 
     fn json(&self, arguments: &PlanArgs) -> Value {
-        let Self { reach, expected, paper, kind, .. } = self;
+        let Self { range, expected, paper, kind, .. } = self;
         let frame_s = self.times.median_s(arguments.lost());
         json!({
             "outer_m": kind.outer_diameter_m,
@@ -211,17 +212,17 @@ impl PlanResult {
             "code": roundel::code(kind),
             "outer_was_searched": self.was_searched,
             "tilt_deg": arguments.tilt(),
-            "least_distance_m": reach.least_m,
-            "most_distance_m": reach.most_m,
-            "most_corner_distance_m": reach.most_corner_m,
-            "base_m": reach.base_m,
-            "least_minor_px": reach.least_minor_px,
-            "code_unread": reach.unread.map(|ring| {
-                json!({"most_distance_m": ring.most_m, "least_minor_px": ring.least_minor_px})
+            "least_distance_m": range.min_m,
+            "most_distance_m": range.max_m,
+            "most_corner_distance_m": range.max_corner_m,
+            "base_m": range.base_m,
+            "least_minor_px": range.min_minor_px,
+            "code_unread": range.unread.map(|ring| {
+                json!({"most_distance_m": ring.max_m, "least_minor_px": ring.min_minor_px})
             }),
             "distance_m": self.distance_m,
-            "minor_px": expected.sighting.minor_px,
-            "code_is_read": reach.unread.map(|_| expected.is_read),
+            "minor_px": expected.image.minor_px,
+            "code_is_read": range.unread.map(|_| expected.is_readable),
             "depth_deviation_m": expected.depth_m(),
             "across_deviation_m": expected.across_m(),
             "position_deviation_m": expected.position_m(),
@@ -234,11 +235,11 @@ impl PlanResult {
             "times": times_source(arguments, &self.times),
             "lens_uncertainty_known": self.has_doubt,
             "paper": {
-                "least_distance_m": paper.least_distance_m(),
-                "most_distance_m": paper.most_distance_m(),
-                "most_corner_distance_m": paper.most_corner_distance_m(),
+                "least_distance_m": paper.min_distance_m(),
+                "most_distance_m": paper.max_distance_m(),
+                "most_corner_distance_m": paper.max_corner_distance_m(),
                 "base_m": paper.base_m(),
-                "least_minor_px": paper.least_px,
+                "least_minor_px": paper.min_px,
                 "depth_deviation_m": self.paper_depth_error_m(),
             },
         })

@@ -1,0 +1,310 @@
+//! Bundle adjustment over all cameras and times.
+//!
+//! Unknowns: pose, clock and optionally lens of each camera, and the spline of each roundel. The splines are eliminated
+//! exactly ([`super::track_block`]), in parallel over roundels; sums are made in the order of roundels, so the result is
+//! reproducible. The reduced camera equations are solved by damped steps
+//! ([`crate::least_squares`]).
+//!
+//! The initial poses may be off by centimetres while a sighting is good to half a millimetre. The scale of the robust loss
+//! therefore starts at the observed residuals and decreases with their median (graduated non-convexity: Blake, Zisserman
+//! 1987).
+//!
+//! The covariance is K = H⁻¹ M H⁻¹ with the information H of the cameras and the scatter M of the gradients of time blocks
+//! of [`BLOCK_S`] (White 1980; Liang, Zeger 1986), because errors of a roundel in a camera are correlated over about a
+//! second. References and priors contribute to M as stated.
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use super::{
+    camera_block::{CameraBlock, UNKNOWNS},
+    track_block::{Reduced, TrackBlock, loss, unknowns_per_camera},
+};
+use crate::{
+    least_squares::{Damping, LeastSquares, damped},
+    robust::median,
+};
+
+/// Final scale of the robust loss (χ², 3 degrees of freedom: 1 - 10⁻³).
+const SCALE: f64 = 16.0;
+/// Scale without robust weights.
+const UNWEIGHTED: f64 = 1e12;
+/// Median of χ² with 3 degrees of freedom.
+const MEDIAN: f64 = 2.366;
+/// Duration of independent time blocks, seconds.
+const BLOCK_S: f64 = 5.0;
+const MAX_STEPS: usize = 60;
+/// The adjustment ends when no unknown changes by more than this, in standard deviations.
+const CONVERGED: f64 = 1e-3;
+const MAX_DAMPING: f64 = 1e6;
+
+/// Prior deviations of a camera's clock and lens; its pose is free.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Prior {
+    /// Offset s, skew, ln f, principal point px, coefficient.
+    pub(crate) deviations: [f64; UNKNOWNS - 6],
+}
+
+/// State of the adjustment.
+pub(crate) struct Bundle {
+    pub(crate) blocks: Vec<CameraBlock>,
+    pub(crate) tracks: Vec<TrackBlock>,
+    pub(crate) priors: Vec<Prior>,
+    /// Largest change of an unknown in the last step, in its conditional standard deviation.
+    step_length: f64,
+}
+
+pub(crate) struct Outcome {
+    /// Over the unknowns of all cameras.
+    pub(crate) covariance: DMatrix<f64>,
+    /// Unknowns per camera.
+    pub(crate) unknowns: usize,
+    pub(crate) steps: usize,
+    /// Median ratio of errors to stated deviations.
+    pub(crate) excess: f64,
+}
+
+/// Why the adjustment has no result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum AdjustError {
+    /// An unknown is undetermined or not finite.
+    Undetermined,
+    /// Cancelled by the caller.
+    Cancelled,
+}
+
+/// Reduced camera equations.
+pub(crate) struct Equations {
+    information: DMatrix<f64>,
+    gradient: DVector<f64>,
+    reduced: Vec<Reduced>,
+}
+
+impl LeastSquares for Bundle {
+    type Normal = Equations;
+
+    fn cost(&self, scale: f64) -> Option<f64> {
+        Some(self.total_cost(scale))
+    }
+
+    fn normal(&self, scale: f64) -> Option<Equations> {
+        self.equations(scale)
+    }
+
+    fn stepped(&self, equations: &Equations, damping: f64) -> Option<Self> {
+        let information = damped(equations.information.clone(), damping);
+        let change = information.cholesky()?.solve(&equations.gradient);
+        change.iter().all(|value| value.is_finite()).then(|| self.moved(equations, &change))
+    }
+}
+
+impl Bundle {
+    pub(crate) fn new(
+        blocks: Vec<CameraBlock>,
+        tracks: Vec<TrackBlock>,
+        priors: Vec<Prior>,
+    ) -> Self {
+        Self { blocks, tracks, priors, step_length: f64::INFINITY }
+    }
+
+    /// Adjusts everything. Calls `go_on` before each step with the number of steps and the length of the last one
+    /// in standard deviations.
+    pub(crate) fn adjust(
+        &mut self,
+        mut go_on: impl FnMut(usize, f64) -> bool,
+    ) -> Result<Outcome, AdjustError> {
+        self.solve_splines()?;
+        let mut damping = Damping { value: 1e-6, min: 1e-9, max: MAX_DAMPING };
+        for step in 0..MAX_STEPS {
+            if !go_on(step, self.step_length) {
+                return Err(AdjustError::Cancelled);
+            }
+            let scale = self.scale();
+            let cost = self.total_cost(scale);
+            let lower = damping.step(self, scale, cost).ok_or(AdjustError::Undetermined)?;
+            if lower.is_none() || self.step_length < CONVERGED {
+                return self.outcome(step + 1);
+            }
+        }
+        self.outcome(MAX_STEPS)
+    }
+
+    /// Fits the splines to the current cameras: unweighted first, then robustly.
+    fn solve_splines(&mut self) -> Result<(), AdjustError> {
+        for is_first in [true, false] {
+            let scale = if is_first { UNWEIGHTED } else { self.scale() };
+            let blocks = &self.blocks;
+            let splines: Vec<_> = self
+                .tracks
+                .par_iter()
+                .map(|track| track.solved_spline(blocks, scale))
+                .collect::<Option<_>>()
+                .ok_or(AdjustError::Undetermined)?;
+            for (track, spline) in self.tracks.iter_mut().zip(splines) {
+                track.spline = spline;
+            }
+        }
+        Ok(())
+    }
+
+    /// Scale of the robust loss: squares of this size have a quarter of their weight.
+    fn scale(&self) -> f64 {
+        SCALE * self.excess_squared().max(1.0)
+    }
+
+    /// Median square over its expectation.
+    fn excess_squared(&self) -> f64 {
+        let mut squares: Vec<f64> =
+            self.tracks.par_iter().flat_map_iter(|track| track.squares(&self.blocks)).collect();
+        excess_squared(&mut squares)
+    }
+
+    fn equations(&self, scale: f64) -> Option<Equations> {
+        let dims = unknowns_per_camera(&self.blocks);
+        let size = dims * self.blocks.len();
+        let reduced: Vec<Reduced> = self
+            .tracks
+            .par_iter()
+            .map(|track| track.reduce(&self.blocks, scale))
+            .collect::<Option<_>>()?;
+        let mut information = DMatrix::zeros(size, size);
+        let mut gradient = DVector::zeros(size);
+        for (track, part) in self.tracks.iter().zip(&reduced) {
+            let columns = columns_of(&track.cameras, dims);
+            for (i, &row) in columns.iter().enumerate() {
+                gradient[row] += part.gradient[i];
+                for (j, &column) in columns.iter().enumerate() {
+                    information[(row, column)] += part.information[i * columns.len() + j];
+                }
+            }
+        }
+        for (camera, block) in self.blocks.iter().enumerate() {
+            for (number, value, weight) in self.camera_priors(camera, block, dims) {
+                let at = camera * dims + number;
+                information[(at, at)] += weight;
+                gradient[at] -= weight * value;
+            }
+        }
+        Some(Equations { information, gradient, reduced })
+    }
+
+    /// Index, value and weight of each prior of a camera.
+    fn camera_priors(
+        &self,
+        camera: usize,
+        block: &CameraBlock,
+        dims: usize,
+    ) -> impl Iterator<Item = (usize, f64, f64)> {
+        let lens = block.lens_change();
+        let values = [block.offset_s, block.skew, lens[0], lens[1], lens[2], lens[3]];
+        let deviations = self.priors[camera].deviations;
+        (0..dims - 6).map(move |i| (6 + i, values[i], deviations[i].powi(-2)))
+    }
+
+    fn moved(&self, equations: &Equations, change: &DVector<f64>) -> Bundle {
+        let along = |i: usize| change[i].abs() * equations.information[(i, i)].sqrt();
+        let step_length = (0..change.len()).map(along).fold(0.0, f64::max);
+        let dims = unknowns_per_camera(&self.blocks);
+        let blocks = self
+            .blocks
+            .iter()
+            .enumerate()
+            .map(|(camera, block)| {
+                let mut step = [0.0; UNKNOWNS];
+                step[..dims]
+                    .copy_from_slice(&change.as_slice()[camera * dims..(camera + 1) * dims]);
+                block.moved(&step)
+            })
+            .collect();
+        let tracks = self
+            .tracks
+            .par_iter()
+            .zip(&equations.reduced)
+            .map(|(track, reduced)| {
+                let columns = columns_of(&track.cameras, dims);
+                let step: Vec<f64> = columns.iter().map(|&column| change[column]).collect();
+                TrackBlock { spline: track.stepped(reduced, &step), ..track.clone() }
+            })
+            .collect();
+        Bundle { blocks, tracks, priors: self.priors.clone(), step_length }
+    }
+
+    fn total_cost(&self, scale: f64) -> f64 {
+        let parts: Vec<f64> =
+            self.tracks.par_iter().map(|track| track.cost(&self.blocks, scale)).collect();
+        let dims = unknowns_per_camera(&self.blocks);
+        let camera_priors = self.blocks.iter().enumerate().flat_map(|(camera, block)| {
+            self.camera_priors(camera, block, dims).map(|(_, value, weight)| value * value * weight)
+        });
+        parts.iter().sum::<f64>() + camera_priors.sum::<f64>()
+    }
+
+    fn outcome(&self, steps: usize) -> Result<Outcome, AdjustError> {
+        let scale = self.scale();
+        let equations = self.equations(scale).ok_or(AdjustError::Undetermined)?;
+        let covariance = self.covariance(&equations, scale).ok_or(AdjustError::Undetermined)?;
+        let excess = self.excess_squared().sqrt();
+        Ok(Outcome { covariance, unknowns: unknowns_per_camera(&self.blocks), steps, excess })
+    }
+
+    fn covariance(&self, equations: &Equations, scale: f64) -> Option<DMatrix<f64>> {
+        let dims = unknowns_per_camera(&self.blocks);
+        let size = equations.gradient.len();
+        let inverse = equations.information.clone().cholesky()?.inverse();
+        let scores: Vec<Vec<Vec<f64>>> = self
+            .tracks
+            .par_iter()
+            .zip(&equations.reduced)
+            .map(|(track, reduced)| match track.stated {
+                // Errors of references are those stated.
+                Some(_) => Vec::new(),
+                None => track.scores(reduced, &self.blocks, scale, BLOCK_S),
+            })
+            .collect();
+        let (mut spread_of, mut stated) = (DMatrix::zeros(size, size), DMatrix::zeros(size, size));
+        let mut moving = DMatrix::zeros(size, size);
+        let mut block_count = 0;
+        for ((track, reduced), scores) in self.tracks.iter().zip(&equations.reduced).zip(&scores) {
+            let columns = columns_of(&track.cameras, dims);
+            let target = if track.stated.is_some() { &mut stated } else { &mut moving };
+            for (i, &row) in columns.iter().enumerate() {
+                for (j, &column) in columns.iter().enumerate() {
+                    target[(row, column)] += reduced.information[i * columns.len() + j];
+                    for score in scores {
+                        spread_of[(row, column)] += score[i] * score[j];
+                    }
+                }
+            }
+            block_count += scores.len();
+        }
+        for (camera, block) in self.blocks.iter().enumerate() {
+            for (number, _, weight) in self.camera_priors(camera, block, dims) {
+                stated[(camera * dims + number, camera * dims + number)] += weight;
+            }
+        }
+        if block_count > 0 {
+            // With few blocks, blend with the stated covariance scaled by their mean inflation.
+            let part = |middle: &DMatrix<f64>| (&inverse * middle * &inverse).trace();
+            let inflation = part(&spread_of) / part(&moving).max(f64::MIN_POSITIVE);
+            let few = size as f64 / (size + block_count) as f64;
+            spread_of = spread_of * (1.0 - few) + moving * (inflation * few);
+        }
+        Some(&inverse * (spread_of + stated) * &inverse)
+    }
+}
+
+/// Median of squared errors with three components over its expectation; 1 if empty.
+pub(crate) fn excess_squared(squares: &mut [f64]) -> f64 {
+    median(squares).map_or(1.0, |median| median.min(1e12) / MEDIAN)
+}
+
+/// Columns of the unknowns of these cameras.
+fn columns_of(cameras: &[usize], dims: usize) -> Vec<usize> {
+    cameras.iter().flat_map(|camera| camera * dims..(camera + 1) * dims).collect()
+}
+
+/// Whether a sighting with this square has less than a quarter of its weight.
+pub(crate) fn is_outlier(square: f64, excess: f64) -> bool {
+    let scale = SCALE * (excess * excess).max(1.0);
+    loss(square, scale) > 0.5 * scale
+}

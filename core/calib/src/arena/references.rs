@@ -1,0 +1,324 @@
+//! Reference roundels among the samples, and the cameras located by them.
+//!
+//! Coded references are identified by their codes; uncoded ones by their mutual distances among the stationary roundels
+//! ([`roundel_fusion::world::reference::identify`]). The samples of a camera are averaged: if a share q of the variance Σ
+//! is correlated over a time τ, the mean over T ≫ τ and N frames has Σ (q min(1, 2 τ / T) + (1 - q) / N). References that
+//! were moved during the recording show by differing means over time; references at a wrong stated position show by the
+//! effect of leaving them out.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::{
+    ArenaCamera, ArenaError, ArenaParams, CameraPoses, LensDeviation,
+    recording::{RoundelKey, RoundelSamples, Sample, SamplesByRoundel},
+};
+use roundel_fusion::world::{
+    Landmark,
+    reference::{self, Reference, Sighting, align_stated},
+};
+use roundel_vision::{
+    camera::Camera,
+    id::CameraId,
+    rigid::{Rigid, mahalanobis_squared},
+};
+
+/// Duration of the compared means, seconds.
+const BLOCK_S: f64 = 2.0;
+/// Means that differ by more than both limits indicate motion.
+const MOVED_DEVIATIONS: f64 = 6.0;
+const MOVED_M: f64 = 0.003;
+/// Maximum rms spread of a stationary roundel beyond its noise, metres.
+const STATIONARY_M: f64 = 0.003;
+/// Squared Mahalanobis distance of an outlier (χ², 3 degrees of freedom: 1 - 10⁻⁶).
+const OUTLIER_SQUARED: f64 = 30.7;
+/// Minimum distance of an outlier from its stated position, metres.
+const MIN_OUTLIER_M: f64 = 0.002;
+
+/// A reference and its observations.
+#[derive(Clone, Debug)]
+pub(super) struct ObservedReference {
+    /// Index in the given order.
+    pub(super) index: usize,
+    pub(super) position_m: Vector3<f64>,
+    pub(super) deviation_m: f64,
+    /// Mean sample of each camera that sees it.
+    pub(super) seen: Vec<(usize, Sample)>,
+}
+
+/// All usable references.
+#[derive(Clone, Debug, Default)]
+pub(super) struct ReferenceSet {
+    pub(super) references: Vec<ObservedReference>,
+    /// Pose of each camera from the references alone.
+    pub(super) camera_poses: CameraPoses,
+    /// Reference, camera, distance moved.
+    pub(super) moved: Vec<(usize, usize, f64)>,
+    /// Reference, camera, distance from the stated position.
+    pub(super) misplaced: Vec<(usize, usize, f64)>,
+    pub(super) unseen: Vec<usize>,
+}
+
+/// Removes the references from the samples and locates the cameras that see three or more.
+pub(super) fn take(
+    by_roundel: &mut SamplesByRoundel,
+    cameras: &[ArenaCamera],
+    landmarks: &[Landmark],
+    params: &ArenaParams,
+) -> Result<ReferenceSet, ArenaError> {
+    let index_of = |id: CameraId| cameras.iter().position(|camera| camera.id == id);
+    let mut reference_set =
+        ReferenceSet { camera_poses: vec![None; cameras.len()], ..ReferenceSet::default() };
+    let mut seen = coded(by_roundel, landmarks);
+    for camera in cameras {
+        uncoded(by_roundel, camera.id, landmarks, &mut seen, params);
+    }
+    for (index, landmark) in landmarks.iter().enumerate() {
+        let mut means = Vec::new();
+        for (camera, seen) in seen.remove(&index).unwrap_or_default() {
+            let Some(camera) = index_of(camera) else { continue };
+            let (mean, moved_m) = mean(&seen.samples, params);
+            match (mean, moved_m) {
+                (_, Some(moved_m)) => reference_set.moved.push((index, camera, moved_m)),
+                (Some(mean), None) => means.push((camera, mean)),
+                (None, None) => {}
+            }
+        }
+        if means.is_empty() && !reference_set.moved.iter().any(|moved| moved.0 == index) {
+            reference_set.unseen.push(index);
+        }
+        reference_set.references.push(ObservedReference {
+            index,
+            position_m: landmark.position_m,
+            deviation_m: landmark.position_deviation_m,
+            seen: means,
+        });
+    }
+    for (index, camera) in cameras.iter().enumerate() {
+        locate_camera(&mut reference_set, camera, index)?;
+    }
+    if reference_set.camera_poses.iter().all(Option::is_none) {
+        let count = |camera: usize| {
+            reference_set.references.iter().filter(|r| r.seen.iter().any(|s| s.0 == camera)).count()
+        };
+        let seen = (0..cameras.len()).map(|index| (cameras[index].id, count(index))).collect();
+        return Err(ArenaError::References { seen });
+    }
+    Ok(reference_set)
+}
+
+/// Samples of coded references by reference.
+fn coded(
+    by_roundel: &mut SamplesByRoundel,
+    landmarks: &[Landmark],
+) -> BTreeMap<usize, BTreeMap<CameraId, RoundelSamples>> {
+    let coded = landmarks.iter().enumerate().filter_map(|(index, landmark)| {
+        let name = RoundelKey::Coded(landmark.kind, landmark.code?);
+        Some((index, by_roundel.remove(&name)?))
+    });
+    coded.collect()
+}
+
+/// Moves samples of uncoded references in one camera to `seen`.
+fn uncoded(
+    by_roundel: &mut SamplesByRoundel,
+    camera: CameraId,
+    landmarks: &[Landmark],
+    seen: &mut BTreeMap<usize, BTreeMap<CameraId, RoundelSamples>>,
+    params: &ArenaParams,
+) {
+    let uncoded_indices: Vec<usize> =
+        (0..landmarks.len()).filter(|&index| landmarks[index].code.is_none()).collect();
+    if uncoded_indices.len() < 3 {
+        return;
+    }
+    let kinds: Vec<_> = uncoded_indices.iter().map(|&index| landmarks[index].kind).collect();
+    let mut stationary: Vec<(RoundelKey, Sighting)> = Vec::new();
+    for (name, seen) in by_roundel.iter() {
+        let RoundelKey::Uncoded(of, _) = name else { continue };
+        let Some(seen) = seen.get(&camera).filter(|_| *of == camera) else { continue };
+        let is_kind = seen.kind.is_some_and(|kind| kinds.contains(&kind));
+        let (Some(mean), None) = mean(&seen.samples, params) else { continue };
+        if is_kind && is_stationary(&seen.samples, &mean) {
+            let Sample { position_m, covariance, .. } = mean;
+            stationary.push((*name, Sighting { position_m, covariance }));
+        }
+    }
+    let references: Vec<Reference> = uncoded_indices
+        .iter()
+        .map(|&index| Reference {
+            position_m: landmarks[index].position_m,
+            normal: landmarks[index].orientation.map(|turn| turn * Vector3::z()),
+        })
+        .collect();
+    let sightings: Vec<Sighting> = stationary.iter().map(|(_, sighting)| *sighting).collect();
+    if sightings.len() < 3 {
+        return;
+    }
+    // The camera does not see the references.
+    let Ok(found) = reference::identify(&references, &sightings) else { return };
+    for (index, found) in std::iter::zip(uncoded_indices, found) {
+        let Some((name, _)) = found.map(|at| stationary[at]) else { continue };
+        if let Some(taken) = by_roundel.remove(&name).and_then(|mut seen| seen.remove(&camera)) {
+            seen.entry(index).or_default().insert(camera, taken);
+        }
+    }
+}
+
+fn is_stationary(samples: &[Sample], mean: &Sample) -> bool {
+    let square: f64 = samples.iter().map(|s| (s.position_m - mean.position_m).norm_squared()).sum();
+    let noise: f64 = samples.iter().map(|s| s.covariance.trace()).sum();
+    let count = samples.len() as f64;
+    square / count < 4.0 * noise / count + STATIONARY_M * STATIONARY_M
+}
+
+/// Mean with its covariance, or the distance by which it moved.
+fn mean(samples: &[Sample], params: &ArenaParams) -> (Option<Sample>, Option<f64>) {
+    let Some(first) = samples.first() else { return (None, None) };
+    let whole = average(samples, params);
+    let block = |sample: &Sample| ((sample.stamp_s - first.stamp_s) / BLOCK_S).floor() as i64;
+    let parts: Vec<Sample> = samples
+        .chunk_by(|one, other| block(one) == block(other))
+        .filter(|part| part.len() >= 5)
+        .filter_map(|part| average(part, params))
+        .collect();
+    // Compares the first and the last mean.
+    let moved_m = parts.first().zip(parts.last()).and_then(|(one, other)| {
+        let apart = other.position_m - one.position_m;
+        let square = mahalanobis_squared(&apart, &(one.covariance + other.covariance))?;
+        (square > MOVED_DEVIATIONS * MOVED_DEVIATIONS && apart.norm() > MOVED_M)
+            .then_some(apart.norm())
+    });
+    (whole, moved_m)
+}
+
+fn average(samples: &[Sample], params: &ArenaParams) -> Option<Sample> {
+    let first = samples.first()?;
+    let count = samples.len() as f64;
+    let mut information = Matrix3::zeros();
+    let mut weighted = Vector3::zeros();
+    for sample in samples {
+        let weight = sample.covariance.cholesky()?.inverse();
+        information += weight;
+        weighted += weight * sample.position_m;
+    }
+    let inverse = information.cholesky()?.inverse();
+    // All frames of a stationary roundel show the same pixels, so systematic errors do not average out.
+    let stays = params.systematic_share.clamp(0.0, 1.0);
+    let covariance = inverse * count * (stays + (1.0 - stays) / count);
+    Some(Sample { stamp_s: first.stamp_s, position_m: inverse * weighted, covariance })
+}
+
+/// Locates a camera by the references. A reference that is inconsistent with all others is left out.
+fn locate_camera(
+    reference_set: &mut ReferenceSet,
+    ArenaCamera { id, lens, lens_deviation }: &ArenaCamera,
+    camera: usize,
+) -> Result<(), ArenaError> {
+    let id = *id;
+    let widened = |seen: &Sample| with_lens_uncertainty(seen, lens, lens_deviation.as_ref());
+    loop {
+        let view = view(reference_set, camera, widened);
+        if view.len() < 3 {
+            return Ok(());
+        }
+        let pose = fit(&view).map_err(|source| ArenaError::Placing { camera: id, source })?;
+        let outlier = worst(&view, &pose);
+        if outlier.is_none() {
+            reference_set.camera_poses[camera] = Some(pose);
+            return Ok(());
+        }
+        // Unambiguous if leaving out exactly one reference makes the others consistent.
+        let without = |index: usize| {
+            let rest: Vec<_> = view.iter().filter(|one| one.0 != index).copied().collect();
+            let pose = fit(&rest).ok()?;
+            worst(&rest, &pose).is_none().then_some((index, pose))
+        };
+        let remedies: Vec<(usize, Rigid)> = if view.len() > 3 {
+            view.iter().filter_map(|one| without(one.0)).collect()
+        } else {
+            Vec::new()
+        };
+        let [(index, pose)] = remedies[..] else {
+            let offset = |one: &(usize, Stated, Sighting)| (one.0, offset(one, &pose).0);
+            return Err(ArenaError::Misplaced {
+                camera: id,
+                offs_m: view.iter().map(offset).collect(),
+            });
+        };
+        if let Some(one) = view.iter().find(|one| one.0 == index) {
+            reference_set.misplaced.push((index, camera, offset(one, &pose).0));
+        }
+        // Drop it for all cameras.
+        for reference in reference_set.references.iter_mut().filter(|one| one.index == index) {
+            reference.seen.clear();
+        }
+    }
+}
+
+/// Stated position and its standard deviation.
+type Stated = (Vector3<f64>, f64);
+
+/// References that a camera sees.
+fn view(
+    reference_set: &ReferenceSet,
+    camera: usize,
+    widened: impl Fn(&Sample) -> Sighting,
+) -> Vec<(usize, Stated, Sighting)> {
+    let seen = reference_set.references.iter().filter_map(|one| {
+        let (_, mean) = one.seen.iter().find(|(other, _)| *other == camera)?;
+        Some((one.index, (one.position_m, one.deviation_m), widened(mean)))
+    });
+    seen.collect()
+}
+
+/// Adds the uncertainty of the lens: along the line of sight by the focal length, across by the principal point.
+fn with_lens_uncertainty(
+    seen: &Sample,
+    lens: &Camera,
+    deviation: Option<&LensDeviation>,
+) -> Sighting {
+    let mut covariance = seen.covariance;
+    if let Some(LensDeviation { focal, center_px, .. }) = deviation {
+        let along = seen.position_m.normalize();
+        let along = along * along.transpose();
+        let turn_rad = center_px / lens.intrinsics().fx_px;
+        let share = along * (focal * focal) + (Matrix3::identity() - along) * (turn_rad * turn_rad);
+        covariance += share * seen.position_m.norm_squared();
+    }
+    Sighting { position_m: seen.position_m, covariance }
+}
+
+fn fit(view: &[(usize, Stated, Sighting)]) -> Result<Rigid, reference::ReferenceError> {
+    let (stated, seen): (Vec<Stated>, Vec<Sighting>) =
+        view.iter().map(|(_, stated, sighting)| (*stated, *sighting)).unzip();
+    Ok(align_stated(&stated, &seen)?.world_from_camera)
+}
+
+/// Distance from the stated position, metres, and squared Mahalanobis distance.
+fn offset(one: &(usize, Stated, Sighting), pose: &Rigid) -> (f64, f64) {
+    let (error, covariance) = error(one, pose);
+    (error.norm(), mahalanobis_squared(&error, &covariance).unwrap_or(f64::INFINITY))
+}
+
+/// Offset from the stated position, and its covariance.
+fn error(
+    (_, stated, sighting): &(usize, Stated, Sighting),
+    pose: &Rigid,
+) -> (Vector3<f64>, Matrix3<f64>) {
+    let turn = pose.rotation.to_rotation_matrix().into_inner();
+    let local_m = pose.transform_point(&sighting.position_m.into()).coords;
+    let covariance = turn * sighting.covariance * turn.transpose()
+        + Matrix3::from_diagonal_element(stated.1 * stated.1);
+    (local_m - stated.0, covariance)
+}
+
+/// Index of the worst outlier, if there is one.
+fn worst(view: &[(usize, Stated, Sighting)], pose: &Rigid) -> Option<usize> {
+    view.iter()
+        .map(|one| (one.0, offset(one, pose)))
+        .filter(|(_, (off_m, square))| *square > OUTLIER_SQUARED && *off_m > MIN_OUTLIER_M)
+        .max_by(|one, other| one.1.1.total_cmp(&other.1.1))
+        .map(|(index, _)| index)
+}

@@ -1,0 +1,447 @@
+//! Measures detection limits and errors on rendered rings, with the real detector and locator.
+//!
+//! For each kind of pictures (mode, ratio of diameters, blur, noise, contrast, focal length) there are two tables:
+//!
+//! - the minimum diameter that is detected in nineteen of twenty pictures, by tilt;
+//! - the ratio of actual to predicted rms errors ([`super::precision`]), along and across the line of sight, by tilt, angle
+//!   off the axis and diameter, up to the diameter from which predictions are good: discs and rings four blurs wide, and at
+//!   least 32 px in fast mode. Below it, errors are between half and five times the prediction.
+//!
+//! Values in between are interpolated: the logarithm of ratios by angle and by logarithm of the diameter. A map of
+//! thousands of spots takes some dozens of trials of 0.05 to 0.15 s, made on demand and cached ([`TrialCache`]). Blur,
+//! noise, contrast and focal length are quantized, so that a new measurement of the blur hardly ever causes new trials.
+//! Seeds are fixed, so results are reproducible.
+//!
+//! Limits: the floor around the sheet is midway between black and white, and the margin 0.4 ring diameters. Errors of coded
+//! rings are not measured.
+
+use std::{
+    collections::HashMap,
+    sync::{Arc, Mutex, OnceLock, PoisonError},
+};
+
+use nalgebra::{Matrix3, Vector3};
+use rayon::prelude::*;
+
+use super::{
+    FULL_SCALE, Imaging, Sensor,
+    pose_model::{along_m, predict_pose},
+    ring_trial::{OUTER_M, TrialLength, TrialSetup, ViewGeometry},
+    roundel_image::RoundelImage,
+};
+use roundel_vision::{
+    camera::Camera,
+    marker::{Kind, Mode, Params, Pattern, Polarity},
+};
+
+/// Tilts of the error table and of the detection table, degrees. Near face-on, errors of the tilt change the
+/// distance quickly.
+const TILTS_DEG: [f64; 12] = [0.0, 3.0, 6.0, 10.0, 16.0, 24.0, 33.0, 42.0, 50.0, 58.0, 66.0, 74.0];
+const DETECTION_TILTS_DEG: [f64; 4] = [0.0, 25.0, 50.0, 74.0];
+/// Angles off the axis of a pinhole, degrees. There a ring is imaged longer by 1/cos, since a pixel spans a smaller
+/// angle radially than tangentially. A lens with the same ratio counts as the same angle.
+const OFF_AXIS_DEG: [f64; 3] = [0.0, 30.0, 50.0];
+/// Ratio of successive diameters, their number, and the maximum diameter, pixels.
+const SIZE_STEP: f64 = 1.12;
+const SIZES: usize = 20;
+const MAX_TRIAL_PX: f64 = 48.0;
+/// Shorter diameter from which predictions are good in fast mode, pixels, and the required width of disc and ring
+/// in blurs.
+const FAST_PX: f64 = 32.0;
+const MIN_WIDTH_BLURS: f64 = 4.0;
+/// A ring of this many times the detector's limit is certainly detected, up to this ratio of noise to contrast.
+const CERTAIN_RATIO: f64 = 3.0;
+const CERTAIN_NOISE: f64 = 0.1;
+/// Quantization of the logarithms of blur, of noise and contrast, and of the focal length.
+const BLUR_STEP: f64 = 0.02;
+const LEVEL_STEP: f64 = 0.1;
+const FOCAL_STEP: f64 = 0.2;
+/// Quantization of ratios of diameters.
+const RATIO_STEP: f64 = 1e-4;
+/// Maximum number of cached tables.
+const MAX_KEYS: usize = 64;
+
+/// Trials of an error ratio: 300 errors give the rms to 4 %, or 10 % where a few wrong normals dominate.
+const ERROR_TRIALS: TrialLength = TrialLength { rings: 150, frames: 3, counted: 2 };
+/// Trials of a detection limit, and the maximum number of misses (one in twenty).
+const DETECTION_TRIALS: TrialLength = TrialLength { rings: 120, frames: 1, counted: 1 };
+const MAX_MISSED: usize = 6;
+/// Relative precision of the detection limit, step of the coarse search, and its maximum in multiples of the
+/// detector's limit.
+const BISECTION_SHARE: f64 = 0.01;
+const SEARCH_STEP: f64 = 1.08;
+const MAX_LIMIT_RATIO: f64 = 30.0;
+
+/// Cache of trials, shared by clones. It affects the time of a prediction but not its result.
+#[derive(Clone, Debug, Default)]
+pub struct TrialCache(Arc<Mutex<HashMap<TrialKey, Arc<TrialTable>>>>);
+
+/// Ratio of actual to predicted errors along and across the line of sight.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct ErrorFactors {
+    pub along: f64,
+    pub across: f64,
+}
+
+/// Quantized properties of pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+struct TrialKey {
+    mode: Mode,
+    polarity: Polarity,
+    ratios: [i32; 2],
+    blur: i32,
+    noise: i32,
+    contrast: i32,
+    focal: i32,
+}
+
+#[derive(Debug)]
+struct TrialTable {
+    setup: TrialSetup,
+    min_px: [OnceLock<f64>; DETECTION_TILTS_DEG.len()],
+    factors: [[[OnceLock<ErrorFactors>; SIZES]; TILTS_DEG.len()]; OFF_AXIS_DEG.len()],
+}
+
+/// Indices of off-axis angle, tilt and diameter.
+type Place = [usize; 3];
+
+/// The cache does not affect results, so all are equal.
+impl PartialEq for TrialCache {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl TrialCache {
+    fn table(&self, sensor: &Sensor, kind: &Kind) -> Arc<TrialTable> {
+        let key = TrialKey::of(sensor, kind);
+        let mut tables = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if tables.len() >= MAX_KEYS && !tables.contains_key(&key) {
+            tables.clear();
+        }
+        tables.entry(key).or_insert_with(|| Arc::new(TrialTable::new(&key))).clone()
+    }
+}
+
+/// Minimum shorter diameter that is detected, pixels.
+pub(super) fn min_detected_px(sensor: &Sensor, kind: &Kind, tilt_rad: f64) -> f64 {
+    sensor.trials.table(sensor, kind).min_detected_px(tilt_rad)
+}
+
+/// Whether a ring of this shorter diameter is detected. Large sharp rings need no trial.
+pub(super) fn is_wide_enough(sensor: &Sensor, kind: &Kind, image: &RoundelImage) -> bool {
+    let limit_px = 2.0 * Params::default().min_semi_minor_px;
+    let is_quiet = sensor.imaging.noise <= CERTAIN_NOISE * sensor.imaging.contrast();
+    let sure_px = blurred_px(sensor, kind).max(CERTAIN_RATIO * limit_px);
+    image.minor_px >= limit_px
+        && (is_quiet && image.minor_px >= sure_px
+            || image.minor_px >= min_detected_px(sensor, kind, image.tilt_rad))
+}
+
+/// Error ratios of a ring.
+pub(super) fn factors(
+    sensor: &Sensor,
+    kind: &Kind,
+    image: &RoundelImage,
+    center_m: &Vector3<f64>,
+) -> ErrorFactors {
+    // Codes are only read at diameters where predictions are good.
+    let is_coded = matches!(kind.pattern, Pattern::Coded(_));
+    if is_coded || image.minor_px >= trusted_px(sensor, kind) {
+        return ErrorFactors::NONE;
+    }
+    let RoundelImage { minor_px, tilt_rad, .. } = *image;
+    let off_axis_rad = off_axis_rad(&sensor.camera, center_m);
+    sensor.trials.table(sensor, kind).factors(&ViewGeometry { minor_px, tilt_rad, off_axis_rad })
+}
+
+/// Angle off the axis at which a pinhole has the same anisotropy as this camera at this point.
+fn off_axis_rad(camera: &Camera, center_m: &Vector3<f64>) -> f64 {
+    let Ok((_, jacobian)) = camera.project_with_jacobian(center_m) else { return 0.0 };
+    let across = Matrix3::identity() - center_m * center_m.transpose() / center_m.norm_squared();
+    let moved = jacobian * across;
+    let [wide, narrow] = (moved * moved.transpose()).symmetric_eigenvalues().into();
+    let ratio: f64 = wide.min(narrow) / wide.max(narrow);
+    ratio.clamp(0.0, 1.0).sqrt().acos()
+}
+
+/// Shorter diameter from which predictions are good, pixels.
+fn trusted_px(sensor: &Sensor, kind: &Kind) -> f64 {
+    let blurred_px = blurred_px(sensor, kind).min(MAX_TRIAL_PX);
+    match sensor.mode {
+        Mode::Precise => blurred_px,
+        Mode::Fast => blurred_px.max(FAST_PX),
+    }
+}
+
+/// Shorter diameter up to which disc or ring are not wide against the blur, pixels.
+fn blurred_px(sensor: &Sensor, kind: &Kind) -> f64 {
+    let (min, max) = kind.ratios();
+    let spread_px = (sensor.imaging.blur_px.powi(2) + 1.0 / 12.0).sqrt();
+    2.0 * MIN_WIDTH_BLURS * spread_px / min.min(1.0 - max)
+}
+
+impl ErrorFactors {
+    const NONE: Self = Self { along: 1.0, across: 1.0 };
+}
+
+impl TrialKey {
+    fn of(sensor: &Sensor, kind: &Kind) -> Self {
+        let Imaging { noise, blur_px, .. } = sensor.imaging;
+        let step = |value: f64, step: f64| (value.ln() / step).round() as i32;
+        let (min, max) = kind.ratios();
+        Self {
+            mode: sensor.mode,
+            polarity: kind.polarity,
+            ratios: [min, max].map(|ratio| (ratio / RATIO_STEP).round() as i32),
+            blur: step(blur_px, BLUR_STEP),
+            noise: step((noise * noise + 1.0 / 12.0).sqrt(), LEVEL_STEP),
+            contrast: step(sensor.imaging.contrast(), LEVEL_STEP),
+            focal: step(sensor.camera.intrinsics().fx_px, FOCAL_STEP),
+        }
+    }
+
+    fn imaging(&self) -> Imaging {
+        let value = |count: i32, step: f64| (f64::from(count) * step).exp();
+        let contrast = value(self.contrast, LEVEL_STEP).min(FULL_SCALE);
+        let noise = (value(self.noise, LEVEL_STEP).powi(2) - 1.0 / 12.0).max(0.0).sqrt();
+        let black = 0.5 * (FULL_SCALE - contrast);
+        Imaging { noise, blur_px: value(self.blur, BLUR_STEP), black, white: black + contrast }
+    }
+
+    fn kind(&self) -> Kind {
+        let [min_m, max_m] = self.ratios.map(|count| f64::from(count) * RATIO_STEP * OUTER_M);
+        let pattern = if min_m < max_m {
+            Pattern::Elliptical { minor_diameter_m: min_m }
+        } else {
+            Pattern::Plain
+        };
+        let plain = Kind::plain("trial", OUTER_M, max_m);
+        Kind { pattern, polarity: self.polarity, ..plain }
+    }
+}
+
+impl TrialTable {
+    fn new(key: &TrialKey) -> Self {
+        let focal_px = (f64::from(key.focal) * FOCAL_STEP).exp();
+        let setup = TrialSetup::new(focal_px, key.imaging(), key.mode, key.kind());
+        Self { setup, min_px: Default::default(), factors: Default::default() }
+    }
+
+    fn min_detected_px(&self, tilt_rad: f64) -> f64 {
+        let ends = between(&DETECTION_TILTS_DEG, tilt_rad);
+        // In parallel, but each on a single thread, so that no thread waits for a nested one.
+        let at = |tilt: usize| {
+            let bisect_min_px = || self.bisect_min_px(DETECTION_TILTS_DEG[tilt].to_radians());
+            *self.min_px[tilt].get_or_init(bisect_min_px)
+        };
+        if ends.iter().any(|&(tilt, _)| self.min_px[tilt].get().is_none()) {
+            ends.par_iter().filter(|(_, weight)| *weight > 0.0).for_each(|&(tilt, _)| {
+                at(tilt);
+            });
+        }
+        let weighted = |(tilt, weight)| if weight > 0.0 { weight * at(tilt) } else { 0.0 };
+        ends.into_iter().map(weighted).sum()
+    }
+
+    fn bisect_min_px(&self, tilt_rad: f64) -> f64 {
+        let limit_px = 2.0 * Params::default().min_semi_minor_px;
+        let is_detected = |minor_px: f64| {
+            let mut unreachable = 0;
+            let geometry = ViewGeometry { minor_px, tilt_rad, off_axis_rad: 0.0 };
+            self.setup.run(geometry, DETECTION_TRIALS, |_, position| {
+                unreachable += usize::from(position.is_none());
+                unreachable <= MAX_MISSED
+            });
+            unreachable <= MAX_MISSED
+        };
+        // From above, since detection is not monotonic at small diameters.
+        let mut good = blurred_px(&self.setup.sensor, &self.setup.kind)
+            .min(MAX_TRIAL_PX)
+            .max(CERTAIN_RATIO * limit_px);
+        while !is_detected(good) {
+            good *= SEARCH_STEP;
+            if good > MAX_LIMIT_RATIO * limit_px {
+                return good;
+            }
+        }
+        let mut bad = good / SEARCH_STEP;
+        while is_detected(bad) {
+            (good, bad) = (bad, bad / SEARCH_STEP);
+            if good < limit_px {
+                return limit_px;
+            }
+        }
+        while (good / bad).ln() > BISECTION_SHARE {
+            let middle = (good * bad).sqrt();
+            if is_detected(middle) { good = middle } else { bad = middle }
+        }
+        good
+    }
+
+    /// Diameter of a table entry, pixels.
+    fn size_px(&self, tilt: usize, size: usize) -> f64 {
+        self.min_detected_px(TILTS_DEG[tilt].to_radians()) * SIZE_STEP.powi(size as i32)
+    }
+
+    fn factors(&self, geometry: &ViewGeometry) -> ErrorFactors {
+        let mut corners: Vec<(Place, f64)> = Vec::with_capacity(8);
+        for (off_axis, by_aside) in between(&OFF_AXIS_DEG, geometry.off_axis_rad) {
+            for (tilt, by_tilt) in between(&TILTS_DEG, geometry.tilt_rad) {
+                let place = (geometry.minor_px / self.size_px(tilt, 0)).ln() / SIZE_STEP.ln();
+                let place = place.clamp(0.0, (SIZES - 2) as f64);
+                let (size, part) = (place.floor() as usize, place.fract());
+                let weight = by_aside * by_tilt;
+                corners.push(([off_axis, tilt, size], weight * (1.0 - part)));
+                corners.push(([off_axis, tilt, size + 1], weight * part));
+            }
+        }
+        corners.retain(|(_, weight)| *weight > 0.0);
+        let is_tried =
+            |&[off_axis, tilt, size]: &Place| self.factors[off_axis][tilt][size].get().is_some();
+        if !corners.iter().all(|(place, _)| is_tried(place)) {
+            corners.par_iter().for_each(|(place, _)| {
+                self.at(*place);
+            });
+        }
+        let mut logs = [0.0; 2];
+        for (place, weight) in corners {
+            let ErrorFactors { along, across } = self.at(place);
+            logs[0] += weight * along.ln();
+            logs[1] += weight * across.ln();
+        }
+        let [along, across] = logs.map(f64::exp);
+        ErrorFactors { along, across }
+    }
+
+    fn at(&self, [off_axis, tilt, size]: Place) -> ErrorFactors {
+        *self.factors[off_axis][tilt][size].get_or_init(|| {
+            let minor_px = self.size_px(tilt, size);
+            if minor_px >= trusted_px(&self.setup.sensor, &self.setup.kind) {
+                return ErrorFactors::NONE;
+            }
+            let [tilt_rad, off_axis_rad] =
+                [TILTS_DEG[tilt], OFF_AXIS_DEG[off_axis]].map(f64::to_radians);
+            self.run_errors(ViewGeometry { minor_px, tilt_rad, off_axis_rad })
+        })
+    }
+
+    fn run_errors(&self, geometry: ViewGeometry) -> ErrorFactors {
+        let (mut planned, mut observed) = ([0.0; 2], [0.0; 2]);
+        self.setup.run(geometry, ERROR_TRIALS, |trial, position| {
+            let predicted = predict_pose(trial.sensor, trial.kind, &trial.image);
+            let (Some(position), Some(predicted)) = (position, predicted) else {
+                return true;
+            };
+            let position_m2: Matrix3<f64> = predicted.covariance.fixed_view::<3, 3>(0, 0).into();
+            let truth = trial.pose.translation.vector;
+            let along = along_m(&position_m2, &truth);
+            planned[0] += along * along;
+            planned[1] += position_m2.trace() - along * along;
+            let error = position - truth;
+            let along = error.dot(&truth.normalize());
+            observed[0] += along * along;
+            observed[1] += error.norm_squared() - along * along;
+            true
+        });
+        let [along, across] = [0, 1].map(|axis| {
+            let ratio: f64 = observed[axis] / planned[axis];
+            if ratio.is_finite() && ratio > 0.0 { ratio.sqrt() } else { 1.0 }
+        });
+        ErrorFactors { along, across }
+    }
+}
+
+/// Adjacent known angles with their weights.
+fn between(known_deg: &[f64], angle_rad: f64) -> [(usize, f64); 2] {
+    let deg = angle_rad.to_degrees();
+    let after = known_deg.partition_point(|&known| known <= deg).clamp(1, known_deg.len() - 1);
+    let [from, to] = [known_deg[after - 1], known_deg[after]];
+    let share = ((deg - from) / (to - from)).clamp(0.0, 1.0);
+    [(after - 1, 1.0 - share), (after, share)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{
+        super::{
+            precision::predict, range::pose_in_front, roundel_image::image_roundel, search::scaled,
+            tests::sensor, visibility::is_detected,
+        },
+        *,
+    };
+    use roundel_vision::camera::NormalizedPoint;
+
+    fn fast(blur_px: f64) -> Sensor {
+        let imaging = Imaging { blur_px, ..Imaging::default() };
+        Sensor { imaging, mode: Mode::Fast, ..sensor() }
+    }
+
+    fn kind() -> Kind {
+        Kind::plain("", 0.16, 0.064)
+    }
+
+    #[test]
+    fn similar_sensors_share_trials() {
+        let sensor = fast(0.7);
+        let table = |sensor: &Sensor, kind: &Kind| sensor.trials.table(sensor, kind);
+        let first = table(&sensor, &kind());
+        let shared = Sensor { trials: sensor.trials.clone(), ..fast(0.703) };
+        assert!(Arc::ptr_eq(&first, &table(&shared, &scaled(&kind(), 0.0531))));
+        for other in [fast(0.75), super::super::tests::sensor()] {
+            let other = Sensor { trials: sensor.trials.clone(), ..other };
+            assert!(!Arc::ptr_eq(&first, &table(&other, &kind())));
+        }
+        let other = Kind::plain("", 0.16, 0.065);
+        assert!(!Arc::ptr_eq(&first, &table(&sensor, &other)));
+        assert_eq!(fast(0.7), sensor);
+    }
+
+    #[test]
+    fn more_blur_and_narrower_discs_need_larger_rings() {
+        let min = |blur_px: f64, ratio: f64| {
+            min_detected_px(&fast(blur_px), &Kind::plain("", 0.16, 0.16 * ratio), 0.3)
+        };
+        let limit_px = 2.0 * Params::default().min_semi_minor_px;
+        let usual_px = min(0.7, 0.4);
+        assert!((limit_px..1.5 * limit_px).contains(&usual_px), "{usual_px}");
+        assert!(min(1.1, 0.4) > 1.04 * usual_px && min(0.7, 0.3) > 1.04 * usual_px);
+        // Nothing is detected in noise alone.
+        let mut noisy = fast(0.7);
+        (noisy.imaging.noise, noisy.imaging.white) = (60.0, 60.0);
+        assert!(min_detected_px(&noisy, &kind(), 0.3) > 20.0 * limit_px);
+    }
+
+    #[test]
+    fn only_small_or_blurred_rings_are_corrected() {
+        let sensor = fast(0.7);
+        let of = |diameter_px: f64, tilt_rad: f64| {
+            let distance_m = sensor.camera.intrinsics().fx_px * 0.16 / diameter_px;
+            let pose = pose_in_front(NormalizedPoint::default(), distance_m, tilt_rad);
+            let seen = image_roundel(&sensor.camera, &kind(), &sensor.imaging, &pose).unwrap();
+            assert!(is_detected(&sensor, &kind(), &seen));
+            let factors = factors(&sensor, &kind(), &seen, &pose.translation.vector);
+            let by_formula = predict_pose(&sensor, &kind(), &seen).unwrap();
+            let expected = predict(&sensor, None, &kind(), &pose).unwrap();
+            let by_formula: Matrix3<f64> = by_formula.covariance.fixed_view::<3, 3>(0, 0).into();
+            let ratio = expected.depth_m() / along_m(&by_formula, &pose.translation.vector);
+            assert!((ratio / factors.along - 1.0).abs() < 1e-9, "{ratio} {factors:?}");
+            factors
+        };
+        assert_eq!(of(60.0, 0.3), ErrorFactors::NONE);
+        // Light of the rims and of the floor mix.
+        assert!(of(11.0, 0.1).along > 1.3, "{:?}", of(11.0, 0.1));
+        assert_eq!(of(15.0, 0.7), of(15.0, 0.7));
+        let [one, other] = [of(15.0, 0.7), of(15.1, 0.7)];
+        assert!((one.along / other.along - 1.0).abs() < 0.1, "{one:?} {other:?}");
+    }
+
+    #[test]
+    fn the_equivalent_angle_of_a_pinhole_is_its_own() {
+        for angle_rad in [0.0, 0.3f64, 0.6] {
+            let center_m = Vector3::new(angle_rad.sin(), 0.0, angle_rad.cos()) * 3.0;
+            let found = off_axis_rad(&sensor().camera, &center_m);
+            assert!((found - angle_rad).abs() < 1e-6, "{found} {angle_rad}");
+        }
+    }
+}
