@@ -1,33 +1,32 @@
-//! Things that resemble a roundel and are none, as a lab has them: wheels, gears, broken rings, rings
-//! with a disc of the wrong shape or place, targets, chain links, noughts, square markers.
+//! Shapes that resemble a roundel, as found in a lab: wheels, gears, broken rings, rings with a misshapen or
+//! misplaced disc, targets, chain links, zeros, square markers.
 //!
-//! In: how large it is seen. Out: areas of one grey each, from below to above, painted by
-//! [`crate::clutter`]. A shape is given in units of its radius and carried into the image by a turn
-//! and a foreshortening, as a print that is looked at from aside. What makes it no roundel is never
-//! smaller than [`LEAST_FAULT_PX`] in the image before it is blurred, so that a person sees it too.
+//! In: the size in the image. Out: areas of one grey each, from bottom to top, painted by [`crate::clutter`]. A shape
+//! is defined in units of its radius and mapped into the image by a rotation and a foreshortening, like a tilted
+//! print. The feature that distinguishes it from a roundel is never smaller than [`MIN_DEFECT_PX`] before blur, so
+//! that a person sees it too.
 
 use std::f64::consts::TAU;
 
 use nalgebra::{Matrix2, Rotation2, Vector2};
 
-use crate::{coverage::Contour, normal::Random};
+use crate::{coverage::Contour, random::Random};
 
-/// Least size of what is wrong with a decoy, pixels.
-pub const LEAST_FAULT_PX: f64 = 2.5;
+/// Smallest size of the feature that distinguishes a look-alike from a roundel.
+pub const MIN_DEFECT_PX: f64 = 2.5;
 
 /// One area of even grey.
 pub type Area = (Contour, f64);
 
-/// What is wrong with a decoy; each name says what it looks like.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Decoy {
+pub enum LookAlike {
     /// A ring with a gap, from a Landolt C to half a ring.
     Broken,
-    /// The disc stands off the ring's middle.
+    /// The disc is off the ring's centre.
     Eccentric,
-    /// A round ring with a square, three-cornered or narrow hole.
+    /// A round ring with a square, triangular or narrow hole.
     Hole,
-    /// A square, three-cornered or five-cornered frame with a round disc.
+    /// A square, triangular or pentagonal frame with a round disc.
     Frame,
     /// A ring with spokes across its disc.
     Wheel,
@@ -35,47 +34,46 @@ pub enum Decoy {
     Target,
     /// A ring with teeth outside.
     Gear,
-    /// Two rings that overlap.
+    /// Two overlapping rings.
     Links,
-    /// A nought: a narrow ring of even stroke, whose hole is narrower than its outline.
-    Nought,
+    /// The digit 0: a narrow ring of even stroke, whose hole is narrower than its outline.
+    Zero,
     /// A square marker: black frame, bits of cells.
     Marker,
-    /// A square marker with a white disc in the middle.
+    /// A square marker with a white disc at its centre.
     MarkerDisc,
 }
 
-impl Decoy {
-    /// All of them.
-    pub const ALL: [Decoy; 11] = [
-        Decoy::Broken,
-        Decoy::Eccentric,
-        Decoy::Hole,
-        Decoy::Frame,
-        Decoy::Wheel,
-        Decoy::Target,
-        Decoy::Gear,
-        Decoy::Links,
-        Decoy::Nought,
-        Decoy::Marker,
-        Decoy::MarkerDisc,
+impl LookAlike {
+    pub const ALL: [LookAlike; 11] = [
+        LookAlike::Broken,
+        LookAlike::Eccentric,
+        LookAlike::Hole,
+        LookAlike::Frame,
+        LookAlike::Wheel,
+        LookAlike::Target,
+        LookAlike::Gear,
+        LookAlike::Links,
+        LookAlike::Zero,
+        LookAlike::Marker,
+        LookAlike::MarkerDisc,
     ];
 
-    /// Areas of this decoy about `center`, from below to above.
+    /// Areas of this shape about `center`, from bottom to top.
     pub fn areas(self, center: Vector2<f64>, radius_px: f64, random: &mut Random) -> Vec<Area> {
         let mut pen = Pen::new(center, radius_px, random);
         match self {
-            Decoy::Broken => pen.broken(),
-            Decoy::Eccentric => pen.eccentric(),
-            Decoy::Hole => pen.hole(),
-            Decoy::Frame => pen.frame(),
-            Decoy::Wheel => pen.wheel(),
-            Decoy::Target => pen.target(),
-            Decoy::Gear => pen.gear(),
-            Decoy::Links => pen.links(),
-            Decoy::Nought => pen.nought(),
-            Decoy::Marker => pen.marker(false),
-            Decoy::MarkerDisc => pen.marker(true),
+            LookAlike::Broken => pen.broken(),
+            LookAlike::Eccentric => pen.eccentric(),
+            LookAlike::Hole => pen.hole(),
+            LookAlike::Frame => pen.frame(),
+            LookAlike::Wheel => pen.wheel(),
+            LookAlike::Target => pen.target(),
+            LookAlike::Gear => pen.gear(),
+            LookAlike::Links => pen.links(),
+            LookAlike::Zero => pen.zero(),
+            LookAlike::Marker => pen.marker(false),
+            LookAlike::MarkerDisc => pen.marker(true),
         }
         pen.areas
     }
@@ -89,8 +87,8 @@ fn polar(angle_rad: f64) -> Vector2<f64> {
 struct Pen<'a> {
     center: Vector2<f64>,
     from_unit: Matrix2<f64>,
-    /// [`LEAST_FAULT_PX`] in units, along the direction in which it is seen shortest.
-    least: f64,
+    /// [`MIN_DEFECT_PX`] in units, along the max foreshortened direction.
+    min_defect: f64,
     black: f64,
     white: f64,
     areas: Vec<Area>,
@@ -103,9 +101,9 @@ impl<'a> Pen<'a> {
         let turn = |random: &mut Random| Rotation2::new(random.uniform(0.0, TAU)).into_inner();
         let squeeze = Matrix2::new(1.0, 0.0, 0.0, foreshortening);
         let from_unit = turn(random) * squeeze * turn(random) * radius_px;
-        let least = LEAST_FAULT_PX / (radius_px * foreshortening);
+        let min_defect = MIN_DEFECT_PX / (radius_px * foreshortening);
         let (black, white) = (random.uniform(25.0, 70.0), random.uniform(175.0, 225.0));
-        Self { center, from_unit, least, black, white, areas: Vec::new(), random }
+        Self { center, from_unit, min_defect, black, white, areas: Vec::new(), random }
     }
 
     fn draw(&mut self, contour: Option<Contour>, grey: f64) {
@@ -138,11 +136,11 @@ impl<'a> Pen<'a> {
         self.polygon(&(0..corners).map(corner).collect::<Vec<_>>(), grey);
     }
 
-    /// Up to `most` corners where those of a regular polygon of this radius still stand out; `None`
-    /// where not even three do.
-    fn corners(&mut self, most: usize, radius: f64) -> Option<usize> {
-        let corners = 3 + (self.random.next_u64() % (most as u64 - 2)) as usize;
-        let stands_out = |n: usize| radius * (1.0 - (TAU / (2 * n) as f64).cos()) >= self.least;
+    /// Up to `max` corners, as long as those of a regular polygon of this radius stand out. `None` if three do not.
+    fn corners(&mut self, max: usize, radius: f64) -> Option<usize> {
+        let corners = 3 + (self.random.next_u64() % (max as u64 - 2)) as usize;
+        let stands_out =
+            |n: usize| radius * (1.0 - (TAU / (2 * n) as f64).cos()) >= self.min_defect;
         (3..=corners).rev().find(|&n| stands_out(n))
     }
 
@@ -152,7 +150,7 @@ impl<'a> Pen<'a> {
         self.polygon(&corners, grey);
     }
 
-    /// A label, a black disc on it, and a white one inside, of the radius returned.
+    /// Draws a label, a black disc on it, and a white disc inside, whose radius it returns.
     fn ring(&mut self) -> f64 {
         let ratio = self.random.uniform(0.4, 0.6);
         self.disc(1.45, self.white);
@@ -163,7 +161,7 @@ impl<'a> Pen<'a> {
 
     fn broken(&mut self) {
         self.ring();
-        let half = (0.5 * self.least).max(self.random.uniform(0.15, 1.0));
+        let half = (0.5 * self.min_defect).max(self.random.uniform(0.15, 1.0));
         // A wedge that opens to twice the gap's width at the rim of the label.
         let corners = [[0.0, -0.5], [1.3, -1.0], [1.3, 1.0], [0.0, 0.5]];
         let corners = corners.map(|[x, y]| Vector2::new(x, y * 1.5 * half));
@@ -174,7 +172,7 @@ impl<'a> Pen<'a> {
         self.disc(1.45, self.white);
         self.disc(1.0, self.black);
         let ratio = self.random.uniform(0.3, 0.45);
-        let off = self.random.uniform(0.25, 0.4).max(self.least).min(0.95 - ratio);
+        let off = self.random.uniform(0.25, 0.4).max(self.min_defect).min(0.95 - ratio);
         self.ellipse([off, 0.0], [ratio; 2], self.white);
     }
 
@@ -204,7 +202,7 @@ impl<'a> Pen<'a> {
         self.disc(1.45, self.white);
         self.disc(1.0, self.black);
         self.disc(ratio, self.white);
-        let half = (0.5 * self.least).max(self.random.uniform(0.05, 0.12));
+        let half = (0.5 * self.min_defect).max(self.random.uniform(0.05, 0.12));
         let spokes = 2 + (self.random.next_u64() % 4) as usize;
         for spoke in 0..spokes {
             let along = polar(TAU * spoke as f64 / (2 * spokes) as f64);
@@ -218,16 +216,16 @@ impl<'a> Pen<'a> {
         self.disc(1.45, self.white);
         self.disc(1.0, self.black);
         self.disc(0.75, self.white);
-        let dot = self.random.uniform(0.25, 0.4).max(0.5 * self.least).min(0.6);
+        let dot = self.random.uniform(0.25, 0.4).max(0.5 * self.min_defect).min(0.6);
         self.disc(dot, self.black);
     }
 
     fn gear(&mut self) {
         self.disc(1.7, self.white);
-        let depth = self.random.uniform(0.15, 0.3).max(self.least);
-        // Teeth narrower than the least fault would melt into an even rim.
-        let most = (TAU / (2.0 * self.least)).clamp(5.0, 12.0) as u64;
-        let teeth = (5 + self.random.next_u64() % (most - 4)) as usize;
+        let depth = self.random.uniform(0.15, 0.3).max(self.min_defect);
+        // Narrower teeth would blur into an even rim.
+        let max = (TAU / (2.0 * self.min_defect)).clamp(5.0, 12.0) as u64;
+        let teeth = (5 + self.random.next_u64() % (max - 4)) as usize;
         let corner = |i: usize| {
             let radius = if (i / 2).is_multiple_of(2) { 1.0 + depth } else { 1.0 };
             polar(TAU * i as f64 / (4 * teeth) as f64) * radius
@@ -250,8 +248,8 @@ impl<'a> Pen<'a> {
         }
     }
 
-    fn nought(&mut self) {
-        let stroke = self.random.uniform(0.3, 0.36).max(self.least.min(0.36));
+    fn zero(&mut self) {
+        let stroke = self.random.uniform(0.3, 0.36).max(self.min_defect.min(0.36));
         self.ellipse([0.0; 2], [1.4, 1.0], self.white);
         self.ellipse([0.0; 2], [1.0, 0.5], self.black);
         self.ellipse([0.0; 2], [1.0 - stroke, 0.5 - stroke], self.white);

@@ -1,10 +1,10 @@
-//! What other detectors look for in roundels' places: square markers and plain discs, as prints.
+//! Prints for other detectors in place of roundels: square markers and plain discs.
 
 use std::{fs, io, path::Path};
 
 use crate::render::{Image, Ink, Outline, Print};
 
-/// A square marker's cells, row by row, its black border included: 0 is black.
+/// A square marker's cells, row by row, including its black border: 0 is black.
 pub type Cells = Vec<Vec<u8>>;
 
 fn square([x, y]: [f64; 2], half_m: f64) -> Outline {
@@ -16,7 +16,7 @@ fn square([x, y]: [f64; 2], half_m: f64) -> Outline {
     ])
 }
 
-/// A black square of this side with white cells in it, on a sheet with one cell of margin.
+/// A black square of this side with white cells, on a sheet with one cell of margin.
 pub fn marker(cells: &Cells, side_m: f64) -> Print {
     let count = cells.len();
     let cell_m = side_m / count as f64;

@@ -1,9 +1,8 @@
-//! The normal distribution: cumulative function, quantiles, and a seeded generator fast enough for
-//! the noise of whole image sequences.
+//! Normal distribution (density, cumulative function, quantiles) and a seeded generator that is fast enough for the
+//! noise of whole image sequences.
 
 use std::sync::LazyLock;
 
-/// Density of the standard normal distribution.
 pub fn density(z: f64) -> f64 {
     const INVERSE_ROOT_TWO_PI: f64 = 0.398_942_280_401_432_7;
     INVERSE_ROOT_TWO_PI * (-0.5 * z * z).exp()
@@ -11,8 +10,8 @@ pub fn density(z: f64) -> f64 {
 
 /// Cumulative function of the standard normal distribution, to about 1e-15.
 ///
-/// Φ(z) = 1/2 + φ(z) (z + z³/3 + z⁵/(3·5) + …); all terms have one sign, so nothing cancels. Beyond
-/// 8.3 the tail is below what can be told from 0 or 1.
+/// Φ(z) = 1/2 + φ(z) (z + z³/3 + z⁵/(3·5) + …). All terms have one sign, so nothing cancels. Beyond |z| = 8.3 it
+/// returns 0 or 1.
 pub fn cumulative(z: f64) -> f64 {
     if z.abs() > 8.3 {
         return if z < 0.0 { 0.0 } else { 1.0 };
@@ -31,14 +30,14 @@ pub fn cumulative_integral(z: f64) -> f64 {
     z * cumulative(z) + density(z)
 }
 
-/// Quantiles at (i + 1/2) / 65536: normal deviates of 16 random bits, within ±4.3.
+/// Quantiles at (i + 1/2) / 65536, which map 16 random bits to normal deviates within ±4.3.
 static QUANTILES: LazyLock<Vec<f32>> = LazyLock::new(|| {
     let mut z: f64 = -4.4;
     (0..1u32 << 16)
         .map(|i| {
             let wanted = (f64::from(i) + 0.5) / 65_536.0;
             for _ in 0..60 {
-                // Newton on a convex stretch of Φ may overshoot: a step of more than 1/2 is cut.
+                // Newton may overshoot where Φ is convex, so steps are limited to 1/2.
                 let step = ((cumulative(z) - wanted) / density(z)).clamp(-0.5, 0.5);
                 z -= step;
                 if step.abs() < 1e-10 {
@@ -59,14 +58,13 @@ pub struct Random {
 }
 
 impl Random {
-    /// The stream of this seed; different parts of one world take different `stream`s.
+    /// `stream` separates the parts of one world: the same seed with another stream gives independent numbers.
     pub fn new(seed: u64, stream: u64) -> Self {
         let mut random = Self { state: seed, bits: 0, left: 0 };
         random.state = random.next_u64() ^ stream.wrapping_mul(0xd134_2543_de82_ef95);
         random
     }
 
-    /// 64 random bits.
     pub fn next_u64(&mut self) -> u64 {
         self.state = self.state.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.state;
@@ -80,7 +78,7 @@ impl Random {
         low + (high - low) * ((self.next_u64() >> 11) as f64 / (1u64 << 53) as f64)
     }
 
-    /// Standard normal, from 16 bits: its quantiles are exact to 1/131072.
+    /// Standard normal deviate from 16 bits; its quantiles are exact to 1/131072.
     pub fn normal(&mut self) -> f32 {
         if self.left == 0 {
             self.bits = self.next_u64();

@@ -1,8 +1,8 @@
-//! Roundels that drive past a camera with a rolling shutter, and the errors of their poses frame by frame.
+//! Roundels that move past a camera with a rolling shutter, and the errors of their poses frame by frame.
 //!
-//! As in [`crate::precision`], but in [`FRAMES`] frames at 60 Hz, with a velocity, an acceleration of a few
-//! m/s² and turns: the renderer shows each row as it is when it is exposed, and each pose is compared with
-//! where the roundel is at the very time that is stated for it.
+//! Like [`crate::precision`], but over [`FRAMES`] frames at 60 Hz, with a velocity, an acceleration of a few m/s² and
+//! rotation. The renderer shows each row as it is when it is exposed, and each pose is compared with the truth at its
+//! stated time.
 
 use std::f64::consts::TAU;
 
@@ -14,80 +14,80 @@ use crate::{
     arena::Kind,
     bound::{Scene, Unknowns, bound},
     coded::words,
-    normal::Random,
     pipeline::Observer,
-    precision::{Errors, FLOOR, MODES, Range, Shot, pose, printed, reference, window},
-    render::{Canvas, Imaging, Print, Renderer, Seen},
+    precision::{Errors, FLOOR, MODES, Range, TrialFrame, pose, printed, reference, window},
+    random::Random,
+    render::{Canvas, Imaging, MovingPrint, Print, Renderer},
 };
 
-/// Of each roundel.
+/// Frames of each sequence.
 pub const FRAMES: usize = 6;
-/// Frames a second.
 const RATE_HZ: f64 = 60.0;
-/// Of each row, seconds.
+/// Exposure of each row.
 const EXPOSURE_S: f64 = 1e-3;
-/// Greatest acceleration along any axis, m/s², and turn about any axis, rad/s.
-const MOST: (f64, f64) = (3.0, 1.0);
+/// Largest acceleration along any axis, m/s², and rotation about any axis, rad/s.
+const MAX_MOTION: (f64, f64) = (3.0, 1.0);
 
-/// What drives past.
 #[derive(Clone, Copy, Debug)]
-pub enum Subject {
-    /// A plain roundel.
+pub enum MarkerType {
     Plain,
-    /// One with a code of so many bits.
+    /// With a code of this many bits.
     Coded(u8),
-    /// One with an elliptical disc.
+    /// With an elliptical disc.
     Elliptical,
 }
 
-/// How it does.
 #[derive(Clone, Copy, Debug)]
 pub struct Drive {
-    /// What.
-    pub subject: Subject,
-    /// How fast, across the line of sight, m/s.
+    pub marker: MarkerType,
+    /// Across the line of sight.
     pub speed_m_s: f64,
-    /// From one row's exposure to the next one's, seconds.
+    /// Time between the exposures of two rows.
     pub line_time_s: f64,
-    /// The same as told to core.
-    pub told_s: f64,
+    /// The line time that core is configured with.
+    pub configured_line_time_s: f64,
 }
 
-/// `count` roundels of a range, the same for the same `seed`, in parallel; each in its frames.
-pub fn passings(range: &Range, drive: &Drive, count: usize, seed: u64) -> Vec<[Shot; FRAMES]> {
-    (0..count).into_par_iter().map(|index| passing(range, drive, seed, index as u64)).collect()
+/// `count` sequences of roundels within a range, computed in parallel; the same for the same `seed`.
+pub fn sequences(
+    range: &Range,
+    drive: &Drive,
+    count: usize,
+    seed: u64,
+) -> Vec<[TrialFrame; FRAMES]> {
+    (0..count).into_par_iter().map(|index| sequence(range, drive, seed, index as u64)).collect()
 }
 
-/// Where it is by time.
+/// Pose over time.
 struct Motion {
-    middle: Isometry3<f64>,
+    central: Isometry3<f64>,
     velocity_m_s: Vector3<f64>,
     acceleration_m_s2: Vector3<f64>,
     turn_rad_s: Vector3<f64>,
 }
 
 impl Motion {
-    fn new(middle: Isometry3<f64>, speed_m_s: f64, random: &mut Random) -> Self {
+    fn new(central: Isometry3<f64>, speed_m_s: f64, random: &mut Random) -> Self {
         let (sin, cos) = random.uniform(0.0, TAU).sin_cos();
         let along = random.uniform(-0.5, 0.5);
         let mut drawn = |most: f64| Vector3::from_fn(|_, _| random.uniform(-most, most));
         Self {
-            middle,
+            central,
             velocity_m_s: Vector3::new(cos, sin, along) * speed_m_s,
-            acceleration_m_s2: drawn(MOST.0),
-            turn_rad_s: drawn(MOST.1),
+            acceleration_m_s2: drawn(MAX_MOTION.0),
+            turn_rad_s: drawn(MAX_MOTION.1),
         }
     }
 
     fn at(&self, t: f64) -> Isometry3<f64> {
         let moved = self.velocity_m_s * t + self.acceleration_m_s2 * (0.5 * t * t);
         let turn = UnitQuaternion::from_scaled_axis(self.turn_rad_s * t);
-        let Isometry3 { rotation, translation } = self.middle;
+        let Isometry3 { rotation, translation } = self.central;
         Isometry3::from_parts(Translation3::from(translation.vector + moved), turn * rotation)
     }
 }
 
-fn passing(range: &Range, drive: &Drive, seed: u64, index: u64) -> [Shot; FRAMES] {
+fn sequence(range: &Range, drive: &Drive, seed: u64, index: u64) -> [TrialFrame; FRAMES] {
     let mut random = Random::new(index, seed);
     let mut draw = |(low, high): (f64, f64)| random.uniform(low, high);
     let (diameter_px, tilt_deg) = (draw(range.diameter_px), draw(range.tilt_deg));
@@ -95,26 +95,28 @@ fn passing(range: &Range, drive: &Drive, seed: u64, index: u64) -> [Shot; FRAMES
     let line_time_s = drive.line_time_s;
     let imaging =
         Imaging { blur_px, noise, exposure_s: EXPOSURE_S, line_time_s, ..Imaging::default() };
-    let (kind, print) = shown(range, drive.subject, &mut random);
+    let (kind, print) = printed_marker(range, drive.marker, &mut random);
     let whole = reference();
-    let mut middle = pose(&whole, diameter_px, tilt_deg.to_radians(), &mut random);
+    let mut central = pose(&whole, diameter_px, tilt_deg.to_radians(), &mut random);
     let yaw_rad = random.uniform(0.0, TAU);
-    middle.rotation *= UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad);
-    let camera = window(&whole, &middle);
-    let motion = Motion::new(middle, drive.speed_m_s, &mut random);
+    central.rotation *= UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad);
+    let camera = window(&whole, &central);
+    let motion = Motion::new(central, drive.speed_m_s, &mut random);
     let renderer = Renderer::new(camera, imaging);
     let floor = Canvas::flat(camera.width, camera.height, FLOOR);
     let kinds = std::slice::from_ref(&kind);
     let mut observers = MODES.map(|mode| {
         let params = Params { mode, ..Params::default() };
-        Observer::with_params(&camera, kinds, drive.told_s, params).expect("a camera and a kind")
+        Observer::with_params(&camera, kinds, drive.configured_line_time_s, params)
+            .expect("a camera and a kind")
     });
     std::array::from_fn(|frame| {
         let time_s = (frame as f64 - 0.5 * (FRAMES - 1) as f64) / RATE_HZ;
-        let shown = |offset_s: f64| motion.at(time_s + offset_s);
-        let image = renderer.frame(&floor, &[Seen { print: &print, motion: &shown }], &mut random);
+        let pose = |offset_s: f64| motion.at(time_s + offset_s);
+        let image =
+            renderer.frame(&floor, &[MovingPrint { print: &print, motion: &pose }], &mut random);
         let time_ns = (time_s * 1e9).round() as i64;
-        let seen = observers.each_mut().map(|observer| {
+        let errors = observers.each_mut().map(|observer| {
             let found = observer.observe(&image, time_ns).expect("a frame of the camera's size");
             found.into_iter().find_map(|detection| {
                 let truth = motion.at(detection.capture_time.as_ns() as f64 * 1e-9);
@@ -123,17 +125,17 @@ fn passing(range: &Range, drive: &Drive, seed: u64, index: u64) -> [Shot; FRAMES
         });
         let scene =
             Scene { camera, imaging, print: &print, pose: motion.at(time_s), motion_px: [0.0; 2] };
-        let yaw = !matches!(drive.subject, Subject::Plain);
+        let yaw = !matches!(drive.marker, MarkerType::Plain);
         let bound = bound(&scene, Unknowns { yaw, ..Unknowns::default() });
-        Shot { bound: bound.expect("a roundel in plain view"), seen }
+        TrialFrame { bound: bound.expect("a roundel in plain view"), errors }
     })
 }
 
-fn shown(range: &Range, subject: Subject, random: &mut Random) -> (Kind, Print) {
-    match subject {
-        Subject::Plain => printed(range, None, random),
-        Subject::Coded(bits) => printed(range, Some((bits, &words(bits))), random),
-        Subject::Elliptical => {
+fn printed_marker(range: &Range, marker: MarkerType, random: &mut Random) -> (Kind, Print) {
+    match marker {
+        MarkerType::Plain => printed(range, None, random),
+        MarkerType::Coded(bits) => printed(range, Some((bits, &words(bits))), random),
+        MarkerType::Elliptical => {
             let (outer_m, disc_m) = (Kind::robot().outer_diameter_m, (0.096, 0.064));
             let kind =
                 Kind { inner_diameter_m: disc_m.0, inner_minor_m: Some(disc_m.1), ..Kind::robot() };

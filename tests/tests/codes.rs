@@ -1,11 +1,10 @@
-//! Coded roundels are found and read, with their yaw, or said not to be. `cargo run -p roundel-tests
-//! --bin codes` shows many more.
+//! Detection and reading of coded roundels. `cargo run -p roundel-tests -- codes` has larger samples.
 
 use roundel_core::marker::CodeLayout;
 use roundel_tests::coded::{Case, run};
 
 #[test]
-fn codes_are_read_from_their_least_size_on() {
+fn codes_are_read_from_their_minimum_size_on() {
     for (bits, min_distance, least_px) in [(8, 2, 36.0), (12, 2, 60.0), (16, 2, 90.0)] {
         let layout = CodeLayout { bits, min_distance };
         let score = run(&Case { layout, diameters_px: (least_px, 1.5 * least_px) }, 300);
@@ -18,7 +17,7 @@ fn codes_are_read_from_their_least_size_on() {
 }
 
 #[test]
-fn what_is_too_small_is_never_read_wrongly() {
+fn codes_that_are_too_small_are_never_misread() {
     for (bits, min_distance, diameters_px) in [(8, 2, (12.0, 30.0)), (16, 2, (20.0, 70.0))] {
         let layout = CodeLayout { bits, min_distance };
         let score = run(&Case { layout, diameters_px }, 300);

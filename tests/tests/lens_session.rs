@@ -1,4 +1,5 @@
-//! A lens found over REST while a camera is served: the rendered board moves before it, as an operator would move it.
+//! Lens calibration over REST while a camera is served: the rendered board moves before the camera as an operator
+//! would move it.
 
 use std::{fs, path::Path, time::Duration};
 
@@ -6,9 +7,9 @@ use anyhow::{Context, ensure};
 use roundel_tests::{
     board::{board_print, camera, imaging, pictures, poses},
     export::{camera_yaml, write_png},
-    normal::Random,
     optics::{Distortion, Pinhole},
     process::Server,
+    random::Random,
 };
 use serde_json::{Value, json};
 use tokio::{
@@ -17,13 +18,13 @@ use tokio::{
     time::{sleep, timeout},
 };
 
-/// Nothing here takes so long but on a machine that stands still.
+/// Only a stalled machine takes this long.
 const PATIENCE: Duration = Duration::from_secs(120);
 const VIEWS: usize = 26;
-/// Each view is held for so many frames of the camera.
+/// Frames for which each view is held.
 const HELD: usize = 5;
 
-/// A server with one camera, which plays the board from all sides; its lens file is wrong by a tenth.
+/// A server with one camera that plays views of the board; its lens file is wrong by a tenth.
 fn lab(folder: &Path) -> anyhow::Result<Server> {
     let truth = camera();
     let poses = poses(&truth, VIEWS, &mut Random::new(11, 0));
@@ -55,7 +56,7 @@ fn lab(folder: &Path) -> anyhow::Result<Server> {
     Server::serve(&config)
 }
 
-/// Status and body of an answer.
+/// Status and body of a response.
 async fn ask(
     server: &Server,
     method: &str,
@@ -98,20 +99,20 @@ async fn until(server: &Server, is_so: impl Fn(&Value) -> bool) -> anyhow::Resul
     timeout(PATIENCE, looks).await.context("it never was so")?
 }
 
-/// Number of a camera file's line that begins so.
+/// The number in the first matching line of a camera file.
 fn focal_px(yaml: &str) -> Option<f64> {
     let (_, data) = yaml.split_once("camera_matrix")?.1.split_once("data: [")?;
     data.split(',').next()?.trim().parse().ok()
 }
 
 #[tokio::test]
-async fn a_served_camera_learns_its_lens_while_the_board_moves() -> anyhow::Result<()> {
+async fn a_served_camera_is_calibrated_while_the_board_moves() -> anyhow::Result<()> {
     let folder = tempfile::tempdir()?;
     let server = lab(folder.path())?;
     let truth = camera();
     answered(&server, "POST", "lens", r#"{"camera": "north"}"#).await?;
 
-    // What is seen is told while it is seen.
+    // Progress is reported during the session.
     let early = until(&server, |it| it["taken"].as_u64() > Some(2)).await?;
     let missing = early["missing"].as_array().context("a list")?.len();
     let share = early["coverage"]["share"].as_f64().context("a share")?;
@@ -149,7 +150,7 @@ async fn a_served_camera_learns_its_lens_while_the_board_moves() -> anyhow::Resu
     );
     assert_eq!(focal_px(&yaml), Some(of("fx").0));
 
-    // Taken into use, it is kept beside the configuration, which names it.
+    // Once applied, it is saved beside the configuration, which refers to it.
     assert_eq!(done["can_apply"], true);
     let applied = answered(&server, "PUT", "lens/applied", "").await?;
     assert_eq!(applied["applied"], "north.lens-1.yaml");
@@ -159,20 +160,20 @@ async fn a_served_camera_learns_its_lens_while_the_board_moves() -> anyhow::Resu
     let camera = answered(&server, "GET", "cameras/north", "").await?;
     let used = camera["intrinsics"]["fx_px"].as_f64();
     assert!(used.is_some_and(|used| (used / truth.focal_px[0] - 1.0).abs() < 1e-3), "{camera}");
-    // A second one does not write over it.
+    // A second one does not overwrite it.
     let again = answered(&server, "PUT", "lens/applied", "").await?;
     assert_eq!(again["applied"], "north.lens-2.yaml");
     Ok(())
 }
 
 #[tokio::test]
-async fn a_source_is_looked_at_before_it_is_a_camera() -> anyhow::Result<()> {
+async fn a_source_is_calibrated_before_it_is_a_camera() -> anyhow::Result<()> {
     let folder = tempfile::tempdir()?;
     let server = lab(folder.path())?;
     let wish = r#"{"source": "images:images/*.png?fps=25", "name": "south", "views": 14}"#;
-    let begun = answered(&server, "POST", "lens", wish).await?;
-    assert_eq!((&begun["camera"], &begun["enough"]), (&json!(""), &json!(14)));
-    // It ends by itself, with as many views as were wanted or with the source.
+    let started = answered(&server, "POST", "lens", wish).await?;
+    assert_eq!((&started["camera"], &started["enough"]), (&json!(""), &json!(14)));
+    // Ends automatically, after the requested number of views or at the end of the source.
     let done = until(&server, |it| it["stage"] == "done").await?;
     assert!(done["report"]["views"].as_u64() >= Some(8), "{}", done["report"]);
     let applied = answered(&server, "PUT", "lens/applied", "").await?;

@@ -1,4 +1,4 @@
-//! A camera whose pose is "unknown" finds its place from reference roundels in rendered pictures.
+//! A camera whose pose is "unknown" localizes itself by reference roundels in rendered pictures.
 
 use std::{fs, time::Duration};
 
@@ -12,11 +12,11 @@ use roundel_tests::{
     render::Print,
 };
 
-/// Where the references lie, metres; no two of their distances are alike.
+/// Positions of the references; all their distances differ.
 const REFERENCES_M: [[f64; 3]; 4] =
     [[-2.6, -1.6, 0.3], [0.1, -1.3, 0.3], [-2.1, 0.5, 0.3], [-0.6, 0.1, 0.3]];
 
-/// One camera, with references in place of robots.
+/// One camera, with references instead of robots.
 fn arena() -> Arena {
     let mut arena = Arena::r4_lite(5, REFERENCES_M.len(), 0);
     let kind = Kind {
@@ -37,7 +37,7 @@ fn arena() -> Arena {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_camera_finds_its_place_from_references() -> anyhow::Result<()> {
+async fn a_camera_localizes_itself_by_references() -> anyhow::Result<()> {
     let arena = arena();
     let folder = tempfile::tempdir()?;
     let installation = Export::lab(60).write(&arena, folder.path())?;

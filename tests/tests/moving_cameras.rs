@@ -1,5 +1,5 @@
-//! Cameras that move, the whole way over the public surfaces: rendered frames as image files, a real `roundel
-//! serve`, and gRPC's snapshots, cameras and events against the truth.
+//! Moving cameras over the public interfaces: rendered frames as image files, a real `roundel serve`, and gRPC's
+//! snapshots, cameras and events compared with the truth.
 
 use std::{f64::consts::PI, fs, time::Duration};
 
@@ -15,34 +15,35 @@ use roundel_tests::{
     score::{Judge, Score},
 };
 
-/// Tracks and velocities are settled so long after the first frame.
+/// Time after the first frame until tracks and velocities have settled.
 const SETTLED_NS: i64 = 1_000_000_000;
 const FRAMES: usize = 105;
 
-/// What clients were told while all frames were played.
-struct Told {
+/// Everything that clients received while the frames were played.
+struct Received {
     snapshots: Vec<Snapshot>,
-    /// The camera on board, at each asking.
-    aboard: Vec<Camera>,
+    /// State of the moving camera at each query.
+    moving_camera: Vec<Camera>,
     server: Server,
     client: Client,
 }
 
-async fn watch(arena: &Arena, installation: &Installation) -> anyhow::Result<Told> {
+async fn watch(arena: &Arena, installation: &Installation) -> anyhow::Result<Received> {
     let server = Server::serve(&installation.config)?;
     let client = Client::connect(&server.url()).await?;
     let end_ns = arena.capture_time_ns(&arena.sites[0], FRAMES - 1);
     let mut stream = client.snapshots(Subscription::default());
-    let (mut snapshots, mut aboard) = (Vec::new(), Vec::new());
+    let (mut snapshots, mut moving_camera) = (Vec::new(), Vec::new());
     loop {
         let update = tokio::time::timeout(Duration::from_secs(60), stream.next()).await;
         let update = update.with_context(|| format!("no snapshot:\n{}", server.log()))?;
         let Update::Snapshot(snapshot) = update.context("the stream ended")?? else { continue };
         if snapshot.pose_time_ns > end_ns {
-            return Ok(Told { snapshots, aboard, server, client });
+            return Ok(Received { snapshots, moving_camera, server, client });
         }
         if snapshot.sequence % 3 == 0 {
-            aboard.extend(client.cameras().await?.into_iter().find(|it| it.name == "aboard"));
+            moving_camera
+                .extend(client.cameras().await?.into_iter().find(|it| it.name == "moving_camera"));
         }
         snapshots.push(snapshot);
     }
@@ -54,12 +55,13 @@ fn isometry(pose: &Pose) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::new(p.x, p.y, p.z), turn)
 }
 
-impl Told {
-    /// Rms of the camera's place, metres, and rotation, radians, where it was known, against the truth.
+impl Received {
+    /// Rms errors of the camera's position, metres, and rotation, radians, while its pose was known.
     fn camera_errors(&self, arena: &Arena) -> anyhow::Result<(f64, f64)> {
-        let site = arena.sites.iter().find(|site| site.name == "aboard").context("no camera")?;
+        let site =
+            arena.sites.iter().find(|site| site.name == "moving_camera").context("no camera")?;
         let (mut squares, mut count) = ((0.0, 0.0), 0.0);
-        for camera in &self.aboard {
+        for camera in &self.moving_camera {
             let after_s = (camera.pose_time_ns - arena.start_ns) as f64 * 1e-9;
             let Some(pose) = &camera.pose else {
                 ensure!(!camera.pose_reason.is_empty() && camera.pose_covariance.is_empty());
@@ -79,7 +81,7 @@ impl Told {
         Ok(((squares.0 / count).sqrt(), (squares.1 / count).sqrt()))
     }
 
-    /// The settled snapshots' objects of this choice against the robots of that.
+    /// Scores selected objects of the settled snapshots against selected robots.
     fn score(
         &self,
         arena: &Arena,
@@ -98,7 +100,7 @@ impl Told {
         judge.finish()
     }
 
-    /// Kinds of the events about the camera on board, in order.
+    /// Kinds of the events about the moving camera, in order.
     async fn events(&self) -> anyhow::Result<Vec<EventKind>> {
         let mut events = self.client.events(100).await?;
         let mut kinds = Vec::new();
@@ -106,7 +108,7 @@ impl Told {
             tokio::time::timeout(Duration::from_millis(500), events.next()).await
         {
             let event = event?;
-            if event.camera == "aboard" {
+            if event.camera == "moving_camera" {
                 kinds.push(event.kind());
             }
         }
@@ -115,64 +117,66 @@ impl Told {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_drones_camera_shows_robots_that_nobody_else_sees() -> anyhow::Result<()> {
+async fn a_drones_camera_tracks_robots_that_no_other_camera_sees() -> anyhow::Result<()> {
     let mut arena = Arena::with_drone(31);
-    let aboard = arena.sites.pop().context("no drone")?;
+    let moving_camera = arena.sites.pop().context("no drone")?;
     arena.sites = Arena::r4_lite(31, 1, 0).sites.split_off(2);
-    arena.sites.push(aboard);
+    arena.sites.push(moving_camera);
     arena.robots.truncate(5);
     let folder = tempfile::tempdir()?;
     let installation = Export::lab(FRAMES).write(&arena, folder.path())?;
-    let told = watch(&arena, &installation).await?;
+    let received = watch(&arena, &installation).await?;
 
-    let (off_m, off_rad) = told.camera_errors(&arena)?;
-    let drone = told.score(&arena, |name| name == "robot 1", 0..1);
-    let robots = told.score(&arena, str::is_empty, 1..5);
+    let (off_m, off_rad) = received.camera_errors(&arena)?;
+    let drone = received.score(&arena, |name| name == "robot 1", 0..1);
+    let robots = received.score(&arena, str::is_empty, 1..5);
     println!("camera off by {:.1} mm, {:.1} mrad", off_m * 1e3, off_rad * 1e3);
     println!("drone\n{drone}\nrobots below\n{robots}");
     ensure!(off_m < 0.02 && off_rad < 0.03, "off by {off_m} m and {off_rad} rad");
     assert_eq!((drone.ids, drone.swaps, drone.strays), (1, 0, 0));
     assert_eq!((robots.ids, robots.swaps, robots.strays, robots.extra_ids), (4, 0, 0, 0));
-    // The drone's orientation moves what is 1.7 m below it: see the scenario `drone`.
+    // The drone's orientation displaces objects 1.7 m below it: see the scenario `drone`.
     ensure!(robots.position.rms() < 0.06, "{}", robots.position.rms());
-    let first = told.aboard.first().context("never asked")?;
+    let first = received.moving_camera.first().context("never asked")?;
     assert_eq!((first.carrier.as_str(), first.localizes), ("robot 1", false));
     let mount = isometry(first.mount.as_ref().context("no mount")?);
     let true_mount = arena.sites[2].mount.context("it stands")?.robot_from_camera;
     ensure!((mount.inverse() * true_mount).translation.vector.norm() < 1e-9);
-    ensure!(told.events().await?.contains(&EventKind::CameraPlaced));
+    ensure!(received.events().await?.contains(&EventKind::CameraPlaced));
     Ok(())
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_docking_robot_finds_itself() -> anyhow::Result<()> {
+async fn a_docking_robot_localizes_itself() -> anyhow::Result<()> {
     let mut arena = Arena::docking(32);
-    // Codes are read from near: it goes away from its station.
+    // Codes are readable at close range, so it starts near its station and retreats.
     let Course::Sines(sines) = &mut arena.robots[0].path.course else { panic!("no sines") };
     (sines[0].phase_rad, sines[0].rate_rad_s) = (PI / 2.0, 0.6);
-    // Two coded kinds of as many bits are refused, and nobody sees what the robot itself carries.
+    // Two coded kinds with the same number of bits are rejected, and no camera sees the robot's own roundel.
     let station = arena.kinds.pop().context("no station")?;
     arena.robots[0].kind = station.name.clone();
     arena.kinds = vec![station];
     arena.landmarks.iter_mut().for_each(|landmark| landmark.kind = 0);
     let folder = tempfile::tempdir()?;
     let installation = Export::lab(FRAMES).write(&arena, folder.path())?;
-    // So it may as well carry nothing.
+    // So the robot needs no roundel.
     let config = fs::read_to_string(&installation.config)?;
     let carried = "name = \"robot 1\"\nroundel = \"station\"\ncode = 1\n";
     ensure!(config.contains(carried), "{config}");
     fs::write(&installation.config, config.replace(carried, "name = \"robot 1\"\n"))?;
-    let told = watch(&arena, &installation).await?;
+    let received = watch(&arena, &installation).await?;
 
-    let (off_m, off_rad) = told.camera_errors(&arena)?;
-    let score = told.score(&arena, |_| true, 0..1);
+    let (off_m, off_rad) = received.camera_errors(&arena)?;
+    let score = received.score(&arena, |_| true, 0..1);
     println!("camera off by {:.1} mm, {:.1} mrad\n{score}", off_m * 1e3, off_rad * 1e3);
     assert_eq!((score.ids, score.swaps, score.strays, score.misses), (1, 0, 0, 0));
     ensure!(score.position.rms() < 0.03 && off_m < 0.03, "{} m", score.position.rms());
     ensure!(off_rad < 0.02, "{off_rad} rad");
     let named = |snapshot: &Snapshot| snapshot.objects.iter().all(|it| it.name == "robot 1");
-    ensure!(told.snapshots.iter().all(named), "its station is no object");
-    ensure!(told.aboard.iter().all(|camera| camera.localizes && camera.carrier == "robot 1"));
-    assert_eq!(told.events().await?.first(), Some(&EventKind::CameraRunning));
+    ensure!(received.snapshots.iter().all(named), "its station is no object");
+    ensure!(
+        received.moving_camera.iter().all(|camera| camera.localizes && camera.carrier == "robot 1")
+    );
+    assert_eq!(received.events().await?.first(), Some(&EventKind::CameraRunning));
     Ok(())
 }

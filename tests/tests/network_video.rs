@@ -1,4 +1,4 @@
-//! A real video through `roundel serve`, as network cameras send it.
+//! A real video through `roundel serve`, sent like that of a network camera.
 
 use std::{
     collections::BTreeSet,
@@ -21,19 +21,19 @@ use roundel_server::capture::image_file;
 use roundel_tests::{process::Server, python::Python, shared_data::shared_data};
 use tokio::time::timeout;
 
-/// What Python makes is kept here.
+/// Folder for files made by Python.
 const FOLDER: &str = env!("CARGO_TARGET_TMPDIR");
-/// Nothing here takes so long but on a machine that stands still.
+/// Only a stalled machine takes this long.
 const PATIENCE: Duration = Duration::from_secs(120);
 const INTERVAL: Duration = Duration::from_micros(33_367);
 
-/// The camera was not calibrated; how long its lens is taken to be only scales distances.
+/// The camera was not calibrated; an assumed focal length only scales distances.
 const CAMERA: &str = "image_width: 848\nimage_height: 480\ncamera_name: phone\n\
 camera_matrix: {rows: 3, cols: 3, data: [700.0, 0.0, 423.5, 0.0, 700.0, 239.5, 0.0, 0.0, 1.0]}\n\
 distortion_model: plumb_bob\n\
 distortion_coefficients: {rows: 1, cols: 5, data: [0.0, 0.0, 0.0, 0.0, 0.0]}\n";
 
-/// Streams the pictures once, each when it is due, and keeps the last one on show.
+/// Streams the pictures once, each when it is due, and repeats the last one.
 fn serve_mjpeg(pictures: Vec<Vec<u8>>) -> anyhow::Result<String> {
     let listener = TcpListener::bind("127.0.0.1:0")?;
     let url = format!("http://{}/stream", listener.local_addr()?);
@@ -47,10 +47,10 @@ fn serve_mjpeg(pictures: Vec<Vec<u8>>) -> anyhow::Result<String> {
         let head =
             "HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace;boundary=frame\r\n\r\n";
         socket.write_all(head.as_bytes())?;
-        let begun = Instant::now();
+        let started = Instant::now();
         let last = pictures.last().cloned().unwrap_or_default();
         for (index, picture) in (0..).zip(pictures.into_iter().chain(std::iter::repeat(last))) {
-            thread::sleep((INTERVAL * index).saturating_sub(begun.elapsed()));
+            thread::sleep((INTERVAL * index).saturating_sub(started.elapsed()));
             let length = picture.len();
             let part =
                 format!("--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {length}\r\n\r\n");
@@ -82,7 +82,7 @@ fn configuration(folder: &Path, source: &str) -> anyhow::Result<PathBuf> {
     Ok(config)
 }
 
-/// Follows the one object through `wanted` frames; it is never another one, and never lost.
+/// Follows the only object through `wanted` frames; its id never changes, and it is never lost.
 async fn follow(server: &Server, wanted: u64) -> anyhow::Result<()> {
     let client = Client::connect(&server.url()).await?;
     let mut snapshots = client.snapshots(Subscription::default());

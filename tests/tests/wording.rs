@@ -1,5 +1,5 @@
 //! Checks comments, documents and messages for phrases that the style guide rules out. Each problem names file, line
-//! and phrase. `core` and `tests` are checked in their Markdown files only.
+//! and phrase. Core's sources are not checked yet.
 
 use std::{fs, process::Command};
 
@@ -60,7 +60,7 @@ fn begins_in(line: &str, next: &str, phrase: &str) -> bool {
 }
 
 #[test]
-fn no_ruled_out_phrase_occurs() {
+fn no_forbidden_phrase_occurs() {
     let root = workspace_root();
     let list = Command::new("git")
         .args(["ls-files", "--cached", "--others", "--exclude-standard"])

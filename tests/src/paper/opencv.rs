@@ -12,21 +12,21 @@ use tempfile::TempDir;
 
 use crate::{
     optics::Pinhole,
+    other_markers::{Cells, write_pgm},
     render::Image,
-    rival::{Cells, write_pgm},
 };
 
 const SCRIPTS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/compare");
-/// Markers that are made.
+/// Number of generated markers.
 const MARKERS: usize = 32;
 
-/// A detector of OpenCV's.
+/// OpenCV's detectors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Detector {
-    /// ArUco as it is by default.
+    /// ArUco with default parameters.
     Aruco,
-    /// With its corners refined.
+    /// ArUco with corner refinement.
     Refined,
     /// SimpleBlobDetector.
     Blob,
@@ -35,49 +35,46 @@ pub enum Detector {
 /// Pictures for one detector.
 #[derive(Debug, Serialize)]
 pub struct Job {
-    /// Which.
     pub detector: Detector,
-    /// Of markers' sides, metres.
+    /// Side of the markers.
     pub size_m: f64,
     /// fx fy cx cy and the distortion, for positions.
     pub camera: Option<Vec<f64>>,
-    /// The least time of so many counts.
+    /// Repetitions, of which the fastest counts.
     pub repetitions: usize,
-    /// Files.
     pub images: Vec<PathBuf>,
 }
 
-/// What became of one picture.
+/// Result for one picture.
 #[derive(Debug, Deserialize)]
-pub struct Judged {
+pub struct SearchResult {
     /// Time of a search.
     pub ms: f64,
-    /// Found.
     pub found: Vec<Found>,
 }
 
 /// One marker or blob.
 #[derive(Debug, Deserialize)]
 pub struct Found {
-    /// Its middle in the image.
+    /// Centre in the image.
     pub center_px: [f64; 2],
-    /// And before the camera, where that was asked for and can be said.
+    /// Position in the camera frame, if requested and available.
     pub position_m: Option<[f64; 3]>,
 }
 
 /// Python with OpenCV, and a folder for pictures.
-pub struct Others {
+pub struct OpenCv {
     python: PathBuf,
-    /// Its own, since others may run at the same time.
+    /// Separate, since tests run at the same time.
     folder: TempDir,
     /// Cells of ArUco markers.
     pub markers: Vec<Cells>,
 }
 
-impl Others {
-    /// Makes the environment where it is not there; the error says what is missing.
+impl OpenCv {
+    /// Creates the environment if necessary. The error names what is missing.
     pub fn ready() -> anyhow::Result<Self> {
-        let path = said(&mut Command::new(Path::new(SCRIPTS).join("python")))
+        let path = output_of(&mut Command::new(Path::new(SCRIPTS).join("python")))
             .context("Python 3 with venv, and OpenCV from PyPI")?;
         let python = PathBuf::from(path.trim());
         let folder = python.ancestors().nth(3).context("the environment's folder")?;
@@ -87,15 +84,14 @@ impl Others {
         Ok(others)
     }
 
-    /// Writes a picture to be judged.
     pub fn write(&self, name: &str, image: &Image) -> anyhow::Result<PathBuf> {
         let path = self.folder.path().join(format!("{name}.pgm"));
         write_pgm(&path, image).with_context(|| path.display().to_string())?;
         Ok(path)
     }
 
-    /// What becomes of each picture of each job. The pictures are removed: they are large.
-    pub fn judge(&self, jobs: &[Job]) -> anyhow::Result<Vec<Vec<Judged>>> {
+    /// Results for each picture of each job. The pictures are large and are removed.
+    pub fn judge(&self, jobs: &[Job]) -> anyhow::Result<Vec<Vec<SearchResult>>> {
         let path = self.folder.path().join("jobs.json");
         fs::write(&path, serde_json::to_vec(jobs)?)?;
         let text = self.run(&["judge", &path.display().to_string()])?;
@@ -108,20 +104,20 @@ impl Others {
 
     fn run(&self, arguments: &[&str]) -> anyhow::Result<String> {
         let script = Path::new(SCRIPTS).join("paper.py");
-        said(Command::new(&self.python).arg(script).args(arguments))
+        output_of(Command::new(&self.python).arg(script).args(arguments))
             .context("tests/compare/paper.py")
     }
 }
 
-/// A camera as jobs have it.
+/// A camera in the format of jobs.
 pub fn numbers(optics: &Pinhole) -> Vec<f64> {
     let [fx, fy] = optics.focal_px;
     let [cx, cy] = optics.center_px;
     [fx, fy, cx, cy].into_iter().chain(optics.distortion.coefficients().iter().copied()).collect()
 }
 
-/// What a command writes; the error is the last line of what it complains of.
-fn said(command: &mut Command) -> anyhow::Result<String> {
+/// Output of a command. The error is the last line of its standard error.
+fn output_of(command: &mut Command) -> anyhow::Result<String> {
     let Output { status, stdout, stderr } =
         command.output().with_context(|| format!("{}", command.get_program().display()))?;
     if !status.success() {

@@ -1,4 +1,4 @@
-//! What the model predicts of errors in the hall: equations 17 to 19, and the tiles.
+//! The model's prediction of errors in the hall: equations 17 to 19, and the tiles.
 
 use roundel_core::plan::paper::{AXIS_ERROR_PX, lens_share, range_share};
 
@@ -8,34 +8,34 @@ use super::{
     model,
 };
 
-/// What the tiles alone leave, metres: the mean length of an error of [`TILES_M`] along both axes, √(π/2) of it, and
-/// beside a roundel's own tile those of the four that define the frame, which between them count 0.48 in squares.
+/// Mean error from the tiles alone: the mean length of an error of [`TILES_M`] along both axes is √(π/2) of it;
+/// besides a roundel's own tile, those of the four that define the frame add 0.48 in squares.
 const TILES_MEAN_M: f64 = 1.253 * 1.216 * TILES_M;
 
-/// What the model predicts of one picture's errors.
+/// The model's prediction of one picture's errors.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Predicted {
-    /// Mean, metres.
+pub struct Prediction {
+    /// Mean.
     pub mean_m: f64,
-    /// Greatest, metres.
-    pub most_m: f64,
-    /// Mean of the shares of the distance.
+    /// Maximum.
+    pub max_m: f64,
+    /// Mean of the errors relative to the distance.
     pub mean_share: f64,
-    /// Greatest of them.
-    pub most_share: f64,
-    /// In the mean share, by itself: the tiles.
+    /// Maximum of the relative errors.
+    pub max_share: f64,
+    /// Contribution of the tiles alone to the mean share.
     pub tiles_share: f64,
     /// Coefficients of the lens (equation 18).
     pub lens_share: f64,
-    /// The axis of the rim, which counts in space (equation 19) …
+    /// The axis of the rim, which matters in space (equation 19).
     pub axis_share: f64,
-    /// … the same with the paper's error of the axis …
+    /// The same with the paper's error of the axis.
     pub papers_axis_share: f64,
-    /// … and the focal length.
+    /// The focal length.
     pub focal_share: f64,
 }
 
-impl Predicted {
+impl Prediction {
     /// Means over pictures.
     pub fn mean(pictures: &[Self]) -> Self {
         let of = |field: fn(&Self) -> f64| {
@@ -43,9 +43,9 @@ impl Predicted {
         };
         Self {
             mean_m: of(|it| it.mean_m),
-            most_m: of(|it| it.most_m),
+            max_m: of(|it| it.max_m),
             mean_share: of(|it| it.mean_share),
-            most_share: of(|it| it.most_share),
+            max_share: of(|it| it.max_share),
             tiles_share: of(|it| it.tiles_share),
             lens_share: of(|it| it.lens_share),
             axis_share: of(|it| it.axis_share),
@@ -54,8 +54,8 @@ impl Predicted {
         }
     }
 
-    /// Which parts the mean share has, per cent.
-    pub fn told(&self, plane: bool) -> String {
+    /// Contributions to the mean share, per cent.
+    pub fn contributions(&self, plane: bool) -> String {
         let Self { tiles_share, lens_share, axis_share, papers_axis_share, focal_share, .. } = self;
         let [tiles, lens, axis, papers_axis, focal] =
             [tiles_share, lens_share, axis_share, papers_axis_share, focal_share]
@@ -64,15 +64,14 @@ impl Predicted {
             format!("tiles {tiles:.4}, lens {lens:.4}; the rest of the paper's is its lens")
         } else {
             format!(
-                "tiles {tiles:.4}, lens {lens:.4}, focal length {focal:.4}, axis {axis:.4}, for which the paper's 0.15 px \
-                 would make {papers_axis:.2}"
+                "tiles {tiles:.4}, lens {lens:.4}, focal length {focal:.4}, axis {axis:.4}, {papers_axis:.2} with the paper's 0.15 px"
             )
         }
     }
 }
 
-/// Equations 17 to 19, and the tiles, over what is measured.
-pub fn predicted(hall: &Hall, lens: &Calibrated, plane: bool) -> Predicted {
+/// Equations 17 to 19, and the tiles, over the measured roundels.
+pub fn predicted(hall: &Hall, lens: &Calibrated, plane: bool) -> Prediction {
     let measured: Vec<usize> =
         (0..hall.true_m.len()).filter(|&index| !Hall::is_reference(index)).collect();
     let of_one = |&index: &usize| {
@@ -88,7 +87,7 @@ pub fn predicted(hall: &Hall, lens: &Calibrated, plane: bool) -> Predicted {
             range_share(lens.focal_share, axis_error_px, semiaxes_px[0], lens_share)
                 .hypot(tiles_share)
         };
-        Predicted {
+        Prediction {
             mean_m: mean_share * place.norm(),
             mean_share,
             tiles_share,
@@ -96,11 +95,11 @@ pub fn predicted(hall: &Hall, lens: &Calibrated, plane: bool) -> Predicted {
             axis_share,
             papers_axis_share: AXIS_ERROR_PX / semiaxes_px[0],
             focal_share: lens.focal_share,
-            ..Predicted::default()
+            ..Prediction::default()
         }
     };
-    let each: Vec<Predicted> = measured.iter().map(of_one).collect();
-    let most_m = model::greatest(&each.iter().map(|it| it.mean_m).collect::<Vec<_>>());
-    let most_share = model::greatest(&each.iter().map(|it| it.mean_share).collect::<Vec<_>>());
-    Predicted { most_m, most_share, ..Predicted::mean(&each) }
+    let each: Vec<Prediction> = measured.iter().map(of_one).collect();
+    let max_m = model::expected_max(&each.iter().map(|it| it.mean_m).collect::<Vec<_>>());
+    let max_share = model::expected_max(&each.iter().map(|it| it.mean_share).collect::<Vec<_>>());
+    Prediction { max_m, max_share, ..Prediction::mean(&each) }
 }

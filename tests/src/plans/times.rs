@@ -1,10 +1,9 @@
-//! The plan's time per frame beside that of frames rendered by other code.
+//! Compares the plan's times per frame with those of independently rendered frames.
 //!
-//! In: how many roundels of which size and kind in a picture of which size, and by how much they move from frame to
-//! frame. Out: median times of a frame in which they are followed, and of one that is searched as a whole, poses included,
-//! on one thread: of the plan's own simulated frames, and of frames from this crate's renderer before a laboratory's
-//! clutter. All move along the same arc, on which the direction changes by a 64th of a turn a frame; a frame is exposed for
-//! a quarter of the time between two.
+//! In: number, size and kind of roundels, picture size, and motion from frame to frame. Out: median times of a frame
+//! in which all are tracked, and of a frame that is searched as a whole, poses included, on one thread; of the plan's
+//! own simulated frames, and of this crate's rendered frames with a lab's clutter. All roundels move along the same
+//! arc, on which the direction changes by 1/64 turn per frame. The exposure is a quarter of the frame interval.
 
 use std::f64::consts::TAU;
 
@@ -17,24 +16,24 @@ use crate::{
     arena::Kind,
     clutter::{Clutter, background},
     coded::{coded_print, words},
-    normal::Random,
     optics::{Distortion, Pinhole},
     pipeline::{core_camera, core_kinds},
     precision::MODES,
-    render::{Image, Imaging, Print, Renderer, Seen},
+    random::Random,
+    render::{Image, Imaging, MovingPrint, Print, Renderer},
 };
 
-/// Focal length over the picture's width, that of the reference installations.
+/// Focal length over the picture's width, as in the reference installations.
 const FOCAL: f64 = 1100.0 / 1920.0;
 /// Frames of a whole turn.
 const TURN: f64 = 64.0;
 const FRAME_S: f64 = 1.0 / 60.0;
 const EXPOSURE_S: f64 = 0.25 * FRAME_S;
-/// The white margin, a share of the outer diameter.
+/// White margin, as a share of the outer diameter.
 const MARGIN: f64 = 0.2;
-/// Grey level of the floor, not just between black and white, where noise alone makes segments.
+/// Grey level of the floor. Halfway between black and white, noise alone would make segments.
 const FLOOR: f64 = 150.0;
-/// Width, height, roundels, their diameter and their motion from frame to frame, pixels.
+/// Width, height, number of roundels, their diameter, and their motion from frame to frame, pixels.
 type Listed = (usize, usize, usize, f64, f64);
 
 const PLAIN: [Listed; 26] = [
@@ -84,10 +83,10 @@ const CODED: [Listed; 14] = [
 /// Bits of the codes.
 const BITS: u8 = 8;
 
-/// A case, the share of frames that are searched as a whole, and the seconds a frame.
+/// A case, the share of frames that are searched as a whole, and seconds per frame.
 pub type Timed = (TimingCase, f64, Pair);
 
-/// Median times of all cases in both modes, each followed and searched.
+/// Median times of all cases in both modes, tracked and searched.
 pub fn times() -> anyhow::Result<Vec<Timed>> {
     let plain = PLAIN.iter().map(|listed| (listed, None));
     let coded = CODED.iter().map(|listed| (listed, Some(BITS)));
@@ -126,22 +125,19 @@ pub fn times() -> anyhow::Result<Vec<Timed>> {
 /// Contents of the rendered frames.
 #[derive(Clone, Copy, Debug)]
 pub struct Shown {
-    /// Width of the picture, pixels.
     pub width: usize,
-    /// Height of the picture, pixels.
     pub height: usize,
-    /// Roundels in it.
     pub count: usize,
-    /// Their outer diameter, pixels.
+    /// Outer diameter.
     pub diameter_px: f64,
-    /// Motion from frame to frame, pixels.
+    /// Motion from frame to frame.
     pub motion_px: f64,
     /// Bits of the codes; `None` for plain roundels.
     pub bits: Option<u8>,
 }
 
 impl Shown {
-    /// Times of a case on frames that show it.
+    /// Times of a case on these frames.
     pub fn times(&self, case: &TimingCase) -> anyhow::Result<FrameTimes> {
         let lens = Distortion::PlumbBob([-0.02, 0.0, 0.0, 0.0, 0.0]);
         let camera = Pinhole::centered(self.width, self.height, FOCAL * self.width as f64, lens);
@@ -156,7 +152,7 @@ impl Shown {
         self.bits.map_or_else(Kind::robot, Kind::coded)
     }
 
-    /// Roundels in a grid, each tilted to its own side.
+    /// Roundels in a grid, each tilted in its own direction.
     fn pictures(&self, camera: &Pinhole) -> Vec<Image> {
         let mut random = Random::new(16, self.count as u64);
         let kind = self.kind();
@@ -184,17 +180,17 @@ impl Shown {
                         }
                     })
                     .collect();
-                let seen: Vec<_> = motions
+                let moving: Vec<_> = motions
                     .iter()
                     .zip(prints.iter().cycle())
-                    .map(|(motion, print)| Seen { print, motion })
+                    .map(|(motion, print)| MovingPrint { print, motion })
                     .collect();
-                renderer.frame(&floor, &seen, &mut random)
+                renderer.frame(&floor, &moving, &mut random)
             })
             .collect()
     }
 
-    /// A lab's, as dense as it is in a picture of 2 megapixels.
+    /// A lab's clutter, with the density of a 2-megapixel picture.
     fn clutter(&self) -> Clutter {
         let share = (self.width * self.height) as f64 / 2e6;
         let of = |count: usize| (share * count as f64).round() as usize;
