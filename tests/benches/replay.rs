@@ -1,12 +1,8 @@
-//! How fast a recording is fused anew: the reference installations are recorded by a server that runs, in real time,
-//! and then played from their observations as fast as it goes, and copied into files, three times each, on one core.
+//! Speed of running fusion again on recordings: `cargo bench -p roundel-tests --bench replay [-- SECONDS]`.
 //!
-//! ```sh
-//! cargo run --release -p roundel-tests --bin replays                # R4 and R16, 20 s each
-//! cargo run --release -p roundel-tests --bin replays -- 60
-//! ```
-//!
-//! Told is how many times faster than it was recorded, and whether all three files are the same to the last bit.
+//! A server records R4 and R16 in real time, 20 s each by default. The recordings are then played from their observations
+//! at full speed and copied into files, three times each, on one core. Prints how many times faster than recorded that is,
+//! and whether all copies are identical.
 
 use std::{
     fs,
@@ -28,12 +24,12 @@ use roundel_tests::{
     sensor::Stream,
 };
 
-/// As of the `roundel` command.
+/// As in the `roundel` binary.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 const RUNS: usize = 3;
-/// What a replay can be asked for at most.
+/// The highest speed that a replay accepts.
 const FASTEST: f64 = 100.0;
 
 fn main() -> anyhow::Result<()> {
@@ -49,20 +45,21 @@ fn measure(name: &str, arena: &Arena, seconds: f64) -> anyhow::Result<()> {
     let Recorded { file, dropped } =
         record(arena, Stream::new(arena, PRECISE, seconds), folder.path(), &[])?;
     if dropped > 0 {
-        bail!("{dropped} messages found no room: this machine is too slow to record that");
+        bail!("{dropped} messages were dropped: this machine is too slow to record that");
     }
-    let wanted = ReplayOptions { file: file.clone(), from: ReplayFrom::Observations, config: None };
+    let options =
+        ReplayOptions { file: file.clone(), from: ReplayFrom::Observations, config: None };
     let (mut played, mut times, mut files) = (Vec::new(), Vec::new(), Vec::new());
     for run in 0..RUNS {
-        played.push(play(ReplaySession::open(&wanted)?, &file)?);
-        let session = ReplaySession::open(&wanted)?;
-        let to = folder.path().join(format!("anew{run}.mcap"));
-        let begun = Instant::now();
+        played.push(play(ReplaySession::open(&options)?, &file)?);
+        let session = ReplaySession::open(&options)?;
+        let to = folder.path().join(format!("copy{run}.mcap"));
+        let started = Instant::now();
         let copied = copy(session, &to, |_| {})?;
-        times.push(copied.seconds / begun.elapsed().as_secs_f64());
+        times.push(copied.seconds / started.elapsed().as_secs_f64());
         files.push((fs::read(&to)?, copied));
     }
-    let [first, others @ ..] = &files[..] else { bail!("nothing was fused") };
+    let [first, others @ ..] = &files[..] else { bail!("nothing was copied") };
     let are_same = others.iter().all(|other| other.0 == first.0);
     let best = |times: &[f64]| times.iter().copied().fold(0.0, f64::max);
     println!(
@@ -78,7 +75,7 @@ fn measure(name: &str, arena: &Arena, seconds: f64) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Plays it as fast as it goes, as a server does: how many times faster than it was recorded.
+/// Plays a recording at full speed through a server, and returns how many times faster than recorded that was.
 fn play(session: ReplaySession, file: &Path) -> anyhow::Result<f64> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
@@ -87,12 +84,12 @@ fn play(session: ReplaySession, file: &Path) -> anyhow::Result<f64> {
             ..initial_status(&session, file, ReplayFrom::Observations)
         };
         let seconds = begin.span.1.seconds_since(begin.span.0);
-        let begun = Instant::now();
+        let started = Instant::now();
         let server = ReplayServer::start(session, "127.0.0.1:0".parse()?, begin).await?;
         while !server.replay().status().ended {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
-        let took_s = begun.elapsed().as_secs_f64();
+        let took_s = started.elapsed().as_secs_f64();
         server.shutdown().await;
         Ok(seconds / took_s)
     })

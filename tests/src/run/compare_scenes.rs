@@ -1,20 +1,17 @@
-//! Renders the scenes of `tests/compare/run`: the same places and tilts, seen as roundels, ArUco
-//! markers, AprilTags and plain discs of one size.
-//!
-//! `scenes MARKERS.json FOLDER`, where MARKERS.json holds, by family, the cells of each marker: rows of
-//! 0 (black) and 1, the black border included. Writes PGM files and `truth.json`.
+//! Renders the scenes of `tests/compare/run`: roundels, ArUco markers, AprilTags and plain discs of one size at the same
+//! poses. Writes PGM files and `truth.json`.
 
-use std::{collections::BTreeMap, fs, path::Path};
+use std::{collections::BTreeMap, fs, path::PathBuf, process::ExitCode};
 
 use anyhow::Context;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use roundel_tests::{
     clutter::{Clutter, background},
-    normal::Random,
     optics::{Distortion, Pinhole},
-    render::{Canvas, Image, Imaging, Print, Renderer, Seen},
-    rival::{Cells, disc, marker, write_pgm},
+    other_markers::{Cells, disc, marker, write_pgm},
+    random::Random,
+    render::{Canvas, Image, Imaging, MovingPrint, Print, Renderer},
 };
 use serde_json::json;
 
@@ -22,11 +19,11 @@ use serde_json::json;
 const SIZE_M: f64 = 0.16;
 /// Inner diameter of the roundels.
 const INNER_M: f64 = 0.064;
-/// Focal length over the image's width: that of the reference installations.
+/// Focal length over the image's width, as in the reference installations.
 const FOCAL: f64 = 1100.0 / 1920.0;
 const MAX_TILT_RAD: f64 = 50.0 * std::f64::consts::PI / 180.0;
 
-/// One scene, of as many kinds of marker as there are.
+/// One scene, rendered once for each family of markers.
 struct Scene {
     name: String,
     camera: Pinhole,
@@ -35,14 +32,17 @@ struct Scene {
     poses: Vec<Isometry3<f64>>,
 }
 
-fn main() -> anyhow::Result<()> {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [markers, folder] = arguments.as_slice() else {
-        anyhow::bail!("expected MARKERS.json and a folder");
-    };
+#[derive(clap::Args)]
+pub struct Options {
+    /// JSON with the cells of each marker by family: rows of 0 (black) and 1, including the black border
+    markers: PathBuf,
+    folder: PathBuf,
+}
+
+pub fn run(options: &Options) -> anyhow::Result<ExitCode> {
+    let Options { markers, folder } = options;
     let markers: BTreeMap<String, Vec<Cells>> =
         serde_json::from_slice(&fs::read(markers)?).context("markers")?;
-    let folder = Path::new(folder);
     let scenes = scenes();
     scenes.par_iter().try_for_each(|scene| {
         let prints = |name: &str, print: &dyn Fn(usize) -> Print| {
@@ -61,7 +61,7 @@ fn main() -> anyhow::Result<()> {
         scenes.iter().map(|scene| (scene.name.as_str(), scene.truth())).collect();
     let all = json!({ "size_m": SIZE_M, "inner_m": INNER_M, "scenes": truth });
     fs::write(folder.join("truth.json"), all.to_string())?;
-    Ok(())
+    Ok(ExitCode::SUCCESS)
 }
 
 fn scenes() -> Vec<Scene> {
@@ -86,7 +86,7 @@ fn scenes() -> Vec<Scene> {
     scenes
 }
 
-/// Markers near the middles of a grid's cells, each at its own distance.
+/// Markers near the centres of a grid's cells, each at its own distance.
 fn crowd(
     camera: &Pinhole,
     grid: [usize; 2],
@@ -107,7 +107,7 @@ fn crowd(
         .collect()
 }
 
-/// One marker near the middle of a small image, light and lens as in the bars of precision.
+/// One marker near the centre of a small image, with the light and lens of the precision bars.
 fn single(diameter_px: f64, index: u64) -> Scene {
     let mut random = Random::new(diameter_px as u64, index);
     let camera = Pinhole::centered(320, 240, 1100.0, Distortion::NONE);
@@ -122,7 +122,7 @@ fn single(diameter_px: f64, index: u64) -> Scene {
     Scene { name, camera, imaging, clutter: None, poses }
 }
 
-/// Seen at this offset from the image's middle, turned and tilted against the line of sight.
+/// A pose that appears at this offset from the image centre, with random rotation and tilt.
 fn pose(
     camera: &Pinhole,
     at_px: [f64; 2],
@@ -137,7 +137,7 @@ fn pose(
     let lean = UnitQuaternion::from_scaled_axis(Vector3::new(axis.cos(), axis.sin(), 0.0) * tilt);
     let turn = random.uniform(0.0, std::f64::consts::TAU);
     let spin = UnitQuaternion::from_scaled_axis(Vector3::z() * turn);
-    // Half a turn about x has the face look at the camera; the rest follows the line of sight.
+    // Half a turn about x makes the print face the camera; the rest follows the line of sight.
     let facing = UnitQuaternion::from_scaled_axis(Vector3::x() * std::f64::consts::PI);
     let aside = UnitQuaternion::rotation_between(&Vector3::z(), &position)
         .expect("a place in front of the camera");
@@ -153,19 +153,22 @@ impl Scene {
             None => Canvas::flat(self.camera.width, self.camera.height, 120.0),
         };
         let motions: Vec<_> = self.poses.iter().map(|pose| move |_: f64| *pose).collect();
-        let seen: Vec<_> =
-            prints.iter().zip(&motions).map(|(print, motion)| Seen { print, motion }).collect();
-        renderer.frame(&canvas, &seen, &mut random)
+        let moving: Vec<_> = prints
+            .iter()
+            .zip(&motions)
+            .map(|(print, motion)| MovingPrint { print, motion })
+            .collect();
+        renderer.frame(&canvas, &moving, &mut random)
     }
 
-    /// Focal length; position and image of the middle of every marker.
+    /// The focal length, and the position and image of every marker's centre.
     fn truth(&self) -> serde_json::Value {
-        let of_pose = |pose: &Isometry3<f64>| {
+        let marker = |pose: &Isometry3<f64>| {
             let p = pose.translation.vector;
             let pixel = self.camera.project(&Point3::from(p)).expect("in front of the camera");
             json!({ "center_px": [pixel.x, pixel.y], "position_m": [p.x, p.y, p.z] })
         };
-        let markers: Vec<_> = self.poses.iter().map(of_pose).collect();
+        let markers: Vec<_> = self.poses.iter().map(marker).collect();
         json!({ "focal_px": self.camera.focal_px[0], "markers": markers })
     }
 }

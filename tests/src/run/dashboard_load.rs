@@ -1,15 +1,12 @@
-//! The real server with the crowd that its page is measured by: 400 robots before 16 cameras, snapshots at 60 Hz, and
-//! pictures of whichever camera is looked at. Nothing is rendered or searched, so that the processor is left to the
-//! browser; from the hub on all is as ever. Serves until its standard input ends; prints its address first.
-//!
-//! ```sh
-//! cargo run --release -p roundel-tests --bin crowd              # tests/browser's `npm run bench` does it by itself
-//! cargo run --release -p roundel-tests --bin crowd -- 100 4     # robots, cameras
-//! ```
+//! A server under the load that the dashboard is measured with: by default 400 robots and 16 cameras, snapshots at 60 Hz,
+//! and pictures of the camera that is shown. Objects and pictures are generated and published to the hub, so that the
+//! processor is left to the browser; everything from the hub on is the real server. Prints its address, and stops when
+//! its standard input ends. `npm run bench` in `tests/browser` starts it.
 
 use std::{
     collections::BTreeMap,
     io::{self, Read, Write},
+    process::ExitCode,
     sync::Arc,
     thread,
     time::{Duration, Instant},
@@ -34,28 +31,34 @@ use roundel_server::{
 use tokio::net::TcpListener;
 
 const RATE_HZ: f64 = 60.0;
-/// Cameras have a frame in every other tick.
+/// Snapshots per camera frame.
 const TICKS_A_FRAME: u64 = 2;
 const SIZE: (usize, usize) = (1280, 720);
 const FOCAL_PX: f64 = 735.0;
 const CAMERA_HEIGHT_M: f64 = 5.0;
-/// From camera to camera, and from robot to robot, metres.
+/// Distances of neighbours.
 const CAMERA_GAPS_M: [f64; 2] = [6.0, 4.5];
 const ROBOT_GAPS_M: [f64; 2] = [0.95, 1.1];
-/// Of snapshots in which whom cameras see is worked out anew, one in so many.
-const SIGHT_TICKS: u64 = 30;
+/// Snapshots between two updates of the cameras that see a robot.
+const VISIBILITY_TICKS: u64 = 30;
 const SIGMA_M: f64 = 1.5e-3;
 
-fn main() -> anyhow::Result<()> {
-    let mut numbers = std::env::args().skip(1).map(|text| text.parse::<usize>());
-    let robots = numbers.next().transpose()?.unwrap_or(400);
-    let cameras = numbers.next().transpose()?.unwrap_or(16);
+#[derive(clap::Args)]
+pub struct Options {
+    #[arg(default_value_t = 400)]
+    robots: usize,
+    #[arg(default_value_t = 16)]
+    cameras: usize,
+}
+
+pub fn run(options: &Options) -> anyhow::Result<ExitCode> {
+    let Options { robots, cameras } = *options;
     let clock = Clock::anchored_now();
     let mounts = mounts(cameras)?;
     let hub = Arc::new(Hub::new(installation(cameras, clock)));
-    let feeding = hub.clone();
-    thread::spawn(move || Feeder::new(feeding, clock, robots, mounts).run());
-    // Whoever has started this ends: so does this.
+    let generator = Generator::new(hub.clone(), clock, robots, mounts);
+    thread::spawn(move || generator.run());
+    // Stops with the process that started it.
     thread::spawn(|| {
         let _ = io::stdin().read_to_end(&mut Vec::new());
         std::process::exit(0);
@@ -66,19 +69,19 @@ fn main() -> anyhow::Result<()> {
         println!("http://{}/", listener.local_addr()?);
         io::stdout().flush()?;
         api::serve(listener, ApiState::new(hub, clock)).await;
-        Ok(())
+        Ok(ExitCode::SUCCESS)
     })
 }
 
 fn installation(cameras: usize, clock: Clock) -> Installation {
     let camera = |place: usize| CameraInfo {
         name: format!("camera-{}", place + 1),
-        source: "crowd".into(),
+        source: "load".into(),
         ..CameraInfo::default()
     };
     Installation {
-        name: "Crowd".into(),
-        source_id: "crowd".into(),
+        name: "Dashboard load".into(),
+        source_id: "load".into(),
         started: clock.now(),
         snapshot_rate_hz: RATE_HZ,
         cameras: Installation::number_cameras((0..cameras).map(camera)),
@@ -88,22 +91,23 @@ fn installation(cameras: usize, clock: Clock) -> Installation {
     }
 }
 
-/// A lens, and where its camera hangs: in rows of four, each looking a little inwards.
+/// A camera's lens and pose.
 struct Mount {
     camera: Camera,
     world_from_camera: Rigid,
 }
 
+/// Cameras in rows of four, each tilted slightly inwards.
 fn mounts(count: usize) -> anyhow::Result<Vec<Mount>> {
     let (width, height) = SIZE;
-    let middle = [(width as f64 - 1.0) / 2.0, (height as f64 - 1.0) / 2.0];
+    let center = [(width as f64 - 1.0) / 2.0, (height as f64 - 1.0) / 2.0];
     let camera = Camera::new(Intrinsics {
         width,
         height,
         fx_px: FOCAL_PX,
         fy_px: FOCAL_PX,
-        cx_px: middle[0],
-        cy_px: middle[1],
+        cx_px: center[0],
+        cy_px: center[1],
         lens: Lens::PlumbBob([0.0; 5]),
     })?;
     let mount = |place: usize| {
@@ -111,7 +115,7 @@ fn mounts(count: usize) -> anyhow::Result<Vec<Mount>> {
         let y = CAMERA_GAPS_M[1] * ((place / 4) as f64 - 1.5);
         let position = Vector3::new(x, y, CAMERA_HEIGHT_M);
         let forward = (Vector3::new(0.9 * x, 0.9 * y, 0.0) - position).normalize();
-        // The picture's right is the world's x, or nearly.
+        // The x axis of the picture is close to the world's.
         let down = forward.cross(&Vector3::x()).normalize();
         let axes = Matrix3::from_columns(&[down.cross(&forward), down, forward]);
         let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
@@ -121,20 +125,20 @@ fn mounts(count: usize) -> anyhow::Result<Vec<Mount>> {
     Ok((0..count).map(mount).collect())
 }
 
-/// What the cameras' workers and fusion do otherwise.
-struct Feeder {
+/// Publishes what camera workers and fusion would publish.
+struct Generator {
     hub: Arc<Hub>,
     clock: Clock,
     mounts: Vec<Mount>,
-    /// Whom which cameras see, by robot.
+    /// Cameras that see each robot.
     seen_by: Vec<Vec<CameraId>>,
     floor: Vec<u8>,
 }
 
-impl Feeder {
+impl Generator {
     fn new(hub: Arc<Hub>, clock: Clock, robots: usize, mounts: Vec<Mount>) -> Self {
         let (width, height) = SIZE;
-        // Not plain, so that it is no smaller as a file than others are.
+        // Textured, so that it compresses like a real picture.
         let level =
             |at: usize| (120.0 + 50.0 * ((at % width + at / width) as f64 / 160.0).sin()) as u8;
         let noise = |at: usize| (at.wrapping_mul(2_654_435_761) >> 13) as u8 % 8;
@@ -156,9 +160,9 @@ impl Feeder {
                 (state.detect_ms, state.latency_ms) = (1.3, 24.0);
             });
         }
-        let begun = Instant::now();
+        let started = Instant::now();
         for tick in 0_u64.. {
-            let due = begun + Duration::from_secs_f64(tick as f64 / RATE_HZ);
+            let due = started + Duration::from_secs_f64(tick as f64 / RATE_HZ);
             thread::sleep(due.saturating_duration_since(Instant::now()));
             self.publish(tick);
             if tick.is_multiple_of(TICKS_A_FRAME) {
@@ -173,10 +177,10 @@ impl Feeder {
         let objects: Vec<_> = (0..self.seen_by.len())
             .map(|robot| {
                 let place = place(robot, time_s);
-                if (tick + robot as u64).is_multiple_of(SIGHT_TICKS) || tick == 0 {
-                    self.seen_by[robot] = self.seers(&place);
+                if (tick + robot as u64).is_multiple_of(VISIBILITY_TICKS) || tick == 0 {
+                    self.seen_by[robot] = self.cameras_seeing(&place);
                 }
-                object(robot, (place, time_s), now, self.seen_by[robot].clone())
+                object(robot, place, time_s, now, self.seen_by[robot].clone())
             })
             .collect();
         let snapshot =
@@ -184,7 +188,7 @@ impl Feeder {
         self.hub.publish_snapshot(snapshot, self.clock.now());
     }
 
-    fn seers(&self, place: &Vector3<f64>) -> Vec<CameraId> {
+    fn cameras_seeing(&self, place: &Vector3<f64>) -> Vec<CameraId> {
         let sees = |mount: &Mount| {
             let point = mount.world_from_camera.inverse_transform_point(&Point3::from(*place));
             let pixel = mount.camera.project(&point.coords);
@@ -194,7 +198,7 @@ impl Feeder {
         numbered.filter(|(_, mount)| sees(mount)).map(|(id, _)| id).collect()
     }
 
-    /// A frame of each camera, with a picture for whoever looks.
+    /// Counts a frame of each camera, and publishes its picture if one was requested.
     fn frames(&self, tick: u64) {
         let now = self.clock.now();
         for camera in (0..self.mounts.len() as u32).map(CameraId) {
@@ -220,13 +224,13 @@ impl Feeder {
     }
 }
 
-/// Each goes round a place of its own; one in three flies.
+/// Position of a robot, metres: on an ellipse of its own. Every third robot flies.
 fn place(robot: usize, time_s: f64) -> Vector3<f64> {
     let column = (robot % 25) as f64 - 12.0;
     let row = (robot / 25) as f64 - 7.5;
     let radius_m = 0.35 + 0.12 * (robot % 4) as f64;
-    let way = if robot.is_multiple_of(2) { 1.0 } else { -1.0 };
-    let angle = way * (0.5 + 0.13 * (robot % 5) as f64) * time_s + robot as f64;
+    let direction = if robot.is_multiple_of(2) { 1.0 } else { -1.0 };
+    let angle = direction * (0.5 + 0.13 * (robot % 5) as f64) * time_s + robot as f64;
     let height_m = if robot % 3 == 2 { 1.5 + 0.3 * (angle / 2.0).sin() } else { 0.3 };
     Vector3::new(
         ROBOT_GAPS_M[0] * column + radius_m * angle.cos(),
@@ -235,10 +239,11 @@ fn place(robot: usize, time_s: f64) -> Vector3<f64> {
     )
 }
 
-/// As fusion gives it; its numbers have all their digits, as real ones do.
+/// State of a robot as fusion publishes it. Its numbers use all digits, like real ones, so that messages are as long.
 fn object(
     robot: usize,
-    (position_m, time_s): (Vector3<f64>, f64),
+    position_m: Vector3<f64>,
+    time_s: f64,
     now: Timestamp,
     cameras: Vec<CameraId>,
 ) -> ObjectState {

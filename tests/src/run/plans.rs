@@ -1,5 +1,5 @@
-//! The plan's predictions beside simulation: `cargo run --release -p roundel-tests --bin plans -- [SET-UPS]`, and of
-//! time on this machine: `… -- times`. It ends with an error where a prediction is off by more than it may be.
+//! Predictions of `roundel plan` compared with simulation: range and precision of random set-ups, or times on this
+//! machine. Predictions that are off by more than their bar are marked with `!` and make the run fail.
 
 use std::process::ExitCode;
 
@@ -8,57 +8,42 @@ use roundel_server::lab::plan::timing::TimingCase;
 use roundel_tests::{
     plans::{
         Pair, compare,
-        loads::{Timed, times},
+        times::{Timed, times},
     },
     precision::MODES,
 };
 
-/// Roundels at each distance, and for the errors of each set-up: of so many the rms is itself known to a 28th, and of
-/// small ones, which rare pictures with the wrong normal decide, still to about a tenth.
+use super::exit_code;
+
+/// Roundels at each distance, and for the errors of each set-up. 400 give the rms to 1/28, and to about a tenth for
+/// small roundels, whose rms a few pictures with the wrong normal decide.
 const REACHES: usize = 20;
 const SHOTS: usize = 400;
-/// What the plan may be off by.
+/// Largest relative errors of predictions.
 const DISTANCE_SHARE: f64 = 0.10;
 const PRECISION_SHARE: f64 = 0.30;
 const TIME_SHARE: f64 = 0.30;
 
-fn main() -> ExitCode {
-    let argument = std::env::args().nth(1);
-    if argument.as_deref() == Some("times") {
-        return timed();
-    }
-    match argument.as_deref().map_or(Ok(100), str::parse::<u64>) {
-        Ok(count) if count > 0 => planned(count),
-        _ => {
-            eprintln!("expected a number of set-ups, such as 100, or times");
-            ExitCode::from(2)
-        }
-    }
+#[derive(clap::Args)]
+pub struct Options {
+    /// Random set-ups
+    #[arg(default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
+    set_ups: u64,
+    /// Compare times per frame instead
+    #[arg(long, conflicts_with = "set_ups")]
+    times: bool,
 }
 
-fn timed() -> ExitCode {
-    match times() {
-        Ok(all) => ended(timed_ones(&all)),
-        Err(error) => {
-            eprintln!("error: {error:#}");
-            ExitCode::FAILURE
-        }
+pub fn run(options: &Options) -> anyhow::Result<ExitCode> {
+    let holds =
+        if options.times { report_times(&times()?) } else { report_set_ups(options.set_ups) };
+    if !holds {
+        eprintln!("error: some predictions miss their bar (marked with !)");
     }
+    Ok(exit_code(holds))
 }
 
-/// How the program ends, by whether all was held.
-fn ended(all_held: bool) -> ExitCode {
-    if all_held {
-        return ExitCode::SUCCESS;
-    }
-    eprintln!(
-        "error: not all that was foretold came out within what it may be off by (marked with !)"
-    );
-    ExitCode::FAILURE
-}
-
-/// Whether all are within what they may be off by.
-fn timed_ones(all: &[Timed]) -> bool {
+fn report_times(all: &[Timed]) -> bool {
     println!(
         "  mode    | megapixels  roundels         px  px a frame  searched | measured ms  plan/measured"
     );
@@ -80,26 +65,27 @@ fn timed_ones(all: &[Timed]) -> bool {
     }
     for mode in MODES {
         for (name, coded) in [("plain", false), ("coded", true)] {
-            for (what, share) in [("followed", 0.0), ("searched", 1.0)] {
-                let is_one = |(case, searched_share, _): &&Timed| {
+            for (what, share) in [("tracked", 0.0), ("searched", 1.0)] {
+                let is_selected = |(case, searched_share, _): &&Timed| {
                     (is_coded(case), *searched_share, case.mode) == (coded, share, mode)
                 };
-                let pairs: Vec<Pair> = all.iter().filter(is_one).map(|(.., pair)| *pair).collect();
-                told(&format!("time, {mode:?}, {name}, {what}"), &pairs, TIME_SHARE);
+                let pairs: Vec<Pair> =
+                    all.iter().filter(is_selected).map(|(.., pair)| *pair).collect();
+                report(&format!("time, {mode:?}, {name}, {what}"), &pairs, TIME_SHARE);
             }
         }
     }
     let pairs: Vec<Pair> = all.iter().map(|(.., pair)| *pair).collect();
-    told("time in all", &pairs, TIME_SHARE)
+    report("time in all", &pairs, TIME_SHARE)
 }
 
-fn planned(count: u64) -> ExitCode {
+fn report_set_ups(count: u64) -> bool {
     println!(
         "  mode    | picture    f px | outer mm ratio tilt | noise blur contrast | farthest m  plan/sim | \
          px    | depth mm  plan/sim | across mm  plan/sim"
     );
     let mut all: [Vec<Pair>; 3] = Default::default();
-    let mut all_held = true;
+    let mut holds = true;
     for (set_up, reach, errors) in compare(count, (REACHES, SHOTS)) {
         let camera = &set_up.camera;
         let imaging = &set_up.imaging;
@@ -107,7 +93,7 @@ fn planned(count: u64) -> ExitCode {
             Ok(reach) => reach,
             Err(error) => {
                 println!("{error}");
-                all_held = false;
+                holds = false;
                 continue;
             }
         };
@@ -140,27 +126,27 @@ fn planned(count: u64) -> ExitCode {
         all[2].push(errors.across_m);
     }
     let [reaches, depths, acrosses] = &all;
-    all_held &= told("farthest distance", reaches, DISTANCE_SHARE);
-    all_held &= told("error along the line of sight (3D)", depths, PRECISION_SHARE);
-    all_held &= told("error across it (2D)", acrosses, PRECISION_SHARE);
-    ended(all_held)
+    holds &= report("farthest distance", reaches, DISTANCE_SHARE);
+    holds &= report("error along the line of sight (3D)", depths, PRECISION_SHARE);
+    holds &= report("error across it (2D)", acrosses, PRECISION_SHARE);
+    holds
 }
 
 fn mark(pair: &Pair, share: f64) -> char {
     if pair.holds(share) { ' ' } else { '!' }
 }
 
-/// Whether all are within the share.
-fn told(what: &str, pairs: &[Pair], share: f64) -> bool {
-    let held = pairs.iter().filter(|pair| pair.holds(share)).count();
+/// Prints a summary, and returns whether all predictions are within the share.
+fn report(what: &str, pairs: &[Pair], share: f64) -> bool {
+    let within = pairs.iter().filter(|pair| pair.holds(share)).count();
     let mut ratios: Vec<f64> = pairs.iter().map(Pair::ratio).collect();
     ratios.sort_by(f64::total_cmp);
-    let (Some(least), Some(most)) = (ratios.first(), ratios.last()) else { return true };
+    let (Some(min), Some(max)) = (ratios.first(), ratios.last()) else { return true };
     println!(
-        "{what}: {held} of {} within {:.0} %; plan over simulation {least:.2} to {most:.2}, median {:.2}",
+        "{what}: {within} of {} within {:.0} %; plan over simulation {min:.2} to {max:.2}, median {:.2}",
         pairs.len(),
         share * 100.0,
         ratios[ratios.len() / 2]
     );
-    held == pairs.len()
+    within == pairs.len()
 }

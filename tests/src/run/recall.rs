@@ -1,7 +1,7 @@
-//! Prints how many of 5,000 roundels are found, by size, with every one that is missed and every ring
-//! where none is shown; then the false detections in 1,000 frames of clutter.
-//!
-//! `cargo run -p roundel-tests --bin recall [-- ROUNDELS [CLUTTER_FRAMES [SEED]]]`
+//! Share of roundels that are found, by size, with every miss and every false detection; then the false detections in
+//! frames of clutter alone.
+
+use std::process::ExitCode;
 
 use rayon::prelude::*;
 use roundel_core::marker::Scratch;
@@ -10,16 +10,23 @@ use roundel_tests::{
     recall::{Outcome, Plan, Range, Scene, Scenes},
 };
 
-/// Limits between the sizes that are told apart, pixels of the shorter diameter.
+/// Limits of the table's rows: shorter diameters.
 const SIZES_PX: [f64; 8] = [10.0, 12.0, 16.0, 24.0, 40.0, 70.0, 120.0, 200.0];
 
-fn main() {
-    let arguments: Vec<u64> =
-        std::env::args().skip(1).filter_map(|text| text.parse().ok()).collect();
-    let argument = |index: usize, default: u64| arguments.get(index).copied().unwrap_or(default);
-    let seed = argument(2, 1);
-    roundels(argument(0, 5000) as usize, seed);
-    clutter(argument(1, 1000), seed);
+#[derive(clap::Args)]
+pub struct Options {
+    #[arg(default_value_t = 5000)]
+    roundels: usize,
+    #[arg(default_value_t = 1000)]
+    clutter_frames: u64,
+    #[arg(default_value_t = 1)]
+    seed: u64,
+}
+
+pub fn run(options: &Options) -> ExitCode {
+    roundels(options.roundels, options.seed);
+    clutter(options.clutter_frames, options.seed);
+    ExitCode::SUCCESS
 }
 
 fn roundels(count: usize, seed: u64) {
@@ -31,8 +38,8 @@ fn roundels(count: usize, seed: u64) {
             let mut scene = plan.render();
             let mut scratch = Scratch::default();
             let outcomes = [true, false]
-                .map(|knows_print| scene.judge(&scene.detector(knows_print), &mut scratch));
-            // What is printed does not need the pixels.
+                .map(|print_is_known| scene.judge(&scene.detector(print_is_known), &mut scratch));
+            // The report does not need the pixels.
             scene.image.pixels = Vec::new();
             (scene, outcomes)
         })
@@ -45,7 +52,7 @@ fn roundels(count: usize, seed: u64) {
 fn report<'a>(name: &str, judged: impl Iterator<Item = (&'a Scene, &'a Outcome)>) {
     println!("\n{name}");
     let mut bins = [(0, 0); SIZES_PX.len() - 1];
-    let mut ghosts = 0;
+    let mut false_detections = 0;
     for (scene, outcome) in judged {
         let about = format!(
             "frame {:#x}, ratio {:.3}, blur {:.2} px, noise {:.1}, black {:.0}, white {:.0}, \
@@ -79,8 +86,8 @@ fn report<'a>(name: &str, judged: impl Iterator<Item = (&'a Scene, &'a Outcome)>
                 miss.rejects
             );
         }
-        for ring in &outcome.ghosts {
-            ghosts += 1;
+        for ring in &outcome.false_detections {
+            false_detections += 1;
             println!(
                 "  false {:.1} x {:.1} px, ratio {:.2}, at ({:.1}, {:.1}), {about}",
                 2.0 * ring.outer.semi_major_px,
@@ -101,7 +108,7 @@ fn report<'a>(name: &str, judged: impl Iterator<Item = (&'a Scene, &'a Outcome)>
     }
     let (shown, missed) = bins.iter().fold((0, 0), |sum, bin| (sum.0 + bin.0, sum.1 + bin.1));
     println!(
-        "  found {} of {shown}: {:.3} %; {ghosts} false detections",
+        "  found {} of {shown}: {:.3} %; {false_detections} false detections",
         shown - missed,
         100.0 * f64::from(shown - missed) / f64::from(shown.max(1))
     );
@@ -109,16 +116,16 @@ fn report<'a>(name: &str, judged: impl Iterator<Item = (&'a Scene, &'a Outcome)>
 
 fn clutter(frames: u64, seed: u64) {
     println!("\n{frames} frames of clutter, any ratio");
-    let ghosts: usize = (0..frames)
+    let false_detections: usize = (0..frames)
         .into_par_iter()
         .map(|frame| {
             let scene = Plan::empty(Clutter::JUNK, (seed << 40) + frame).render();
             let outcome = scene.judge(&scene.detector(false), &mut Scratch::default());
-            for ring in &outcome.ghosts {
+            for ring in &outcome.false_detections {
                 println!("  false in frame {:#x}: {ring:?}", scene.seed);
             }
-            outcome.ghosts.len()
+            outcome.false_detections.len()
         })
         .sum();
-    println!("  {ghosts} false detections");
+    println!("  {false_detections} false detections");
 }

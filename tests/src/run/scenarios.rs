@@ -1,45 +1,48 @@
-//! Runs the scenarios with truth and prints one table: `cargo run --release -p roundel-tests --bin
-//! scenarios [-- [--short] [--detail] NAME…]`; names as in `roundel_tests::scenario`, all without any. What is
-//! under way is told on the standard error, with `--detail` each row's errors and their mean normalized squares as
-//! well. Ends with 1 if a row misses its bar.
+//! The scenarios of [`roundel_tests::scenario`], scored against ground truth in one table. Progress goes to standard error.
 
 use std::{panic::catch_unwind, process::ExitCode, time::Instant};
 
+use clap::builder::PossibleValuesParser;
 use roundel_tests::{
     scenario::{ALL, Length, Row, consistency, table},
     score::Score,
 };
 
-fn main() -> ExitCode {
-    let (options, names): (Vec<String>, Vec<String>) =
-        std::env::args().skip(1).partition(|argument| argument.starts_with("--"));
-    let unknown = |name: &&String| ALL.iter().all(|(known, _)| known != name);
-    let bad_name = names.iter().find(unknown);
-    let bad_option =
-        options.iter().find(|option| !["--short", "--detail"].contains(&option.as_str()));
-    if let Some(found) = bad_name.or(bad_option) {
-        let known: Vec<_> = ALL.iter().map(|(name, _)| *name).collect();
-        eprintln!("expected --short, --detail or any of {}; found {found}", known.join(" "));
-        return ExitCode::from(2);
-    }
-    let has = |wanted: &str| options.iter().any(|option| option == wanted);
-    let length = if has("--short") { Length::Short } else { Length::Full };
+use super::exit_code;
+
+#[derive(clap::Args)]
+pub struct Options {
+    /// Scenarios to run; all by default
+    #[arg(value_parser = PossibleValuesParser::new(ALL.map(|(name, _)| name)))]
+    names: Vec<String>,
+    /// Fewer seconds of each
+    #[arg(long)]
+    short: bool,
+    /// Also print each row's errors and their mean normalized squares, to standard error
+    #[arg(long)]
+    detail: bool,
+}
+
+pub fn run(options: &Options) -> ExitCode {
+    let length = if options.short { Length::Short } else { Length::Full };
     let mut rows = Vec::new();
-    for (name, run) in ALL {
-        if !names.is_empty() && !names.iter().any(|wanted| wanted == name) {
+    for (name, scenario) in ALL {
+        if !options.names.is_empty() && !options.names.iter().any(|selected| selected == name) {
             continue;
         }
-        let begun = Instant::now();
+        let started = Instant::now();
         let panicked = |_| vec![Row::new(name, "").check("panicked", false)];
-        let done = catch_unwind(|| run(length)).unwrap_or_else(panicked);
-        for row in done.iter().filter(|_| has("--detail")) {
-            let score = row.score.as_ref().map_or(String::new(), Score::to_string);
-            eprintln!("{}\n{score}", row.scenario);
+        let results = catch_unwind(|| scenario(length)).unwrap_or_else(panicked);
+        if options.detail {
+            for row in &results {
+                let score = row.score.as_ref().map_or(String::new(), Score::to_string);
+                eprintln!("{}\n{score}", row.scenario);
+            }
         }
-        rows.extend(done);
-        eprintln!("{name}: {:.1} s", begun.elapsed().as_secs_f64());
+        rows.extend(results);
+        eprintln!("{name}: {:.1} s", started.elapsed().as_secs_f64());
     }
     rows.push(consistency(&rows));
     print!("{}", table(&rows));
-    if rows.iter().all(Row::holds) { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+    exit_code(rows.iter().all(Row::holds))
 }

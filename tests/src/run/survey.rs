@@ -1,7 +1,4 @@
-//! Calibrates reference installations from robots that drive about and prints one table:
-//! `cargo run --release -p roundel-tests --bin survey [-- SEEDS [NAME…]]`; 20 seeds without them, and of rows those
-//! whose names have one of the words in them. What is under way is told on the standard error. Ends with 1 if a row
-//! misses its bar.
+//! Calibrates reference installations from robots that drive about, and prints one table. Progress goes to standard error.
 
 use std::{process::ExitCode, time::Instant};
 
@@ -11,82 +8,84 @@ use roundel_core::calib::arena::{
 use roundel_tests::{
     arena::Arena,
     sensor::Sensing,
-    survey::{Mistaken, Survey, SurveyError, world_error_m},
+    survey::{Survey, SurveyError, WrongLenses, world_error_m},
 };
 
-/// What precise detections of the reference installations err by, at most, pixels.
+use super::exit_code;
+
+/// Noise of precise detections, an upper limit.
 const NOISE_PX: f64 = 0.03;
-/// Mean of errors squared over their covariance, a degree of freedom, from so many seeds on.
-const HONEST: std::ops::RangeInclusive<f64> = 0.6..=1.4;
-const ENOUGH_SEEDS: u64 = 10;
-/// How well lenses that are to be refined are known: focal length, relative, and principal point, pixels.
+/// Bar for the mean normalized squared error per degree of freedom, from [`MIN_SEEDS`] on.
+const CONSISTENT: std::ops::RangeInclusive<f64> = 0.6..=1.4;
+const MIN_SEEDS: u64 = 10;
+/// Deviations of lenses before they are refined: focal length, relative, and principal point, pixels.
 const LENS: (f64, f64) = (5e-4, 0.5);
 
-/// An installation with its bar.
+/// One row: an installation and its bar.
 struct Case {
     name: &'static str,
     arena: fn(u64) -> Arena,
     seconds: f64,
-    most_hz: f64,
+    max_hz: f64,
     seeds: u64,
     record: fn(&Survey, &Case) -> (Recording, Vec<ArenaCamera>),
-    most: Most,
+    bar: Bar,
 }
 
-/// Of a case's errors: cameras' places and turns, points of the arena, and the time that it takes.
+/// Largest errors allowed: positions and rotations of cameras, points of the arena; and the longest calibration.
 #[derive(Clone, Copy, Debug)]
-struct Most {
-    off_m: f64,
-    turn_deg: f64,
+struct Bar {
+    position_m: f64,
+    rotation_deg: f64,
     world_m: f64,
     took_s: f64,
 }
 
-fn main() -> ExitCode {
-    let mut arguments = std::env::args().skip(1);
-    let argument = arguments.next();
-    let words: Vec<String> = arguments.collect();
-    let seeds = match argument.as_deref().map(str::parse) {
-        None => 20,
-        Some(Ok(seeds)) if seeds > 0 => seeds,
-        _ => {
-            eprintln!("expected a number of seeds above 0, found {}", argument.unwrap_or_default());
-            return ExitCode::from(2);
-        }
-    };
+#[derive(clap::Args)]
+pub struct Options {
+    #[arg(default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..))]
+    seeds: u64,
+    /// Only rows whose names contain one of these words
+    words: Vec<String>,
+}
+
+pub fn run(options: &Options) -> ExitCode {
     println!(
-        "| installation | cameras, rms (stated) | rotation, rms (stated) | inside 95 %, mean square | points of the arena, rms | clocks, rms | time, most | bar | holds |"
+        "| installation | cameras, rms (stated) | rotation, rms (stated) | inside 95 %, mean square | points of the arena, rms | clocks, rms | time, max | bar | holds |"
     );
     println!("| --- | --- | --- | --- | --- | --- | --- | --- | --- |");
-    let is_wanted = |case: &&Case| {
-        words.is_empty() || words.iter().any(|word| case.name.contains(word.as_str()))
-    };
-    let held: Vec<bool> = cases(seeds).iter().filter(is_wanted).map(run).collect();
-    if held.iter().all(|held| *held) { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+    let words = &options.words;
+    let mut holds = true;
+    for case in cases(options.seeds) {
+        if words.is_empty() || words.iter().any(|word| case.name.contains(word.as_str())) {
+            holds &= run_case(&case);
+        }
+    }
+    exit_code(holds)
 }
 
 fn cases(seeds: u64) -> [Case; 4] {
     let r4 = Case {
         name: "R4, clocks unknown",
-        arena: |seed| Arena::r4(seed).with_unset_clocks(),
+        arena: |seed| Arena::r4(seed).with_unsynchronized_clocks(),
         seconds: 60.0,
-        most_hz: 60.0,
+        max_hz: 60.0,
         seeds,
         record: |survey, case| {
-            (survey.record(sensing(), case.seconds, case.most_hz), survey.cameras())
+            (survey.record(sensing(), case.seconds, case.max_hz), survey.cameras())
         },
-        most: Most { off_m: 0.5e-3, turn_deg: 0.005, world_m: 0.5e-3, took_s: 20.0 },
+        bar: Bar { position_m: 0.5e-3, rotation_deg: 0.005, world_m: 0.5e-3, took_s: 20.0 },
     };
     let lenses = Case {
         name: "R4, lenses known to 0.05 % and 0.5 px, refined",
         record: |survey, case| {
-            let mistaken = Mistaken::drawn(survey, LENS.0, LENS.1);
+            let wrong = WrongLenses::drawn(survey, LENS.0, LENS.1);
             let deviation = LensDeviation { focal: LENS.0, center_px: LENS.1, radial: 1e-4 };
-            let recording = mistaken.record(survey, sensing(), case.seconds, case.most_hz);
-            (recording, mistaken.cameras(survey, Some(deviation)))
+            let recording = wrong.record(survey, sensing(), case.seconds, case.max_hz);
+            (recording, wrong.cameras(survey, Some(deviation)))
         },
-        // Where a lens and its place make up for one another the world is what counts.
-        most: Most { off_m: 5e-3, turn_deg: 0.05, world_m: 1e-3, took_s: 60.0 },
+        // A lens and its camera pose can compensate for each other, so only the world's error is held tightly.
+        bar: Bar { position_m: 5e-3, rotation_deg: 0.05, world_m: 1e-3, took_s: 60.0 },
         ..r4
     };
     let pixels = Case {
@@ -104,25 +103,25 @@ fn cases(seeds: u64) -> [Case; 4] {
     };
     let r16 = Case {
         name: "R16, clocks unknown",
-        arena: |seed| Arena::r16(seed).with_unset_clocks(),
+        arena: |seed| Arena::r16(seed).with_unsynchronized_clocks(),
         seconds: 120.0,
-        most_hz: 20.0,
+        max_hz: 20.0,
         seeds: seeds.div_ceil(5),
-        most: Most { off_m: 3e-3, turn_deg: 0.02, world_m: 3e-3, took_s: 180.0 },
+        bar: Bar { position_m: 3e-3, rotation_deg: 0.02, world_m: 3e-3, took_s: 180.0 },
         ..r4
     };
     [r4, lenses, pixels, r16]
 }
 
 fn sensing() -> Sensing {
-    Sensing { noise_px: NOISE_PX, is_kept_while_still: true, ..Sensing::USUAL }
+    Sensing { noise_px: NOISE_PX, bias_persists_while_still: true, ..Sensing::DEFAULT }
 }
 
-/// What all seeds of a case gave.
+/// Errors over all seeds of a case.
 #[derive(Default)]
 struct Score {
     errors: Vec<SurveyError>,
-    /// Squares of what is stated: metres and radians, of each error.
+    /// Stated variances of each error: of the position in m², of the rotation in rad².
     stated: Vec<[f64; 2]>,
     world_m: Vec<f64>,
     took_s: f64,
@@ -141,29 +140,29 @@ impl Score {
         rms(self.errors.iter().map(part))
     }
 
-    /// Of each camera in turn: how far off and how far stated, rms over seeds, mm.
-    fn along_mm(&self, cameras: usize) -> Vec<(f64, f64)> {
+    /// Position error and stated deviation of each camera, rms over seeds, mm.
+    fn by_camera_mm(&self, cameras: usize) -> Vec<(f64, f64)> {
         let one = |camera: usize| {
-            let of = |index: &usize| index % cameras == camera;
-            let indices = || (0..self.errors.len()).filter(of);
-            let off = rms(indices().map(|index| self.errors[index].off_m));
-            (off * 1e3, rms(indices().map(|index| self.stated[index][0].sqrt())) * 1e3)
+            let is_own = |index: &usize| index % cameras == camera;
+            let indices = || (0..self.errors.len()).filter(is_own);
+            let error = rms(indices().map(|index| self.errors[index].position_m));
+            (error * 1e3, rms(indices().map(|index| self.stated[index][0].sqrt())) * 1e3)
         };
         (0..cameras).map(one).collect()
     }
 }
 
-fn run(case: &Case) -> bool {
+fn run_case(case: &Case) -> bool {
     let mut score = Score::default();
-    let mut cameras_of = 0;
+    let mut camera_count = 0;
     for seed in 1..=case.seeds {
         let survey = Survey::new((case.arena)(seed));
-        cameras_of = survey.arena.sites.len();
+        camera_count = survey.arena.sites.len();
         let (recording, cameras) = (case.record)(&survey, case);
-        let begun = Instant::now();
+        let started = Instant::now();
         let params = ArenaParams::default();
         let found = calibrate(&recording, &cameras, &survey.references, &params, |_| true);
-        score.took_s = score.took_s.max(begun.elapsed().as_secs_f64());
+        score.took_s = score.took_s.max(started.elapsed().as_secs_f64());
         let found = match found {
             Ok(found) => found,
             Err(error) => {
@@ -176,52 +175,53 @@ fn run(case: &Case) -> bool {
         }
         score.add(&survey, case, &found);
         score.world_m.extend(world_error_m(&survey, &found, &cameras));
-        eprintln!("{}, seed {seed}: {:.1} s", case.name, begun.elapsed().as_secs_f64());
+        eprintln!("{}, seed {seed}: {:.1} s", case.name, started.elapsed().as_secs_f64());
     }
-    let is_complete = score.errors.len() as u64 == cameras_of as u64 * case.seeds;
+    let is_complete = score.errors.len() as u64 == camera_count as u64 * case.seeds;
     let holds = report(case, &score) && is_complete;
     println!("{} |", if holds { "yes" } else { "**no**" });
-    if is_complete && cameras_of > 4 {
-        let along = score.along_mm(cameras_of).into_iter();
-        let along: Vec<String> =
-            along.map(|(off, stated)| format!("{off:.2} ({stated:.2})")).collect();
-        eprintln!("{}, cameras in turn, mm (stated): {}", case.name, along.join(", "));
+    if is_complete && camera_count > 4 {
+        let pairs = score.by_camera_mm(camera_count).into_iter();
+        let texts: Vec<String> =
+            pairs.map(|(error, stated)| format!("{error:.2} ({stated:.2})")).collect();
+        eprintln!("{}, by camera, mm (stated): {}", case.name, texts.join(", "));
     }
     holds
 }
 
-/// Prints the row up to whether it holds, and says so.
+/// Prints the row except its last column, and returns whether it holds.
 fn report(case: &Case, score: &Score) -> bool {
-    let (off_m, turn_deg) = (score.rms(|it| it.off_m), score.rms(|it| it.turn_rad).to_degrees());
+    let (position_m, rotation_deg) =
+        (score.rms(|it| it.position_m), score.rms(|it| it.rotation_rad).to_degrees());
     let stated = |which: usize| rms(score.stated.iter().map(|stated| stated[which].sqrt()));
     let count = score.errors.len() as f64;
-    // χ², 6 degrees of freedom; cameras of one arena share the references' errors, so a few seeds say little.
+    // χ² with 6 degrees of freedom. Cameras of one arena share the references' errors, so a few seeds show little.
     let inside = score.errors.iter().filter(|it| it.square < 12.592).count() as f64 / count;
     let square = score.errors.iter().map(|it| it.square).sum::<f64>() / (6.0 * count);
     let world_m = rms(score.world_m.iter().copied());
     print!(
-        "| {}, {:.0} s, {} seeds | {:.2} mm ({:.2}) | {turn_deg:.4}° ({:.4}) | {:.0} %, {square:.2} | {:.2} mm | {:.3} ms | {:.1} s | {} mm, {}°, {} mm, {} s | ",
+        "| {}, {:.0} s, {} seeds | {:.2} mm ({:.2}) | {rotation_deg:.4}° ({:.4}) | {:.0} %, {square:.2} | {:.2} mm | {:.3} ms | {:.1} s | {} mm, {}°, {} mm, {} s | ",
         case.name,
         case.seconds,
         case.seeds,
-        off_m * 1e3,
+        position_m * 1e3,
         stated(0) * 1e3,
         stated(1).to_degrees(),
         inside * 100.0,
         world_m * 1e3,
         score.rms(|it| it.clock_s) * 1e3,
         score.took_s,
-        case.most.off_m * 1e3,
-        case.most.turn_deg,
-        case.most.world_m * 1e3,
-        case.most.took_s,
+        case.bar.position_m * 1e3,
+        case.bar.rotation_deg,
+        case.bar.world_m * 1e3,
+        case.bar.took_s,
     );
-    let is_honest = case.seeds < ENOUGH_SEEDS || HONEST.contains(&square);
-    is_honest
-        && off_m <= case.most.off_m
-        && turn_deg <= case.most.turn_deg
-        && world_m <= case.most.world_m
-        && score.took_s <= case.most.took_s
+    let is_consistent = case.seeds < MIN_SEEDS || CONSISTENT.contains(&square);
+    is_consistent
+        && position_m <= case.bar.position_m
+        && rotation_deg <= case.bar.rotation_deg
+        && world_m <= case.bar.world_m
+        && score.took_s <= case.bar.took_s
 }
 
 fn rms(values: impl Iterator<Item = f64>) -> f64 {

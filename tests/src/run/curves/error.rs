@@ -1,11 +1,11 @@
-//! Errors of depth and normal next to the bound.
+//! Errors of depth and normal, beside the Cramér-Rao bound.
 
 use roundel_tests::precision::{RATIO, Range, Summary, WIDE_MARGIN, trials};
 
-use crate::plot::{Curve, Panel, Style};
+use super::plot::{Curve, Panel, Style};
 
-/// What a curve stands for where nothing else is said.
-const USUAL: Range = Range {
+/// Conditions that a panel does not vary.
+const BASE: Range = Range {
     motion_px: (0.0, 0.0),
     diameter_px: (30.0, 30.0),
     tilt_deg: (40.0, 40.0),
@@ -18,33 +18,33 @@ const USUAL: Range = Range {
 /// Errors against size, tilt, blur and noise.
 pub fn panels(count: usize) -> Vec<Panel> {
     let sizes = [12.0, 15.0, 20.0, 30.0, 45.0, 70.0, 110.0];
-    let of_size = sweep(&sizes, count, |size| Range { diameter_px: (size, size), ..USUAL });
+    let by_size = sweep(&sizes, count, |size| Range { diameter_px: (size, size), ..BASE });
     let tilts = [2.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0];
-    let of_tilt = sweep(&tilts, count, |tilt| Range { tilt_deg: (tilt, tilt), ..USUAL });
+    let by_tilt = sweep(&tilts, count, |tilt| Range { tilt_deg: (tilt, tilt), ..BASE });
     let blurs = [0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1];
-    let of_blur = sweep(&blurs, count, |blur| Range { blur_px: (blur, blur), ..USUAL });
+    let by_blur = sweep(&blurs, count, |blur| Range { blur_px: (blur, blur), ..BASE });
     let noises = [1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0];
-    let of_noise = sweep(&noises, count, |noise| Range { noise: (noise, noise), ..USUAL });
+    let by_noise = sweep(&noises, count, |noise| Range { noise: (noise, noise), ..BASE });
     vec![
-        depth("40° of tilt, blur 0.7 px, noise 2", "outer diameter, px", true, &of_size),
-        normal("40° of tilt, blur 0.7 px, noise 2", "outer diameter, px", true, &of_size),
-        depth("30 px, blur 0.7 px, noise 2", "tilt, degrees", false, &of_tilt),
-        normal("30 px, blur 0.7 px, noise 2", "tilt, degrees", false, &of_tilt),
-        depth("30 px, 40° of tilt, noise 2", "blur, px", false, &of_blur),
-        depth("30 px, 40° of tilt, blur 0.7 px", "noise, grey levels", false, &of_noise),
+        depth("40° of tilt, blur 0.7 px, noise 2", "outer diameter, px", true, &by_size),
+        normal("40° of tilt, blur 0.7 px, noise 2", "outer diameter, px", true, &by_size),
+        depth("30 px, blur 0.7 px, noise 2", "tilt, degrees", false, &by_tilt),
+        normal("30 px, blur 0.7 px, noise 2", "tilt, degrees", false, &by_tilt),
+        depth("30 px, 40° of tilt, noise 2", "blur, px", false, &by_blur),
+        depth("30 px, 40° of tilt, blur 0.7 px", "noise, grey levels", false, &by_noise),
     ]
 }
 
-/// A place on the axis, and what each mode makes of it.
+/// Value on the axis, and the errors of both modes.
 type Point = (f64, [Summary; 2]);
 
-fn sweep(places: &[f64], count: usize, range: impl Fn(f64) -> Range) -> Vec<Point> {
-    let point = |&place: &f64| {
-        let trials = trials(&range(place), count, place.to_bits());
-        let of_mode = |mode| Summary::of(trials.iter().flat_map(|trial| &trial.frames), mode);
-        (place, [of_mode(0), of_mode(1)])
+fn sweep(values: &[f64], count: usize, range: impl Fn(f64) -> Range) -> Vec<Point> {
+    let point = |&value: &f64| {
+        let trials = trials(&range(value), count, value.to_bits());
+        let summary = |mode| Summary::of(trials.iter().flat_map(|trial| &trial.frames), mode);
+        (value, [summary(0), summary(1)])
     };
-    places.iter().map(point).collect()
+    values.iter().map(point).collect()
 }
 
 fn curves(points: &[Point], value: fn(&Summary) -> f64, bound: fn(&Summary) -> f64) -> Vec<Curve> {
@@ -60,7 +60,8 @@ fn curves(points: &[Point], value: fn(&Summary) -> f64, bound: fn(&Summary) -> f
 }
 
 fn depth(case: &str, x_name: &'static str, log_x: bool, points: &[Point]) -> Panel {
-    let curves = curves(points, |of| 100.0 * of.depth_rms(), |of| 100.0 * of.depth_bound());
+    let curves =
+        curves(points, |errors| 100.0 * errors.depth_rms(), |errors| 100.0 * errors.depth_bound());
     Panel { title: case.to_owned(), x_name, y_name: "depth error, rms, %", log_x, curves }
 }
 

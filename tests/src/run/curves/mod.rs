@@ -1,32 +1,35 @@
-//! Draws the curves of `core/docs/detector.md`: errors next to the Cramér-Rao bound, and times.
-//!
-//! `cargo run --release -p roundel-tests --bin curves` takes some minutes and writes SVG files into
-//! `core/docs`; `-- --quick` takes fewer trials, `-- errors` or `-- times` draws only those, and every
-//! point is printed as well.
+//! Draws the curves of `core/docs/detector.md`, errors beside the Cramér-Rao bound and times, as SVG files into
+//! `core/docs`. Also prints every point.
 
 mod error;
 mod plot;
 mod time;
 
-use std::path::Path;
+use std::{path::Path, process::ExitCode};
 
-fn main() -> anyhow::Result<()> {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let given = |name: &str| arguments.iter().any(|argument| argument == name);
-    if let Some(unknown) =
-        arguments.iter().find(|name| !["--quick", "errors", "times"].contains(&name.as_str()))
-    {
-        anyhow::bail!("expected --quick, errors or times, found {unknown}");
-    }
+#[derive(clap::Args)]
+pub struct Options {
+    /// What to draw; both by default
+    figure: Option<Figure>,
+    /// Fewer trials
+    #[arg(long)]
+    quick: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
+enum Figure {
+    Errors,
+    Times,
+}
+
+pub fn run(options: &Options) -> anyhow::Result<ExitCode> {
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../core/docs");
-    let quick = given("--quick");
-    let all = !given("errors") && !given("times");
-    if all || given("times") {
-        plot::draw(&docs.join("detector-time.svg"), &time::panels(quick))?;
+    if options.figure != Some(Figure::Errors) {
+        plot::draw(&docs.join("detector-time.svg"), &time::panels(options.quick))?;
     }
-    if all || given("errors") {
-        let count = if quick { 20 } else { 120 };
+    if options.figure != Some(Figure::Times) {
+        let count = if options.quick { 20 } else { 120 };
         plot::draw(&docs.join("detector-error.svg"), &error::panels(count))?;
     }
-    Ok(())
+    Ok(ExitCode::SUCCESS)
 }

@@ -1,16 +1,15 @@
-//! Panels of curves as one SVG file, two in a row, with one legend above all.
+//! Writes panels of curves as one SVG file: two panels a row, one legend above them.
 
 use std::{fmt::Write, path::Path};
 
 use anyhow::Context;
 
-/// One curve.
 pub struct Curve {
     pub style: Style,
     pub points: Vec<(f64, f64)>,
 }
 
-/// Whose curve it is: the same name and color in all panels.
+/// A curve has the same name and color in all panels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Style {
     Fast,
@@ -28,7 +27,7 @@ impl Style {
     }
 }
 
-/// One plot with its axes; y is drawn by its logarithm.
+/// One plot with its axes. The y axis is logarithmic.
 pub struct Panel {
     pub title: String,
     pub x_name: &'static str,
@@ -37,13 +36,14 @@ pub struct Panel {
     pub curves: Vec<Curve>,
 }
 
-/// A panel with its labels, and the plot within it: left, top, right, bottom.
+/// Width and height of a panel with its labels.
 const PANEL: (f64, f64) = (420.0, 270.0);
+/// The plot within a panel: left, top, right, bottom.
 const PLOT: [f64; 4] = [56.0, 28.0, 408.0, 226.0];
-/// Above the panels.
+/// Height of the legend.
 const LEGEND: f64 = 26.0;
 
-/// Writes panels, and prints their points.
+/// Writes the panels to a file, and prints their points.
 pub fn draw(path: &Path, panels: &[Panel]) -> anyhow::Result<()> {
     panels.iter().for_each(print);
     let text = svg(panels);
@@ -71,7 +71,7 @@ fn svg(panels: &[Panel]) -> String {
 }
 
 fn append(svg: &mut String, text: std::fmt::Arguments<'_>) {
-    svg.write_fmt(text).expect("a string takes all that is written");
+    svg.write_fmt(text).expect("writing to a string does not fail");
 }
 
 fn legend(svg: &mut String, panels: &[Panel]) {
@@ -155,7 +155,7 @@ fn draw_curve(svg: &mut String, curve: &Curve, x: &Axis, y: &Axis) {
     }
 }
 
-/// Values on a line, straight or by their logarithm.
+/// Maps values to positions, linearly or by logarithm.
 struct Axis {
     log: bool,
     values: (f64, f64),
@@ -166,7 +166,7 @@ impl Axis {
     fn over(values: impl Iterator<Item = f64>, log: bool, places: (f64, f64)) -> Self {
         let (low, high) = values
             .fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
-        // A logarithm over less than a factor of four would make hills of what is level.
+        // A logarithmic axis covers a factor of four at least, so that noise does not look like a trend.
         let widen = if log { (4.0 * low / high).max(1.0).sqrt() } else { 1.0 };
         Self { log, values: (low / widen, high * widen), places }
     }
@@ -177,8 +177,7 @@ impl Axis {
         self.places.0 + (self.places.1 - self.places.0) * (scale(value) - low) / (high - low)
     }
 
-    /// By logarithm: 1, 2 and 5 of each decade, and some between in a short one; else four to ten
-    /// even steps.
+    /// Logarithmic: 1, 2 and 5 of each decade, and more on a short axis. Linear: four to ten even steps.
     fn ticks(&self) -> Vec<f64> {
         let (low, high) = self.values;
         let decade = |value: f64| value.log10().floor() as i32;
@@ -191,15 +190,15 @@ impl Axis {
         if self.log {
             return (decade(low)..=decade(high)).flat_map(steps).filter(inside).collect();
         }
-        let least = (high - low) / 10.0;
-        let step = steps(decade(least)).into_iter().find(|step| *step >= least);
-        let step = step.unwrap_or(10f64.powi(decade(least) + 1));
+        let min_step = (high - low) / 10.0;
+        let step = steps(decade(min_step)).into_iter().find(|step| *step >= min_step);
+        let step = step.unwrap_or(10f64.powi(decade(min_step) + 1));
         let first = (low / step).ceil() as i64;
         (first..=(high / step * 1.0001).floor() as i64).map(|i| i as f64 * step).collect()
     }
 }
 
-/// Two digits that count, or all before the point.
+/// Two significant digits, or all before the decimal point.
 fn short(value: f64) -> String {
     let digits = (1.0 - value.abs().max(1e-9).log10().floor()).clamp(0.0, 6.0) as usize;
     let text = format!("{value:.digits$}");
