@@ -230,7 +230,7 @@ fn poses_of_any_picture_allocate_nothing_after_the_first() {
         }
     };
     // Minimum number of the twelve pictures that are fitted.
-    for (kinds, least) in [(plain, 8), (elliptical, 4), (coded, 0)] {
+    for (kinds, min) in [(plain, 8), (elliptical, 4), (coded, 0)] {
         let kind = &kinds[0];
         let first = lit(14.0, 0.7, kind, |_, _| {});
         let mut late = Vec::new();
@@ -256,7 +256,7 @@ fn poses_of_any_picture_allocate_nothing_after_the_first() {
                 precise += located.iter().filter(by).count();
             }
         });
-        assert!(precise >= least, "{kinds:?}: {precise}");
+        assert!(precise >= min, "{kinds:?}: {precise}");
         assert_eq!(spent.count_total, 0);
     }
 }

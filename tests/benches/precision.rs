@@ -8,7 +8,7 @@
 //! sample, `?` those that miss it by less.
 
 use roundel_tests::precision::{
-    MODES, NARROW_MARGIN, RATIO, Range, Summary, Trial, TrialFrame, WIDE_MARGIN, followed_trials,
+    MODES, NARROW_MARGIN, RATIO, Range, Summary, Trial, TrialFrame, WIDE_MARGIN, tracked_trials,
 };
 
 const SIZES_PX: [(f64, f64); 4] = [(12.0, 20.0), (20.0, 30.0), (30.0, 50.0), (50.0, 110.0)];
@@ -60,7 +60,7 @@ fn drawn_in(frames: usize, count: usize, margin: f64) -> Vec<Trial> {
                 margin,
                 ratio: RATIO,
             };
-            all.extend(followed_trials(&range, frames, count, (10 * cell + column) as u64));
+            all.extend(tracked_trials(&range, frames, count, (10 * cell + column) as u64));
         }
     }
     all

@@ -180,8 +180,8 @@ impl Patch {
     ) -> Option<Patch> {
         let (mut low, mut high) = (Vector2::repeat(f64::MAX), Vector2::repeat(f64::MIN));
         for (contour, _) in contours {
-            let (least, greatest) = contour.bounds();
-            (low, high) = (low.inf(&least), high.sup(&greatest));
+            let (min, max) = contour.bounds();
+            (low, high) = (low.inf(&min), high.sup(&max));
         }
         let cut = |x: f64, last: usize| x.clamp(0.0, last as f64 - 1.0) as usize;
         let outside = high.x + kernel.reach_px < 0.0

@@ -96,7 +96,7 @@ impl Errors {
         rms(self.headings.iter().map(|heading| heading[2]))
     }
 
-    pub fn heading_most_deg(&self) -> f64 {
+    pub fn heading_max_deg(&self) -> f64 {
         self.headings.iter().map(|heading| heading[0].abs()).fold(0.0, f64::max).to_degrees()
     }
 

@@ -44,16 +44,30 @@ pub struct Move {
     pub turn_rad: Vector3<f64>,
 }
 
+/// Distance and angle of a bump.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BumpSize {
+    pub shift_m: f64,
+    pub turn_rad: f64,
+}
+
+impl BumpSize {
+    /// A bump without rotation.
+    pub fn shift(shift_m: f64) -> Self {
+        Self { shift_m, turn_rad: 0.0 }
+    }
+
+    /// A bump without translation.
+    pub fn turn(turn_rad: f64) -> Self {
+        Self { shift_m: 0.0, turn_rad }
+    }
+}
+
 impl Move {
-    /// A bump in a random direction, by this distance in metres and this angle in radians.
-    pub fn bump(
-        camera: CameraId,
-        at_s: f64,
-        (shift_m, turn_rad): (f64, f64),
-        random: &mut Random,
-    ) -> Self {
+    /// A bump in random directions.
+    pub fn bump(camera: CameraId, at_s: f64, size: BumpSize, random: &mut Random) -> Self {
         let mut direction = || Vector3::from_fn(|_, _| f64::from(random.normal())).normalize();
-        let (shift_m, turn_rad) = (direction() * shift_m, direction() * turn_rad);
+        let (shift_m, turn_rad) = (direction() * size.shift_m, direction() * size.turn_rad);
         Self { camera, at_s, lasts_s: BUMP_S, shift_m, turn_rad }
     }
 
@@ -115,7 +129,7 @@ pub struct Outcome {
 impl Outcome {
     /// Whether each bump was detected within 3 s and corrected within 30 s to 1 mm and 0.02°, without false alarms.
     pub fn is_healed(&self) -> bool {
-        let within = |time_s: Option<f64>, most_s: f64| time_s.is_some_and(|it| it <= most_s);
+        let within = |time_s: Option<f64>, max_s: f64| time_s.is_some_and(|it| it <= max_s);
         let is_well = |it: &Response| {
             within(it.detected_s, 3.0)
                 && within(it.returned_s, 30.0)
@@ -183,7 +197,8 @@ impl Healing {
             let at_s = (index as f64 + random.uniform(0.1, 0.9)) * seconds / count as f64;
             let shift_m = random.uniform(0.01, 0.03);
             let turn_rad = random.uniform(0.5, 2.0).to_radians();
-            let size = [(shift_m, 0.0), (0.0, turn_rad), (shift_m, turn_rad)][index % 3];
+            let both = BumpSize { shift_m, turn_rad };
+            let size = [BumpSize::shift(shift_m), BumpSize::turn(turn_rad), both][index % 3];
             self.moves.push(Move::bump(CameraId(camera), at_s, size, &mut random));
         }
         self

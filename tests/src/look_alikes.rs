@@ -87,7 +87,7 @@ fn polar(angle_rad: f64) -> Vector2<f64> {
 struct Pen<'a> {
     center: Vector2<f64>,
     from_unit: Matrix2<f64>,
-    /// [`MIN_DEFECT_PX`] in units, along the max foreshortened direction.
+    /// [`MIN_DEFECT_PX`] in units, along the most foreshortened direction.
     min_defect: f64,
     black: f64,
     white: f64,

@@ -262,7 +262,8 @@ impl SetUp {
 /// The first `count` set-ups with their reach and errors, from `reaches` and `shots` roundels each.
 pub fn compare(
     count: u64,
-    (reaches, shots): (usize, usize),
+    reaches: usize,
+    shots: usize,
 ) -> Vec<(SetUp, Result<Pair, PlanError>, Errors)> {
     let one = |number| {
         let set_up = SetUp::draw(number);

@@ -181,13 +181,13 @@ fn pose_square(pose: &RoundelPose, shift: &Vector3<f64>, normal: &Vector3<f64>) 
 
 /// `count` trials of a range, computed in parallel; the same for the same `seed`.
 pub fn trials(range: &Range, count: usize, seed: u64) -> Vec<Trial> {
-    followed_trials(range, FRAMES, count, seed)
+    tracked_trials(range, FRAMES, count, seed)
 }
 
 /// Trials with this number of frames.
-pub fn followed_trials(range: &Range, frames: usize, count: usize, seed: u64) -> Vec<Trial> {
-    let of = |index| trial(range, None, frames, (seed, index));
-    (0..count as u64).into_par_iter().map(of).collect()
+pub fn tracked_trials(range: &Range, frames: usize, count: usize, seed: u64) -> Vec<Trial> {
+    let one = |index| trial(range, None, frames, Random::new(index, seed));
+    (0..count as u64).into_par_iter().map(one).collect()
 }
 
 /// Frames of most trials.
@@ -211,8 +211,8 @@ pub fn uncoded_trials(range: &Range, bits: u8, count: usize, seed: u64) -> Vec<T
 }
 
 fn trials_of(range: &Range, codes: &Codes, count: usize, seed: u64) -> Vec<Trial> {
-    let of = |index| trial(range, Some(codes), FRAMES, (seed, index));
-    (0..count as u64).into_par_iter().map(of).collect()
+    let one = |index| trial(range, Some(codes), FRAMES, Random::new(index, seed));
+    (0..count as u64).into_par_iter().map(one).collect()
 }
 
 /// Codes of the prints.
@@ -223,8 +223,7 @@ struct Codes<'a> {
     read: [bool; FRAMES],
 }
 
-fn trial(range: &Range, codes: Option<&Codes>, frames: usize, (seed, index): (u64, u64)) -> Trial {
-    let mut random = Random::new(index, seed);
+fn trial(range: &Range, codes: Option<&Codes>, frames: usize, mut random: Random) -> Trial {
     let mut draw = |(low, high): (f64, f64)| random.uniform(low, high);
     let (diameter_px, tilt_deg) = (draw(range.diameter_px), draw(range.tilt_deg));
     let (blur_px, noise) = (draw(range.blur_px), draw(range.noise));
@@ -319,8 +318,8 @@ pub(crate) fn pose(
 
 /// The pose one frame later: shifted by up to `share` of its depth's diameter, rotated by up to a degree.
 fn moved(pose: &Isometry3<f64>, share: f64, random: &mut Random) -> Isometry3<f64> {
-    let most_m = share * Kind::robot().outer_diameter_m;
-    let shift = Vector3::from_fn(|_, _| random.uniform(-most_m, most_m));
+    let max_m = share * Kind::robot().outer_diameter_m;
+    let shift = Vector3::from_fn(|_, _| random.uniform(-max_m, max_m));
     let turn = Vector3::from_fn(|_, _| random.uniform(-0.01, 0.01));
     Isometry3::from_parts(
         Translation3::from(pose.translation.vector + shift),

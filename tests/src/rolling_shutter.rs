@@ -70,7 +70,7 @@ impl Motion {
     fn new(central: Isometry3<f64>, speed_m_s: f64, random: &mut Random) -> Self {
         let (sin, cos) = random.uniform(0.0, TAU).sin_cos();
         let along = random.uniform(-0.5, 0.5);
-        let mut drawn = |most: f64| Vector3::from_fn(|_, _| random.uniform(-most, most));
+        let mut drawn = |max: f64| Vector3::from_fn(|_, _| random.uniform(-max, max));
         Self {
             central,
             velocity_m_s: Vector3::new(cos, sin, along) * speed_m_s,

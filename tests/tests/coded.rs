@@ -100,7 +100,10 @@ fn assert_near_the_bound(name: &str, summary: &Summary) {
     let (depth, yaw) = (summary.depth_over_bound(), summary.yaw_over_bound());
     assert!(depth <= 1.5 && yaw <= 1.5, "{name}: depth {depth}, yaw {yaw} of the bound");
     let stated = summary.yaw_over_stated();
-    assert!((0.85..1.15).contains(&stated), "{name}: yaw {stated} of what is stated");
+    assert!(
+        (0.85..1.15).contains(&stated),
+        "{name}: yaw error {stated} times its stated deviation"
+    );
 }
 
 fn print(name: &str, summary: &Summary) {

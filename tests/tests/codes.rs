@@ -5,9 +5,9 @@ use roundel_tests::coded::{Case, run};
 
 #[test]
 fn codes_are_read_from_their_minimum_size_on() {
-    for (bits, min_distance, least_px) in [(8, 2, 36.0), (12, 2, 60.0), (16, 2, 90.0)] {
+    for (bits, min_distance, min_px) in [(8, 2, 36.0), (12, 2, 60.0), (16, 2, 90.0)] {
         let layout = CodeLayout { bits, min_distance };
-        let score = run(&Case { layout, diameters_px: (least_px, 1.5 * least_px) }, 300);
+        let score = run(&Case { layout, diameters_px: (min_px, 1.5 * min_px) }, 300);
         let case = format!("{bits} bits: {score:?}");
         assert!(score.read >= 299, "{case}");
         assert_eq!((score.wrong, score.wrong_yaw), (0, 0), "{case}");

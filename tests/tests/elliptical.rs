@@ -90,7 +90,7 @@ fn check(bar: &Bar, polarity: Polarity, count: usize) {
              {rotations:.3}, plain {:.3}",
             errors.heading_over_stated(),
             errors.heading_over_bound(),
-            errors.heading_most_deg(),
+            errors.heading_max_deg(),
             errors.depth_over_bound(),
             errors.normal_median_deg(),
             errors.wrong_normals,

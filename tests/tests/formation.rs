@@ -16,9 +16,9 @@ const PUSHED_M: f64 = 0.3;
 
 fn run(example: &str, arguments: &[&str]) -> anyhow::Result<String> {
     let output = Command::new(process::example(example)?).args(arguments).output()?;
-    let said = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
-    ensure!(output.status.success(), "{example} ended with {}:\n{said}", output.status);
-    Ok(said)
+    let printed = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
+    ensure!(output.status.success(), "{example} ended with {}:\n{printed}", output.status);
+    Ok(printed)
 }
 
 /// A formation as observed by a subscriber independent of the example.
@@ -84,7 +84,7 @@ async fn robots_form_a_circle_keep_it_while_one_is_pushed_and_are_recorded() -> 
         move || run("formation", &[&url])
     });
     let mut watch = Watch::default();
-    let said = loop {
+    let printed = loop {
         tokio::select! {
             ended = &mut driving => break ended??,
             update = updates.next() => {
@@ -96,27 +96,27 @@ async fn robots_form_a_circle_keep_it_while_one_is_pushed_and_are_recorded() -> 
     };
     // Robots without commands stop, so they stand where the example left them.
     watch.see(&client.snapshot().await?);
-    let pushed = said.lines().find_map(|line| line.strip_prefix("pushing robot "));
+    let pushed = printed.lines().find_map(|line| line.strip_prefix("pushing robot "));
     let pushed = pushed.and_then(|rest| rest.strip_suffix(" away")?.parse::<u64>().ok());
     let place = watch.ids.iter().position(|id| Some(*id) == pushed);
-    let place = place.with_context(|| format!("expected {pushed:?} in {watch:?}:\n{said}"))?;
+    let place = place.with_context(|| format!("expected {pushed:?} in {watch:?}:\n{printed}"))?;
     for (other, farthest_m) in watch.farthest_m.iter().enumerate() {
         // One robot was pushed away, and no other.
         let is_sound =
             if other == place { *farthest_m >= PUSHED_M } else { *farthest_m <= PUSHED_M / 2.0 };
-        ensure!(is_sound, "expected a push of place {place} alone, found {watch:?}:\n{said}");
+        ensure!(is_sound, "expected a push of place {place} alone, found {watch:?}:\n{printed}");
     }
     ensure!(
         watch.rms_m <= GOOD_M,
-        "expected at most {GOOD_M} m rms after the push, found {watch:?}; the example said:\n{said}"
+        "expected at most {GOOD_M} m rms after the push, found {watch:?}; the example printed:\n{printed}"
     );
 
     let file = folder.path().join("run.csv");
-    let said = run("record", &[&file.to_string_lossy(), "1", &server.url()])?;
+    let printed = run("record", &[&file.to_string_lossy(), "1", &server.url()])?;
     let text = std::fs::read_to_string(&file)?;
     let lines: Vec<&str> = text.lines().collect();
     let snapshots = (lines.len() - 1) / ROBOTS;
-    ensure!(said.contains(&format!("{snapshots} snapshots written")), "{said}");
+    ensure!(printed.contains(&format!("{snapshots} snapshots written")), "{printed}");
     ensure!(snapshots > 1 && (lines.len() - 1).is_multiple_of(ROBOTS), "{} lines", lines.len());
     let columns = lines[0].split(',').count();
     ensure!(lines.iter().all(|line| line.split(',').count() == columns), "{text}");

@@ -10,14 +10,14 @@ use roundel_core::{
 };
 use roundel_tests::{
     arena::{Course, Path, Sine},
-    healing::{Healing, Move, Outcome},
+    healing::{BumpSize, Healing, Move, Outcome},
     random::Random,
 };
 
 const NOISE_PX: f64 = 0.03;
 const SECONDS: f64 = 45.0;
 
-fn bumped(mut healing: Healing, cameras: &[u32], size: (f64, f64)) -> Outcome {
+fn bumped(mut healing: Healing, cameras: &[u32], size: BumpSize) -> Outcome {
     let mut random = Random::new(healing.arena.seed, 78);
     for camera in cameras {
         healing.moves.push(Move::bump(CameraId(*camera), 10.03, size, &mut random));
@@ -27,7 +27,11 @@ fn bumped(mut healing: Healing, cameras: &[u32], size: (f64, f64)) -> Outcome {
 
 #[test]
 fn a_bumped_camera_recovers() {
-    for (seed, size) in [(1, (0.02, 0.0)), (2, (0.0, 1f64.to_radians())), (3, (0.01, 0.0))] {
+    for (seed, size) in [
+        (1, BumpSize::shift(0.02)),
+        (2, BumpSize::turn(1f64.to_radians())),
+        (3, BumpSize::shift(0.01)),
+    ] {
         let outcome = bumped(Healing::r4(seed, 30.0, NOISE_PX), &[seed as u32 % 4], size);
         assert!(outcome.is_healed(), "seed {seed}: {outcome:?}");
     }
@@ -35,7 +39,8 @@ fn a_bumped_camera_recovers() {
 
 #[test]
 fn two_cameras_bumped_at_once_recover() {
-    let outcome = bumped(Healing::r4(4, 60.0, NOISE_PX), &[0, 3], (0.02, 0.01));
+    let outcome =
+        bumped(Healing::r4(4, 60.0, NOISE_PX), &[0, 3], BumpSize { shift_m: 0.02, turn_rad: 0.01 });
     assert!(outcome.is_healed(), "{outcome:?}");
 }
 
@@ -57,7 +62,7 @@ fn cameras_recover_from_consecutive_bumps() {
 fn two_cameras_alone_contradict_and_a_reference_decides() {
     let mut healing = Healing::r4(1, 60.0, NOISE_PX);
     healing.arena.sites.truncate(2);
-    let outcome = bumped(healing.clone(), &[1], (0.02, 0.0));
+    let outcome = bumped(healing.clone(), &[1], BumpSize::shift(0.02));
     let cameras = vec![CameraId(0), CameraId(1)];
     let events: Vec<WatchEvent> = outcome.events.into_iter().map(|(_, event)| event).collect();
     assert_eq!(events, [WatchEvent::Contradiction { cameras }]);
@@ -67,7 +72,7 @@ fn two_cameras_alone_contradict_and_a_reference_decides() {
     let reference = healing.arena.robots.last().unwrap();
     let code = reference.code.map(|number| Code { bits: 8, number });
     healing.landmarks.push(Landmark::new(KindId(0), code, place_m));
-    let outcome = bumped(healing, &[1], (0.02, 0.0));
+    let outcome = bumped(healing, &[1], BumpSize::shift(0.02));
     assert!(outcome.is_healed(), "{outcome:?}");
 }
 
@@ -77,7 +82,12 @@ const MAX_TRACK_ERROR_M: f64 = 5e-3;
 #[test]
 fn tracks_stay_right_during_a_bump() {
     let degree = 1f64.to_radians();
-    for (seed, size) in [(7, (0.02, 0.0)), (3, (0.02, 0.0)), (7, (0.0, degree)), (3, (0.01, 0.0))] {
+    for (seed, size) in [
+        (7, BumpSize::shift(0.02)),
+        (3, BumpSize::shift(0.02)),
+        (7, BumpSize::turn(degree)),
+        (3, BumpSize::shift(0.01)),
+    ] {
         let mut healing = Healing::r4(seed, 60.0, NOISE_PX);
         let mut random = Random::new(seed, 79);
         let camera = CameraId(seed as u32 % 4);
@@ -96,7 +106,7 @@ fn tracks_stay_right_while_a_camera_is_pushed() {
     for (seed, at_s) in [(2, 5.2), (8, 8.9)] {
         let mut healing = Healing::r4(seed, 60.0, NOISE_PX);
         let mut random = Random::new(seed, 79);
-        let push = Move::bump(CameraId(seed as u32 % 4), at_s, (0.02, 0.0), &mut random);
+        let push = Move::bump(CameraId(seed as u32 % 4), at_s, BumpSize::shift(0.02), &mut random);
         healing.moves.push(Move { lasts_s: 0.3, ..push });
         let tracks = healing.track(FusionParams::default(), at_s + 3.0);
         assert!(tracks.aftermath_m < MAX_TRACK_ERROR_M, "seed {seed}: {tracks:?}");
@@ -106,7 +116,7 @@ fn tracks_stay_right_while_a_camera_is_pushed() {
 
 #[test]
 fn cameras_recover_from_bumps_of_millimetres() {
-    for (seed, size) in [(1, (0.002, 0.0)), (2, (0.0, 0.03f64.to_radians()))] {
+    for (seed, size) in [(1, BumpSize::shift(0.002)), (2, BumpSize::turn(0.03f64.to_radians()))] {
         let mut healing = Healing::r4(seed, 60.0, NOISE_PX);
         let mut random = Random::new(seed, 79);
         healing.moves.push(Move::bump(CameraId(seed as u32 % 4), 90.03, size, &mut random));

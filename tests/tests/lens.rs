@@ -31,7 +31,7 @@ fn a_lens_is_calibrated_from_thirty_views() {
     assert!(found.rms_px < 0.06, "{} px", found.rms_px);
     assert!(deviations[..2].iter().all(|deviation| *deviation < 0.2), "{deviations:?}");
     let width = found.width.unwrap();
-    println!("roundels look {} ± {} as wide as said", width.ratio, width.deviation);
+    println!("roundels appear {} ± {} times as wide as stated", width.ratio, width.deviation);
     assert!((width.ratio - 1.0).abs() < 0.001 && !width.is_doubtful(), "{width:?}");
 }
 

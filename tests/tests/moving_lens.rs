@@ -67,9 +67,9 @@ fn a_wrong_lens_is_corrected_from_robots_that_other_cameras_saw() {
         ("cx", truth.center_px[0], 1.0),
         ("cy", truth.center_px[1], 1.0),
     ];
-    for (key, truth, most) in expected {
+    for (key, truth, max) in expected {
         let (value, deviation) = (number(key, "value"), number(key, "deviation"));
-        assert!((value - truth).abs() < most, "{key}: {value} ± {deviation} for {truth}");
+        assert!((value - truth).abs() < max, "{key}: {value} ± {deviation} for {truth}");
         assert!((value - truth).abs() < 4.0 * deviation, "{key}: {value} ± {deviation}, {truth}");
     }
     assert_eq!(report["distortion_model"], truth.distortion.name());

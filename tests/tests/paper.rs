@@ -10,7 +10,7 @@ fn table(name: &str) -> Table {
     println!("{table}");
     for row in &table.rows {
         assert!(row.is_finite(), "{name}: {row:?}");
-        assert!(!row.is_unexcused(), "{name}: worse, and no reason is said: {row:?}");
+        assert!(!row.is_unexcused(), "{name}: worse without a reason: {row:?}");
         // Rows that were not measured here must say why.
         assert!(!row.why().is_empty(), "{name}: no sentence: {row:?}");
         // There is no model of times.

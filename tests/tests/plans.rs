@@ -6,7 +6,8 @@ use roundel_tests::plans::{Pair, SetUp, compare};
 
 /// Set-ups; roundels at each distance, and for the errors of each set-up.
 const SET_UPS: u64 = 10;
-const COUNTS: (usize, usize) = (12, 60);
+const REACHES: usize = 12;
+const SHOTS: usize = 60;
 /// Bars for relative errors. 60 errors give an rms to a tenth only.
 const DISTANCE_SHARE: f64 = 0.10;
 const PRECISION_SHARE: f64 = 0.30 + 0.09;
@@ -15,12 +16,12 @@ const MEDIAN_SHARE: f64 = 0.10;
 
 /// Requires all predictions within a share, and their median within [`MEDIAN_SHARE`].
 fn check(pairs: &[Pair], share: f64, details: &str) {
-    let held = pairs.iter().filter(|pair| pair.holds(share)).count();
-    assert_eq!(held, pairs.len(), "within {share}:\n{details}");
+    let within = pairs.iter().filter(|pair| pair.holds(share)).count();
+    assert_eq!(within, pairs.len(), "within {share}:\n{details}");
     let mut ratios: Vec<f64> = pairs.iter().map(Pair::ratio).collect();
     ratios.sort_by(f64::total_cmp);
     let median = ratios[ratios.len() / 2];
-    assert!((median - 1.0).abs() < MEDIAN_SHARE, "{median} in the middle:\n{details}");
+    assert!((median - 1.0).abs() < MEDIAN_SHARE, "median {median}:\n{details}");
 }
 
 #[test]
@@ -28,7 +29,7 @@ fn distance_and_precision_are_as_predicted_in_both_modes() {
     let mut details = String::new();
     let (mut reaches, mut depths, mut acrosses) = (Vec::new(), Vec::new(), Vec::new());
     let mut modes = [0; 2];
-    for (set_up, reach, errors) in compare(SET_UPS, COUNTS) {
+    for (set_up, reach, errors) in compare(SET_UPS, REACHES, SHOTS) {
         let SetUp { mode, diameter_px, ratio, .. } = set_up;
         let reach = reach.unwrap();
         details += &format!("{mode:?} {diameter_px:.0} px, {ratio:.2}: {reach:?} {errors:?}\n");

@@ -143,15 +143,15 @@ impl Case<'_> {
         let background = Canvas::flat(self.camera.width, self.camera.height, FLOOR);
         let rendered = renderer.ideal(&background, &moving);
         let expected = self.brute_force(center, half);
-        let (mut greatest, mut squares) = (0.0f64, 0.0);
+        let (mut max, mut squares) = (0.0f64, 0.0);
         for (i, grey) in expected.iter().enumerate() {
             let (u, v) =
                 (center[0] + i % (2 * half + 1) - half, center[1] + i / (2 * half + 1) - half);
             let apart = (f64::from(rendered.grey[v * rendered.width + u]) - grey).abs();
-            greatest = greatest.max(apart);
+            max = max.max(apart);
             squares += apart * apart;
         }
-        (greatest, (squares / expected.len() as f64).sqrt())
+        (max, (squares / expected.len() as f64).sqrt())
     }
 }
 
@@ -182,9 +182,9 @@ fn still_roundels_equal_brute_force() {
             fine: 32,
             motion: &|_| pose,
         };
-        let (greatest, rms) = case.difference();
-        println!("{name}: greatest {greatest:.4}, rms {rms:.4} grey levels");
-        assert!(greatest < 0.1 && rms < 0.01, "{name}: {greatest}");
+        let (max, rms) = case.difference();
+        println!("{name}: max {max:.4}, rms {rms:.4} grey levels");
+        assert!(max < 0.1 && rms < 0.01, "{name}: {max}");
     }
 }
 
@@ -207,9 +207,9 @@ fn moving_roundels_equal_brute_force() {
             fine: 16,
             motion: &motion,
         };
-        let (greatest, rms) = case.difference();
-        println!("{name}: greatest {greatest:.4}, rms {rms:.4} grey levels");
-        assert!(greatest < 0.1 && rms < 0.01, "{name}: {greatest}");
+        let (max, rms) = case.difference();
+        println!("{name}: max {max:.4}, rms {rms:.4} grey levels");
+        assert!(max < 0.1 && rms < 0.01, "{name}: {max}");
     }
 }
 

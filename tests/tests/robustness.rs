@@ -137,7 +137,7 @@ impl Scenario {
         squares.sort_by(f64::total_cmp);
         let worst = squares.last().copied().unwrap_or(0.0);
         let median = squares.get(squares.len() / 2).copied().unwrap_or(0.0);
-        let furthest = outcome.errors.iter().fold(0.0f64, |most, (_, error)| most.max(*error));
+        let furthest = outcome.errors.iter().fold(0.0f64, |max, (_, error)| max.max(*error));
         println!(
             "{:24} found {:2} of {COUNT}; normalized squared errors: median {median:.2}, worst \
              {worst:.1}; furthest off {:.3} % of the distance; others {}",

@@ -97,8 +97,7 @@ impl Arena {
         robot_from_camera: Isometry3<f64>,
         random: &mut Random,
     ) {
-        let anywhere = (Vector3::new(0.0, 0.0, 1.0), Vector3::zeros());
-        let mut site = site("aboard".into(), &model, anywhere, random);
+        let mut site = site("aboard".into(), &model, Isometry3::identity(), random);
         site.mount = Some(Mount { robot, robot_from_camera });
         self.sites.push(site);
     }

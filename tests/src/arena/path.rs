@@ -77,9 +77,9 @@ impl Path {
         let x = sine(room_m * random.uniform(0.6, 1.0), 1.3, random);
         let y = sine(room_m * random.uniform(0.6, 1.0), 1.3, random);
         let mut z = Sine::default();
-        if let Some((least_m, most_m)) = lift_m {
+        if let Some((min_m, max_m)) = lift_m {
             z = sine(random.uniform(0.1, 0.3), 0.6, random);
-            center_m.z += random.uniform(least_m, most_m);
+            center_m.z += random.uniform(min_m, max_m);
         }
         let course = Course::Sines([x, y, z]);
         let spin_rad_s = random.uniform(-0.8, 0.8);
@@ -140,18 +140,18 @@ const STEP_S: f64 = 0.005;
 
 impl Stray {
     /// `seconds` of motion, after which it stands still. `axes` scales the motion along each axis.
-    pub fn new(seconds: f64, axes: &Vector3<f64>, most_m_s2: f64, random: &mut Random) -> Self {
+    pub fn new(seconds: f64, axes: &Vector3<f64>, max_m_s2: f64, random: &mut Random) -> Self {
         let (mut position, mut velocity, mut push) =
             (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
         let kept: f64 = (-STEP_S / 0.4f64).exp();
-        let push_m_s2 = 0.45 * most_m_s2 * (1.0 - kept * kept).sqrt();
+        let push_m_s2 = 0.45 * max_m_s2 * (1.0 - kept * kept).sqrt();
         let mut knots: Vec<[Vector3<f64>; 3]> = Vec::new();
         for _ in 0..(seconds / STEP_S).ceil() as usize {
             let fresh = Vector3::from_fn(|axis, _| axes[axis] * f64::from(random.normal()));
             push = push * kept + fresh * push_m_s2;
             let mut acceleration: Vector3<f64> = push - position * 12.0 - velocity * 4.0;
-            if acceleration.norm() > most_m_s2 {
-                acceleration *= most_m_s2 / acceleration.norm();
+            if acceleration.norm() > max_m_s2 {
+                acceleration *= max_m_s2 / acceleration.norm();
             }
             knots.push([position, velocity, acceleration]);
             position += velocity * STEP_S + acceleration * (STEP_S * STEP_S / 2.0);
@@ -195,7 +195,7 @@ mod tests {
 
     #[test]
     fn velocities_and_accelerations_are_the_paths_derivatives() {
-        for (path, most_m_s2) in paths() {
+        for (path, max_m_s2) in paths() {
             for step in 0..5000 {
                 // Random accelerations jump every 5 ms; between the jumps they are constant.
                 let t = 0.0125 + 0.01 * f64::from(step);
@@ -204,7 +204,7 @@ mod tests {
                 assert!((velocity - path.velocity(t)).norm() < 1e-5, "{path:?}");
                 let turn = (path.velocity(t + 1e-4) - path.velocity(t - 1e-4)) / 2e-4;
                 assert!((turn - path.acceleration(t)).norm() < 1e-3, "{path:?}");
-                assert!(path.acceleration(t).norm() <= most_m_s2, "{path:?}");
+                assert!(path.acceleration(t).norm() <= max_m_s2, "{path:?}");
             }
         }
     }

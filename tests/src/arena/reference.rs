@@ -1,6 +1,6 @@
 //! The reference installations R4 and R16, and R4-lite of the demo.
 
-use nalgebra::Vector3;
+use nalgebra::{Isometry3, Vector3};
 
 use super::{Arena, Kind, Path, Robot, Site, SiteClock, look_at};
 use crate::{
@@ -96,7 +96,7 @@ impl Arena {
                 let eye = Vector3::new(6.0 * x, 4.5 * y, 9.0);
                 let target = Vector3::new(5.7 * x, 4.2 * y, 0.0);
                 let name = format!("row {} camera {}", index / 4 + 1, index % 4 + 1);
-                site(name, &R4_MODEL, (eye, target), &mut random)
+                site(name, &R4_MODEL, look_at(eye, target), &mut random)
             })
             .collect();
         let mut arena = Self::empty(seed, Kind::coded(12), sites);
@@ -184,7 +184,7 @@ fn corner_sites(model: &Model, random: &mut Random) -> Vec<Site> {
         .map(|((x, y), name)| {
             let eye = Vector3::new(2.5 * x, 2.0 * y, 5.0);
             let target = Vector3::new(1.25 * x, y, 0.0);
-            site(name.into(), model, (eye, target), random)
+            site(name.into(), model, look_at(eye, target), random)
         })
         .collect()
 }
@@ -193,7 +193,7 @@ fn corner_sites(model: &Model, random: &mut Random) -> Vec<Site> {
 pub(super) fn site(
     name: String,
     model: &Model,
-    (eye, target): (Vector3<f64>, Vector3<f64>),
+    world_from_camera: Isometry3<f64>,
     random: &mut Random,
 ) -> Site {
     let k = [random.uniform(-0.10, -0.06), random.uniform(0.01, 0.04)];
@@ -211,7 +211,7 @@ pub(super) fn site(
             line_time_s: 12e-6,
             ..Imaging::default()
         },
-        world_from_camera: look_at(eye, target),
+        world_from_camera,
         mount: None,
         rate_hz: model.rate_hz,
         offset_s: random.uniform(0.0, 1.0 / model.rate_hz),
@@ -227,26 +227,26 @@ mod tests {
 
     /// Minimum and mean number of cameras that see a robot's centre, over ten seconds.
     fn views(arena: &Arena) -> (usize, f64) {
-        let (mut least, mut sum, mut count) = (usize::MAX, 0, 0);
+        let (mut min, mut sum, mut count) = (usize::MAX, 0, 0);
         for second in 0..10 {
             for truth in arena.truth(arena.start_ns + second * 1_000_000_000) {
                 let place = Point3::from(truth.pose.translation.vector);
                 let sees = |site: &&Site| arena.pixel(site, &place).is_some();
                 let seen_by = arena.sites.iter().filter(sees).count();
-                least = least.min(seen_by);
+                min = min.min(seen_by);
                 sum += seen_by;
                 count += 1;
             }
         }
-        (least, f64::from(sum as u32) / f64::from(count))
+        (min, f64::from(sum as u32) / f64::from(count))
     }
 
     #[test]
     fn every_robot_is_seen_everywhere() {
-        let (least, mean) = views(&Arena::r4(1));
-        assert!(least >= 1 && mean > 2.0, "{least}, {mean}");
-        let (least, mean) = views(&Arena::r16(1));
-        assert!(least >= 1 && (3.5..4.5).contains(&mean), "{least}, {mean}");
+        let (min, mean) = views(&Arena::r4(1));
+        assert!(min >= 1 && mean > 2.0, "{min}, {mean}");
+        let (min, mean) = views(&Arena::r16(1));
+        assert!(min >= 1 && (3.5..4.5).contains(&mean), "{min}, {mean}");
     }
 
     #[test]

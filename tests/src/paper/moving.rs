@@ -176,7 +176,7 @@ fn error(
 type Side =
     (&'static str, fn(&TargetError) -> f64, f64, [[f64; 2]; 2], (&'static str, f64, String));
 
-/// Prediction mean errors.
+/// Predicted mean errors.
 struct PredictedErrors {
     /// On the plane, for a static target.
     still_plane_m: f64,
@@ -258,8 +258,8 @@ pub fn table(length: Length) -> anyhow::Result<Table> {
         100.0 * still_plane_m,
         plane_m / still_plane_m
     );
-    let relative_to_mean = |most: f64, mean: f64, paper: [f64; 2]| {
-        format!("{:.1} times the mean, in the paper {:.1}", most / mean, paper[1] / paper[0])
+    let relative_to_mean = |max: f64, mean: f64, paper: [f64; 2]| {
+        format!("{:.1} times the mean, in the paper {:.1}", max / mean, paper[1] / paper[0])
     };
     // As many draws as measurements, for the same expected maximum.
     let expected_max = |mean_m: f64| model::expected_max(&vec![mean_m; errors.len()]);
@@ -286,13 +286,13 @@ pub fn table(length: Length) -> anyhow::Result<Table> {
             let mean = errors.iter().map(of).sum::<f64>() / errors.len() as f64;
             (mean, errors.iter().map(of).fold(0.0, f64::max))
         };
-        let ((mean_m, most_m), (mean_share, max_share)) = (all(&error_m), all(&share));
+        let ((mean_m, max_m), (mean_share, max_share)) = (all(&error_m), all(&share));
         let row = |what: &str, here: f64, model: f64, paper: f64| {
             Row::new(format!("{name}, {what}"), 100.0 * here)
                 .paper(paper, Aim::Less)
                 .model(100.0 * model)
         };
-        let most_model_m = expected_max(model_m);
+        let max_model_m = expected_max(model_m);
         let largest = errors.iter().max_by(|one, other| error_m(one).total_cmp(&error_m(other)));
         let largest = largest.context("a target that was found")?;
         let searched = match largest.number {
@@ -306,14 +306,14 @@ pub fn table(length: Length) -> anyhow::Result<Table> {
         );
         rows.extend([
             row("mean: cm", mean_m, model_m, paper_cm[0]).note(note),
-            row("maximum: cm", most_m, most_model_m, paper_cm[1])
-                .note(format!("{}; {when}", relative_to_mean(most_m, mean_m, paper_cm))),
+            row("maximum: cm", max_m, max_model_m, paper_cm[1])
+                .note(format!("{}; {when}", relative_to_mean(max_m, mean_m, paper_cm))),
             row("mean: %", mean_share, model_m / distance_m, paper_percent[0]).note(format!(
                 "over the distance; {equation} alone predicts {:.7} %, {:.1} times less",
                 100.0 * alone,
                 mean_share / alone
             )),
-            row("maximum: %", max_share, most_model_m / distance_m, paper_percent[1])
+            row("maximum: %", max_share, max_model_m / distance_m, paper_percent[1])
                 .note(relative_to_mean(max_share, mean_share, paper_percent)),
         ]);
     }

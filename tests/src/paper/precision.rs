@@ -274,12 +274,8 @@ fn rows(length: Length, plane: bool) -> anyhow::Result<Vec<Row>> {
             missed => format!("; {missed:.1} of {} not found", errors.of),
         };
         let exactly = format!("{:.3} cm with exact tiles{missed}", 100.0 * errors.exact_m);
-        let of_mean = |most: f64, mean: f64, paper_most: f64, paper_mean: f64| {
-            format!(
-                "{:.1} times the mean, in the paper {:.1}",
-                most / mean,
-                paper_most / paper_mean
-            )
+        let of_mean = |max: f64, mean: f64, paper_max: f64, paper_mean: f64| {
+            format!("{:.1} times the mean, in the paper {:.1}", max / mean, paper_max / paper_mean)
         };
         [
             row("mean: cm", [100.0 * errors.mean_m, 100.0 * model.mean_m, paper_figures[0]])

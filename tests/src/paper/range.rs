@@ -57,7 +57,7 @@ pub(super) fn farthest_m(
     pictures: usize,
     mut finds: impl FnMut(f64, usize) -> bool,
 ) -> f64 {
-    let most_misses = ((1.0 - RELIABLE) * pictures as f64) as usize;
+    let max_misses = ((1.0 - RELIABLE) * pictures as f64) as usize;
     let mut last_m = 0.0;
     let mut distance_m = start_m;
     loop {
@@ -65,7 +65,7 @@ pub(super) fn farthest_m(
         // Stops once too many are missed.
         let reliable = (0..pictures).all(|picture| {
             misses += usize::from(!finds(distance_m, picture));
-            misses <= most_misses
+            misses <= max_misses
         });
         if !reliable {
             return last_m;

@@ -90,9 +90,9 @@ pub fn figure(length: Length) -> anyhow::Result<Table> {
         }
     }
     let spread = of_images.map(|times_s| {
-        let least = times_s.iter().copied().fold(f64::MAX, f64::min);
-        let most = times_s.iter().copied().fold(0.0, f64::max);
-        100.0 * (most / least - 1.0)
+        let min = times_s.iter().copied().fold(f64::MAX, f64::min);
+        let max = times_s.iter().copied().fold(0.0, f64::max);
+        100.0 * (max / min - 1.0)
     });
     let [first_mode, second_mode] = MODES.map(mode_name);
     let remarks = vec![

@@ -219,7 +219,7 @@ impl Shown {
                 let u = edge_px + (column + 0.5) / columns * sides[0] + random.uniform(-1.0, 1.0);
                 let v = edge_px + (row + 0.5) / rows * sides[1] + random.uniform(-1.0, 1.0);
                 let ray = camera.ray(&Vector2::new(u, v)).expect("a pixel of the picture");
-                let [x, y] = [0.5, 0.5].map(|most| random.uniform(-most, most));
+                let [x, y] = [0.5, 0.5].map(|max| random.uniform(-max, max));
                 let lean = Vector3::new(x, y, random.uniform(-1.5, 1.5));
                 let facing = UnitQuaternion::rotation_between(&Vector3::z(), &-ray)
                     .expect("a ray in front of the camera");

@@ -6,7 +6,7 @@ use std::{process::ExitCode, time::Instant};
 
 use roundel_core::{calib::watch::WatchParams, id::CameraId, world::FusionParams};
 use roundel_tests::{
-    healing::{Healing, Move, Outcome, Response},
+    healing::{BumpSize, Healing, Move, Outcome, Response},
     random::Random,
 };
 
@@ -37,11 +37,16 @@ pub fn run(options: &Options) -> ExitCode {
     println!("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |");
     let degree = 1f64.to_radians();
     let holds = [
-        bumped("2 cm", (0.02, 0.0), PRECISE_PX, 1),
-        bumped("1°", (0.0, degree), PRECISE_PX, 1),
-        bumped("2 cm, fast mode", (0.02, 0.0), FAST_PX, 1),
-        bumped("1°, fast mode", (0.0, degree), FAST_PX, 1),
-        bumped("two at once, 2 cm and 1°", (0.02, degree), PRECISE_PX, 2),
+        bumped("2 cm", BumpSize::shift(0.02), PRECISE_PX, 1),
+        bumped("1°", BumpSize::turn(degree), PRECISE_PX, 1),
+        bumped("2 cm, fast mode", BumpSize::shift(0.02), FAST_PX, 1),
+        bumped("1°, fast mode", BumpSize::turn(degree), FAST_PX, 1),
+        bumped(
+            "two at once, 2 cm and 1°",
+            BumpSize { shift_m: 0.02, turn_rad: degree },
+            PRECISE_PX,
+            2,
+        ),
         drifting(),
         wrong_lenses(),
         long_run(options.hours),
@@ -50,7 +55,7 @@ pub fn run(options: &Options) -> ExitCode {
 }
 
 /// Bumps `count` cameras of each seed at almost the same time.
-fn bumped(name: &str, size: (f64, f64), noise_px: f64, count: u64) -> bool {
+fn bumped(name: &str, size: BumpSize, noise_px: f64, count: u64) -> bool {
     let started = Instant::now();
     let (mut all, mut tracks_m) = (Outcome::default(), 0.0f64);
     for seed in 1..=SEEDS {
@@ -72,20 +77,21 @@ fn bumped(name: &str, size: (f64, f64), noise_px: f64, count: u64) -> bool {
         all.worst_m = all.worst_m.max(outcome.worst_m);
     }
     let holds = all.is_healed() && tracks_m <= MAX_TRACK_ERROR_M;
-    row(name, (&all, Some(tracks_m)), started, holds)
+    row(name, &all, Some(tracks_m), started, holds)
 }
 
 /// One camera drifts by 1 cm an hour.
 fn drifting() -> bool {
     let started = Instant::now();
     let mut healing = Healing::r4(1, SLOW_HZ, PRECISE_PX);
-    let size = (0.01, 0.02f64.to_radians());
+    let size = BumpSize { shift_m: 0.01, turn_rad: 0.02f64.to_radians() };
     let drift = Move::bump(CameraId(1), 60.0, size, &mut Random::new(1, 79));
     healing.moves.push(Move { lasts_s: 3600.0, ..drift });
     let outcome = healing.run(WatchParams::default(), 3660.0);
     row(
         "1 h of drift, 1 cm",
-        (&outcome, None),
+        &outcome,
+        None,
         started,
         outcome.is_healed() && outcome.worst_m <= 1e-3,
     )
@@ -104,7 +110,7 @@ fn wrong_lenses() -> bool {
         all.worst_m = all.worst_m.max(outcome.worst_m);
     }
     let holds = all.false_alarms == 0 && all.corrections == 0;
-    row("4 × 1 h, lenses off by 0.05 % and 0.5 px", (&all, None), started, holds)
+    row("4 × 1 h, lenses off by 0.05 % and 0.5 px", &all, None, started, holds)
 }
 
 /// Hours with twenty bumps a day.
@@ -120,12 +126,13 @@ fn long_run(hours: f64) -> bool {
             eprintln!("{bump:?}: {response:?}");
         }
     }
-    row(&format!("{hours} h"), (&outcome, None), started, outcome.is_healed())
+    row(&format!("{hours} h"), &outcome, None, started, outcome.is_healed())
 }
 
 fn row(
     name: &str,
-    (outcome, tracks_m): (&Outcome, Option<f64>),
+    outcome: &Outcome,
+    tracks_m: Option<f64>,
     started: Instant,
     holds: bool,
 ) -> bool {

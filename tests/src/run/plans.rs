@@ -86,7 +86,7 @@ fn report_set_ups(count: u64) -> bool {
     );
     let mut all: [Vec<Pair>; 3] = Default::default();
     let mut holds = true;
-    for (set_up, reach, errors) in compare(count, (REACHES, SHOTS)) {
+    for (set_up, reach, errors) in compare(count, REACHES, SHOTS) {
         let camera = &set_up.camera;
         let imaging = &set_up.imaging;
         let reach = match reach {

@@ -48,8 +48,8 @@ fn remaining_ms(arena: &Arena, learned_s: f64, measured_s: f64) -> (Vec<f64>, Ru
     (ahead_ms.iter().map(|ahead| ahead - mean).collect(), run)
 }
 
-fn greatest(numbers: &[f64]) -> f64 {
-    numbers.iter().fold(0.0, |most: f64, number| most.max(number.abs()))
+fn max(numbers: &[f64]) -> f64 {
+    numbers.iter().fold(0.0, |max: f64, number| max.max(number.abs()))
 }
 
 /// R4 with offsets to 40 ms and skews to 50 ppm.
@@ -74,13 +74,13 @@ pub fn unset(length: Length) -> Vec<Row> {
         .check(
             format!(
                 "{:.2} ms off after {learned_s:.0} s: {} of {}",
-                greatest(&left_ms),
+                max(&left_ms),
                 list(&left_ms),
                 list(&true_ms)
             ),
-            greatest(&left_ms) <= BAR_MS,
+            max(&left_ms) <= BAR_MS,
         )
-        .note(format!("measured to {:.2} ms", greatest(&floor_ms)))
+        .note(format!("measured to {:.2} ms", max(&floor_ms)))
         .check_identities(24, &score)
         .note_errors(&score);
     vec![row.scored(score)]
@@ -93,7 +93,7 @@ mod tests {
     #[test]
     fn correct_clocks_have_no_remaining_error() {
         let (left_ms, _) = remaining_ms(&Arena::r4(22), 1.0, 3.0);
-        assert!(greatest(&left_ms) < 0.3, "{left_ms:?}");
+        assert!(max(&left_ms) < 0.3, "{left_ms:?}");
     }
 
     /// A tenth of a second is not enough to learn the clocks.

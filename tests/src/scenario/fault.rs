@@ -172,14 +172,14 @@ impl<'a> Case<'a> {
         let run = Run::new(self.arena, Ticks { rate_hz: 60.0, judged_from_s: 1.0 });
         let outcome = run.take_all(self.frames).finish();
         let (score, counts) = (outcome.score, outcome.counts);
-        let worst_mm = score.position.greatest() * 1e3;
+        let worst_mm = score.position.max() * 1e3;
         let mut row = Row::new(name, BAR)
             .check_identities(self.arena.robots.len(), &score)
             .check(format!("worst pose {worst_mm:.0} mm off"), worst_mm <= MAX_ERROR_MM);
         for fault in &self.faults {
             let count = (fault.counted)(&counts);
-            let (least, most) = (fault.expected.start(), fault.expected.end());
-            let of = if least == most { format!(" of {least}") } else { String::new() };
+            let (min, max) = (fault.expected.start(), fault.expected.end());
+            let of = if min == max { format!(" of {min}") } else { String::new() };
             let text = format!("{count}{of} {}", fault.what);
             row = row.check(text, fault.expected.contains(&count));
         }
@@ -250,7 +250,7 @@ pub fn hour_behind(length: Length) -> Vec<Row> {
 /// A clock that is set forward permanently.
 pub fn hour_for_good(length: Length) -> Vec<Row> {
     let when_s = FAULTY_S.start..f64::INFINITY;
-    Case::new(&arena(), length).jumped(1.0, when_s).judge("a clock an hour ahead for good")
+    Case::new(&arena(), length).jumped(1.0, when_s).judge("a clock an hour ahead permanently")
 }
 
 /// A clock that jumps while frames arrive late and out of order.

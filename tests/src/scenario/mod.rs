@@ -179,9 +179,9 @@ pub fn consistency(rows: &[Row]) -> Row {
         let shares: Vec<f64> =
             rows.iter().filter_map(Row::shares).map(|shares| shares[index]).collect();
         let inside = shares.iter().filter(|share| BAND.contains(share)).count();
-        let least = shares.iter().copied().fold(1.0, f64::min) * 100.0;
-        let most = shares.iter().copied().fold(0.0, f64::max) * 100.0;
-        let text = format!("{what} {inside} of {}, {least:.1} to {most:.1} %", shares.len());
+        let min = shares.iter().copied().fold(1.0, f64::min) * 100.0;
+        let max = shares.iter().copied().fold(0.0, f64::max) * 100.0;
+        let text = format!("{what} {inside} of {}, {min:.1} to {max:.1} %", shares.len());
         row = row.check(text, inside == shares.len());
     }
     row

@@ -112,11 +112,11 @@ pub fn docking(length: Length) -> Vec<Row> {
             }
         });
     let [near, far, all] = judges.map(Judge::finish);
-    let row = |at_m: f64, bar: &'static str, most_mm: f64, score: Score| {
+    let row = |at_m: f64, bar: &'static str, max_mm: f64, score: Score| {
         let mm = score.position.rms() * 1e3;
         let row = Row::new(format!("docking: a robot's own camera {at_m} m from four prints"), bar)
             .check_identities(1, &score)
-            .check(format!("rms {mm:.2} mm"), mm <= most_mm)
+            .check(format!("rms {mm:.2} mm"), mm <= max_mm)
             .note(format!("turned by {:.1} mrad rms", score.rotation.rms() * 1e3))
             .note_errors(&score);
         row.scored(score)

@@ -132,7 +132,8 @@ fn bearing(position_m: &Vector3<f64>) -> NormalizedPoint {
 fn on_plane(
     mut frame: FrameObservations,
     homography: &Homography,
-    (site, noise_px): (&Site, f64),
+    site: &Site,
+    noise_px: f64,
 ) -> anyhow::Result<FrameObservations> {
     let place = &site.world_from_camera;
     for pose in frame.detections.iter_mut().filter_map(|detection| detection.pose.as_mut()) {
@@ -193,7 +194,7 @@ fn run(
     let frames: anyhow::Result<Vec<_>> = Stream::new(arena, sensing, seconds)
         .map(|frame| match way {
             Method::Homography => {
-                on_plane(frame, &found.homography, (&arena.sites[0], sensing.noise_px))
+                on_plane(frame, &found.homography, &arena.sites[0], sensing.noise_px)
             }
             Method::Floor | Method::Free => Ok(frame),
         })
@@ -221,8 +222,8 @@ fn errors_m(uneven_m: f64, sensing: Sensing, seconds: f64) -> anyhow::Result<[f6
 pub fn plane(length: Length) -> Vec<Row> {
     let seconds = length.seconds(10.0, 3.0);
     let cases = [
-        ("as high as said, 0.1 px", 0.0, Sensing::DEFAULT),
-        ("as high as said, 0.5 px", 0.0, Sensing { noise_px: 0.5, ..Sensing::DEFAULT }),
+        ("at the configured height, 0.1 px", 0.0, Sensing::DEFAULT),
+        ("at the configured height, 0.5 px", 0.0, Sensing { noise_px: 0.5, ..Sensing::DEFAULT }),
         ("10 mm higher or lower, 0.1 px", 0.01, Sensing::DEFAULT),
     ];
     let row = |(what, uneven_m, sensing): (&str, f64, Sensing)| {

@@ -137,6 +137,6 @@ impl Outcome {
 /// load of other processes.
 pub fn min_seconds(runs: &[Outcome]) -> f64 {
     let ticks = runs.iter().map(|run| run.spent.len()).min().unwrap_or(0);
-    let least = |tick: usize| runs.iter().map(|run| run.spent[tick]).min().unwrap_or_default();
-    (0..ticks).map(|tick| least(tick).as_secs_f64()).sum()
+    let min = |tick: usize| runs.iter().map(|run| run.spent[tick]).min().unwrap_or_default();
+    (0..ticks).map(|tick| min(tick).as_secs_f64()).sum()
 }

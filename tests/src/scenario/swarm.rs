@@ -146,16 +146,16 @@ mod tests {
     #[test]
     fn robots_of_the_swarm_keep_their_distance() {
         let arena = swarm(1, 11.0);
-        let mut least_m = f64::INFINITY;
+        let mut min_m = f64::INFINITY;
         for step in 0..1000 {
             let truth = arena.truth(arena.start_ns + step * 10_000_000);
             for (index, one) in truth.iter().enumerate() {
                 for other in &truth[..index] {
                     let apart = one.pose.translation.vector - other.pose.translation.vector;
-                    least_m = least_m.min(apart.norm());
+                    min_m = min_m.min(apart.norm());
                 }
             }
         }
-        assert!(least_m > 0.16, "{least_m}");
+        assert!(min_m > 0.16, "{min_m}");
     }
 }

@@ -37,7 +37,7 @@ impl Errors {
     }
 
     /// The largest length, or 0 without errors.
-    pub fn greatest(&self) -> f64 {
+    pub fn max(&self) -> f64 {
         self.squares.iter().copied().fold(0.0, f64::max).sqrt()
     }
 

@@ -123,7 +123,7 @@ pub struct Sensor<'a> {
     index: usize,
     sensing: Sensing,
     random: Random,
-    sights: Vec<ErrorState>,
+    states: Vec<ErrorState>,
     numbers: u64,
 }
 
@@ -135,7 +135,7 @@ impl<'a> Sensor<'a> {
             index,
             sensing,
             random: Random::new(arena.seed, (index as u64 + 1) << 20),
-            sights: vec![ErrorState::default(); arena.robots.len() + arena.landmarks.len()],
+            states: vec![ErrorState::default(); arena.robots.len() + arena.landmarks.len()],
             numbers: 0,
         }
     }
@@ -150,14 +150,14 @@ impl<'a> Sensor<'a> {
         let capture_ns = self.arena.capture_time_ns(site, frame);
         let stated = Timestamp::from_ns(self.arena.stated_time_ns(site, capture_ns));
         let t = (capture_ns - self.arena.start_ns) as f64 * 1e-9;
-        let roundels = 0..self.sights.len();
+        let roundels = 0..self.states.len();
         let mut detections: Vec<_> =
             roundels.filter_map(|roundel| self.detect(roundel, t, stated)).collect();
         if self.chance(self.sensing.clutter) {
             detections.extend(self.false_detection(stated));
         }
-        let (least_s, most_s) = self.sensing.latency_s;
-        let latency_s = self.random.uniform(least_s, most_s);
+        let (min_s, max_s) = self.sensing.latency_s;
+        let latency_s = self.random.uniform(min_s, max_s);
         FrameObservations {
             camera: CameraId(self.index as u32),
             frame: frame as u64 + 1,
@@ -177,13 +177,13 @@ impl<'a> Sensor<'a> {
                 return None;
             }
             let kind = arena.kinds.iter().position(|kind| kind.name == carrier.kind)?;
-            (kind, carrier.code, expose((arena, site), |t| carrier.path.pose(t), t)?)
+            (kind, carrier.code, expose(arena, site, |t| carrier.path.pose(t), t)?)
         } else {
             let landmark = &arena.landmarks[robot - arena.robots.len()];
             if self.chance(self.sensing.dropout) {
                 return None;
             }
-            (landmark.kind, Some(landmark.code), expose((arena, site), |_| landmark.pose, t)?)
+            (landmark.kind, Some(landmark.code), expose(arena, site, |_| landmark.pose, t)?)
         };
         let kinds = &arena.kinds;
         let reading = self.read(kinds[kind].code_bits.zip(code));
@@ -198,7 +198,7 @@ impl<'a> Sensor<'a> {
         } else {
             [None; 2]
         };
-        let mut detection = detection(number, kind, &exposed, stated, (pose, reading));
+        let mut detection = detection(number, kind, &exposed, stated, pose, reading);
         if let [Some(outer), Some(inner)] = rims {
             detection.ring = Ring {
                 kind: detection.ring.kind,
@@ -218,45 +218,45 @@ impl<'a> Sensor<'a> {
         let eye = site.world_from_camera.translation.vector;
         let along = (self.random.uniform(0.0, 2.0) - eye.z) / ray.z;
         let still = Path::still(eye + ray * along);
-        let exposed = expose((self.arena, site), |t| still.pose(t), 0.0)?;
-        let fresh = [self.gaussian(), self.gaussian()];
-        let pose = self.perturb(kind, &exposed, &fresh, false);
+        let exposed = expose(self.arena, site, |t| still.pose(t), 0.0)?;
+        let new = [self.gaussian(), self.gaussian()];
+        let pose = self.perturb(kind, &exposed, &new, false);
         self.numbers += 1;
         let number = TrackNumber(self.numbers);
-        (along > 0.0).then(|| detection(number, 0, &exposed, stated, (pose, None)))
+        (along > 0.0).then(|| detection(number, 0, &exposed, stated, pose, None))
     }
 
     /// The tracker's number for a robot that is detected now.
     fn number(&mut self, robot: usize, t: f64) -> TrackNumber {
-        let sight = &mut self.sights[robot];
-        if sight.seen_s.is_none_or(|seen_s| t - seen_s > TRACK_TIMEOUT_S) {
+        let state = &mut self.states[robot];
+        if state.seen_s.is_none_or(|seen_s| t - seen_s > TRACK_TIMEOUT_S) {
             self.numbers += 1;
-            sight.number = self.numbers;
+            state.number = self.numbers;
         }
-        sight.seen_s = Some(t);
-        TrackNumber(sight.number)
+        state.seen_s = Some(t);
+        TrackNumber(state.number)
     }
 
     /// The persistent errors at time `t`.
     fn persistent_errors(&mut self, robot: usize, t: f64) -> [Vector3<f64>; 2] {
-        let fresh = [self.gaussian(), self.gaussian()];
+        let new = [self.gaussian(), self.gaussian()];
         let place_m = match self.arena.robots.get(robot) {
             Some(carrier) => carrier.path.pose(t).translation.vector,
             None => Vector3::zeros(),
         };
         let keeps = self.sensing.bias_persists_while_still && self.site().mount.is_none();
-        let sight = &mut self.sights[robot];
-        sight.bias = match sight.bias_at {
-            None => fresh,
-            Some((_, before_m)) if keeps && before_m == place_m => sight.bias,
+        let state = &mut self.states[robot];
+        state.bias = match state.bias_at {
+            None => new,
+            Some((_, before_m)) if keeps && before_m == place_m => state.bias,
             Some((before_s, _)) => {
                 let kept = (-(t - before_s) / self.sensing.systematic_time_s).exp();
-                let new = (1.0 - kept * kept).sqrt();
-                [0, 1].map(|which| sight.bias[which] * kept + fresh[which] * new)
+                let added = (1.0 - kept * kept).sqrt();
+                [0, 1].map(|which| state.bias[which] * kept + new[which] * added)
             }
         };
-        sight.bias_at = Some((t, place_m));
-        sight.bias
+        state.bias_at = Some((t, place_m));
+        state.bias
     }
 
     /// The reading of a code of this many bits.
@@ -278,9 +278,10 @@ impl<'a> Sensor<'a> {
         with_yaw: bool,
     ) -> RoundelPose {
         let Sensing { noise_px, tilt_rad, yaw_rad, systematic_share, .. } = self.sensing;
-        let stays = systematic_share.sqrt();
-        let mixed = [0, 1]
-            .map(|which| bias[which] * stays + self.gaussian() * (1.0 - systematic_share).sqrt());
+        let persistent = systematic_share.sqrt();
+        let mixed = [0, 1].map(|which| {
+            bias[which] * persistent + self.gaussian() * (1.0 - systematic_share).sqrt()
+        });
         let (true_place, turn) =
             (exposed.camera_from_roundel.translation.vector, exposed.camera_from_roundel.rotation);
         let distance_m = true_place.norm();
@@ -328,7 +329,8 @@ impl<'a> Sensor<'a> {
 
 /// Pose of a roundel when its row is exposed; `None` if it is outside the image, turned away or too steep.
 fn expose(
-    (arena, site): (&Arena, &Site),
+    arena: &Arena,
+    site: &Site,
     pose: impl Fn(f64) -> Isometry3<f64>,
     t: f64,
 ) -> Option<Exposed> {
@@ -355,7 +357,8 @@ fn detection(
     kind: usize,
     exposed: &Exposed,
     stated: Timestamp,
-    (pose, code): (RoundelPose, Option<Code>),
+    pose: RoundelPose,
+    code: Option<Code>,
 ) -> Detection {
     let center = PixelPoint { u: exposed.pixel.x, v: exposed.pixel.y };
     let rim = |semi_px| Ellipse {

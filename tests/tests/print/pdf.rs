@@ -154,8 +154,8 @@ fn every_kind_is_true_to_scale_on_every_page() {
 fn every_number_of_every_code_is_read() {
     let mut count = 0;
     for bits in CodeLayout::BITS.0..=CodeLayout::BITS.1 {
-        let most = if bits <= 12 { u8::MAX } else { 1 };
-        for min_distance in 1..=most {
+        let max = if bits <= 12 { u8::MAX } else { 1 };
+        for min_distance in 1..=max {
             let layout = CodeLayout { bits, min_distance };
             if layout.check().is_err() {
                 break;
