@@ -1,4 +1,4 @@
-//! Nothing is allocated per frame once detector and tracker are warm.
+//! A warm detector, tracker and locator allocate nothing per frame.
 
 mod drawing;
 
@@ -11,7 +11,7 @@ use roundel_core::{
     pose::{Located, Locator},
 };
 
-/// Nine roundels that move, one of them missing in each third frame.
+/// Nine roundels that move, one of them missing in every third frame.
 fn picture(frame: u32) -> Vec<u8> {
     drawing::nine(f64::from(frame), Some(frame % 3 * 4), frame.into())
 }
@@ -50,7 +50,7 @@ fn a_warm_tracker_allocates_nothing() {
 }
 
 #[test]
-fn what_turns_up_late_allocates_nothing() {
+fn rings_that_appear_late_allocate_nothing() {
     let roundel = |at, axes, ratio| Roundel {
         outer: ellipse(at, axes, 0.3),
         ratio,
@@ -68,7 +68,7 @@ fn what_turns_up_late_allocates_nothing() {
         drawing.picture(2.0, 1)
     };
     let first = drawn(&[], false);
-    // Larger than any before, its black thinner, and rows with more edges.
+    // Larger than any before, with a thinner ring, and rows with more edges.
     let large = drawn(&[roundel((155.0, 150.0), (104.0, 90.0), 0.5)], false);
     let thin = drawn(&[roundel((150.0, 150.0), (13.0, 13.0), 0.78)], true);
     let params = Params { search_frames: 4, ..Params::default() };
@@ -129,7 +129,7 @@ fn camera() -> Camera {
 }
 
 #[test]
-fn all_rings_of_a_frame_are_located_without_allocation() {
+fn a_warm_locator_allocates_nothing() {
     let kinds = vec![Kind::plain("robot", 0.16, 0.08)];
     let pictures: Vec<Vec<u8>> = (0..12).map(picture).collect();
     for mode in [Mode::Fast, Mode::Precise] {
@@ -150,7 +150,7 @@ fn all_rings_of_a_frame_are_located_without_allocation() {
 }
 
 #[test]
-fn elliptical_discs_are_located_without_allocation() {
+fn a_warm_locator_of_elliptical_discs_allocates_nothing() {
     let pattern = Pattern::Elliptical { minor_diameter_m: 0.064 };
     let kinds = vec![Kind { pattern, ..Kind::plain("robot", 0.16, 0.096) }];
     let mut locator = Locator::new(camera(), kinds.clone(), Mode::Precise);
@@ -175,13 +175,13 @@ fn elliptical_discs_are_located_without_allocation() {
     assert_eq!(spent.count_total, 0);
 }
 
-/// The rings that a tracker of these kinds, new to the picture, follows there.
+/// Rings that a new tracker of these kinds tracks in the picture.
 fn followed(kinds: &[Kind], picture: &[u8]) -> Vec<TrackedRing> {
     let mut tracker = Tracker::new(Detector::new(kinds.to_vec(), Params::default()).unwrap());
     tracker.process(&frame(picture, SIDE)).to_vec()
 }
 
-/// One ring, here and so large; what else there is in the light is added.
+/// A picture of one ring of this size and place; `add` draws into it.
 fn lit(
     radius_px: f64,
     blur_px: f64,
@@ -212,15 +212,14 @@ fn lit(
     drawing.picture(2.0, 7)
 }
 
-/// Whatever its size, its blur, its pattern and what lies over it: once a first ring has been located, no
-/// other needs memory.
+/// Once a first ring has been located, no other needs memory, whatever its size, blur, pattern and occlusion.
 #[test]
-fn what_is_located_late_allocates_nothing() {
+fn poses_of_any_picture_allocate_nothing_after_the_first() {
     let plain = vec![Kind::plain("robot", 0.16, 0.096)];
     let with = |pattern| vec![Kind { pattern, ..plain[0].clone() }];
     let elliptical = with(Pattern::Elliptical { minor_diameter_m: 0.064 });
     let coded = with(Pattern::Coded(CodeLayout { bits: 8, min_distance: 2 }));
-    // Half of the ring in the shadow, and a dark thing over a part of its rims.
+    // Half of the ring in shadow, and a dark object over a part of its rims.
     let shadow = |drawing: &mut Drawing, at: (f64, f64)| {
         drawing.stripe(|u, _| if (u as f64) < at.0 { -30.0 } else { 0.0 });
     };
@@ -230,8 +229,8 @@ fn what_is_located_late_allocates_nothing() {
             drawing.add_disc(&ellipse((u + radius_px, v), axes, 0.0), -150.0);
         }
     };
-    // How many of the twelve pictures are to be fitted, at least.
-    for (kinds, least) in [(plain, 8), (elliptical, 4), (coded, 0)] {
+    // Minimum number of the twelve pictures that are fitted.
+    for (kinds, min) in [(plain, 8), (elliptical, 4), (coded, 0)] {
         let kind = &kinds[0];
         let first = lit(14.0, 0.7, kind, |_, _| {});
         let mut late = Vec::new();
@@ -257,7 +256,7 @@ fn what_is_located_late_allocates_nothing() {
                 precise += located.iter().filter(by).count();
             }
         });
-        assert!(precise >= least, "{kinds:?}: {precise}");
+        assert!(precise >= min, "{kinds:?}: {precise}");
         assert_eq!(spent.count_total, 0);
     }
 }

@@ -1,5 +1,5 @@
-//! Existing WhyCode prints (`../shared/data/whycode`) are read with the numbers that their users know
-//! them by: direction, order and polarity of the teeth.
+//! Existing WhyCode prints (`../shared/data/whycode`) are read with their known numbers: direction, order and
+//! polarity of the teeth.
 
 use std::path::{Path, PathBuf};
 
@@ -14,13 +14,13 @@ use roundel_core::{
     },
 };
 
-/// Side of a picture of a print, and the outer radius in it, pixels.
+/// Side of a picture of a print, and the outer radius in it.
 const SIDE: usize = 120;
 const RADIUS_PX: f64 = 40.0;
 /// The same in the files.
 const FILE_CENTER_PX: f64 = 299.5;
 const FILE_RADIUS_PX: f64 = 700.0 / 3.0;
-/// Sub-pixels along each side of a pixel.
+/// Subpixels along each side of a pixel.
 const FINE: usize = 4;
 
 fn prints(test: &str, bits: u8) -> Option<PathBuf> {
@@ -32,7 +32,7 @@ fn prints(test: &str, bits: u8) -> Option<PathBuf> {
     None
 }
 
-/// The print turned counter-clockwise by `turn_rad`, pressed together along v to `flat`.
+/// The print rotated counter-clockwise by `turn_rad`, compressed along v to `flat`.
 fn turned(print: &Picture, turn_rad: f64, flat: f64, is_negative: bool) -> Vec<u8> {
     let middle = (SIDE as f64 - 1.0) / 2.0;
     let (sin, cos) = turn_rad.sin_cos();
@@ -70,7 +70,7 @@ fn read(reader: &CodeReader, pixels: &[u8], flat: f64, polarity: Polarity) -> Op
     reader.read(&Frame::new(pixels, SIDE, SIDE, SIDE).unwrap(), &ring)
 }
 
-/// The same found by a detector, which is told of the kind alone.
+/// The reading of a detector that knows the kind alone.
 fn detected(detector: &Detector, pixels: &[u8], scratch: &mut Scratch) -> Option<CodeReading> {
     let frame = Frame::new(pixels, SIDE, SIDE, SIDE).unwrap();
     let [ring] = detector.detect(&frame, scratch) else { return None };
@@ -100,7 +100,7 @@ fn a_detector_finds_existing_prints_and_reads_them() {
 }
 
 #[test]
-fn existing_prints_keep_their_numbers_however_they_are_turned() {
+fn existing_prints_keep_their_numbers_in_any_rotation() {
     for (bits, min_distance, count) in [(5, 1, 6), (7, 2, 9)] {
         let Some(folder) = prints("existing prints", bits) else { return };
         let layout = CodeLayout { bits, min_distance };

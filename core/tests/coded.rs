@@ -1,5 +1,5 @@
-//! Coded rings that are followed, beside the same rings searched for in each frame: the same codes, and rims that are as
-//! near to the drawn ones.
+//! Compares coded rings that are tracked with the same rings searched in each frame: the same codes, and rims as
+//! close to the drawn ones.
 
 use crate::drawing::{Drawing, Roundel, ellipse, frame};
 use roundel_core::{
@@ -35,7 +35,7 @@ impl Errors {
     }
 }
 
-/// Moves by 3 px a frame, turns and comes nearer; where it moves from one frame to the next is not quite foreseen.
+/// A rim that moves by 3 px a frame, rotates and approaches, with a motion that is not quite predictable.
 fn rim(case: usize, number: usize) -> Ellipse {
     let (along, late) = (number as f64, (number % 3) as f64);
     let radius = [13.0, 15.0, 18.0, 24.0, 32.0][case % 5] * (1.0 + 0.004 * along);
@@ -45,7 +45,7 @@ fn rim(case: usize, number: usize) -> Ellipse {
 }
 
 #[test]
-fn followed_rings_are_as_near_as_searched_ones() {
+fn tracked_rings_are_as_accurate_as_searched_ones() {
     let pattern = Pattern::Coded(LAYOUT);
     let kind = Kind { pattern, ..Kind::plain("robot", 0.16, 0.096) };
     let detector = Detector::new(vec![kind], Params::default()).unwrap();
@@ -66,7 +66,7 @@ fn followed_rings_are_as_near_as_searched_ones() {
             let pixels = drawing.picture(2.0, (case * FRAMES + number) as u64);
             let frame = frame(&pixels, SIDE);
             let [one] = tracker.process(&frame) else { panic!("case {case}, frame {number}") };
-            // A search alone may miss one that is followed.
+            // A search alone may miss one that is tracked.
             let [other] = detector.detect(&frame, &mut scratch) else { continue };
             let read = |ring: &roundel_core::marker::Ring| ring.code.map(|reading| reading.code);
             // All but the smallest are read.

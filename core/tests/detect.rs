@@ -43,7 +43,7 @@ fn distance(rim: &Ellipse, (u, v): (f64, f64)) -> f64 {
     (rim.center.u - u).hypot(rim.center.v - v)
 }
 
-/// The picture and a point of it, turned by quarter turns and then mirrored.
+/// The picture and its width after quarter turns and an optional mirroring.
 fn turned(picture: &[u8], width: usize, quarters: usize, mirror: bool) -> (Vec<u8>, usize) {
     let (mut picture, mut width) = (picture.to_vec(), width);
     for _ in 0..quarters {
@@ -72,7 +72,7 @@ proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(48) })]
 
     #[test]
-    fn quarter_turns_and_mirrors_move_the_rims_along(
+    fn rims_follow_quarter_turns_and_mirroring(
         u in 60.0..140.0f64,
         v in 60.0..100.0f64,
         radius in 11.0..30.0f64,
@@ -100,7 +100,7 @@ proptest! {
     }
 
     #[test]
-    fn brighter_pixels_leave_the_rims_where_they_are(
+    fn brightness_does_not_move_the_rims(
         u in 60.0..140.0f64,
         v in 60.0..100.0f64,
         radius in 8.0..30.0f64,
@@ -139,7 +139,7 @@ proptest! {
 }
 
 #[test]
-fn a_gradient_of_the_light_moves_no_centre() {
+fn a_light_gradient_moves_no_centre() {
     let roundel = roundel((100.3, 80.6), 20.0, 0.4);
     let mut drawing = Drawing::new(WIDTH, HEIGHT, 90.0, 0.7);
     drawing.add(&roundel, 90.0);
@@ -153,7 +153,7 @@ fn a_gradient_of_the_light_moves_no_centre() {
 }
 
 #[test]
-fn a_ring_cut_by_the_edge_is_refused_and_counted() {
+fn a_ring_cut_by_the_edge_is_rejected_and_counted() {
     for at in [(5.0, 80.0), (100.0, 5.0), (195.0, 80.0), (100.0, 155.0), (14.7, 80.0)] {
         let picture = drawn(&[roundel(at, 15.0, 0.5)], 1.0, 1);
         let mut scratch = Scratch::default();
@@ -167,8 +167,8 @@ fn a_ring_cut_by_the_edge_is_refused_and_counted() {
 }
 
 #[test]
-fn a_bridged_margin_is_parted_by_a_further_threshold() {
-    // A dark floor, and a grey smear from it over the margin to the ring: black at the middle of
+fn a_bridged_margin_is_split_by_another_threshold() {
+    // A dark floor, and a grey smear from it over the margin to the ring: black at the threshold halfway between
     // black and white, white at a quarter.
     let mut drawing = Drawing::new(WIDTH, HEIGHT, 30.0, 0.7);
     drawing.add(&roundel((100.0, 80.0), 20.0, 0.5), 30.0);
@@ -184,7 +184,7 @@ fn a_bridged_margin_is_parted_by_a_further_threshold() {
 }
 
 #[test]
-fn kinds_are_told_apart_and_others_refused() {
+fn kinds_are_distinguished_and_others_rejected() {
     let detector =
         Detector::new(vec![kind("robot", 0.4), kind("reference", 0.6)], Params::default()).unwrap();
     let roundels = [
@@ -201,7 +201,7 @@ fn kinds_are_told_apart_and_others_refused() {
 }
 
 #[test]
-fn no_more_than_the_limit_are_found() {
+fn detections_are_limited() {
     let roundels: Vec<Roundel> =
         (0..3).map(|i| roundel((35.0 + 60.0 * f64::from(i), 80.0), 15.0, 0.5)).collect();
     let picture = drawn(&roundels, 1.0, 1);
@@ -214,9 +214,10 @@ fn no_more_than_the_limit_are_found() {
     }
 }
 
-/// What is not seen takes no room from what is: a robot that was carried elsewhere is there again with the next search.
+/// An unobserved track does not count towards the limit: a robot that was carried elsewhere is found by the next
+/// search.
 #[test]
-fn at_the_limit_one_that_is_elsewhere_is_found_at_once() {
+fn a_roundel_that_was_moved_is_found_at_the_limit() {
     let params = Params { max_roundels: 2, search_frames: 1, ..Params::default() };
     let mut tracker = Tracker::new(Detector::new(Vec::new(), params).unwrap());
     let stays = roundel((40.0, 40.0), 14.0, 0.5);
@@ -228,7 +229,7 @@ fn at_the_limit_one_that_is_elsewhere_is_found_at_once() {
     assert_eq!(numbers(&tracked[5]), [1, 3]);
 }
 
-/// Feeds frames of moving roundels to a tracker; gives what it says of each frame.
+/// Tracks moving roundels through frames, and returns the rings of each frame.
 fn follow(tracker: &mut Tracker, frames: &[Vec<Roundel>]) -> Vec<Vec<TrackedRing>> {
     let pictures = (0..).zip(frames).map(|(seed, roundels)| drawn(roundels, 2.0, seed));
     pictures.map(|picture| tracker.process(&frame(&picture, WIDTH)).to_vec()).collect()
@@ -239,8 +240,8 @@ fn numbers(tracked: &[TrackedRing]) -> Vec<u64> {
 }
 
 #[test]
-fn numbers_stay_with_their_roundels() {
-    // Two roundels pass each other, one of them speeding up to 6 px a frame.
+fn track_numbers_stay_with_their_roundels() {
+    // Two roundels pass each other, one of them accelerating to 6 px a frame.
     let frames: Vec<Vec<Roundel>> = (0..24)
         .map(|i| {
             let t = f64::from(i);
@@ -275,7 +276,7 @@ fn a_hidden_roundel_keeps_its_number_for_a_while() {
 }
 
 #[test]
-fn a_roundel_elsewhere_is_another_one() {
+fn a_roundel_elsewhere_gets_another_number() {
     let mut frames = vec![vec![roundel((40.0, 40.0), 14.0, 0.5)]; 3];
     frames.extend(vec![vec![roundel((150.0, 110.0), 14.0, 0.5)]; 9]);
     let tracked = follow(&mut Tracker::new(any_ring()), &frames);
@@ -284,7 +285,7 @@ fn a_roundel_elsewhere_is_another_one() {
 }
 
 #[test]
-fn a_new_roundel_is_found_while_another_is_followed() {
+fn a_new_roundel_is_found_while_another_is_tracked() {
     let (first, second) = (roundel((40.0, 40.0), 14.0, 0.5), roundel((150.0, 120.0), 9.0, 0.5));
     let found_after = Params::default().search_frames as usize + 1;
     let mut frames = vec![vec![first]; 2];
@@ -295,7 +296,7 @@ fn a_new_roundel_is_found_while_another_is_followed() {
 }
 
 #[test]
-fn searched_after_the_others_are_known_it_is_seen_in_the_frame_after() {
+fn a_background_search_reports_in_the_next_frame() {
     let parts = || Params { search_frames: 1, ..Params::default() };
     let tracker = || Tracker::new(Detector::new(vec![], parts()).unwrap());
     let (mut at_once, mut apart) = (tracker(), tracker());
@@ -303,7 +304,7 @@ fn searched_after_the_others_are_known_it_is_seen_in_the_frame_after() {
     let other = roundel((140.0, 110.0), 14.0, 0.4);
     let mut seen = Vec::new();
     for number in 0..5 {
-        // The second is there from the third frame on.
+        // The second appears in the third frame.
         let pixels = drawn(&[one, other][..if number < 2 { 1 } else { 2 }], 2.0, number);
         let view = frame(&pixels, WIDTH);
         let plain = numbers(at_once.process(&view));
@@ -311,7 +312,7 @@ fn searched_after_the_others_are_known_it_is_seen_in_the_frame_after() {
         apart.seek(&view);
     }
     let [first, before, there, next, last] = &seen[..] else { unreachable!() };
-    // Where none is followed, all is searched at once.
+    // Without any track, the whole frame is searched at once.
     for same in [first, before, next, last] {
         assert_eq!(same.0, same.1, "{seen:?}");
     }
@@ -319,7 +320,7 @@ fn searched_after_the_others_are_known_it_is_seen_in_the_frame_after() {
 }
 
 #[test]
-fn a_sudden_change_of_light_loses_nobody() {
+fn a_sudden_change_of_light_loses_no_track() {
     let mut tracker = Tracker::new(any_ring());
     for (light, seed) in [(1.0, 1), (0.4, 2), (1.2, 3), (0.3, 4)] {
         let mut drawing = Drawing::new(WIDTH, HEIGHT, 90.0, 0.7);
@@ -334,7 +335,7 @@ fn a_sudden_change_of_light_loses_nobody() {
 }
 
 #[test]
-fn another_size_of_frame_starts_afresh() {
+fn another_frame_size_resets_the_tracker() {
     let picture = drawn(&[roundel((60.0, 60.0), 14.0, 0.5)], 1.0, 1);
     let mut tracker = Tracker::new(any_ring());
     assert_eq!(numbers(tracker.process(&frame(&picture, WIDTH))), [1]);
@@ -346,7 +347,7 @@ fn another_size_of_frame_starts_afresh() {
 }
 
 #[test]
-fn nothing_is_reported_whose_centre_is_masked() {
+fn roundels_with_a_masked_centre_are_not_reported() {
     let roundels = [roundel((50.0, 80.0), 15.0, 0.5), roundel((140.0, 80.0), 15.0, 0.5)];
     let picture = drawn(&roundels, 1.0, 1);
     // Over the left one's centre and into the right one's ring, to the left of its centre.
@@ -358,7 +359,7 @@ fn nothing_is_reported_whose_centre_is_masked() {
     assert_eq!(rings.len(), 1);
     assert!(distance(&rings[0].outer, (140.0, 80.0)) < 0.1);
     assert!(scratch.rejects().count(Reject::Masked) > 0);
-    // One that moves into the region is lost there, and another one when it comes out.
+    // A roundel that moves into the region is lost there, and gets a new number when it leaves.
     let frames: Vec<Vec<Roundel>> =
         (0..30).map(|i| vec![roundel((22.0 + 5.0 * f64::from(i), 80.0), 14.0, 0.5)]).collect();
     let tracked = follow(&mut Tracker::new(detector), &frames);
@@ -371,7 +372,7 @@ fn nothing_is_reported_whose_centre_is_masked() {
 }
 
 #[test]
-fn candidates_that_die_are_explained_on_request() {
+fn rejected_candidates_are_explained_on_request() {
     let picture = drawn(&[roundel((14.7, 80.0), 15.0, 0.5)], 1.0, 1);
     let mut scratch = Scratch::default();
     any_ring().detect(&frame(&picture, WIDTH), &mut scratch);
@@ -389,7 +390,7 @@ fn candidates_that_die_are_explained_on_request() {
 }
 
 #[test]
-fn a_white_ring_is_a_black_one_in_other_light() {
+fn a_white_ring_is_detected_like_a_black_one() {
     let roundels = [roundel((50.0, 80.0), 15.0, 0.4), roundel((140.0, 80.0), 12.0, 0.6)];
     let picture = drawn(&roundels, 2.0, 1);
     let inverted: Vec<u8> = picture.iter().map(|grey| 255 - grey).collect();

@@ -1,4 +1,4 @@
-//! Core against OpenCV's numbers, which `data/generate.py` writes.
+//! Compares core with OpenCV's numbers, which `data/generate.py` writes.
 
 use nalgebra::Vector3;
 use roundel_core::{
@@ -114,7 +114,7 @@ fn lenses() -> Vec<LensCase> {
 }
 
 #[test]
-fn projection_is_opencvs() {
+fn projection_matches_opencv() {
     for case in lenses() {
         let camera = case.camera.camera();
         for Projected { point_m, pixel } in &case.projected {
@@ -126,14 +126,14 @@ fn projection_is_opencvs() {
 }
 
 #[test]
-fn distortion_and_undistortion_are_opencvs() {
+fn distortion_and_undistortion_match_opencv() {
     for case in lenses() {
         let camera = case.camera.camera();
         for Undistorted { pixel: [u, v], normalized: [x, y] } in &case.undistorted {
             let found = camera.undistort(PixelPoint { u: *u, v: *v }).unwrap();
             let off = (found.x - x).hypot(found.y - y);
-            // Near 90° the plane z = 1 runs away: there relative to the point's distance from the
-            // camera, squared, as its angle's error grows.
+            // Near 90°, points on the plane z = 1 approach infinity, so the tolerance grows with the squared distance
+            // from the camera, like the error of their angle.
             let tolerance = 1e-9 * (1.0 + x * x + y * y);
             assert!(off < tolerance, "{}: ({u}, {v}) at {found:?}, not {x}, {y}", case.camera.name);
             let back = camera.distort(NormalizedPoint { x: *x, y: *y }).unwrap();
@@ -177,11 +177,11 @@ fn worst_errors(
     worst
 }
 
-/// The accuracy of the method: relative error of position and error of the normal, radians, of rims
-/// given by their areas' moments, and of rims given by a direct fit. Without distortion the first
-/// holds the polygon that the moments were taken of. With it, the image of a circle is no ellipse; the
-/// worst cases are rims of 70 to 180 px radius at the edge of the image. One ring under `pincushion`
-/// is so small and upright that its normal is the mean of what its noise leaves open.
+/// Accuracy of the method: relative error of position and error of the normal, radians, of rims given by their areas'
+/// moments, and of rims given by a direct fit. Without distortion, the former is that of the polygon used for the
+/// moments. With distortion, the image of a circle is not an ellipse; the worst cases are rims of 70 to 180 px radius
+/// at the edge of the image. One ring under `pincushion` is so small and upright that its normal is the mean of those
+/// consistent with its noise.
 const ACCURACY: [(&str, Errors, Errors); 9] = [
     ("pinhole", errors(1e-7, 1e-7), errors(1e-9, 1e-7)),
     ("mild", errors(2e-6, 1e-6), errors(3e-5, 3e-5)),
@@ -199,7 +199,7 @@ const fn errors(position: f64, normal_rad: f64) -> Errors {
 }
 
 #[test]
-fn circles_are_where_opencv_projected_them() {
+fn poses_match_circles_projected_by_opencv() {
     let data: CircleData = serde_json::from_str(include_str!("data/circle.json")).unwrap();
     assert_eq!(data.cameras.len(), ACCURACY.len());
     for (camera, (name, moments, fitted)) in data.cameras.iter().zip(&ACCURACY) {

@@ -1,5 +1,5 @@
-//! Tests of the algorithms' public interface. One program, so that the crate is linked once;
-//! `cargo test -p roundel-core --test main fusion::` runs those of one module.
+//! Tests of the algorithms' public interface. They are one program, so that the crate is linked once; `cargo test -p
+//! roundel-core --test main fusion::` runs one module.
 
 mod code;
 mod coded;

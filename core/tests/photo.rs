@@ -1,5 +1,5 @@
-//! Detection on photographs with rims measured by hand (`../shared/data/real`): what is there is
-//! found, where it is, and nothing else.
+//! Detection in photographs with rims measured by hand (`../shared/data/real`): all roundels are found in the right
+//! place, and nothing else.
 
 use std::path::{Path, PathBuf};
 
@@ -34,7 +34,7 @@ struct VideoAnnotation {
     frames: std::collections::BTreeMap<String, Marker>,
 }
 
-/// The folder of photographs, or `None` with a line that says what is skipped.
+/// The folder of photographs. `None` if it is missing, after printing what is skipped.
 fn photographs(test: &str) -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data/real");
     if folder.is_dir() {
@@ -53,7 +53,7 @@ fn offset(found: &Ellipse, truth: &Rim) -> f64 {
     (found.center.u - truth.u).hypot(found.center.v - truth.v)
 }
 
-/// Both centres within 0.3 px of the annotation; the semiaxes are printed.
+/// Requires both centres within 0.3 px of the annotation, and prints the semiaxes.
 fn compare(name: &str, ring: &Ring, truth: &Marker) {
     let (outer, inner) = (offset(&ring.outer, &truth.outer), offset(&ring.inner, &truth.inner));
     println!(
@@ -69,7 +69,7 @@ fn compare(name: &str, ring: &Ring, truth: &Marker) {
     assert!(inner < 0.3, "{name}: inner centre off by {inner} px");
 }
 
-/// Exactly the annotated rings are found in the picture, with and without knowing their kind.
+/// Requires that exactly the annotated rings are found, with a known kind and with any ratio.
 fn check_picture(folder: &Path, name: &str, ratio: Option<f64>) {
     let picture = Picture::read(&folder.join(name));
     let annotation = folder.join(name).with_extension("ann.json");
@@ -109,8 +109,10 @@ fn annotated_rings_are_found_where_they_are() {
 }
 
 #[test]
-fn nothing_is_found_where_nothing_is() {
-    let Some(folder) = photographs("nothing_is_found_where_nothing_is") else { return };
+fn photographs_without_roundels_have_no_detection() {
+    let Some(folder) = photographs("photographs_without_roundels_have_no_detection") else {
+        return;
+    };
     let mut scratch = Scratch::default();
     let mut pictures = 0;
     for entry in std::fs::read_dir(folder.join("negatives")).unwrap() {

@@ -1,4 +1,4 @@
-//! From pixels to poses: is the default `RimNoise` that of the detector?
+//! Poses from rendered pixels: the default `RimNoise` must be that of the detector.
 
 use nalgebra::{Isometry3, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -12,7 +12,7 @@ use roundel_core::{
     rigid::{mahalanobis_squared, orientation_of_normal},
 };
 
-/// Side of a rendered image, pixels, and of its sub-pixels' grid.
+/// Side of a rendered image, pixels, and subpixels along a pixel's side.
 const SIDE_PX: usize = 96;
 const FINE: usize = 12;
 const BLUR_PX: f64 = 0.7;
@@ -24,7 +24,7 @@ fn camera() -> Camera {
         height: SIDE_PX,
         fx_px: 1100.0,
         fy_px: 1100.0,
-        // The roundels are seen at the side of the field, where perspective tells more.
+        // The roundels appear at the side of the field of view, where perspective gives more information.
         cx_px: -250.0,
         cy_px: 310.0,
         lens: Lens::PlumbBob([-0.08, 0.02, 0.0003, -0.0004, 0.0]),
@@ -86,7 +86,7 @@ fn render(rays: &[Vector3<f64>], pose: &Isometry3<f64>, random: &mut ChaCha8Rng)
         .collect()
 }
 
-/// Bearings of all sub-pixels, pixel by pixel.
+/// Bearings of all subpixels, pixel by pixel.
 fn rays(camera: &Camera) -> Vec<Vector3<f64>> {
     let at = |k: usize| (k as f64 + 0.5) / FINE as f64 - 0.5;
     (0..SIDE_PX * SIDE_PX)
@@ -98,7 +98,7 @@ fn rays(camera: &Camera) -> Vec<Vector3<f64>> {
         .collect()
 }
 
-/// What became of many roundels of one size and a range of tilts.
+/// Results for roundels of one size and a range of tilts.
 #[derive(Debug, Default)]
 struct Tally {
     found: usize,
@@ -146,7 +146,7 @@ fn tally(radius_px: f64, tilts_rad: std::ops::Range<f64>, runs: usize) -> Tally 
 }
 
 #[test]
-fn stated_covariance_is_that_of_the_detectors_errors() {
+fn stated_covariances_match_the_detectors_errors() {
     let degrees = |range: std::ops::Range<f64>| range.start.to_radians()..range.end.to_radians();
     for radius_px in [8.0, 12.0, 16.0, 24.0] {
         for tilts in [0.0..10.0, 10.0..30.0, 30.0..55.0] {
@@ -156,7 +156,7 @@ fn stated_covariance_is_that_of_the_detectors_errors() {
             let found = tally.found as f64;
             assert_eq!(tally.found, runs, "{name}");
             assert!(tally.inside as f64 >= 0.9 * found, "{name}");
-            // Neither boasting nor modest: what is stated is within a factor of two or three.
+            // Stated variances must be right within a factor of two or three.
             assert!((0.2..2.5).contains(&(tally.depth / found)), "{name}");
             assert!((0.1..2.0).contains(&(tally.lateral / found)), "{name}");
         }

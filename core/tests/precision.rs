@@ -1,9 +1,9 @@
-//! How near the rims come to drawn ones, against size, tilt, blur and noise. `cargo bench -p
-//! roundel-core --bench precision` prints the whole table.
+//! Accuracy of found rims against drawn ones, by size, tilt, blur and noise. `cargo bench -p roundel-core --bench
+//! precision` prints the whole table.
 
 use crate::rim_error::{Case, cases, measure, print_head, print_row};
 
-/// Largest bias of the size, as a share, and rms of the outer centre, pixels, for a picture.
+/// Maximum bias of the size, relative, and rms of the outer centre, pixels, of a picture.
 fn bounds(case: &Case) -> (f64, f64) {
     let sharp = case.blur_px < 1.0;
     let bias = match (case.diameter_px, case.tilt_deg) {
@@ -18,7 +18,7 @@ fn bounds(case: &Case) -> (f64, f64) {
 }
 
 #[test]
-fn rims_are_placed_to_a_fraction_of_a_pixel() {
+fn rims_are_accurate_to_a_fraction_of_a_pixel() {
     print_head();
     for case in cases(&[12.0, 16.0, 20.0, 30.0, 41.0, 81.0], 1.4, true) {
         let cell = measure(&case, 8);
@@ -36,7 +36,7 @@ fn a_narrow_margin_costs_precision_but_not_the_ring() {
     for case in cases(&[16.0, 30.0, 41.0, 81.0], 1.15, true) {
         let cell = measure(&case, 4);
         print_row(&case, &cell);
-        // 60° leave 0.3 to 1 px of margin beside the smaller of these.
+        // At 60°, a margin of 0.3 to 1 px remains beside the smaller ones.
         if case.tilt_deg < 50.0 || case.diameter_px > 40.0 {
             assert!(cell.missed <= 1);
             assert!(cell.size.rms() < 0.16 / case.diameter_px.sqrt() / 2.0);

@@ -1,4 +1,4 @@
-//! Rings that the threads of a pool share come out as those that one thread fits.
+//! Poses are the same whether one thread or a pool computes them.
 
 use crate::drawing::{SIDE, frame, nine};
 use roundel_core::{
@@ -9,7 +9,7 @@ use roundel_core::{
 
 const FRAMES: u64 = 6;
 
-/// All rings of some frames that follow one another.
+/// All rings of some consecutive frames.
 fn located() -> Vec<Result<Located, PoseError>> {
     let kinds = vec![Kind::plain("robot", 0.16, 0.08)];
     let lens = Lens::PlumbBob([0.0; 5]);
@@ -29,7 +29,7 @@ fn located() -> Vec<Result<Located, PoseError>> {
 }
 
 #[test]
-fn a_pool_locates_just_what_a_thread_does() {
+fn a_pool_computes_the_same_poses_as_one_thread() {
     let alone = located();
     assert_eq!(alone.len(), 9 * FRAMES as usize);
     assert!(alone.iter().flatten().filter(|one| one.by == Mode::Precise).count() >= 50);

@@ -1,14 +1,14 @@
-//! Precision and honesty of single poses, in both modes, next to the Cramér-Rao bound:
-//! `cargo bench -p roundel-tests --bench precision`, a few minutes; with `-- --quick` a few seconds.
+//! Precision and consistency of single poses, in both modes, compared with the Cramér-Rao bound: `cargo bench -p
+//! roundel-tests --bench precision`, a few minutes; with `-- --quick` a few seconds.
 //!
-//! Depth: rms of error over bound (bar 1.5 from 30 px, 2 from 20, 3 from 12) and bias over rms (bar a
-//! third). Covariance: share of errors inside the stated 95 % ellipsoid, of the position and of the
-//! five degrees that a plain roundel shows. Normal: median and 95th percentile, the wrong one of two
-//! normals counted as the error that it is, and the closer one of the two. `!` marks what misses a bar
-//! by more than two deviations of chance, `?` what misses it by less.
+//! Depth: rms of error over bound (bar 1.5 from 30 px, 2 from 20, 3 from 12) and bias over rms (bar a third).
+//! Covariance: share of errors inside the stated 95 % ellipsoid, of the position and of the five degrees of freedom
+//! that a plain roundel has. Normal: median and 95th percentile, of the first of the two normals, wrong ones
+//! included, and of the closer one. `!` marks values that miss a bar by more than two standard deviations of the
+//! sample, `?` those that miss it by less.
 
 use roundel_tests::precision::{
-    MODES, NARROW_MARGIN, RATIO, Range, Shot, Summary, Trial, WIDE_MARGIN, followed_trials,
+    MODES, NARROW_MARGIN, RATIO, Range, Summary, Trial, TrialFrame, WIDE_MARGIN, tracked_trials,
 };
 
 const SIZES_PX: [(f64, f64); 4] = [(12.0, 20.0), (20.0, 30.0), (30.0, 50.0), (50.0, 110.0)];
@@ -18,7 +18,7 @@ const NOISES: [(f64, f64); 3] = [(1.0, 2.0), (2.0, 3.0), (3.0, 4.0)];
 /// Trials of each size and tilt.
 const TRIALS: usize = 250;
 const QUICK_TRIALS: usize = 30;
-/// Frames until a fit begins with what earlier ones gave to be recalled.
+/// Frames until a fit reuses the normal equations of earlier ones.
 const LONG: usize = 4;
 
 fn main() {
@@ -45,7 +45,7 @@ fn drawn(count: usize, margin: f64) -> Vec<Trial> {
     drawn_in(2, count, margin)
 }
 
-/// The same in so many frames.
+/// The same with this number of frames.
 fn drawn_in(frames: usize, count: usize, margin: f64) -> Vec<Trial> {
     let mut all = Vec::new();
     for (cell, diameter_px) in SIZES_PX.into_iter().enumerate() {
@@ -60,7 +60,7 @@ fn drawn_in(frames: usize, count: usize, margin: f64) -> Vec<Trial> {
                 margin,
                 ratio: RATIO,
             };
-            all.extend(followed_trials(&range, frames, count, (10 * cell + column) as u64));
+            all.extend(tracked_trials(&range, frames, count, (10 * cell + column) as u64));
         }
     }
     all
@@ -110,7 +110,7 @@ fn print_depth(size: (f64, f64), name: &str, summary: &Summary) {
     );
 }
 
-/// Whether a value of a known deviation misses its bar: surely, perhaps, or not.
+/// Whether a value with this standard deviation misses its bar: clearly, possibly, or not.
 fn mark(value: f64, bar: f64, deviation: f64) -> char {
     if value > bar + 2.0 * deviation {
         '!'
@@ -121,7 +121,7 @@ fn mark(value: f64, bar: f64, deviation: f64) -> char {
     }
 }
 
-/// Most that rms may be over bound.
+/// Bar for the depth's rms over its bound.
 fn bar(diameter_px: f64) -> f64 {
     match diameter_px {
         size if size >= 30.0 => 1.5,
@@ -140,8 +140,8 @@ fn normals(all: &[Trial], mode: usize) {
             let chosen = all
                 .iter()
                 .filter(|trial| within(trial.diameter_px, size) && within(trial.tilt_deg, tilt));
-            let shots: Vec<&Shot> = chosen.flat_map(|trial| &trial.frames).collect();
-            let summary = Summary::of(shots, mode);
+            let frames: Vec<&TrialFrame> = chosen.flat_map(|trial| &trial.frames).collect();
+            let summary = Summary::of(frames, mode);
             let (median, p95) = (summary.normal_deg(0.5), summary.normal_deg(0.95));
             let judged = size.0 >= 40.0;
             println!(
@@ -155,8 +155,8 @@ fn normals(all: &[Trial], mode: usize) {
                 summary.closer_deg(0.5),
                 summary.closer_deg(0.95),
                 summary.normal_bound_deg(),
-                100.0 * summary.mistaken(),
-                100.0 * summary.mistaken_as_stated(),
+                100.0 * summary.wrong_normal_share(),
+                100.0 * summary.stated_wrong_share(),
             );
         }
     }

@@ -1,7 +1,7 @@
 //! Times with poses in both modes, one thread: `cargo bench -p roundel-tests --bench time`.
 //!
-//! Least times of many repetitions. "A roundel" divides the frame's time by the number of roundels;
-//! "of it rings" is what finding them takes, without their poses.
+//! Minimum times of many repetitions. The column "a roundel" divides the frame's time by the number of roundels;
+//! "rings" is the part of it without poses.
 
 use roundel_tests::{
     precision::MODES,
@@ -33,8 +33,8 @@ fn main() {
                 "{count:>8} | {diameter_px:>4} | {width:>4} x {height:>4} | {:<7} | \
                  {:>8.4} ms ({:>6.2} µs; {:>5.2} µs){:>12} | {:>8.3} ms",
                 format!("{mode:?}"),
-                1e3 * times.follow_s,
-                1e6 * times.follow_s / count as f64,
+                1e3 * times.track_s,
+                1e6 * times.track_s / count as f64,
                 1e6 * times.rings_s / count as f64,
                 "",
                 1e3 * times.search_s,

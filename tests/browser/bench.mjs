@@ -6,7 +6,7 @@
  *     ROUNDEL_URL=http://127.0.0.1:7670 npm run bench   # another server
  *     TRACE_FILE=/tmp/trace npm run bench               # keeps the traces
  *
- * The server is the real one with simulated objects (`cargo build --release -p roundel-tests --bin crowd`; ROUNDEL_CROWD
+ * The server is the real one with simulated objects (`cargo build --release -p roundel-tests`; ROUNDEL_TESTS
  * names another binary), or the mock server if that has not been built.
  *
  * The time of a frame is that of all tasks of the page's main thread between two animation frames, by the thread's CPU
@@ -74,19 +74,19 @@ async function startServer() {
   const given = process.env.ROUNDEL_URL;
   if (given) return { url: given, what: "what is", stop: () => {} };
   const target = process.env.CARGO_TARGET_DIR ?? fileURLToPath(new URL("../../target", import.meta.url));
-  const binary = process.env.ROUNDEL_CROWD ?? join(target, "release/crowd");
-  if (!process.env.ROUNDEL_CROWD && !existsSync(binary)) {
+  const binary = process.env.ROUNDEL_TESTS ?? join(target, "release/roundel-tests");
+  if (!process.env.ROUNDEL_TESTS && !existsSync(binary)) {
     const mock = fork(fileURLToPath(import.meta.url), ["serve"]);
     return { url: await new Promise((resolve) => mock.once("message", resolve)), what: "the mock", stop: () => mock.kill() };
   }
   // The server stops when its standard input closes.
-  const server = spawn(binary, [String(ROBOTS), String(CAMERAS)], { stdio: ["pipe", "pipe", "inherit"] });
+  const server = spawn(binary, ["dashboard-load", String(ROBOTS), String(CAMERAS)], { stdio: ["pipe", "pipe", "inherit"] });
   const url = await new Promise((resolve, reject) => {
     server.stdout.once("data", (chunk) => resolve(String(chunk).trim()));
     server.once("error", reject);
     server.once("exit", (code) => reject(new Error(`${binary} ended with ${code}`)));
   });
-  return { url, what: "the real server's crowd", stop: () => server.kill() };
+  return { url, what: "the real server", stop: () => server.kill() };
 }
 
 async function measureFrames(browser, url, mode) {

@@ -23,7 +23,7 @@ FAMILIES = {"aruco": cv2.aruco.DICT_4X4_1000, "apriltag": cv2.aruco.DICT_APRILTA
 CELLS = {"aruco": 6, "apriltag": 8}
 PHOTOGRAPH = Path("../shared/data/real/negatives/vf_squareC1.jpeg")
 NEAR_PX = 3.0
-# Of the scenes with one marker.
+# Scenes with one marker.
 FOCAL_PX = 1100.0
 
 

@@ -29,13 +29,13 @@ def markers(count):
     return [(image > 127).astype(int).tolist() for image in images]
 
 
-def told(found, job):
-    told = {"center_px": place(found).tolist(), "position_m": None}
+def result(found, job):
+    entry = {"center_px": place(found).tolist(), "position_m": None}
     if job["camera"] and not isinstance(found, cv2.KeyPoint):
         fx, fy, cx, cy, *distortion = job["camera"]
         camera = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-        told["position_m"] = position(found, job["size_m"], camera, np.array(distortion)).tolist()
-    return told
+        entry["position_m"] = position(found, job["size_m"], camera, np.array(distortion)).tolist()
+    return entry
 
 
 def judged(job):
@@ -46,7 +46,7 @@ def judged(job):
         if image is None:
             sys.exit(f"{path}: expected an image")
         milliseconds, found = least_ms(run, image, job["repetitions"])
-        results.append({"ms": milliseconds, "found": [told(one, job) for one in found]})
+        results.append({"ms": milliseconds, "found": [result(one, job) for one in found]})
     return results
 
 

@@ -1,5 +1,6 @@
-//! Calibration boards as printed and as a camera sees them: Roundel's, and a chessboard and a ChArUco board of the same size. Written from the facts of the print alone: 7 by 5 coded roundels of 30 mm, 36 mm apart, numbered
-//! row by row from the top left.
+//! Calibration boards as prints and as rendered views: Roundel's board, and a chessboard and a ChArUco board of the
+//! same size. Roundel's has 7 by 5 coded roundels of 30 mm, 36 mm apart, numbered row by row from the top left.
+//! Written from the specification of the prints alone.
 
 #[cfg(feature = "chessboard")]
 use anyhow::Context;
@@ -16,41 +17,39 @@ use roundel_core::{
 
 use crate::{
     coded::{coded_print, words},
-    normal::Random,
     optics::{Distortion, Pinhole},
-    render::{Canvas, Image, Imaging, Ink, Outline, Print, Renderer, Seen},
+    random::Random,
+    render::{Canvas, Image, Imaging, Ink, MovingPrint, Outline, Print, Renderer},
 };
 
 /// Roundels across and down.
 pub const SIDES: (usize, usize) = (7, 5);
-/// Outer diameter and pitch, metres.
 pub const OUTER_M: f64 = 0.03;
-/// From centre to centre.
+/// Distance between neighbouring centres.
 pub const PITCH_M: f64 = 0.036;
 const BITS: u8 = 9;
-/// Corners of the ring's rim.
+/// Corners of the polygon for a ring's rim.
 const RIM: usize = 180;
-/// Squares of the chessboard across and down, and their side, metres.
+/// Squares of the chessboard across and down.
 pub const SQUARES: (usize, usize) = (10, 7);
-/// A side of them.
 pub const SQUARE_M: f64 = 0.025;
-/// The chessboards as they are described.
+/// The chessboard as described on the command line.
 pub const CHESSBOARD: &str = "chessboard:9x6:25";
-/// With markers.
+/// The ChArUco board as described on the command line.
 pub const CHARUCO: &str = "charuco:10x7:25:17.5:DICT_4X4_50";
-/// OpenCV's DICT_4X4_50, the first 35, as `cv2.aruco.generateImageMarker` draws them: bits row by row, white ones set.
+/// The first 35 markers of OpenCV's DICT_4X4_50, as `cv2.aruco.generateImageMarker` draws them: bits row by row,
+/// white ones set.
 const MARKERS: [u16; 35] = [
     0xb532, 0x0f9a, 0x332d, 0x9946, 0x549e, 0x79cd, 0x9e2e, 0xc4f2, 0xfeda, 0xcf56, 0xf991, 0x11a7,
     0x0eb7, 0x2a0f, 0x24b1, 0x263e, 0x4665, 0x6600, 0x6c5e, 0x76af, 0x868b, 0xb02b, 0xccd5, 0xdd82,
     0xfe47, 0x9471, 0xace4, 0xa554, 0x2123, 0x346f, 0x4415, 0x57b2, 0x9ecf, 0xf0cb, 0x08ae,
 ];
-/// A marker's side over a square's, and its cells across with the black border.
+/// A marker's side over a square's side.
 pub const MARKER_SHARE: f64 = 0.7;
 const CELLS: usize = 6;
-/// Both boards' paper reaches this far beyond.
+/// Paper beyond the squares or roundels of a board.
 const EDGE_M: f64 = 0.012;
 
-/// Roundel's board.
 pub fn board_print() -> Print {
     let words = words(BITS);
     let half = |count: usize| (count as f64 * PITCH_M) / 2.0 + EDGE_M;
@@ -75,7 +74,7 @@ pub fn board_print() -> Print {
     Print { sheet: sheet(half(SIDES.0), half(SIDES.1)), inks }
 }
 
-/// The chessboard, its first square black.
+/// The chessboard; its top left square is black.
 pub fn chessboard_print() -> Print {
     squares_print(|_, _| Vec::new())
 }
@@ -98,7 +97,7 @@ pub fn charuco_print() -> Print {
     })
 }
 
-/// Black squares and what is in the white ones, by their upper left corners.
+/// Black squares, and the given content of each white square, by its top left corner.
 fn squares_print(mut white: impl FnMut(f64, f64) -> Vec<Ink>) -> Print {
     let (across, down) = (SQUARES.0 as f64 * SQUARE_M, SQUARES.1 as f64 * SQUARE_M);
     let mut inks = Vec::new();
@@ -126,7 +125,7 @@ fn sheet(half_across_m: f64, half_down_m: f64) -> Outline {
     Outline::Polygon(straight(&[[-x, y], [-x, -y], [x, -y], [x, y]]))
 }
 
-/// A polygon with corners along its sides, since a lens bends them.
+/// A polygon with extra corners along its sides, since a lens bends them.
 fn straight(corners: &[[f64; 2]]) -> Vec<[f64; 2]> {
     const PARTS: usize = 16;
     let count = corners.len();
@@ -149,7 +148,7 @@ fn circle(radius_m: f64) -> Vec<[f64; 2]> {
     (0..RIM).map(corner).collect()
 }
 
-/// The camera that is looked for: 1280x720, 70° across, barrel distortion, its axis off the middle.
+/// The camera that is calibrated: 1280x720, 70° across, barrel distortion, principal point off the centre.
 pub fn camera() -> Pinhole {
     Pinhole {
         width: 1280,
@@ -165,7 +164,7 @@ pub fn imaging() -> Imaging {
     Imaging { blur_px: 0.8, noise: 2.0, gradient: [0.1, -0.05], ..Imaging::default() }
 }
 
-/// camera_from_board of views as a person makes them: all over the picture, tilted to 45°, as near as it fits.
+/// camera_from_board of views as taken by hand: all over the image, tilted to 45°, as close as the board fits.
 pub fn poses(camera: &Pinhole, count: usize, random: &mut Random) -> Vec<Isometry3<f64>> {
     let mut poses = Vec::with_capacity(count);
     let half = [SIDES.0 as f64 * PITCH_M / 2.0, SIDES.1 as f64 * PITCH_M / 2.0];
@@ -193,7 +192,7 @@ pub fn poses(camera: &Pinhole, count: usize, random: &mut Random) -> Vec<Isometr
     poses
 }
 
-/// Pictures of a board from these places, with noise of their own.
+/// Pictures of a board at these poses, each with its own noise.
 pub fn pictures(
     camera: &Pinhole,
     imaging: Imaging,
@@ -208,29 +207,29 @@ pub fn pictures(
         .enumerate()
         .map(|(index, pose)| {
             let motion = |_: f64| *pose;
-            let seen = [Seen { print, motion: &motion }];
-            renderer.frame(&background, &seen, &mut Random::new(seed, index as u64 + 1))
+            let moving = [MovingPrint { print, motion: &motion }];
+            renderer.frame(&background, &moving, &mut Random::new(seed, index as u64 + 1))
         })
         .collect()
 }
 
-/// Roundel's board as core describes it.
+/// Roundel's board in core's type.
 pub fn board() -> Board {
     board_of(SIDES)
 }
 
-/// The same with other columns and rows.
+/// The same with other numbers of columns and rows.
 pub fn board_of(sides: (usize, usize)) -> Board {
     let layout = CodeLayout { bits: BITS, min_distance: 1 };
     Board::new(sides, PITCH_M, OUTER_M, layout).expect("a board like the one that is printed")
 }
 
-/// What is found in pictures of the board, by detection, choice of views and all.
+/// Calibrates from pictures of the board, including detection and selection of views.
 pub fn lens(pictures: &[Image]) -> Result<LensCalibration, LensCalibrationError> {
     lens_by(board(), pictures)
 }
 
-/// The same where the board is described like this.
+/// The same with another description of the board.
 pub fn lens_by(board: Board, pictures: &[Image]) -> Result<LensCalibration, LensCalibrationError> {
     let params = Params { mode: Mode::Precise, ..Params::default() };
     let detector = Detector::new(vec![board.kind()], params).expect("the board's kind");
@@ -254,7 +253,7 @@ pub fn lens_by(board: Board, pictures: &[Image]) -> Result<LensCalibration, Lens
     calibrate(&target, size, selector.taken(), None)
 }
 
-/// What is found in pictures of a chessboard that is described as on the command line.
+/// Calibrates from pictures of a chessboard, described as on the command line.
 #[cfg(feature = "chessboard")]
 pub fn lens_of_chessboard(text: &str, pictures: &[Image]) -> anyhow::Result<LensCalibration> {
     use roundel_server::lab::lens::{

@@ -1,28 +1,28 @@
-//! The Cramér-Rao bound of a roundel's pose: how exactly an unbiased estimator can know it from the
+//! The Cramér-Rao bound of a roundel's pose: the smallest covariance that an unbiased estimator can reach on the
 //! pixels of one frame.
 //!
-//! Pixel i is g_i(θ) + n_i, where g is the noise-free image that [`crate::render`] draws (rims
-//! anti-aliased by their contour integral; oversampling with hard edges would make information that
-//! is not there) and n has variance σ² + 1/12: the camera's noise and the rounding to whole grey
-//! levels. The Fisher information of the unknowns θ and the bound of their covariance are
+//! Pixel i is g_i(θ) + n_i, where g is the noise-free image that [`crate::render`] draws and n has variance σ² +
+//! 1/12: the camera's noise and the rounding to whole grey levels. Rims are anti-aliased by their contour integral;
+//! oversampling with hard edges would add information that is not there. The Fisher information of the unknowns θ and
+//! the bound of their covariance are
 //!
 //!   F = Σ_i ∇g_i ∇g_iᵀ / (σ² + 1/12),   cov θ̂ ≥ F⁻¹,
 //!
-//! with ∇g by central differences, steps of about a tenth of a pixel. θ is: the shift across the
-//! ray (2), the relative range along the ray, the two tilts (and with [`Unknowns::yaw`] the turn about
-//! the normal), the grey levels of black and white, and the blur (and with [`Unknowns::bloom`] how far
-//! white spreads into black, with [`Unknowns::motion`] both parts of the motion within the exposure, about
-//! a motion that is not none: there the image has no first derivative by it).
+//! with ∇g by central differences, steps of about a tenth of a pixel. θ has the shift across the ray (2), the
+//! relative range along the ray, the two tilts, the grey levels of black and white, and the blur. [`Unknowns::yaw`]
+//! adds the rotation about the normal, [`Unknowns::bloom`] the distance that white spreads into black, and
+//! [`Unknowns::motion`] both components of the motion within the exposure. The motion must not be zero: there the
+//! image has no first derivative by it.
 //!
-//! All pixels within [`REACH_BLURS`] deviations of the blur around the outer rim's box count; beyond
-//! them the paper is taken to go on for ever, so the sheet's own edge says nothing.
+//! All pixels within [`REACH_BLURS`] deviations of the blur around the outer rim's box count. Beyond them the paper
+//! is assumed to continue, so the sheet's edge gives no information.
 //!
-//! Face-on, the first derivative by the tilts all but vanishes (only perspective is left), so that
-//! the bound of the normal there is that of an estimator without bias, which no estimator is: tilts
-//! below about 10° are to be judged by errors, not by the bound.
+//! Face-on, the first derivative by the tilts almost vanishes (only perspective remains). There the bound of the
+//! normal holds for unbiased estimators only, which no estimator is, so tilts below about 10° must be judged by
+//! errors, not by the bound.
 //!
-//! The check in `tests`: face-on, 30.5 px, inner/outer 0.4, black 40 and white 200, noise 2 and blur
-//! 0.7 give the depth to 0.0142 %.
+//! The check in `tests`: face-on, 30.5 px, inner/outer 0.4, black 40 and white 200, noise 2 and blur 0.7 give a depth
+//! deviation of 0.0142 %.
 
 use nalgebra::{
     DMatrix, DVector, Isometry3, Matrix3, Matrix6, Translation3, UnitQuaternion, Vector3,
@@ -30,73 +30,71 @@ use nalgebra::{
 
 use crate::{
     optics::Pinhole,
-    render::{Canvas, Imaging, Outline, Print, Renderer, Seen},
+    render::{Canvas, Imaging, MovingPrint, Outline, Print, Renderer},
 };
 
-/// Steps of the differences move a rim by about this, pixels.
+/// Steps of the differences move a rim by about this.
 const STEP_PX: f64 = 0.1;
-/// No rotation is stepped by more: face-on, no turn moves a rim by [`STEP_PX`] to first order.
-const MOST_STEP_RAD: f64 = 0.03;
-/// Step of the grey levels, in which the image is linear.
+/// Limit of rotation steps. Face-on, no rotation moves a rim by [`STEP_PX`] to first order.
+const MAX_STEP_RAD: f64 = 0.03;
+/// Step of the grey levels; the image is linear in them.
 const STEP_GREY: f64 = 1.0;
-/// A step that changes the image by less than this, grey levels (root of the sum of squares), changes
-/// it by its own rounding only.
-const LEAST_CHANGE: f64 = 0.01;
-/// Pixels within so many deviations of the blur (and one pixel) of the outer rim count.
+/// A step that changes the image by less than this, grey levels (root of the sum of squares), changes only its
+/// rounding.
+const MIN_CHANGE: f64 = 0.01;
+/// Pixels within this many deviations of the blur (plus one pixel) of the outer rim count.
 pub const REACH_BLURS: f64 = 5.0;
 
-/// What the estimator does not know besides shift, range, tilt, black, white and blur.
+/// Unknowns besides shift, range, tilt, black, white and blur.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Unknowns {
-    /// The turn about the normal, of prints that show it.
+    /// Rotation about the normal, for prints that show it.
     pub yaw: bool,
-    /// How far white spreads into black.
+    /// Distance that white spreads into black.
     pub bloom: bool,
-    /// The motion within the exposure.
+    /// Motion within the exposure.
     pub motion: bool,
 }
 
 /// The bound of one roundel in one frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bound {
-    /// Over (position, rotation) in the camera frame, m², m·rad, rad²; rotation as a left
-    /// perturbation, zero about the normal unless yaw was unknown.
+    /// Over (position, rotation) in the camera frame, m², m·rad, rad². Rotation is a left perturbation, zero about
+    /// the normal unless yaw was unknown.
     pub covariance: Matrix6<f64>,
-    /// Deviation of the range as a share of it: that of the depth.
+    /// Relative deviation of the range, and so of the depth.
     pub range_share: f64,
-    /// Deviations of the shift along two axes across the ray, pixels at the image's middle.
+    /// Deviations of the shift along two axes across the ray, at the image centre.
     pub shift_px: [f64; 2],
-    /// Deviations of the tilt about the axis that turns it further, and about the one across, radians.
+    /// Deviations of the tilt about the axis that increases it, and about the axis across.
     pub tilt_rad: [f64; 2],
-    /// Deviation of the turn about the normal, radians, if it was unknown.
+    /// Deviation of the rotation about the normal, if it was unknown.
     pub yaw_rad: Option<f64>,
-    /// Deviation of the blur's, pixels.
+    /// Deviation of the blur.
     pub blur_px: f64,
 }
 
-/// One roundel before one camera: what the noise-free image depends on.
+/// One roundel before one camera: all that the noise-free image depends on.
 #[derive(Clone, Debug)]
 pub struct Scene<'a> {
-    /// The lens.
     pub camera: Pinhole,
-    /// Blur, noise, black and white; light must be even; exposure and shutter do not count.
+    /// Light must be even; exposure and shutter are ignored.
     pub imaging: Imaging,
-    /// What is printed.
     pub print: &'a Print,
     /// camera_from_roundel, in the middle of the exposure.
     pub pose: Isometry3<f64>,
-    /// Motion within the exposure along the camera's x and y, pixels at the image's middle.
+    /// Motion within the exposure along the camera's x and y, at the image centre.
     pub motion_px: [f64; 2],
 }
 
-/// The bound; `None` if the roundel faces away, is not wholly in front of the camera, or if the image
-/// does not tell the unknowns apart.
+/// `None` if the roundel faces away, is not wholly in front of the camera, or the image does not separate the
+/// unknowns.
 pub fn bound(scene: &Scene<'_>, unknowns: Unknowns) -> Option<Bound> {
-    let seen = Window::of(scene)?;
+    let window = Window::of(scene)?;
     let axes = Axes::of(&scene.pose);
-    let steps = Steps::new(scene, &axes, seen.radius_px, unknowns);
-    let renderer = Renderer::new(seen.camera(&scene.camera), scene.imaging);
-    // White on white: the sheet is of no use but would be drawn each time.
+    let steps = Steps::new(scene, &axes, window.radius_px, unknowns);
+    let renderer = Renderer::new(window.camera(&scene.camera), scene.imaging);
+    // The sheet is white on white: a small one saves drawing it.
     let sheet = Outline::Disc { diameter_m: 0.1 * scene.print.radius_m() };
     let print = Print { sheet, inks: scene.print.inks.clone() };
     let mut columns = Vec::new();
@@ -106,14 +104,14 @@ pub fn bound(scene: &Scene<'_>, unknowns: Unknowns) -> Option<Bound> {
         let slope =
             |(ahead, behind): (&f32, &f32)| (f64::from(*ahead) - f64::from(*behind)) / (2.0 * step);
         let column = DVector::from_iterator(ahead.len(), ahead.iter().zip(&behind).map(slope));
-        if column.norm() * step < LEAST_CHANGE {
+        if column.norm() * step < MIN_CHANGE {
             return None;
         }
         columns.push(column);
     }
     let jacobian = DMatrix::from_columns(&columns);
     let variance = scene.imaging.noise.powi(2) + 1.0 / 12.0;
-    // Columns of the same size, so that metres and radians do not spoil the inverse.
+    // Columns are scaled to the same norm, so that mixing metres and radians does not spoil the inverse.
     let scale = DVector::from_iterator(columns.len(), columns.iter().map(|c| 1.0 / c.norm()));
     let scaled = &jacobian * DMatrix::from_diagonal(&scale);
     let inverse = (scaled.transpose() * scaled).cholesky()?.inverse();
@@ -125,7 +123,6 @@ pub fn bound(scene: &Scene<'_>, unknowns: Unknowns) -> Option<Bound> {
         .then(|| axes.bound(scene, &covariance, unknowns))
 }
 
-/// An unknown of the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Unknown {
     /// Along one of the axes across the ray, as a share of the range.
@@ -149,7 +146,7 @@ impl Steps {
     fn new(scene: &Scene<'_>, axes: &Axes, radius_px: f64, unknowns: Unknowns) -> Self {
         let focal_px = scene.camera.focal_px[0];
         let sine = axes.ray.cross(&axes.about[2]).norm();
-        let turn = (STEP_PX / (radius_px * sine)).min(MOST_STEP_RAD);
+        let turn = (STEP_PX / (radius_px * sine)).min(MAX_STEP_RAD);
         let shift = STEP_PX / focal_px;
         let mut steps = vec![
             (Unknown::Shift(0), shift),
@@ -162,7 +159,7 @@ impl Steps {
             (Unknown::Blur, 0.5 * STEP_PX),
         ];
         if unknowns.yaw {
-            steps.push((Unknown::Turn(2), (STEP_PX / radius_px).min(MOST_STEP_RAD)));
+            steps.push((Unknown::Turn(2), (STEP_PX / radius_px).min(MAX_STEP_RAD)));
         }
         if unknowns.bloom {
             steps.push((Unknown::Bloom, STEP_PX));
@@ -180,7 +177,7 @@ struct Axes {
     ray: Vector3<f64>,
     /// Across the ray.
     across: [Vector3<f64>; 2],
-    /// Axes of the turns: that of the tilt, the one across, the normal.
+    /// Axes of rotation: of the tilt, the axis across, the normal.
     about: [Vector3<f64>; 3],
 }
 
@@ -247,12 +244,12 @@ impl Axes {
 }
 
 impl Bound {
-    /// Of the position, m².
+    /// Covariance of the position, m².
     pub fn position(&self) -> Matrix3<f64> {
         self.covariance.fixed_view::<3, 3>(0, 0).into()
     }
 
-    /// Root mean square of the angle by which the normal is off, radians.
+    /// Rms angle between estimated and true normal, radians.
     pub fn normal_rad(&self) -> f64 {
         self.tilt_rad[0].hypot(self.tilt_rad[1])
     }
@@ -295,21 +292,21 @@ impl Window {
     }
 }
 
-/// Grey values on paper without end; the kernel is made anew for another blur only.
+/// Grey values on paper without end. A new kernel is built only if the blur differs.
 fn draw(renderer: &Renderer, print: &Print, scene: &Scene<'_>) -> Vec<f32> {
     let pose = scene.pose;
     let per_px = pose.translation.z / scene.camera.focal_px[0];
     let [x, y] = scene.motion_px.map(|motion_px| motion_px * per_px);
     let motion = move |time_s: f64| Translation3::new(x * time_s, y * time_s, 0.0) * pose;
     let imaging = Imaging { exposure_s: 1.0, ..scene.imaging };
-    let seen = [Seen { print, motion: &motion }];
+    let moving = [MovingPrint { print, motion: &motion }];
     let paper = Canvas::flat(renderer.camera.width, renderer.camera.height, imaging.white);
     if imaging.blur_px == renderer.imaging.blur_px {
         let mut renderer = renderer.clone();
         renderer.imaging = imaging;
-        return renderer.ideal(&paper, &seen).grey;
+        return renderer.ideal(&paper, &moving).grey;
     }
-    Renderer::new(renderer.camera, imaging).ideal(&paper, &seen).grey
+    Renderer::new(renderer.camera, imaging).ideal(&paper, &moving).grey
 }
 
 #[cfg(test)]
@@ -334,11 +331,11 @@ mod tests {
     }
 
     #[test]
-    fn face_on_at_30_px_the_depth_is_known_to_a_seventieth_of_a_percent() {
+    fn the_depth_bound_at_30_px_face_on_is_a_seventieth_of_a_percent() {
         let print = Print::plain(0.16, 0.064, 0.25);
         let share = of(&scene(&print, 30.5, 0.0)).range_share;
         assert!((share - 1.42e-4).abs() < 0.02e-4, "{share}");
-        // Nor does it hang on the print: thinner and thicker rings stay between 0.012 and 0.016 %.
+        // Thinner and thicker rings differ little: between 0.012 and 0.016 %.
         for ratio in [0.3, 0.5, 0.65] {
             let print = Print::plain(0.16, 0.16 * ratio, 0.25);
             let share = of(&scene(&print, 30.5, 0.0)).range_share;
@@ -346,11 +343,11 @@ mod tests {
         }
     }
 
-    /// Along a straight edge of contrast C, blurred by s² = blur² + 1/12, a pixel's length holds
-    /// ∫ g'² = C²/(2 √π s) about its shift; round a closed rim both directions of the shift share
-    /// that, so that the trace of their information is the rims' length times it.
+    /// Along a straight edge of contrast C, blurred by s² = blur² + 1/12, a pixel's length contributes ∫ g'² = C²/(2
+    /// √π s) about its shift. Round a closed rim both directions share it, so the trace of their information is the
+    /// rims' length times it.
     #[test]
-    fn a_large_roundels_shift_is_known_as_its_rims_length_says() {
+    fn the_bound_of_a_large_roundels_shift_follows_from_its_rims_length() {
         let print = Print::plain(0.16, 0.064, 0.25);
         let scene = scene(&print, 110.0, 40.0);
         let bound = of(&scene);
@@ -372,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn it_grows_with_noise_and_with_what_is_unknown() {
+    fn the_bound_grows_with_noise_and_unknowns() {
         let print = Print::plain(0.16, 0.064, 0.25);
         let still = scene(&print, 25.0, 35.0);
         let mut noisy = still.clone();
@@ -385,7 +382,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_motion_costs_little_and_an_unmoved_roundel_has_none() {
+    fn an_unknown_motion_costs_little_and_needs_a_motion() {
         let print = Print::plain(0.16, 0.064, 0.25);
         let with_motion = Unknowns { motion: true, ..Unknowns::default() };
         let mut scene = scene(&print, 30.0, 35.0);
@@ -397,7 +394,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plain_print_says_nothing_of_its_yaw() {
+    fn a_plain_print_has_no_bound_of_its_yaw() {
         let plain = Print::plain(0.16, 0.064, 0.25);
         let with_yaw = Unknowns { yaw: true, ..Unknowns::default() };
         assert_eq!(bound(&scene(&plain, 30.0, 30.0), with_yaw), None);
@@ -422,7 +419,7 @@ mod tests {
     }
 
     #[test]
-    fn what_faces_away_has_no_bound() {
+    fn a_roundel_that_faces_away_has_no_bound() {
         let print = Print::plain(0.16, 0.064, 0.25);
         assert_eq!(bound(&scene(&print, 30.0, 100.0), Unknowns::default()), None);
     }

@@ -1,18 +1,18 @@
-//! Seeded backgrounds that hold no roundel: floors with tiles, boxes, lines, spots, text, and things
-//! that resemble a roundel ([`crate::decoy`]).
+//! Seeded backgrounds without roundels: floors with tiles, boxes, lines, spots, text, and shapes that resemble a
+//! roundel ([`crate::look_alikes`]).
 //!
-//! Shapes are painted in the image, as sharp as the camera sees everything else.
+//! Shapes are painted in the image, as sharp as everything else.
 
 use nalgebra::Vector2;
 
 use crate::{
     coverage::{Contour, Patch},
-    decoy::Decoy,
-    normal::Random,
+    look_alikes::LookAlike,
+    random::Random,
     render::{Canvas, Renderer},
 };
 
-/// How much of each kind of shape a background holds.
+/// Number of shapes of each type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Clutter {
     /// Filled boxes, turned at random.
@@ -23,20 +23,20 @@ pub struct Clutter {
     pub discs: usize,
     /// Lines of letter-like strokes and dots.
     pub words: usize,
-    /// Dark rings on pale labels whose discs are too large for the roundels here (0.6 to 0.8 of the
-    /// ring), from the size of a letter o to that of a roundel.
+    /// Dark rings on pale labels whose discs are too large for the roundels here (0.6 to 0.8 of the ring), from the
+    /// size of a letter o to that of a roundel.
     pub rings: usize,
-    /// Things that resemble a roundel of 8 to 120 px and are none, whatever its ratio of diameters.
-    pub decoys: usize,
+    /// Shapes that resemble a roundel of 8 to 120 px, of any ratio of diameters.
+    pub look_alikes: usize,
 }
 
 impl Clutter {
-    /// A lab's floor with things standing about.
+    /// A lab's floor with objects on it.
     pub const LAB: Clutter =
-        Clutter { boxes: 25, lines: 12, discs: 25, words: 8, rings: 0, decoys: 0 };
-    /// A junk room: as much of everything as there is room for, and near misses in plenty.
+        Clutter { boxes: 25, lines: 12, discs: 25, words: 8, rings: 0, look_alikes: 0 };
+    /// Dense clutter with many near misses.
     pub const JUNK: Clutter =
-        Clutter { boxes: 60, lines: 25, discs: 60, words: 25, rings: 0, decoys: 120 };
+        Clutter { boxes: 60, lines: 25, discs: 60, words: 25, rings: 0, look_alikes: 120 };
 }
 
 /// An even floor of grey level `floor` with `clutter` on it.
@@ -72,7 +72,7 @@ pub fn background(
     for _ in 0..clutter.rings {
         painter.ring();
     }
-    for _ in 0..clutter.decoys {
+    for _ in 0..clutter.look_alikes {
         painter.decoy();
     }
     painter.canvas
@@ -135,16 +135,16 @@ impl Painter<'_> {
         }
     }
 
-    /// Small ones more often than large ones, as things at all distances are.
+    /// Small ones are more frequent than large ones, like objects at all distances.
     fn decoy(&mut self) {
         let (center, radius) = (self.place(), 4.0 * 15f64.powf(self.random.uniform(0.0, 1.0)));
-        let kind = Decoy::ALL[(self.random.next_u64() % Decoy::ALL.len() as u64) as usize];
+        let kind = LookAlike::ALL[(self.random.next_u64() % LookAlike::ALL.len() as u64) as usize];
         for (contour, grey) in kind.areas(center, radius, self.random) {
             self.fill(Some(contour), grey);
         }
     }
 
-    /// Dark strokes of two heights on a pale label, as from a printed page.
+    /// Dark strokes of two heights on a pale label, like printed text.
     fn word(&mut self) {
         let start = self.place();
         let size = self.random.uniform(4.0, 18.0);

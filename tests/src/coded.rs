@@ -1,9 +1,8 @@
-//! Coded roundels as printed and as seen, for judging what reads them.
+//! Renders coded roundels, reads them with core's detector, and counts wrong readings.
 //!
-//! Written from the facts of the print alone (black disc of radius 700, white disc of 420, black teeth
-//! down to a white core of 240, two slots a bit counter-clockwise from the print's right, a 0 with its
-//! tooth in the first one), and shared with nothing: words, teeth and the angle of the zero are the
-//! renderer's.
+//! The prints follow their specification alone (black disc of radius 700, white disc of 420, black teeth down to a
+//! white core of 240, two slots per bit counter-clockwise from the print's right, a 0 with its tooth in the first
+//! slot) and share no code with core.
 
 use std::f64::consts::{PI, TAU};
 
@@ -16,24 +15,23 @@ use roundel_core::{
 };
 
 use crate::{
-    normal::Random,
     optics::{Distortion, Pinhole},
-    render::{Canvas, Imaging, Ink, Outline, Print, Renderer, Seen},
+    random::Random,
+    render::{Canvas, Imaging, Ink, MovingPrint, Outline, Print, Renderer},
 };
 
-/// The white disc's and the core's radius over the outer one.
+/// Radii of the white disc and of the core over the outer radius.
 const DISC: f64 = 420.0 / 700.0;
 const CORE: f64 = 240.0 / 700.0;
-/// Corners of a slot's arc, its ends included. They lie so far outside of it that both enclose the same area:
-/// corners on the arc would make an 8-bit disc of 60 px smaller by 0.006 px, which a fit sees.
+/// Corners of a slot's arc, including its ends. They lie slightly outside the arc, so that both enclose the same
+/// area: corners on the arc would make an 8-bit disc of 60 px smaller by 0.006 px, which a fit detects.
 const ARC: usize = 9;
-/// The prints' outer diameter.
 const OUTER_M: f64 = 0.16;
-/// A yaw further off than this is taken for wrong, radians: half of a slot of 16 bits.
+/// A yaw with a larger error counts as wrong: half a slot of 16 bits.
 const WRONG_YAW_RAD: f64 = PI / 32.0;
 
-/// Words of all identities of `bits` bits, in the order of their numbers: those below every rotation
-/// of themselves.
+/// Words of all identities of `bits` bits, in the order of their numbers: those smaller than every rotation of
+/// themselves.
 pub fn words(bits: u8) -> Vec<u16> {
     let bits = u32::from(bits);
     let rotated = |word: u32, by: u32| (word << by | word >> (bits - by)) & ((1 << bits) - 1);
@@ -41,7 +39,7 @@ pub fn words(bits: u8) -> Vec<u16> {
     (0..1 << bits).filter(is_identity).map(|word| word as u16).collect()
 }
 
-/// The print of a word of `bits` bits, the first one the most significant.
+/// Print of a word of `bits` bits, most significant bit first.
 pub fn coded_print(outer_diameter_m: f64, bits: u8, word: u16, margin: f64) -> Print {
     let mut print = Print::plain(outer_diameter_m, outer_diameter_m * DISC, margin);
     let bits = u32::from(bits);
@@ -63,36 +61,33 @@ pub fn coded_print(outer_diameter_m: f64, bits: u8, word: u16, margin: f64) -> P
     print
 }
 
-/// Roundels to be shown: blur 0.5 to 1.1 px, noise to 4 grey levels, contrast 90 to 180, tilt to 50°,
-/// each anywhere in a camera's view.
+/// Roundels at random places of a camera's view, with blur 0.5 to 1.1 px, noise to 4 grey levels, contrast 90 to 180,
+/// and tilt to 50°.
 #[derive(Clone, Copy, Debug)]
 pub struct Case {
-    /// Which codes.
     pub layout: CodeLayout,
-    /// Least and greatest outer diameter, pixels, as it would be seen face-on.
+    /// Minimum and maximum outer diameter as seen face-on.
     pub diameters_px: (f64, f64),
 }
 
-/// What became of them.
 #[derive(Clone, Debug, Default)]
 pub struct Score {
-    /// How many were shown.
     pub shown: usize,
-    /// How many were read, rightly or wrongly.
+    /// Read, rightly or wrongly.
     pub read: usize,
     /// Wrong identities.
     pub wrong: usize,
-    /// Right identities whose zero is elsewhere.
+    /// Right identities with a wrong yaw.
     pub wrong_yaw: usize,
-    /// Rms error of the yaw of the others, radians.
+    /// Rms error of the yaw of the others.
     pub yaw_rms_rad: f64,
-    /// The same as a multiple of what was stated.
+    /// The same as a multiple of the stated deviation.
     pub yaw_rms_stated: f64,
-    /// Those that were not read, each with why.
+    /// Reasons of those that were not read.
     pub unread: Vec<String>,
 }
 
-/// One roundel as shown.
+/// One rendered roundel.
 struct Trial {
     camera: Pinhole,
     imaging: Imaging,
@@ -125,13 +120,13 @@ impl Trial {
 
     fn pixels(&self, random: &mut Random) -> Vec<u8> {
         let motion = |_: f64| self.pose;
-        let seen = [Seen { print: &self.print, motion: &motion }];
+        let moving = [MovingPrint { print: &self.print, motion: &motion }];
         let (width, height) = (self.camera.width, self.camera.height);
         let background = Canvas::flat(width, height, 120.0);
-        Renderer::new(self.camera, self.imaging).frame(&background, &seen, random).pixels
+        Renderer::new(self.camera, self.imaging).frame(&background, &moving, random).pixels
     }
 
-    /// The print's angle of the point that a pixel sees.
+    /// Angle, on the print, of the point that a pixel sees.
     fn angle_rad(&self, at: PixelPoint) -> f64 {
         let ray = self.camera.ray(&Vector2::new(at.u, at.v)).unwrap();
         let normal = self.pose.rotation * Vector3::z();
@@ -140,7 +135,7 @@ impl Trial {
         on_print.y.atan2(on_print.x)
     }
 
-    /// How far the mean of a reading's two directions is from the zero, radians.
+    /// Error of the mean of a reading's two directions, radians.
     fn yaw_error_rad(&self, reading: &CodeReading) -> f64 {
         let wrapped = |angle: f64| (angle + PI).rem_euclid(TAU) - PI;
         let (one, other) = (self.angle_rad(reading.zero), self.angle_rad(reading.opposite));
@@ -148,7 +143,7 @@ impl Trial {
     }
 }
 
-/// A pose of this size in the middle of the picture, tilted up to 50° and turned.
+/// A pose of this diameter near the image centre, with random yaw and a tilt up to 50°.
 fn random_pose(camera: &Pinhole, diameter_px: f64, random: &mut Random) -> Isometry3<f64> {
     let z = camera.focal_px[0] * OUTER_M / diameter_px;
     let [x, y] = [0, 1].map(|axis| {
@@ -168,7 +163,7 @@ fn random_pose(camera: &Pinhole, diameter_px: f64, random: &mut Random) -> Isome
     Isometry3::from_parts(Translation3::from(position), turn)
 }
 
-/// Shows `count` roundels, one a frame, to a detector that is told of nothing but the kind.
+/// Renders `count` roundels, one per frame, and runs a detector that knows their kind.
 pub fn run(case: &Case, count: usize) -> Score {
     let pattern = Pattern::Coded(case.layout);
     let kind = Kind { pattern, ..Kind::plain("coded", OUTER_M, OUTER_M * DISC) };
@@ -225,7 +220,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn words_are_numbered_as_prints_are_known_by() {
+    fn words_have_the_numbers_of_the_dictionary() {
         for bits in [5, 8, 12] {
             let dictionary = CodeLayout { bits, min_distance: 1 }.codes().unwrap();
             let known: Vec<u16> = dictionary.iter().map(|(_, word)| word).collect();

@@ -1,26 +1,25 @@
-//! How much of each pixel a shape covers after the lens' blur, exact up to the quadrature.
+//! Share of each pixel that a shape covers after the lens' blur, exact up to the quadrature.
 //!
-//! A pixel at (p, q) sees the ideal image through the kernel k(x - p) k(y - q), where k is the unit
-//! box (the pixel's area) convolved with a Gaussian of deviation σ (the lens). A shape Ω with a
-//! contour run so that its inside is counted positive covers, by Green's theorem,
+//! A pixel at (p, q) sees the ideal image through the kernel k(x - p) k(y - q), where k is the unit box (the pixel's
+//! area) convolved with a Gaussian of deviation σ (the lens). By Green's theorem, a shape Ω with a counter-clockwise
+//! contour covers
 //!
 //!   c(p, q) = ∬_Ω k(x - p) k(y - q) dx dy = ∮ A(x - p) k(y - q) dy,   A' = k, A(-∞) = 0,
 //!
-//! both in closed form: k(t) = Φ((t + ½)/σ) - Φ((t - ½)/σ), and A from the integral of Φ. Around a
-//! smooth closed curve the trapezoidal rule converges exponentially: at a spacing of σ its error is
-//! about 2 exp(-2π²) = 5e-9. Polygons take Gauss-Legendre panels. So nothing is oversampled, no edge
-//! is taken for straight, and a disc smaller than the blur is as exact as a large one. Tables make A
-//! and k good to 1e-6, which is below 0.001 grey levels; `tests/renderer.rs` checks it against
-//! brute-force supersampling.
+//! with both functions in closed form: k(t) = Φ((t + ½)/σ) - Φ((t - ½)/σ), and A from the integral of Φ. Around a
+//! smooth closed curve the trapezoidal rule converges exponentially: at a spacing of σ its error is about 2 exp(-2π²)
+//! = 5e-9. Polygons use Gauss-Legendre panels. No oversampling and no straight-edge approximation is involved, and a
+//! disc smaller than the blur is as exact as a large one. Tables give A and k to 1e-6, below 0.001 grey levels;
+//! `tests/renderer.rs` compares with brute-force supersampling.
 
 use nalgebra::Vector2;
 
-use crate::normal::{cumulative, cumulative_integral};
+use crate::random::{cumulative, cumulative_integral};
 
-/// Smallest blur that is taken: below it the contour would have to be sampled ever more densely.
+/// Smallest blur. Below it, the contour would need ever more samples.
 pub const MIN_BLUR_PX: f64 = 0.25;
 
-/// One quadrature node of a closed contour: a place in the image and its share of dy.
+/// One quadrature node of a closed contour.
 #[derive(Clone, Copy, Debug)]
 pub struct Node {
     /// Raw pixel.
@@ -36,10 +35,11 @@ pub struct Contour {
 }
 
 impl Contour {
-    /// The smooth closed curve `at(θ)`, θ in [0, 2π), `count` nodes (at least 16).
+    /// The smooth closed curve `at(θ)`, θ in [0, 2π), with `count` nodes (at least 16). `None` where the curve is
+    /// `None`.
     ///
-    /// The derivative along the nodes is the central difference of eighth order, whose error is far
-    /// below that of the kernel's tables from 48 nodes on. `None` where the curve is `None`.
+    /// The derivative along the nodes is the central difference of eighth order. From 48 nodes on, its error is far
+    /// below that of the kernel's tables.
     pub fn smooth(
         count: usize,
         mut at: impl FnMut(f64) -> Option<Vector2<f64>>,
@@ -60,9 +60,9 @@ impl Contour {
         Some(Self { nodes }.oriented())
     }
 
-    /// The closed polygon through `corners`, its edges carried into the image by `at`.
+    /// The closed polygon through `corners`, with its edges mapped into the image by `at`.
     ///
-    /// Each edge is cut into panels of at most about `panel_px`, with four Gauss-Legendre nodes.
+    /// Each edge is cut into panels of at most about `panel_px`, with four Gauss-Legendre nodes each.
     pub fn polygon(
         corners: &[Vector2<f64>],
         panel_px: f64,
@@ -93,7 +93,6 @@ impl Contour {
         Some(Self { nodes }.oriented())
     }
 
-    /// Area enclosed, pixels².
     pub fn area_px2(&self) -> f64 {
         self.nodes.iter().map(|node| node.at.x * node.dv).sum()
     }
@@ -105,7 +104,7 @@ impl Contour {
         self
     }
 
-    /// Least and greatest (u, v) of the nodes.
+    /// Minimum and maximum (u, v) of the nodes.
     fn bounds(&self) -> (Vector2<f64>, Vector2<f64>) {
         let (mut low, mut high) = (Vector2::repeat(f64::MAX), Vector2::repeat(f64::MIN));
         for node in &self.nodes {
@@ -116,7 +115,7 @@ impl Contour {
     }
 }
 
-/// The pixel's box convolved with the lens' Gaussian: k, and A its integral, tabulated.
+/// The pixel's box convolved with the lens' Gaussian: k, and its integral A, tabulated.
 #[derive(Clone, Debug)]
 pub struct Kernel {
     reach_px: f64,
@@ -126,7 +125,7 @@ pub struct Kernel {
 impl Kernel {
     const STEPS_PER_PX: f64 = 1024.0;
 
-    /// For a blur of `blur_px`, taken as [`MIN_BLUR_PX`] if below.
+    /// A smaller blur than [`MIN_BLUR_PX`] is replaced by it.
     pub fn new(blur_px: f64) -> Self {
         let sigma = blur_px.max(MIN_BLUR_PX);
         let reach_px = 0.5 + 5.0 * sigma;
@@ -159,24 +158,20 @@ impl Kernel {
     }
 }
 
-/// Coverages of a rectangle of pixels; outside it they are zero.
+/// Coverage of a rectangle of pixels; outside it the coverage is zero.
 #[derive(Clone, Debug)]
 pub struct Patch {
-    /// Leftmost column.
     pub left: usize,
-    /// Topmost row.
     pub top: usize,
-    /// Columns.
     pub width: usize,
-    /// Rows.
     pub height: usize,
     /// Row by row, 0 to 1.
     pub coverage: Vec<f64>,
 }
 
 impl Patch {
-    /// The mean coverage of several contours with their weights (the instants of an exposure) in an
-    /// image of `width` × `height`; `None` if nothing of it lies inside.
+    /// Weighted mean coverage of several contours (the instants of an exposure) in an image of `width` × `height`.
+    /// `None` if no part lies inside the image.
     pub fn of(
         contours: &[(Contour, f64)],
         kernel: &Kernel,
@@ -185,8 +180,8 @@ impl Patch {
     ) -> Option<Patch> {
         let (mut low, mut high) = (Vector2::repeat(f64::MAX), Vector2::repeat(f64::MIN));
         for (contour, _) in contours {
-            let (least, greatest) = contour.bounds();
-            (low, high) = (low.inf(&least), high.sup(&greatest));
+            let (min, max) = contour.bounds();
+            (low, high) = (low.inf(&min), high.sup(&max));
         }
         let cut = |x: f64, last: usize| x.clamp(0.0, last as f64 - 1.0) as usize;
         let outside = high.x + kernel.reach_px < 0.0
@@ -216,7 +211,7 @@ impl Patch {
         Some(patch)
     }
 
-    /// Adds a node's share to the differences of the coverage along each row.
+    /// Adds a node's contribution to the differences of the coverage along each row.
     fn scatter(&mut self, node: &Node, weight: f64, kernel: &Kernel) {
         let near = |x: f64, first: usize, count: usize| {
             let from = (x - kernel.reach_px).ceil() as i64 - first as i64;
@@ -228,15 +223,15 @@ impl Patch {
         for row in first_row.max(0)..=last_row {
             let share = kernel.at(node.at.y - (self.top as i64 + row) as f64)[0] * node.dv * weight;
             let start = row as usize * self.width;
-            // A is 1 left of the node, 0 right of it: column by column its fall, and what is left
-            // of it at the last column when the node lies beyond.
+            // A is 1 left of the node and 0 right of it: adds its fall column by column, and the remainder at the
+            // last column when the node lies beyond.
             let mut beyond = 0.0;
             for column in (first_column.max(0)..=last_column).rev() {
                 let a = kernel.at(node.at.x - (self.left as i64 + column) as f64)[1];
                 self.coverage[start + column as usize] += share * (a - beyond);
                 beyond = a;
             }
-            // Left of the kernel's reach A is 1 and stays so.
+            // Left of the kernel's reach, A is 1.
             let full = first_column - 1;
             if full >= 0 {
                 self.coverage[start + full.min(self.width as i64 - 1) as usize] +=
@@ -303,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn a_polygon_covers_its_area_whichever_way_it_runs() {
+    fn a_polygon_covers_its_area_in_either_orientation() {
         let corners = [[3.2, 4.1], [17.9, 6.0], [12.5, 15.4]].map(Vector2::from);
         let reversed: Vec<_> = corners.iter().rev().copied().collect();
         for corners in [&corners[..], &reversed] {

@@ -1,9 +1,9 @@
-//! Roundels with elliptical discs as printed and as seen, for judging what finds them.
+//! Renders roundels with elliptical discs and scores their detection.
 //!
-//! Three kinds with elliptical discs and a plain one of nearly the area of the first are shown, one a
-//! frame, anywhere in the view of a camera with a mild `plumb_bob` lens, at any heading, to a detector of
-//! all four. The prints' diameters are written down here alone, and errors of depth and heading are held
-//! against the Cramér-Rao bound ([`crate::bound`]) of the very print, pose and blur.
+//! Three kinds with elliptical discs and a plain kind, whose area is close to the first one's, are rendered one per
+//! frame, anywhere in the view of a camera with a mild `plumb_bob` lens, at any heading. The detector knows all four.
+//! The prints' diameters are defined here alone. Errors of depth and heading are compared with the Cramér-Rao bound
+//! ([`crate::bound`]) of the same print, pose and blur.
 
 use std::f64::consts::{PI, TAU};
 
@@ -17,16 +17,15 @@ use roundel_core::{
 
 use crate::{
     bound::{Scene, Unknowns, bound},
-    normal::Random,
     optics::{Distortion, Pinhole},
     pipeline::core_camera,
-    render::{Canvas, Imaging, Print, Renderer, Seen},
+    random::Random,
+    render::{Canvas, Imaging, MovingPrint, Print, Renderer},
     score::{CHI2_95_3, normalized3},
 };
 
-/// The prints' outer diameter.
 const OUTER_M: f64 = 0.16;
-/// The discs' longer and shorter diameters; the last one is plain.
+/// Longer and shorter diameters of the discs; the last one is plain.
 const DISCS_M: [(f64, f64); 4] = [(0.096, 0.064), (0.112, 0.072), (0.112, 0.056), (0.08, 0.08)];
 
 /// The kinds that the detector knows.
@@ -45,75 +44,73 @@ pub fn kinds(polarity: Polarity) -> Vec<Kind> {
         .collect()
 }
 
-/// Roundels to be shown: blur 0.5 to 1.1 px and noise 1 to 4 grey levels, unknown, contrast 160.
+/// Roundels with blur 0.5 to 1.1 px and noise 1 to 4 grey levels, both unknown to the detector, and contrast 160.
 #[derive(Clone, Copy, Debug)]
 pub struct Case {
-    /// Least and greatest outer diameter, pixels, as it would be seen face-on.
+    /// Minimum and maximum outer diameter as seen face-on.
     pub diameters_px: (f64, f64),
-    /// Least and greatest tilt, degrees.
+    /// Minimum and maximum tilt.
     pub tilts_deg: (f64, f64),
-    /// Black or white rings.
     pub polarity: Polarity,
 }
 
 /// Errors of one mode.
 #[derive(Clone, Debug, Default)]
 pub struct Errors {
-    /// Of the depth, over its bound.
+    /// Depth errors over their bounds.
     depths: Vec<f64>,
-    /// Of the heading of elliptical discs, radians, over what was stated and over its bound.
+    /// Heading errors of elliptical discs, radians, over their stated deviations and over their bounds.
     headings: Vec<[f64; 3]>,
-    /// Positions of plain roundels, and of others, and rotations of these whose normal is not the wrong
-    /// one: squared Mahalanobis lengths.
+    /// Squared Mahalanobis lengths: positions of plain roundels, positions of the others, and their rotations if the
+    /// first normal is the right one.
     plain: Vec<f64>,
     positions: Vec<f64>,
     rotations: Vec<f64>,
     /// Angles of the normal, radians.
     normals: Vec<f64>,
-    /// Elliptical discs whose other normal was right.
-    pub mistaken: usize,
-    /// Roundels that this mode located itself.
+    /// Elliptical discs whose second normal was the right one.
+    pub wrong_normals: usize,
+    /// Roundels that this mode located.
     pub own: usize,
 }
 
 impl Errors {
-    /// Rms of the depth's error over its bound; of white rings the bound counts the sheet's edge too, and
-    /// is half of what it should be.
+    /// Rms of the depth error over its bound. For white rings the bound counts the sheet's edge too, and is half of
+    /// the right value.
     pub fn depth_over_bound(&self) -> f64 {
         rms(self.depths.iter().copied())
     }
 
-    /// Rms error of the heading, degrees.
+    /// Rms error of the heading.
     pub fn heading_deg(&self) -> f64 {
         rms(self.headings.iter().map(|heading| heading[0])).to_degrees()
     }
 
-    /// Rms error of the heading over what was stated.
+    /// Rms of the heading error over its stated deviation.
     pub fn heading_over_stated(&self) -> f64 {
         rms(self.headings.iter().map(|heading| heading[1]))
     }
 
-    /// Rms error of the heading over its bound.
+    /// Rms of the heading error over its bound.
     pub fn heading_over_bound(&self) -> f64 {
         rms(self.headings.iter().map(|heading| heading[2]))
     }
 
-    /// The largest error of a heading, degrees.
-    pub fn heading_most_deg(&self) -> f64 {
+    pub fn heading_max_deg(&self) -> f64 {
         self.headings.iter().map(|heading| heading[0].abs()).fold(0.0, f64::max).to_degrees()
     }
 
-    /// Shares of positions and of rotations of elliptical discs inside of their stated 95 % ellipsoids.
+    /// Shares of positions and of rotations of elliptical discs inside their stated 95 % ellipsoids.
     pub fn shares(&self) -> (f64, f64) {
         (share(&self.positions), share(&self.rotations))
     }
 
-    /// The share of positions of plain roundels.
+    /// Share of positions of plain roundels inside their stated 95 % ellipsoids.
     pub fn plain_share(&self) -> f64 {
         share(&self.plain)
     }
 
-    /// Median angle between the normal given and the true one, degrees.
+    /// Median angle between the first and the true normal.
     pub fn normal_median_deg(&self) -> f64 {
         let mut sorted = self.normals.clone();
         sorted.sort_by(f64::total_cmp);
@@ -131,26 +128,24 @@ fn rms(values: impl ExactSizeIterator<Item = f64>) -> f64 {
     (values.map(|value| value * value).sum::<f64>() / count).sqrt()
 }
 
-/// What became of the roundels of a case.
 #[derive(Clone, Debug, Default)]
 pub struct Score {
-    /// How many were shown.
     pub shown: usize,
-    /// How many were found, as whatever kind.
+    /// Found as any kind.
     pub found: usize,
-    /// Rings where none was shown.
+    /// Rings where no roundel is.
     pub false_rings: usize,
-    /// Plain ones taken for elliptical ones, and the other way round.
-    pub plain_mistaken: usize,
-    /// Elliptical ones taken for another elliptical one.
-    pub mistaken: usize,
-    /// Fast, precise; of those whose kind was right.
+    /// Plain roundels detected as elliptical ones, and vice versa.
+    pub plain_confused: usize,
+    /// Elliptical roundels detected as another elliptical kind.
+    pub confused: usize,
+    /// Fast and precise mode, for roundels of the right kind.
     pub modes: [Errors; 2],
-    /// Those that were not found, each with why.
+    /// Reasons of those that were not found.
     pub missed: Vec<String>,
 }
 
-/// One roundel as shown.
+/// One rendered roundel.
 struct Trial {
     camera: Pinhole,
     imaging: Imaging,
@@ -169,10 +164,10 @@ impl Trial {
         let z = camera.focal_px[0] * OUTER_M / diameter_px;
         let at = [random.uniform(-0.7, 0.7), random.uniform(-0.4, 0.4)];
         let position = Vector3::new(at[0] * z, at[1] * z, z);
-        let seen = camera.project(&position.into()).expect("a place in the image");
+        let pixel = camera.project(&position.into()).expect("a place in the image");
         let middle = 0.5 * (side as f64 - 1.0);
         for axis in 0..2 {
-            camera.center_px[axis] += middle - seen[axis] + random.uniform(-1.0, 1.0);
+            camera.center_px[axis] += middle - pixel[axis] + random.uniform(-1.0, 1.0);
         }
         let facing = UnitQuaternion::rotation_between(&Vector3::z(), &-position)
             .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI));
@@ -204,13 +199,12 @@ impl Trial {
 
     fn pixels(&self, random: &mut Random) -> Vec<u8> {
         let motion = |_: f64| self.pose;
-        let seen = [Seen { print: &self.print, motion: &motion }];
+        let moving = [MovingPrint { print: &self.print, motion: &motion }];
         let background = Canvas::flat(self.camera.width, self.camera.height, 120.0);
-        Renderer::new(self.camera, self.imaging).frame(&background, &seen, random).pixels
+        Renderer::new(self.camera, self.imaging).frame(&background, &moving, random).pixels
     }
 }
 
-/// What one trial came to.
 struct Outcome {
     trial: Trial,
     rings: usize,
@@ -219,7 +213,7 @@ struct Outcome {
     why: String,
 }
 
-/// Shows `count` roundels.
+/// Renders `count` roundels and scores their detection.
 pub fn run(case: &Case, count: usize) -> Score {
     let kinds = kinds(case.polarity);
     let detector = Detector::new(kinds.clone(), Params::default()).unwrap();
@@ -263,9 +257,9 @@ impl Score {
         };
         self.found += 1;
         if trial.is_plain(kind) != trial.is_plain(trial.kind) {
-            self.plain_mistaken += 1;
+            self.plain_confused += 1;
         } else if kind != trial.kind {
-            self.mistaken += 1;
+            self.confused += 1;
         } else {
             let scene = Scene {
                 motion_px: [0.0; 2],
@@ -304,12 +298,12 @@ impl Errors {
         let angle = |one: &Vector3<f64>| one.cross(&normal).norm().atan2(one.dot(&normal));
         self.normals.push(angle(&pose.normal));
         if angle(&pose.normal) > angle(&pose.other_normal) + 1e-6 {
-            self.mistaken += 1;
+            self.wrong_normals += 1;
             return;
         }
         let upright = UnitQuaternion::rotation_between(&Vector3::z(), &pose.normal).unwrap();
         let turned = upright * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad);
-        // The nearer of both ways round.
+        // The nearer of both directions.
         let half = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), PI);
         let error = |found: UnitQuaternion<f64>| (truth.rotation * found.inverse()).scaled_axis();
         let (one, other) = (error(turned), error(turned * half));

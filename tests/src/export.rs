@@ -1,5 +1,5 @@
-//! An arena as an installation on disk: frames, capture times, camera files and the configuration
-//! that `roundel serve` takes, with every camera's pose known, or that on the robot that it rides on.
+//! Writes an arena as an installation on disk: frames, capture times, camera files and the configuration for `roundel
+//! serve`. Camera poses are written as known, or relative to the robot that carries the camera.
 
 use std::{
     fmt::Write as _,
@@ -15,44 +15,43 @@ use crate::{
     arena::{Arena, Landmark, Site},
     clutter::{Clutter, background},
     coded::{coded_print, words},
-    normal::Random,
     optics::Pinhole,
-    render::{Canvas, Image, Print, Renderer, Seen},
+    random::Random,
+    render::{Canvas, Image, MovingPrint, Print, Renderer},
 };
 
-/// White paper round the ring, of its diameter.
+/// White margin, as a share of the outer diameter.
 const MARGIN: f64 = 0.25;
 
-/// How an installation is written.
+/// Options of an exported installation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Export {
     /// Frames of each camera.
     pub frames: usize,
     /// Grey level of the floor.
     pub floor: f64,
-    /// What else stands about.
     pub clutter: Clutter,
     /// Lines appended to the `[fusion]` table, e.g. `acceleration_m_s2 = 1.5`.
     pub fusion: String,
 }
 
-/// An installation that was written.
+/// An exported installation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Installation {
     /// The configuration file.
     pub config: PathBuf,
-    /// The folder that holds it all.
+    /// The folder with all files.
     pub folder: PathBuf,
 }
 
-/// One camera with its background painted: renders any of its frames.
+/// One camera with its background painted; renders any of its frames.
 pub struct Studio<'a> {
     arena: &'a Arena,
     site: &'a Site,
     stream: u64,
     renderer: Renderer,
     background: Canvas,
-    /// What is printed on walls.
+    /// Prints on walls.
     landmarks: Vec<Print>,
 }
 
@@ -80,9 +79,9 @@ impl<'a> Studio<'a> {
             .robots
             .iter()
             .enumerate()
-            // A camera is fixed below what carries it, and one that stands does not look between shelves.
+            // A camera does not see the robot that carries it, and a fixed one does not see between shelves.
             .filter(|&(index, robot)| {
-                carrier != Some(index) && (carrier.is_some() || !robot.is_among_shelves)
+                carrier != Some(index) && (carrier.is_some() || !robot.is_hidden_from_fixed_cameras)
             })
             .map(|(_, robot)| robot)
             .collect();
@@ -98,12 +97,12 @@ impl<'a> Studio<'a> {
             .map(|landmark| move |after_s: f64| camera_from_world(after_s) * landmark.pose)
             .collect();
         let robots = std::iter::zip(&robots, &robots_move)
-            .map(|(robot, motion)| Seen { print: &robot.print, motion });
+            .map(|(robot, motion)| MovingPrint { print: &robot.print, motion });
         let landmarks = std::iter::zip(&self.landmarks, &landmarks_move)
-            .map(|(print, motion)| Seen { print, motion });
-        let seen: Vec<_> = robots.chain(landmarks).collect();
+            .map(|(print, motion)| MovingPrint { print, motion });
+        let moving: Vec<_> = robots.chain(landmarks).collect();
         let mut random = Random::new(self.arena.seed, self.stream + 1 + frame as u64);
-        self.renderer.frame(&self.background, &seen, &mut random)
+        self.renderer.frame(&self.background, &moving, &mut random)
     }
 }
 
@@ -119,12 +118,12 @@ fn landmark_print(arena: &Arena, landmark: &Landmark) -> Print {
 }
 
 impl Export {
-    /// `frames` frames a camera before a lab's floor.
+    /// A number of frames per camera, before a lab's floor.
     pub fn lab(frames: usize) -> Self {
         Self { frames, floor: 120.0, clutter: Clutter::LAB, fusion: String::new() }
     }
 
-    /// Writes the installation into `folder`, which must exist; uses all cores.
+    /// Writes the installation into an existing `folder`, on all cores.
     pub fn write(&self, arena: &Arena, folder: &Path) -> io::Result<Installation> {
         for index in 0..arena.sites.len() {
             self.write_camera(arena, index, folder)?;
@@ -189,7 +188,7 @@ impl Export {
         text
     }
 
-    /// The truth at each instant at which a camera took a frame, in order.
+    /// Ground truth at each capture time of any camera, in order.
     fn truth(&self, arena: &Arena) -> String {
         let mut times: Vec<i64> = arena
             .sites
@@ -214,7 +213,7 @@ impl Export {
     }
 }
 
-/// Where a camera stands, or is fixed to what carries it; with landmarks about, it localizes by them.
+/// A fixed camera's pose, or its mount. With landmarks, the camera is localized by them.
 fn pose(arena: &Arena, site: &Site) -> String {
     let place = site.mount.map_or(site.world_from_camera, |mount| mount.robot_from_camera);
     let (p, q) = (place.translation.vector, place.rotation);
@@ -283,13 +282,13 @@ pub fn camera_yaml(name: &str, optics: &Pinhole) -> String {
     )
 }
 
-/// Writes a grey PNG, compressed as fast as it goes.
+/// Writes a grey PNG with fast compression.
 pub fn write_png(path: &Path, image: &Image) -> io::Result<()> {
     let file = BufWriter::with_capacity(1 << 20, File::create(path)?);
     let mut encoder = png::Encoder::new(file, image.width as u32, image.height as u32);
     encoder.set_color(png::ColorType::Grayscale);
     encoder.set_depth(png::BitDepth::Eight);
-    // Fast first: it chooses a filter as well, which noise does not reward.
+    // The filter is set after the compression, which selects one that does not help with noise.
     encoder.set_compression(png::Compression::Fastest);
     encoder.set_filter(png::Filter::NoFilter);
     let mut writer = encoder.write_header().map_err(io::Error::other)?;

@@ -1,7 +1,7 @@
-//! Arenas whose cameras are bumped and drift, and what the watch makes of that.
+//! Arenas whose cameras are bumped or drift, and the watch's reaction.
 //!
-//! A camera that moves by M, in its own frame, has everything at M⁻¹ p that it had at p, so that sightings
-//! of cameras that stand ([`Stream`]) are carried over. What falls out of the image is kept.
+//! A camera that moves by M, in its own frame, observes at M⁻¹ p what it observed at p. So the observations of fixed
+//! cameras ([`Stream`]) are transformed. Detections that leave the image are kept.
 
 mod tracks;
 
@@ -18,43 +18,56 @@ use roundel_core::{
 
 use crate::{
     arena::Arena,
-    normal::Random,
+    random::Random,
     sensor::{Sensing, Stream},
 };
-pub use tracks::{SURE_M, Tracks};
+pub use tracks::{CERTAIN_M, Tracks};
 
-/// A bump takes so long, seconds.
+/// Duration of a bump.
 pub const BUMP_S: f64 = 0.1;
-/// Time is let pass in steps of this, seconds.
+/// Interval of virtual time between calls of the watch.
 const STEP_S: f64 = 0.05;
-/// A bump is answered within this, or missed, seconds.
-const ANSWER_S: f64 = 60.0;
+/// A bump must be corrected within this time.
+const RECOVERY_S: f64 = 60.0;
 
-/// How a camera moves.
+/// Motion of a camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Move {
-    /// Which.
     pub camera: CameraId,
-    /// From when on, seconds after the arena's start …
+    /// Start, seconds after the arena's start.
     pub at_s: f64,
-    /// … and for how long.
+    /// Duration.
     pub lasts_s: f64,
-    /// In its frame, metres.
+    /// In the camera's frame.
     pub shift_m: Vector3<f64>,
-    /// About its centre, radians.
+    /// About the camera's centre.
     pub turn_rad: Vector3<f64>,
 }
 
+/// Distance and angle of a bump.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BumpSize {
+    pub shift_m: f64,
+    pub turn_rad: f64,
+}
+
+impl BumpSize {
+    /// A bump without rotation.
+    pub fn shift(shift_m: f64) -> Self {
+        Self { shift_m, turn_rad: 0.0 }
+    }
+
+    /// A bump without translation.
+    pub fn turn(turn_rad: f64) -> Self {
+        Self { shift_m: 0.0, turn_rad }
+    }
+}
+
 impl Move {
-    /// A bump in a random direction: by so many metres, and so many radians.
-    pub fn bump(
-        camera: CameraId,
-        at_s: f64,
-        (shift_m, turn_rad): (f64, f64),
-        random: &mut Random,
-    ) -> Self {
+    /// A bump in random directions.
+    pub fn bump(camera: CameraId, at_s: f64, size: BumpSize, random: &mut Random) -> Self {
         let mut direction = || Vector3::from_fn(|_, _| f64::from(random.normal())).normalize();
-        let (shift_m, turn_rad) = (direction() * shift_m, direction() * turn_rad);
+        let (shift_m, turn_rad) = (direction() * size.shift_m, direction() * size.turn_rad);
         Self { camera, at_s, lasts_s: BUMP_S, shift_m, turn_rad }
     }
 
@@ -68,114 +81,115 @@ impl Move {
 /// An arena whose cameras move.
 #[derive(Clone, Debug)]
 pub struct Healing {
-    /// As it was found.
     pub arena: Arena,
-    /// How cameras err.
     pub sensing: Sensing,
-    /// By time.
+    /// In order of time.
     pub moves: Vec<Move>,
-    /// What the watch is told of.
+    /// Landmarks that the watch knows.
     pub landmarks: Vec<Landmark>,
-    /// Where cameras are said to stand, of those that there are.
-    pub believed: Vec<Isometry3<f64>>,
-    /// Those places were written by hand.
+    /// Camera poses that the watch starts with.
+    pub initial_poses: Vec<Isometry3<f64>>,
+    /// Whether those poses were written by hand.
     pub is_rough: bool,
-    /// How wrong lenses are, by camera: share of the focal length, and of the centre in focal lengths. None: not at all.
+    /// Lens errors by camera: of the focal length, relative, and of the principal point, in focal lengths. Empty if
+    /// lenses are right.
     pub lenses: Vec<[f64; 3]>,
 }
 
-/// What became of a bump.
+/// Reaction to a bump.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Answer {
-    /// Seconds from the bump to its notice …
-    pub noticed_s: Option<f64>,
-    /// … and to the return.
+pub struct Response {
+    /// Seconds from the bump to its detection.
+    pub detected_s: Option<f64>,
+    /// Seconds from the bump to the camera's return.
     pub returned_s: Option<f64>,
-    /// How far off the place is with which it returned, metres …
-    pub off_m: f64,
-    /// … and radians.
-    pub off_rad: f64,
+    /// Position error of the new pose.
+    pub position_error_m: f64,
+    /// Rotation error of the new pose.
+    pub rotation_error_rad: f64,
 }
 
-/// What became of everything.
+/// Results of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Outcome {
-    /// By bump, in the moves' order.
-    pub answers: Vec<Answer>,
-    /// Cameras called bumped that were not.
-    pub imagined: usize,
+    /// By bump, in the order of the moves.
+    pub responses: Vec<Response>,
+    /// Cameras reported as bumped that were not.
+    pub false_alarms: usize,
     /// Corrections of drift.
     pub corrections: usize,
     /// All events with their times, seconds.
     pub events: Vec<(f64, WatchEvent)>,
-    /// Largest error of a place in service, but for the minute after each bump of it, metres …
+    /// Largest position error of a pose in use, except within the minute after a bump.
     pub worst_m: f64,
-    /// … and radians.
+    /// Largest rotation error of such a pose.
     pub worst_rad: f64,
 }
 
 impl Outcome {
-    /// Whether each bump was noticed within 3 s, and healed within 30 s, 1 mm and 0.02°, and nothing else was.
+    /// Whether each bump was detected within 3 s and corrected within 30 s to 1 mm and 0.02°, without false alarms.
     pub fn is_healed(&self) -> bool {
-        let within = |time_s: Option<f64>, most_s: f64| time_s.is_some_and(|it| it <= most_s);
-        let is_well = |it: &Answer| {
-            within(it.noticed_s, 3.0)
+        let within = |time_s: Option<f64>, max_s: f64| time_s.is_some_and(|it| it <= max_s);
+        let is_well = |it: &Response| {
+            within(it.detected_s, 3.0)
                 && within(it.returned_s, 30.0)
-                && it.off_m <= 1e-3
-                && it.off_rad <= 0.02f64.to_radians()
+                && it.position_error_m <= 1e-3
+                && it.rotation_error_rad <= 0.02f64.to_radians()
         };
-        self.imagined == 0 && self.answers.iter().all(is_well)
+        self.false_alarms == 0 && self.responses.iter().all(is_well)
     }
 }
 
 impl Healing {
-    /// R4 with cameras of so many frames a second, that err by so many pixels.
+    /// R4 with this frame rate and noise.
     pub fn r4(seed: u64, rate_hz: f64, noise_px: f64) -> Self {
         let mut arena = Arena::r4(seed);
         for site in &mut arena.sites {
             site.offset_s *= site.rate_hz / rate_hz;
             site.rate_hz = rate_hz;
         }
-        let sensing = Sensing { noise_px, ..Sensing::USUAL };
-        let believed = arena.sites.iter().map(|site| site.world_from_camera).collect();
+        let sensing = Sensing { noise_px, ..Sensing::DEFAULT };
+        let initial_poses = arena.sites.iter().map(|site| site.world_from_camera).collect();
         let (moves, landmarks, lenses) = (Vec::new(), Vec::new(), Vec::new());
-        Self { arena, sensing, moves, landmarks, believed, is_rough: false, lenses }
+        Self { arena, sensing, moves, landmarks, initial_poses, is_rough: false, lenses }
     }
 
-    /// With lenses that are off by 0.05 % and 0.5 px of a focal length of 1000, at random.
+    /// Adds random errors of 0.05 % of the focal length, and of 0.5 px of the principal point at a focal length of
+    /// 1000 px, to the lenses.
     pub fn with_wrong_lenses(mut self) -> Self {
         let mut random = Random::new(self.arena.seed, 90);
-        let mut off = || f64::from(random.normal()) * 5e-4;
-        self.lenses = self.arena.sites.iter().map(|_| [off(), off(), off()]).collect();
+        let mut pose_error = || f64::from(random.normal()) * 5e-4;
+        self.lenses =
+            self.arena.sites.iter().map(|_| [pose_error(), pose_error(), pose_error()]).collect();
         self
     }
 
-    /// With cameras that stand so many metres and radians, rms, from where a person says that they do.
-    pub fn with_rough_places(mut self, off_m: f64, off_rad: f64) -> Self {
+    /// Adds errors of this rms, metres and radians, to the camera poses that the watch starts with.
+    pub fn with_rough_poses(mut self, position_error_m: f64, rotation_error_rad: f64) -> Self {
         let mut random = Random::new(self.arena.seed, 91);
-        let mut off =
+        let mut pose_error =
             |rms: f64| Vector3::from_fn(|_, _| f64::from(random.normal()) * rms / 3.0f64.sqrt());
-        for place in &mut self.believed {
-            let turn = UnitQuaternion::from_scaled_axis(off(off_rad));
-            *place *= Isometry3::from_parts(off(off_m).into(), turn);
+        for place in &mut self.initial_poses {
+            let turn = UnitQuaternion::from_scaled_axis(pose_error(rotation_error_rad));
+            *place *= Isometry3::from_parts(pose_error(position_error_m).into(), turn);
         }
         self.is_rough = true;
         self
     }
 
-    /// Cameras stand where the watch has come to believe that they do.
-    pub fn as_found(mut self, outcome: &Outcome) -> Self {
+    /// Starts with the camera poses at the end of another run.
+    pub fn with_corrections(mut self, outcome: &Outcome) -> Self {
         for (_, event) in &outcome.events {
             if let WatchEvent::Returned { camera, placement }
             | WatchEvent::Drifted { camera, placement, .. } = event
             {
-                self.believed[camera.0 as usize] = placement.world_from_camera;
+                self.initial_poses[camera.0 as usize] = placement.world_from_camera;
             }
         }
         self
     }
 
-    /// Bumps of 1 to 3 cm, 0.5° to 2° or both, of random cameras, spread over so many seconds.
+    /// Bumps random cameras by 1 to 3 cm, 0.5° to 2° or both, spread over `seconds`.
     pub fn with_bumps(mut self, count: usize, seconds: f64) -> Self {
         let mut random = Random::new(self.arena.seed, 77);
         for index in 0..count {
@@ -183,13 +197,14 @@ impl Healing {
             let at_s = (index as f64 + random.uniform(0.1, 0.9)) * seconds / count as f64;
             let shift_m = random.uniform(0.01, 0.03);
             let turn_rad = random.uniform(0.5, 2.0).to_radians();
-            let size = [(shift_m, 0.0), (0.0, turn_rad), (shift_m, turn_rad)][index % 3];
+            let both = BumpSize { shift_m, turn_rad };
+            let size = [BumpSize::shift(shift_m), BumpSize::turn(turn_rad), both][index % 3];
             self.moves.push(Move::bump(CameraId(camera), at_s, size, &mut random));
         }
         self
     }
 
-    /// Where a camera truly stands.
+    /// True pose of a camera.
     pub fn truth(&self, camera: CameraId, t: f64) -> Isometry3<f64> {
         self.arena.sites[camera.0 as usize].world_from_camera * self.moved(camera, t)
     }
@@ -199,7 +214,7 @@ impl Healing {
         own.fold(Isometry3::identity(), |before, it| before * it.by(t))
     }
 
-    fn seen(&self, mut frame: FrameObservations) -> FrameObservations {
+    fn observed(&self, mut frame: FrameObservations) -> FrameObservations {
         let start = Timestamp::from_ns(self.arena.start_ns);
         let t = frame.capture_time.seconds_since(start);
         let back = self.moved(frame.camera, t).inverse();
@@ -218,18 +233,18 @@ impl Healing {
         frame
     }
 
-    /// What cameras see in so many seconds, in the order in which it arrives.
+    /// Observations of all cameras for `seconds`, in order of arrival.
     pub fn frames(&self, seconds: f64) -> impl Iterator<Item = FrameObservations> {
-        Stream::new(&self.arena, self.sensing, seconds).map(|frame| self.seen(frame))
+        Stream::new(&self.arena, self.sensing, seconds).map(|frame| self.observed(frame))
     }
 
-    /// So many seconds of it.
+    /// Runs the watch for `seconds`.
     pub fn run(&self, params: WatchParams, seconds: f64) -> Outcome {
         let mut watch = Watch::new(params);
         let start = Timestamp::from_ns(self.arena.start_ns);
         let mut places: Vec<Option<Isometry3<f64>>> = Vec::new();
         for (index, (&world_from_camera, _)) in
-            self.believed.iter().zip(&self.arena.sites).enumerate()
+            self.initial_poses.iter().zip(&self.arena.sites).enumerate()
         {
             let placement = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
             watch.set_camera(CameraId(index as u32), placement);
@@ -237,12 +252,13 @@ impl Healing {
         }
         watch.set_landmarks(&self.landmarks);
         let bumps = self.moves.iter().filter(|it| it.lasts_s <= BUMP_S).count();
-        let mut outcome = Outcome { answers: vec![Answer::default(); bumps], ..Outcome::default() };
+        let mut outcome =
+            Outcome { responses: vec![Response::default(); bumps], ..Outcome::default() };
         let mut next_s = STEP_S;
         std::thread::scope(|scope| {
             let (sender, frames) = mpsc::sync_channel(1000);
             scope.spawn(move || {
-                // Nobody listens any more: the test has failed.
+                // The receiver is gone if the test has failed.
                 let _ = self.frames(seconds).try_for_each(|frame| sender.send(frame));
             });
             for frame in frames {
@@ -261,7 +277,7 @@ impl Healing {
         outcome
     }
 
-    /// A camera's last bump before `t`, among the bumps.
+    /// Index among the bumps, and time, of a camera's last bump before `t`.
     fn last_bump(&self, camera: CameraId, t: f64) -> Option<(usize, f64)> {
         let bumps = self.moves.iter().filter(|it| it.lasts_s <= BUMP_S).enumerate();
         let own = bumps.filter(|(_, it)| it.camera == camera && it.at_s <= t);
@@ -279,19 +295,20 @@ impl Healing {
             WatchEvent::Bumped { camera, .. } => {
                 places[camera.0 as usize] = None;
                 match self.last_bump(*camera, t) {
-                    Some((index, at_s)) if outcome.answers[index].noticed_s.is_none() => {
-                        outcome.answers[index].noticed_s = Some(t - at_s);
+                    Some((index, at_s)) if outcome.responses[index].detected_s.is_none() => {
+                        outcome.responses[index].detected_s = Some(t - at_s);
                     }
-                    _ => outcome.imagined += 1,
+                    _ => outcome.false_alarms += 1,
                 }
             }
             WatchEvent::Returned { camera, placement } => {
                 let place = placement.world_from_camera;
                 places[camera.0 as usize] = Some(place);
                 if let Some((index, at_s)) = self.last_bump(*camera, t) {
-                    let answer = &mut outcome.answers[index];
-                    answer.returned_s = Some(t - at_s);
-                    (answer.off_m, answer.off_rad) = off(&place, &self.truth(*camera, t));
+                    let response = &mut outcome.responses[index];
+                    response.returned_s = Some(t - at_s);
+                    (response.position_error_m, response.rotation_error_rad) =
+                        pose_error(&place, &self.truth(*camera, t));
                 }
             }
             WatchEvent::Drifted { camera, placement, .. } => {
@@ -307,18 +324,18 @@ impl Healing {
     fn compare(&self, t: f64, places: &[Option<Isometry3<f64>>], outcome: &mut Outcome) {
         for (index, place) in places.iter().enumerate() {
             let (Some(place), camera) = (place, CameraId(index as u32)) else { continue };
-            if self.last_bump(camera, t).is_some_and(|(_, at_s)| t - at_s < ANSWER_S) {
+            if self.last_bump(camera, t).is_some_and(|(_, at_s)| t - at_s < RECOVERY_S) {
                 continue;
             }
-            let (off_m, off_rad) = off(place, &self.truth(camera, t));
-            outcome.worst_m = outcome.worst_m.max(off_m);
-            outcome.worst_rad = outcome.worst_rad.max(off_rad);
+            let (position_error_m, rotation_error_rad) = pose_error(place, &self.truth(camera, t));
+            outcome.worst_m = outcome.worst_m.max(position_error_m);
+            outcome.worst_rad = outcome.worst_rad.max(rotation_error_rad);
         }
     }
 }
 
-/// How far a place is from another, metres and radians.
-fn off(one: &Isometry3<f64>, other: &Isometry3<f64>) -> (f64, f64) {
+/// Distance between two poses, metres and radians.
+fn pose_error(one: &Isometry3<f64>, other: &Isometry3<f64>) -> (f64, f64) {
     let apart_m = (one.translation.vector - other.translation.vector).norm();
     (apart_m, one.rotation.angle_to(&other.rotation))
 }

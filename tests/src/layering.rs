@@ -66,7 +66,7 @@ pub const CRATE_DEPENDENCIES: [(&str, &[&str]); 9] = [
     ("roundel-server", &["roundel-core", "roundel-proto", "roundel-client"]),
 ];
 
-/// Everything that may be at the top of the repository, beside dot-files and build output.
+/// Everything that may be at the top of the repository, besides dot-files and build output.
 pub const TOP_LEVEL: [&str; 15] = [
     "CHANGELOG.md",
     "Cargo.lock",
@@ -85,7 +85,7 @@ pub const TOP_LEVEL: [&str; 15] = [
     "tests",
 ];
 
-/// Names at the top of the repository that do not belong there.
+/// Unexpected names at the top of the repository.
 pub fn stray_names(names: &[String]) -> Vec<String> {
     let known = |name: &str| name.starts_with('.') || TOP_LEVEL.contains(&name);
     names
@@ -99,7 +99,7 @@ pub fn stray_names(names: &[String]) -> Vec<String> {
 
 /// Dependencies between crates in the wrong direction, and dependencies that core must not have.
 ///
-/// `crates` maps a crate of ours to all it depends on; `shipped` leaves development dependencies out.
+/// `crates` maps each of our crates to all its dependencies; `shipped` leaves development dependencies out.
 pub fn forbidden_dependencies(
     crates: &BTreeMap<String, Vec<String>>,
     shipped: &BTreeMap<String, Vec<String>>,
@@ -204,11 +204,11 @@ pub fn import_cycles(files: &[(String, String)]) -> Vec<String> {
     cycles
 }
 
-/// Files of the server that convert between core and proto without being the one that does, or that
-/// name proto where only core's types belong. `path` is relative to `server/src`.
+/// Files of the server other than `model/convert` that convert between core and proto, or that name proto where only
+/// core's types belong. `path` is relative to `server/src`.
 ///
-/// Converting means building one of the [`CONVERTED`] messages where core's types are at hand; to
-/// choose, address or pass on what `model/convert` made is not.
+/// Converting means building one of the [`CONVERTED`] messages where core's types are in scope. Selecting, addressing
+/// or passing on what `model/convert` made is allowed.
 pub fn misplaced_types(path: &str, source: &str) -> Vec<String> {
     let code = shipped_code(source);
     let (core, proto) = (names(&code, "roundel_core"), names(&code, "roundel_proto"));
@@ -232,7 +232,7 @@ pub fn misplaced_types(path: &str, source: &str) -> Vec<String> {
 const PROTO_FREE: [&str; 4] =
     ["capture/source", "capture/worker", "fusion/calibration", "fusion/mod.rs"];
 
-/// Messages that say what core's types hold.
+/// Messages with the content of core's types.
 const CONVERTED: [&str; 10] = [
     "Camera",
     "Detection",
@@ -246,8 +246,8 @@ const CONVERTED: [&str; 10] = [
     "Snapshot",
 ];
 
-/// Whether code builds a message: `v1::Name {` or `Name {` imported from v1, but not as the type
-/// that a function returns or a block implements.
+/// Whether code builds a message: `v1::Name {` or `Name {` imported from v1, but not as the type that a function
+/// returns or a block implements.
 fn builds(code: &str, name: &str) -> bool {
     code.match_indices(name).any(|(at, _)| {
         let whole =
@@ -336,7 +336,7 @@ fn expand_use_tree<'a>(
                     let depth = prefix.len();
                     let after = expand_use_tree(rest, prefix, found);
                     prefix.truncate(depth);
-                    // Skips what no path consists of, such as `as Name`.
+                    // Skips text that is not part of a path, such as `as Name`.
                     let end = after.find([',', '}']).unwrap_or(after.len());
                     &after[end..]
                 }
@@ -365,7 +365,7 @@ fn paths_from(root: &str, code: &str) -> Vec<String> {
         .collect()
 }
 
-/// The first segment of each path that follows: of `a::b` or of each in `{a::b, c::{d, e}}`.
+/// The first segment of each path in a list: of `a::b`, or of each in `{a::b, c::{d, e}}`.
 fn first_names(text: &str) -> Vec<String> {
     let word = |text: &str| -> String {
         text.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect()
@@ -390,13 +390,13 @@ fn first_names(text: &str) -> Vec<String> {
     found
 }
 
-/// Whether `code` names this path or word as a whole.
+/// Whether `code` contains this path or word as a whole.
 fn names(code: &str, word: &str) -> bool {
     code.match_indices(word).any(|(at, _)| {
         let after = code[at + word.len()..].chars().next();
         let goes_on = after.is_some_and(|c| c.is_alphanumeric() || c == '_');
-        // `.log()` and `.print()` are methods, `fn log` a name of one's own: only paths and macros
-        // reach outside.
+        // `.log()` and `.print()` are methods and `fn log` is a local name: only paths and macros refer to other
+        // crates.
         let reaches = word.contains("::")
             || word.starts_with(char::is_uppercase)
             || word.starts_with("roundel_")

@@ -1,39 +1,41 @@
-//! What judges Roundel: an independent renderer with known truth, and what runs and scores a server.
+//! The independent side of Roundel's tests: a renderer with ground truth, simulated arenas, scenarios, and scoring.
 //!
-//! The renderer shares no projection, distortion, pose or rendering code with `roundel-core`, so a
-//! mistake in one of them cannot cancel against itself:
+//! The renderer shares no projection, distortion, pose or rendering code with `roundel-core`, so an error in one of them
+//! cannot cancel against itself.
 //!
-//! | module | makes |
-//! | --- | --- |
-//! | [`normal`] | the normal distribution: cumulative function, quantiles, a seeded generator |
-//! | [`optics`] | pinhole cameras with `plumb_bob` and `equidistant` lenses, forward and inverse |
-//! | [`coverage`] | how much of each pixel a shape covers, blurred, exact by a contour integral |
-//! | [`render`] | 8-bit frames of roundels that move, over a background |
-//! | [`bound`] | the Cramér-Rao bound of a roundel's pose in such a frame |
-//! | [`coded`] | coded roundels, shown and read |
-//! | [`clutter`] | seeded backgrounds that hold no roundel |
-//! | [`decoy`] | what resembles a roundel and is none |
-//! | [`arena`] | cameras and robots on smooth paths, with the truth at any time |
-//! | [`sensor`] | what those cameras would tell of the robots, without pixels, with the errors stated |
-//! | [`export`] | such an arena as an installation on disk, for `roundel serve` |
-//! | [`pipeline`] | core's own way from such frames to detections and world poses, without a server |
-//! | [`plans`] | what the plan of an installation foretells, beside what happens |
-//! | [`precision`] | single poses drawn at random, with their errors next to the bound |
-//! | [`recall`] | what of shown roundels is found, and what else |
-//! | [`paper`] | the paper's experiments, beside its figures |
-//! | [`rival`] | prints that other detectors look for |
-//! | [`chaos`] | servers under faults that a seed chooses, and the promises that they keep |
-//! | [`soak`] | days of operation in minutes, and what grows meanwhile |
-//! | [`python`] | Python with packages from PyPI, for tests that need them |
-//! | [`scenario`] | what fusion has to hold: seeded worlds, their bars, one table |
-//! | [`recorded`] | what such cameras see, recorded by a server that runs |
-//! | [`score`] | snapshots against the truth: normalized errors, swaps, rms |
-//! | [`survey`] | recordings that an arena is calibrated from, and how far off the result is |
-//! | [`healing`] | cameras that are bumped and drift, and what the watch makes of it |
-//! | [`process`] | a real server process: built, started, read, ended |
-//! | [`layering`] | rules for dependencies and imports, checked on source text |
-//! | [`timing`] | times of following and searching with poses |
-//! | [`shared_data`] | the recordings beside the repository, where they are there |
+//! | stage | modules | content |
+//! | --- | --- | --- |
+//! | rendering | [`random`] | the normal distribution, and a seeded generator |
+//! | | [`optics`] | pinhole cameras with `plumb_bob` and `equidistant` lenses, forward and inverse |
+//! | | [`coverage`] | share of each pixel that a shape covers, blurred, exact by a contour integral |
+//! | | [`render`] | 8-bit frames of moving prints over a background |
+//! | | [`clutter`], [`look_alikes`] | seeded backgrounds without roundels, and shapes that resemble one |
+//! | | [`board`], [`other_markers`] | calibration boards, and prints for other detectors |
+//! | worlds | [`arena`] | cameras and robots on smooth paths, with the truth at any time |
+//! | | [`sensor`] | simulated observations of such cameras without pixels, with known covariances |
+//! | | [`export`], [`recorded`] | an arena as an installation on disk, and as a recording by a running server |
+//! | scoring | [`bound`] | the Cramér-Rao bound of a roundel's pose in a frame |
+//! | | [`score`] | snapshots compared with the truth: normalized errors, swaps, rms |
+//! | detection | [`pipeline`] | core's path from frames to detections and tracks, without a server |
+//! | | [`precision`], [`rolling_shutter`] | errors of single poses relative to the bound; past a rolling shutter |
+//! | | [`coded`], [`elliptical`] | detection of coded roundels, and of elliptical discs |
+//! | | [`recall`] | share of roundels found, and false detections |
+//! | | [`timing`] | times of tracking and searching |
+//! | | [`paper`] | the paper's experiments, compared with its figures |
+//! | systems | [`scenario`] | seeded scenarios of fusion with bars, in one table |
+//! | | [`survey`] | calibration of arenas, and its errors |
+//! | | [`healing`] | bumped and drifting cameras, and the watch's reaction |
+//! | | [`plans`] | predictions of `roundel plan` compared with simulation |
+//! | | [`chaos`] | servers under seeded faults, and the promises that they keep |
+//! | | [`soak`] | days of operation in minutes, and sizes that grow |
+//! | tools | [`process`] | server processes |
+//! | | [`python`], [`shared_data`] | Python with packages from PyPI; recordings beside the repository |
+//! | | [`layering`] | rules for dependencies and imports, checked on source text |
+//!
+//! The binary's subcommands are in `run`.
+
+// Internal to this crate's tests and programs: most names need no comment.
+#![allow(missing_docs)]
 
 pub mod arena;
 pub mod board;
@@ -42,24 +44,24 @@ pub mod chaos;
 pub mod clutter;
 pub mod coded;
 pub mod coverage;
-pub mod decoy;
 pub mod elliptical;
 pub mod export;
 pub mod healing;
 pub mod layering;
-pub mod normal;
+pub mod look_alikes;
 pub mod optics;
+pub mod other_markers;
 pub mod paper;
-pub mod passing;
 pub mod pipeline;
 pub mod plans;
 pub mod precision;
 pub mod process;
 pub mod python;
+pub mod random;
 pub mod recall;
 pub mod recorded;
 pub mod render;
-pub mod rival;
+pub mod rolling_shutter;
 pub mod scenario;
 pub mod score;
 pub mod sensor;

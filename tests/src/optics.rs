@@ -1,12 +1,12 @@
-//! Cameras of the judging side: pinhole with `plumb_bob` or `equidistant` distortion.
+//! Pinhole cameras with `plumb_bob` or `equidistant` distortion, independent of core's.
 //!
-//! Written from the published models alone, and shared with nothing: `plumb_bob` is Brown-Conrady as
-//! OpenCV's documentation gives it (k1 k2 p1 p2 k3), `equidistant` is Kannala-Brandt as in OpenCV's
-//! fisheye page (k1 to k4). Pixel centres lie on integers; camera frame x right, y down, z forward.
+//! Written from the published models alone: `plumb_bob` is Brown-Conrady as in OpenCV's documentation (k1 k2 p1 p2
+//! k3), `equidistant` is Kannala-Brandt as in OpenCV's fisheye page (k1 to k4). Pixel centres lie on integers; camera
+//! frame x right, y down, z forward.
 
 use nalgebra::{Matrix2, Point3, Vector2, Vector3};
 
-/// A lens' distortion, with ROS' names and order of coefficients.
+/// Distortion of a lens, with ROS' names and order of coefficients.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Distortion {
     /// `plumb_bob`: k1 k2 p1 p2 k3.
@@ -16,7 +16,6 @@ pub enum Distortion {
 }
 
 impl Distortion {
-    /// A lens without distortion.
     pub const NONE: Distortion = Distortion::PlumbBob([0.0; 5]);
 
     /// ROS' name of the model.
@@ -35,7 +34,7 @@ impl Distortion {
         }
     }
 
-    /// Where the ray through (x, y, 1) meets the distorted image plane z = 1.
+    /// Distorted image point, on the plane z = 1, of the ray through (x, y, 1).
     fn distort(&self, x: f64, y: f64) -> (f64, f64) {
         match *self {
             Distortion::PlumbBob([k1, k2, p1, p2, k3]) => {
@@ -60,29 +59,25 @@ impl Distortion {
     }
 }
 
-/// One camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pinhole {
-    /// Columns, pixels.
     pub width: usize,
-    /// Rows, pixels.
     pub height: usize,
-    /// Focal lengths along u and v, pixels.
+    /// Along u and v.
     pub focal_px: [f64; 2],
-    /// Principal point (u, v), pixels.
+    /// Principal point (u, v).
     pub center_px: [f64; 2],
-    /// The lens.
     pub distortion: Distortion,
 }
 
 impl Pinhole {
-    /// A camera with square pixels and its principal point in the middle of the image.
+    /// Square pixels, principal point at the image centre.
     pub fn centered(width: usize, height: usize, focal_px: f64, distortion: Distortion) -> Self {
         let center_px = [(width as f64 - 1.0) / 2.0, (height as f64 - 1.0) / 2.0];
         Self { width, height, focal_px: [focal_px; 2], center_px, distortion }
     }
 
-    /// Raw pixel (u, v) of a point of the camera frame; `None` at or behind the camera.
+    /// Raw pixel (u, v) of a point in the camera frame, or `None` at or behind the camera.
     pub fn project(&self, point_m: &Point3<f64>) -> Option<Vector2<f64>> {
         if point_m.z <= 1e-6 {
             return None;
@@ -94,8 +89,8 @@ impl Pinhole {
         ))
     }
 
-    /// The ray (x, y, 1) that raw pixel (u, v) sees, by Newton's method on [`Self::project`] with
-    /// numeric derivatives; `None` where the lens' polynomial cannot be inverted.
+    /// The ray (x, y, 1) of a raw pixel (u, v), by Newton's method on [`Self::project`] with numeric derivatives.
+    /// `None` where the distortion polynomial cannot be inverted.
     pub fn ray(&self, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
         const STEP: f64 = 1e-6;
         let wanted = Vector2::new(
@@ -154,7 +149,7 @@ mod tests {
         assert!(camera.project(&Point3::new(0.0, 0.0, -1.0)).is_none());
     }
 
-    /// Worked by hand from the published equations, so that a slip in one term shows.
+    /// Numbers worked out by hand from the published equations, so that an error in one term shows.
     #[test]
     fn distortion_matches_hand_worked_numbers() {
         // x = 0.3, y = -0.2: r² = 0.13; radial = 1 + 0.1·0.13 + 0.01·0.0169 = 1.013169;

@@ -1,5 +1,5 @@
-//! Core's way from rendered frames to detections and to fused objects, without a server: what is
-//! judged, put together as the server does it. Types of core are used here at the border only.
+//! Core's path from rendered frames to detections and to tracks, assembled as in the server but without it. The only
+//! place where this crate's arenas are converted to core's types.
 
 use anyhow::Context;
 use nalgebra::Vector3;
@@ -24,7 +24,6 @@ use crate::{
     render::Image,
 };
 
-/// A camera as core takes it.
 pub fn core_camera(optics: &Pinhole) -> anyhow::Result<Camera> {
     let lens = match optics.distortion {
         Distortion::PlumbBob(d) => Lens::PlumbBob(d),
@@ -42,7 +41,6 @@ pub fn core_camera(optics: &Pinhole) -> anyhow::Result<Camera> {
     Camera::new(intrinsics).context("core refuses the camera")
 }
 
-/// Kinds of roundel as core takes them.
 pub fn core_kinds(kinds: &[arena::Kind]) -> Vec<Kind> {
     let kind = |kind: &arena::Kind| {
         let pattern = match (kind.inner_minor_m, kind.code_bits) {
@@ -56,22 +54,22 @@ pub fn core_kinds(kinds: &[arena::Kind]) -> Vec<Kind> {
     kinds.iter().map(kind).collect()
 }
 
-/// One camera's detector, tracker and poses.
+/// One camera's detector, tracker and pose estimation.
 pub struct Observer {
     tracker: Tracker,
     locator: Locator,
-    /// What became of the newest frame's rings.
+    /// Results for the rings of the newest frame.
     located: Vec<Result<Located, PoseError>>,
     line_time_s: f64,
 }
 
 impl Observer {
-    /// For a camera of this lens and shutter that looks for these kinds.
+    /// For a camera with this lens and shutter and these kinds of roundel.
     pub fn new(optics: &Pinhole, kinds: &[arena::Kind], line_time_s: f64) -> anyhow::Result<Self> {
         Self::with_params(optics, kinds, line_time_s, Params::default())
     }
 
-    /// The same with another mode or other limits.
+    /// Like [`Self::new`], with another mode or other limits.
     pub fn with_params(
         optics: &Pinhole,
         kinds: &[arena::Kind],
@@ -85,12 +83,12 @@ impl Observer {
         Ok(Self { tracker, locator, located: Vec::new(), line_time_s })
     }
 
-    /// What is seen in the next frame, whose middle row was exposed at `capture_ns`.
+    /// Detections in the next frame, whose centre row was exposed at `capture_ns`.
     pub fn observe(&mut self, image: &Image, capture_ns: i64) -> anyhow::Result<Vec<Detection>> {
         self.observe_with(image, capture_ns, true)
     }
 
-    /// The same of a frame in which no code can be read.
+    /// The same for a frame in which no code can be read.
     pub fn observe_unread(&mut self, image: &Image) -> anyhow::Result<Vec<Detection>> {
         self.observe_with(image, 0, false)
     }
@@ -124,10 +122,10 @@ impl Observer {
     }
 }
 
-/// What a server believes of clocks that it was told nothing of.
+/// A server's prior for clocks without configuration.
 const UNSET_CLOCK: ClockPrior = ClockPrior { offset_s: 0.05, skew: 1e-4 };
 
-/// Fusion of an arena's cameras, whose places are exactly known; of clocks that are not right it is told so.
+/// Fusion of an arena's cameras with exactly known poses. Clocks that are off get [`UNSET_CLOCK`].
 pub fn fusion(arena: &Arena, params: FusionParams) -> Fusion {
     let mut fusion = Fusion::new(params);
     for (index, site) in arena.sites.iter().enumerate() {
@@ -157,7 +155,7 @@ pub fn fusion(arena: &Arena, params: FusionParams) -> Fusion {
     fusion
 }
 
-/// Deviation of what is exactly known, m and rad.
+/// Deviation of values that are exactly known, m and rad.
 const EXACT: f64 = 1e-5;
 
 /// A camera on a robot with a coded roundel.
@@ -178,7 +176,7 @@ fn core_code(kind: &arena::Kind, number: Option<u16>) -> Option<Code> {
     Some(Code { bits, number })
 }
 
-/// A frame's detections as fusion takes them, received when they were captured.
+/// A frame's detections in fusion's type, received when they were captured.
 pub fn observations(
     camera: usize,
     frame: usize,
@@ -195,7 +193,7 @@ pub fn observations(
     }
 }
 
-/// What of a snapshot is scored, as a message.
+/// The scored part of a snapshot, as a message.
 pub fn message(snapshot: &world::Snapshot) -> v1::Snapshot {
     let vector = |v: &Vector3<f64>| v1::Vector3 { x: v.x, y: v.y, z: v.z };
     let object = |state: &world::ObjectState| {

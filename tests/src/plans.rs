@@ -1,11 +1,12 @@
-//! What [`roundel_core::plan`] foretells, beside what happens: set-ups drawn at random, rendered, detected and located.
+//! Compares the predictions of [`roundel_core::plan`] with simulation: random set-ups, rendered, detected and
+//! located.
 //!
-//! A [`SetUp`] is a camera, a print, a tilt, an imaging and a mode. Of each is told, by the plan and by simulation,
-//! the farthest distance at which roundels are found near the optical axis ([`SetUp::reach`]), and the rms errors of
-//! roundels of one size anywhere in the picture ([`SetUp::errors`]), along the line of sight and across it. The
-//! plan knows the lens and the imaging, and nothing of the pixels. [`loads`] does the same with time.
+//! A [`SetUp`] is a camera, a print, a tilt, an imaging and a mode. Two predictions are compared: the largest
+//! distance at which roundels are found near the optical axis ([`SetUp::reach`]), and the rms errors of roundels of
+//! one size anywhere in the picture, along the line of sight and across it ([`SetUp::errors`]). The plan knows the
+//! lens and the imaging, but not the pixels. [`times`] compares times.
 
-pub mod loads;
+pub mod times;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
 use rayon::prelude::*;
@@ -20,58 +21,52 @@ use roundel_core::{
 
 use crate::{
     arena,
-    normal::Random,
     optics::{Distortion, Pinhole},
     pipeline::{Observer, core_camera},
     precision::{FLOOR, window},
-    render::{Canvas, Imaging, Print, Renderer, Seen},
+    random::Random,
+    render::{Canvas, Imaging, MovingPrint, Print, Renderer},
 };
 
-/// Distances that are tried, shares of the one foretold.
+/// Simulated distances, in steps relative to the predicted one.
 const STEPS: std::ops::RangeInclusive<i32> = -10..=8;
 const STEP: f64 = 0.02;
-/// Share of roundels that have to be found at a distance.
+/// Share of roundels that must be found at a distance.
 const RELIABLE: f64 = 0.9;
-/// Frames in which a roundel is followed before its error counts.
+/// Frames in which a roundel is tracked before its error counts.
 const FRAMES: usize = 3;
-/// A white margin out of sight of the rims, as a share of the outer diameter.
+/// White margin, as a share of the outer diameter; wide enough not to affect the rims.
 const MARGIN: f64 = 0.4;
 
-/// What is planned and simulated.
 #[derive(Clone, Debug)]
 pub struct SetUp {
-    /// Its lens.
     pub camera: Pinhole,
-    /// How it images; exposure and shutter do not count.
+    /// Exposure and shutter are ignored.
     pub imaging: Imaging,
-    /// Outer diameter, metres.
+    /// Outer diameter.
     pub outer_m: f64,
     /// Inner over outer diameter.
     pub ratio: f64,
     /// Against the image plane for the reach, against the line of sight for the errors.
     pub tilt_rad: f64,
-    /// Outer diameter over depth times focal length for the errors, pixels.
+    /// Outer diameter over depth times focal length, for the errors.
     pub diameter_px: f64,
-    /// How pictures are searched.
     pub mode: Mode,
 }
 
-/// A figure foretold, and the same as it came out.
+/// A predicted figure and the simulated one.
 #[derive(Clone, Copy, Debug)]
 pub struct Pair {
-    /// By the plan.
     pub planned: f64,
-    /// By simulation.
     pub simulated: f64,
 }
 
 impl Pair {
-    /// Planned over simulated.
     pub fn ratio(&self) -> f64 {
         self.planned / self.simulated
     }
 
-    /// Whether the plan is off by at most this share.
+    /// Whether the relative error of the prediction is at most `share`.
     pub fn holds(&self, share: f64) -> bool {
         (self.ratio() - 1.0).abs() <= share
     }
@@ -80,16 +75,16 @@ impl Pair {
 /// Rms errors of one set-up.
 #[derive(Clone, Copy, Debug)]
 pub struct Errors {
-    /// Along the line of sight, metres.
+    /// Along the line of sight.
     pub depth_m: Pair,
-    /// Each of the two across it, metres.
+    /// Each of the two across it.
     pub across_m: Pair,
     /// Roundels that were not found.
     pub missed: usize,
 }
 
 impl SetUp {
-    /// The set-up of this number.
+    /// The random set-up of this number.
     pub fn draw(number: u64) -> Self {
         let mut random = Random::new(number, 0x91a);
         let sizes = [(640, 480), (1280, 720), (1920, 1080)];
@@ -116,7 +111,7 @@ impl SetUp {
         }
     }
 
-    /// The print as core knows it.
+    /// The print in core's type.
     pub fn kind(&self) -> Kind {
         Kind {
             pattern: Pattern::Plain,
@@ -125,7 +120,7 @@ impl SetUp {
         }
     }
 
-    /// What the plan is told.
+    /// Input of the plan.
     pub fn sensor(&self) -> Sensor {
         let Imaging { noise, blur_px, black, white, .. } = self.imaging;
         Sensor {
@@ -136,12 +131,11 @@ impl SetUp {
         }
     }
 
-    /// What the plan says of distances.
     pub fn planned_reach(&self) -> Result<DetectionRange, PlanError> {
         detection_range(&self.sensor(), &self.kind(), self.tilt_rad)
     }
 
-    /// The farthest distance at which nine of ten of `count` roundels are found, metres.
+    /// The largest distance at which nine of ten of `count` roundels are found, metres.
     pub fn reach(&self, count: usize) -> Result<Pair, PlanError> {
         let planned = self.planned_reach()?.max_m;
         let mut simulated = f64::NAN;
@@ -223,7 +217,7 @@ impl SetUp {
         poses
     }
 
-    /// Tilted against the plane across `axis`, to any side.
+    /// Tilted against the plane across `axis`, in a random direction.
     fn tilted(
         &self,
         position: Vector3<f64>,
@@ -239,7 +233,7 @@ impl SetUp {
         Isometry3::from_parts(Translation3::from(position), rotation)
     }
 
-    /// Where the roundel is seen in the last one of these frames; `None` where it is not.
+    /// Position in the last frame, or `None` if the roundel is not found there.
     fn observe(&self, poses: &[Isometry3<f64>], random: &mut Random) -> Option<Vector3<f64>> {
         let camera = window(&self.camera, &poses[0]);
         let kind = arena::Kind {
@@ -256,7 +250,8 @@ impl SetUp {
         let mut position = None;
         for pose in poses {
             let motion = |_: f64| *pose;
-            let image = renderer.frame(&floor, &[Seen { print: &print, motion: &motion }], random);
+            let image =
+                renderer.frame(&floor, &[MovingPrint { print: &print, motion: &motion }], random);
             let found = observer.observe(&image, 0).expect("a frame of the camera's size");
             position = found.into_iter().find_map(|one| one.pose).map(|pose| pose.position_m);
         }
@@ -267,7 +262,8 @@ impl SetUp {
 /// The first `count` set-ups with their reach and errors, from `reaches` and `shots` roundels each.
 pub fn compare(
     count: u64,
-    (reaches, shots): (usize, usize),
+    reaches: usize,
+    shots: usize,
 ) -> Vec<(SetUp, Result<Pair, PlanError>, Errors)> {
     let one = |number| {
         let set_up = SetUp::draw(number);

@@ -1,15 +1,14 @@
-//! Single roundels with known poses, seen by core through its public way, and their errors next to
-//! the Cramér-Rao bound.
+//! Poses of single roundels by core's public interface, and their errors relative to the Cramér-Rao bound.
 //!
-//! A [`Trial`] is one roundel (outer 160 mm, on a white sheet on a grey floor) before the reference
-//! camera (1920x1080, f = 1100 px, mild `plumb_bob`), at a random place of the image and a random place within its pixels. Two frames are taken,
-//! or more: the first is searched, and in the others, from each to the next of which it has moved by about a
-//! pixel and turned by about a degree, it is followed. Blur, noise and pose are drawn at random within a [`Range`] and unknown to
-//! core. To save time, only the part of the image about the roundel is drawn: a camera read out in a
-//! window is the same camera with its principal point elsewhere.
+//! A [`Trial`] is one roundel (outer 160 mm, on a white sheet on a grey floor) before the reference camera
+//! (1920x1080, f = 1100 px, mild `plumb_bob`), at a random subpixel position anywhere in the image. It has two frames
+//! or more. The first is searched. In the others the roundel is tracked; it moves by about a pixel and rotates by
+//! about a degree from frame to frame. Blur, noise and pose are drawn at random within a [`Range`] and unknown to
+//! core. To save time, only a window about the roundel is rendered: that is the same camera with another principal
+//! point.
 //!
-//! Errors are compared trial by trial: [`Summary::depth_over_bound`] is the rms of error over bound,
-//! so that cells of mixed size and noise compare, and easy trials cannot hide bad ones.
+//! Errors are compared trial by trial: [`Summary::depth_over_bound`] is the rms of error over bound, so that cells of
+//! mixed size and noise are comparable, and easy trials cannot hide bad ones.
 
 use nalgebra::{
     Isometry3, Matrix5, Matrix6, SMatrix, Translation3, UnitQuaternion, Vector3, Vector5,
@@ -25,70 +24,70 @@ use crate::{
     arena::Kind,
     bound::{Bound, Scene, Unknowns, bound},
     coded::{coded_print, words},
-    normal::Random,
     optics::{Distortion, Pinhole},
     pipeline::Observer,
-    render::{Canvas, Imaging, Print, Renderer, Seen},
+    random::Random,
+    render::{Canvas, Imaging, MovingPrint, Print, Renderer},
     score::{CHI2_95_3, normalized3},
 };
 
 /// 95 % of χ² with five degrees of freedom.
 pub const CHI2_95_5: f64 = 11.070;
-/// Side of the part of the image that is drawn, pixels.
+/// Side of the window that is rendered.
 const SIDE_PX: usize = 256;
 /// Grey level of the floor.
 pub(crate) const FLOOR: f64 = 120.0;
-/// A margin whose edge is out of sight of whatever looks at the rims, as a share of the outer diameter.
+/// A margin whose edge is out of reach of edge measurements, as a share of the outer diameter.
 pub const WIDE_MARGIN: f64 = 1.0;
-/// A margin as prints have it: a small roundel's rim and the sheet's edge are blurred into each other.
+/// A margin as on real prints: the blur of a small roundel's rim overlaps that of the sheet's edge.
 pub const NARROW_MARGIN: f64 = 0.25;
 
 /// Ratio of the diameters of most prints.
 pub const RATIO: f64 = 0.4;
 
-/// What trials are drawn from, evenly between both ends.
+/// Uniform distributions, minimum to maximum, of a trial's parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Range {
-    /// Outer diameter over depth times focal length, pixels.
+    /// Outer diameter over depth times focal length.
     pub diameter_px: (f64, f64),
-    /// Between normal and line of sight, degrees.
+    /// Angle between normal and line of sight.
     pub tilt_deg: (f64, f64),
-    /// Deviation of the blur, pixels.
+    /// Deviation of the blur.
     pub blur_px: (f64, f64),
     /// Deviation of the noise, grey levels.
     pub noise: (f64, f64),
-    /// Motion within the exposure, across the line of sight to a random side, pixels.
+    /// Motion within the exposure, across the line of sight in a random direction.
     pub motion_px: (f64, f64),
-    /// The white margin, as a share of the outer diameter.
+    /// White margin, as a share of the outer diameter.
     pub margin: f64,
-    /// The white disc's diameter, as a share of the outer one.
+    /// Diameter of the white disc, as a share of the outer one.
     pub ratio: f64,
 }
 
-/// One roundel in some frames.
+/// One roundel in consecutive frames.
 #[derive(Clone, Debug)]
 pub struct Trial {
-    /// Outer diameter over depth times focal length, pixels.
+    /// Outer diameter over depth times focal length.
     pub diameter_px: f64,
-    /// Between normal and line of sight in the first frame, degrees.
+    /// Angle between normal and line of sight in the first frame.
     pub tilt_deg: f64,
-    /// Deviation of the blur, pixels.
+    /// Deviation of the blur.
     pub blur_px: f64,
     /// Deviation of the noise, grey levels.
     pub noise: f64,
-    /// Motion within the exposure, pixels.
+    /// Motion within the exposure.
     pub motion_px: f64,
-    /// Searched, then followed.
-    pub frames: Vec<Shot>,
+    /// The first is searched; in the others the roundel is tracked.
+    pub frames: Vec<TrialFrame>,
 }
 
-/// One frame, as each mode saw it.
+/// One frame, with the result of each mode.
 #[derive(Clone, Debug)]
-pub struct Shot {
-    /// What the frame's pixels hold.
+pub struct TrialFrame {
+    /// Bound of the frame's pixels.
     pub bound: Bound,
     /// By mode, as in [`MODES`]; `None` if the roundel was not found.
-    pub seen: [Option<Errors>; 2],
+    pub errors: [Option<Errors>; 2],
 }
 
 /// The reference camera.
@@ -97,32 +96,30 @@ pub(crate) fn reference() -> Pinhole {
     Pinhole::centered(1920, 1080, 1100.0, distortion)
 }
 
-/// The modes compared.
 pub const MODES: [Mode; 2] = [Mode::Fast, Mode::Precise];
 
 /// Errors of one pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Errors {
-    /// Of the range, as a share of it.
+    /// Relative error of the range.
     pub depth: f64,
-    /// Squared Mahalanobis length of the position's error; NaN if the covariance is none.
+    /// Squared Mahalanobis length of the position's error; NaN if the covariance is not positive definite.
     pub position_square: f64,
-    /// The same of position and tilt; `None` if the other normal was the right one.
+    /// The same for position and tilt; `None` if the second normal is the right one.
     pub pose_square: Option<f64>,
-    /// Angle between the normal given and the true one, radians.
+    /// Angle between the first and the true normal.
     pub normal_rad: f64,
-    /// The same for the closer one of the two normals given.
+    /// Angle between the closer one of the two normals and the true one.
     pub closer_rad: f64,
-    /// How likely the normal given was said to be.
+    /// Stated likelihood of the first normal.
     pub likelihood: f64,
-    /// The turn about the normal, of a coded one that was read and whose normal is the right one.
+    /// Rotation about the normal, if a code was read and the first normal is the right one.
     pub yaw: Option<YawError>,
 }
 
-/// Error of a turn about the normal.
+/// Error of the rotation about the normal.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct YawError {
-    /// Radians.
     pub error_rad: f64,
     /// As stated.
     pub deviation_rad: f64,
@@ -163,7 +160,7 @@ fn angle(one: &Vector3<f64>, other: &Vector3<f64>) -> f64 {
     one.cross(other).norm().atan2(one.dot(other))
 }
 
-/// Squared Mahalanobis length of the error of the position and of the two turns across the normal.
+/// Squared Mahalanobis length of the error of the position and of the two rotations across the normal.
 fn pose_square(pose: &RoundelPose, shift: &Vector3<f64>, normal: &Vector3<f64>) -> f64 {
     let axis = pose.normal.cross(normal);
     let turn =
@@ -171,7 +168,7 @@ fn pose_square(pose: &RoundelPose, shift: &Vector3<f64>, normal: &Vector3<f64>) 
     let helper = if pose.normal.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
     let across = pose.normal.cross(&helper).normalize();
     let along = pose.normal.cross(&across);
-    // The estimate's error turns the other way, which the square does not see if both signs turn.
+    // The estimate's error has the opposite sign, which does not matter for the square if both signs change.
     let mut pick = SMatrix::<f64, 5, 6>::zeros();
     pick.fixed_view_mut::<3, 3>(0, 0).fill_with_identity();
     pick.fixed_view_mut::<1, 3>(3, 3).copy_from(&across.transpose());
@@ -182,31 +179,31 @@ fn pose_square(pose: &RoundelPose, shift: &Vector3<f64>, normal: &Vector3<f64>) 
     covariance.cholesky().map_or(f64::NAN, |root| error.dot(&root.solve(&error)))
 }
 
-/// `count` trials of a range, the same for the same `seed`, in parallel.
+/// `count` trials of a range, computed in parallel; the same for the same `seed`.
 pub fn trials(range: &Range, count: usize, seed: u64) -> Vec<Trial> {
-    followed_trials(range, FRAMES, count, seed)
+    tracked_trials(range, FRAMES, count, seed)
 }
 
-/// The same in so many frames.
-pub fn followed_trials(range: &Range, frames: usize, count: usize, seed: u64) -> Vec<Trial> {
-    let of = |index| trial(range, None, frames, (seed, index));
-    (0..count as u64).into_par_iter().map(of).collect()
+/// Trials with this number of frames.
+pub fn tracked_trials(range: &Range, frames: usize, count: usize, seed: u64) -> Vec<Trial> {
+    let one = |index| trial(range, None, frames, Random::new(index, seed));
+    (0..count as u64).into_par_iter().map(one).collect()
 }
 
 /// Frames of most trials.
 const FRAMES: usize = 2;
 
-/// The same of roundels with codes of `bits` bits, any of them, turned anywhere; their ratio is the codes'.
+/// Trials of roundels with random codes of `bits` bits at random yaw; the ratio is that of coded prints.
 pub fn coded_trials(range: &Range, bits: u8, count: usize, seed: u64) -> Vec<Trial> {
     trials_of(range, &Codes { bits, words: &words(bits), read: [true; 2] }, count, seed)
 }
 
-/// The same of which no code is read in the second frame.
-pub fn once_read_trials(range: &Range, bits: u8, count: usize, seed: u64) -> Vec<Trial> {
+/// Like [`coded_trials`], with no code read in the second frame.
+pub fn trials_read_once(range: &Range, bits: u8, count: usize, seed: u64) -> Vec<Trial> {
     trials_of(range, &Codes { bits, words: &words(bits), read: [true, false] }, count, seed)
 }
 
-/// The same of roundels whose teeth are no code: they look alike after half a turn.
+/// Roundels with teeth that are no code: they look the same after half a turn.
 pub fn uncoded_trials(range: &Range, bits: u8, count: usize, seed: u64) -> Vec<Trial> {
     let half = u32::from(bits / 2);
     let words: Vec<u16> = (1..(1 << half) - 1).map(|part: u16| part << half | part).collect();
@@ -214,20 +211,19 @@ pub fn uncoded_trials(range: &Range, bits: u8, count: usize, seed: u64) -> Vec<T
 }
 
 fn trials_of(range: &Range, codes: &Codes, count: usize, seed: u64) -> Vec<Trial> {
-    let of = |index| trial(range, Some(codes), FRAMES, (seed, index));
-    (0..count as u64).into_par_iter().map(of).collect()
+    let one = |index| trial(range, Some(codes), FRAMES, Random::new(index, seed));
+    (0..count as u64).into_par_iter().map(one).collect()
 }
 
-/// Codes to be shown.
+/// Codes of the prints.
 struct Codes<'a> {
     bits: u8,
     words: &'a [u16],
-    /// Whether what can be read is, by frame.
+    /// Whether codes can be read, by frame.
     read: [bool; FRAMES],
 }
 
-fn trial(range: &Range, codes: Option<&Codes>, frames: usize, (seed, index): (u64, u64)) -> Trial {
-    let mut random = Random::new(index, seed);
+fn trial(range: &Range, codes: Option<&Codes>, frames: usize, mut random: Random) -> Trial {
     let mut draw = |(low, high): (f64, f64)| random.uniform(low, high);
     let (diameter_px, tilt_deg) = (draw(range.diameter_px), draw(range.tilt_deg));
     let (blur_px, noise) = (draw(range.blur_px), draw(range.noise));
@@ -256,9 +252,9 @@ fn trial(range: &Range, codes: Option<&Codes>, frames: usize, (seed, index): (u6
         let per_px = truth.translation.z / whole.focal_px[0];
         let [x_m, y_m] = motion_px_of.map(|px| px * per_px);
         let motion = |time_s: f64| Translation3::new(x_m * time_s, y_m * time_s, 0.0) * truth;
-        let seen = [Seen { print: &print, motion: &motion }];
-        let image = renderer.frame(&floor, &seen, random);
-        let seen = observers.each_mut().map(|observer| {
+        let moving = [MovingPrint { print: &print, motion: &motion }];
+        let image = renderer.frame(&floor, &moving, random);
+        let errors = observers.each_mut().map(|observer| {
             let found =
                 if read { observer.observe(&image, 0) } else { observer.observe_unread(&image) };
             let found = found.expect("a frame of the camera's size");
@@ -269,7 +265,7 @@ fn trial(range: &Range, codes: Option<&Codes>, frames: usize, (seed, index): (u6
         let unknowns =
             Unknowns { yaw: codes.is_some(), motion: motion_px > 0.0, ..Unknowns::default() };
         let bound = bound(&scene, unknowns).expect("a roundel in plain view");
-        Shot { bound, seen }
+        TrialFrame { bound, errors }
     };
     let frames = (0..frames)
         .map(|frame| {
@@ -284,7 +280,7 @@ fn trial(range: &Range, codes: Option<&Codes>, frames: usize, (seed, index): (u6
     Trial { diameter_px, tilt_deg, blur_px, noise, motion_px, frames }
 }
 
-/// What is shown.
+/// A kind and its print.
 pub(crate) fn printed(
     range: &Range,
     codes: Option<(u8, &[u16])>,
@@ -302,7 +298,7 @@ pub(crate) fn printed(
     (kind, print)
 }
 
-/// A roundel of this size and tilt, turned to a random side, at a random place of the image.
+/// A pose of this size and tilt, leaning in a random direction, at a random place of the image.
 pub(crate) fn pose(
     camera: &Pinhole,
     diameter_px: f64,
@@ -320,10 +316,10 @@ pub(crate) fn pose(
     Isometry3::from_parts(Translation3::from(position), facing * lean)
 }
 
-/// The pose one frame later: shifted by up to `share` of its depth's diameter, turned by up to a degree.
+/// The pose one frame later: shifted by up to `share` of its depth's diameter, rotated by up to a degree.
 fn moved(pose: &Isometry3<f64>, share: f64, random: &mut Random) -> Isometry3<f64> {
-    let most_m = share * Kind::robot().outer_diameter_m;
-    let shift = Vector3::from_fn(|_, _| random.uniform(-most_m, most_m));
+    let max_m = share * Kind::robot().outer_diameter_m;
+    let shift = Vector3::from_fn(|_, _| random.uniform(-max_m, max_m));
     let turn = Vector3::from_fn(|_, _| random.uniform(-0.01, 0.01));
     Isometry3::from_parts(
         Translation3::from(pose.translation.vector + shift),
@@ -331,7 +327,7 @@ fn moved(pose: &Isometry3<f64>, share: f64, random: &mut Random) -> Isometry3<f6
     )
 }
 
-/// The camera read out about a roundel only.
+/// A camera that reads out a window about a roundel.
 pub(crate) fn window(whole: &Pinhole, pose: &Isometry3<f64>) -> Pinhole {
     let center = whole.project(&pose.translation.vector.into()).expect("a place in the image");
     let half = SIDE_PX as f64 / 2.0;
@@ -340,14 +336,13 @@ pub(crate) fn window(whole: &Pinhole, pose: &Isometry3<f64>) -> Pinhole {
     Pinhole { width: SIDE_PX, height: SIDE_PX, center_px, ..*whole }
 }
 
-/// What became of some shots in one mode.
+/// Statistics of frames in one mode.
 #[derive(Clone, Debug, Default)]
 pub struct Summary {
-    /// Shots, and those in which the roundel was not found.
-    pub shots: usize,
-    /// See [`Self::shots`].
+    pub frames: usize,
+    /// Frames in which the roundel was not found.
     pub missed: usize,
-    /// Error and bound of the depth, as shares.
+    /// Relative errors and bounds of the depth.
     depths: Vec<(f64, f64)>,
     position_inside: usize,
     poses: usize,
@@ -361,16 +356,16 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Of the shots given, as the mode of this index in [`MODES`] saw them.
-    pub fn of<'a>(shots: impl IntoIterator<Item = &'a Shot>, mode: usize) -> Self {
+    /// Statistics for the mode of this index in [`MODES`].
+    pub fn of<'a>(frames: impl IntoIterator<Item = &'a TrialFrame>, mode: usize) -> Self {
         let mut summary = Self::default();
-        for shot in shots {
-            summary.shots += 1;
-            let Some(errors) = &shot.seen[mode] else {
+        for frame in frames {
+            summary.frames += 1;
+            let Some(errors) = &frame.errors[mode] else {
                 summary.missed += 1;
                 continue;
             };
-            summary.depths.push((errors.depth, shot.bound.range_share));
+            summary.depths.push((errors.depth, frame.bound.range_share));
             summary.position_inside += usize::from(errors.position_square <= CHI2_95_3);
             if let Some(square) = errors.pose_square {
                 summary.poses += 1;
@@ -378,9 +373,9 @@ impl Summary {
             }
             summary.normals_rad.push(errors.normal_rad);
             summary.closer_rad.push(errors.closer_rad);
-            summary.normal_bounds_rad.push(shot.bound.normal_rad());
+            summary.normal_bounds_rad.push(frame.bound.normal_rad());
             summary.likelihood += errors.likelihood;
-            summary.yaws.extend(errors.yaw.zip(shot.bound.yaw_rad));
+            summary.yaws.extend(errors.yaw.zip(frame.bound.yaw_rad));
         }
         summary.normals_rad.sort_by(f64::total_cmp);
         summary.closer_rad.sort_by(f64::total_cmp);
@@ -388,7 +383,7 @@ impl Summary {
         summary
     }
 
-    /// Shots in which the roundel was found.
+    /// Frames in which the roundel was found.
     pub fn found(&self) -> usize {
         self.depths.len()
     }
@@ -397,12 +392,12 @@ impl Summary {
         self.depths.iter().map(value).sum::<f64>() / self.found() as f64
     }
 
-    /// Rms error of the depth, as a share.
+    /// Relative rms error of the depth.
     pub fn depth_rms(&self) -> f64 {
         self.mean(|(error, _)| error * error).sqrt()
     }
 
-    /// Rms of the depth's bounds, as a share.
+    /// Rms of the depth's relative bounds.
     pub fn depth_bound(&self) -> f64 {
         self.mean(|(_, bound)| bound * bound).sqrt()
     }
@@ -422,22 +417,22 @@ impl Summary {
         self.position_inside as f64 / self.found() as f64
     }
 
-    /// Share of poses (position and tilt) inside it, of those whose normal is not the wrong one.
+    /// Share of poses (position and tilt) inside their ellipsoid, among those with the right normal.
     pub fn pose_share(&self) -> f64 {
         self.pose_inside as f64 / self.poses as f64
     }
 
-    /// Share of poses that give the wrong one of two normals.
-    pub fn mistaken(&self) -> f64 {
+    /// Share of poses whose first normal is the wrong one.
+    pub fn wrong_normal_share(&self) -> f64 {
         1.0 - self.poses as f64 / self.found() as f64
     }
 
-    /// How often the normal given was said to be wrong, on average.
-    pub fn mistaken_as_stated(&self) -> f64 {
+    /// Mean stated probability that the first normal is wrong.
+    pub fn stated_wrong_share(&self) -> f64 {
         1.0 - self.likelihood / self.found() as f64
     }
 
-    /// Roundels whose yaw was told.
+    /// Roundels with an estimated yaw.
     pub fn turned(&self) -> usize {
         self.yaws.len()
     }
@@ -447,12 +442,12 @@ impl Summary {
         self.yaw_mean(|(yaw, bound)| (yaw.error_rad / bound).powi(2)).sqrt()
     }
 
-    /// Rms of the yaw's error over what was stated.
+    /// Rms of the yaw's error over its stated deviation.
     pub fn yaw_over_stated(&self) -> f64 {
         self.yaw_mean(|(yaw, _)| (yaw.error_rad / yaw.deviation_rad).powi(2)).sqrt()
     }
 
-    /// Rms error of the yaw, degrees.
+    /// Rms error of the yaw.
     pub fn yaw_deg(&self) -> f64 {
         self.yaw_mean(|(yaw, _)| yaw.error_rad.powi(2)).sqrt().to_degrees()
     }
@@ -461,29 +456,29 @@ impl Summary {
         self.yaws.iter().map(value).sum::<f64>() / self.turned() as f64
     }
 
-    /// The normal's error that this share of shots does not exceed, degrees.
+    /// Quantile of the normal's error.
     pub fn normal_deg(&self, share: f64) -> f64 {
         quantile(&self.normals_rad, share).to_degrees()
     }
 
-    /// The same for the closer one of the two normals.
+    /// Quantile of the error of the closer one of the two normals.
     pub fn closer_deg(&self, share: f64) -> f64 {
         quantile(&self.closer_rad, share).to_degrees()
     }
 
-    /// Rms error of the closer one of the two normals, degrees.
+    /// Rms error of the closer one of the two normals.
     pub fn closer_rms_deg(&self) -> f64 {
         let squares: f64 = self.closer_rad.iter().map(|angle| angle * angle).sum();
         (squares / self.found() as f64).sqrt().to_degrees()
     }
 
-    /// Median of the rms that the bound allows the normal, degrees.
+    /// Median of the bound of the normal's rms error.
     pub fn normal_bound_deg(&self) -> f64 {
         quantile(&self.normal_bounds_rad, 0.5).to_degrees()
     }
 }
 
-/// The value at a share of a sorted list; NaN of none.
+/// The value at a share of a sorted list, or NaN of an empty one.
 fn quantile(sorted: &[f64], share: f64) -> f64 {
     let last = sorted.len().saturating_sub(1) as f64;
     sorted.get((share * last).round() as usize).copied().unwrap_or(f64::NAN)

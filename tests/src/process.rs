@@ -1,5 +1,5 @@
-//! A real server process: the binary found or built, started on a free port, its output captured,
-//! and ended when the test is done with it.
+//! Server processes: builds the binary if necessary, starts it on a free port, captures its output, and ends it with
+//! the test.
 
 use std::{
     fs,
@@ -16,10 +16,9 @@ use std::{
 
 use anyhow::{Context, bail, ensure};
 
-/// What a server prints, once, when it takes connections; the address follows.
+/// Printed by a server once it accepts connections, followed by its address.
 const LISTENING: &str = "listening on http://";
 
-/// The repository's root.
 pub fn workspace_root() -> PathBuf {
     let manifest = Path::new(env!("CARGO_MANIFEST_DIR"));
     manifest.parent().unwrap_or(manifest).to_path_buf()
@@ -32,7 +31,7 @@ pub fn roundel() -> anyhow::Result<PathBuf> {
     found.clone().map_err(anyhow::Error::msg)
 }
 
-/// An example of the Rust client, of this test's profile, built if it is missing or older than its sources.
+/// An example of the Rust client in this test's profile, built if it is missing or older than its sources.
 pub fn example(name: &str) -> anyhow::Result<PathBuf> {
     let file = format!("examples/{name}{}", std::env::consts::EXE_SUFFIX);
     up_to_date(&file, &["-p", "roundel-client", "-p", "roundel-tests", "--example", name])
@@ -40,11 +39,11 @@ pub fn example(name: &str) -> anyhow::Result<PathBuf> {
 
 fn find_or_build() -> anyhow::Result<PathBuf> {
     let file = format!("roundel{}", std::env::consts::EXE_SUFFIX);
-    // Naming this crate too keeps the features, and so most of what is built already.
+    // Naming this crate too selects the same features, so that most of the build is reused.
     up_to_date(&file, &["-p", "roundel-server", "-p", "roundel-tests", "--bin", "roundel"])
 }
 
-/// A file of this test's profile, which cargo makes of these targets.
+/// A file of this test's profile, built from these targets if necessary.
 fn up_to_date(file: &str, targets: &[&str]) -> anyhow::Result<PathBuf> {
     // target/PROFILE/deps/test-HASH
     let test = std::env::current_exe()?;
@@ -78,7 +77,7 @@ fn up_to_date(file: &str, targets: &[&str]) -> anyhow::Result<PathBuf> {
     Ok(binary)
 }
 
-/// When the newest file that goes into the binary was changed.
+/// Modification time of the newest file that the binary is built from.
 fn newest_source(root: &Path) -> SystemTime {
     fn newest(path: &Path) -> SystemTime {
         let Ok(data) = fs::metadata(path) else { return SystemTime::UNIX_EPOCH };
@@ -123,15 +122,15 @@ pub struct Server {
 }
 
 impl Server {
-    /// Starts `roundel ARGS…` in `folder` and waits until it says where it listens.
+    /// Starts `roundel ARGS…` in `folder` and waits until it prints its address.
     ///
-    /// The arguments or the configuration must ask for port 0. Fails with what it printed if it ends
-    /// first, or says nothing for a minute.
+    /// The arguments or the configuration must select port 0. Fails with the server's output if it ends first or
+    /// prints no address within a minute.
     pub fn start(args: &[&str], folder: &Path) -> anyhow::Result<Server> {
         Self::start_with(args, folder, &[])
     }
 
-    /// Like [`Server::start`], with these variables in its environment.
+    /// Like [`Server::start`], with additional environment variables.
     pub fn start_with(
         args: &[&str],
         folder: &Path,
@@ -151,7 +150,7 @@ impl Server {
         capture(child.stdout.take(), stdout.clone(), move |line| {
             if let Some((_, address)) = line.split_once(LISTENING) {
                 let word = address.split_whitespace().next().unwrap_or_default();
-                // The test may have stopped listening: the address is wanted once.
+                // Only the first address is received.
                 let _ = say.send(word.trim_end_matches('/').to_owned());
             }
         });
@@ -192,7 +191,7 @@ impl Server {
         format!("http://{}", self.address)
     }
 
-    /// All that was printed so far: standard output, then standard error.
+    /// Output so far: standard output, then standard error.
     pub fn log(&self) -> String {
         let text = |part: &Mutex<String>| part.lock().map(|text| text.clone()).unwrap_or_default();
         format!("{}\n{}", text(&self.stdout), text(&self.stderr))
@@ -206,12 +205,11 @@ impl Server {
         Ok(())
     }
 
-    /// Whether the process has ended.
     pub fn has_ended(&mut self) -> bool {
         self.child.try_wait().is_ok_and(|status| status.is_some())
     }
 
-    /// Waits until the process ends without being asked to; an error if it still runs after `longest`.
+    /// Waits until the process ends. Fails if it still runs after `longest`.
     pub fn wait(&mut self, longest: Duration) -> anyhow::Result<ExitStatus> {
         let start = Instant::now();
         loop {
@@ -230,7 +228,7 @@ impl Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
-        // It may have ended already; then there is nothing to do.
+        // Fails harmlessly if it has ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
         if thread::panicking() {
@@ -239,7 +237,7 @@ impl Drop for Server {
     }
 }
 
-/// Copies a pipe's lines into `text` and shows each to `see`, on a thread that ends with the pipe.
+/// Copies a pipe's lines into `text` and passes each to `see`, on a thread that ends with the pipe.
 fn capture(
     pipe: Option<impl Read + Send + 'static>,
     text: Arc<Mutex<String>>,

@@ -1,8 +1,8 @@
-//! Python with packages from PyPI, for tests that read what only such packages can read or ship.
+//! Python with packages from PyPI, for tests that need files which only such packages read or contain.
 //!
-//! In: a folder for what is made (`target/tmp` of a test). Out: the folder that one of the scripts in
-//! `tests/python` has filled, made once and kept as long as script, arguments and packages stay the
-//! same. Where Python, its `venv` or the network is missing the test is told to skip, by name.
+//! In: a folder for outputs (`target/tmp` of a test). Out: the folder that a script in `tests/python` has filled. It
+//! is kept until the script, its arguments or the packages change. Where Python, its `venv` or the network is
+//! missing, the test is skipped with a line that names the reason.
 
 use std::{
     ffi::OsStr,
@@ -12,7 +12,7 @@ use std::{
     process::{Command, Output},
 };
 
-/// Scripts and what they need.
+/// The scripts and their requirements.
 const SCRIPTS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/python");
 
 /// A virtual environment with `tests/python/requirements.txt` installed.
@@ -23,8 +23,7 @@ pub struct Python {
 }
 
 impl Python {
-    /// The environment in `folder`, made if it is not there; `None`, with one line that says so, where
-    /// it cannot be made.
+    /// The environment in `folder`, created if necessary. `None` if that fails, after printing why.
     pub fn new(test: &str, folder: &Path) -> Option<Self> {
         let requirements = Path::new(SCRIPTS).join("requirements.txt");
         let packages = fs::read_to_string(&requirements).expect("tests/python/requirements.txt");
@@ -46,13 +45,12 @@ impl Python {
         }
     }
 
-    /// The interpreter.
     pub fn program(&self) -> &Path {
         &self.program
     }
 
-    /// The folder NAME that `tests/python/SCRIPT ARGUMENTS… FOLDER` has filled; `None`, with one line
-    /// that says so, where the script fails.
+    /// The folder NAME that `tests/python/SCRIPT ARGUMENTS… FOLDER` has filled. `None` if the script fails, after
+    /// printing why.
     pub fn folder(
         &self,
         test: &str,
@@ -77,30 +75,30 @@ impl Python {
     }
 }
 
-/// Has `make` fill an empty `folder` unless it was filled for the same `key`. Tests that run at the
-/// same time, in one process or several, wait for each other.
+/// Makes `make` fill an empty `folder` unless it was filled for the same `key`. Tests that run at the same time, in
+/// one process or several, wait for each other.
 fn cached(
     folder: &Path,
     key: &str,
     make: impl FnOnce() -> Result<(), String>,
 ) -> Result<(), String> {
-    let told = |error: io::Error| format!("{}: {error}", folder.display());
+    let with_folder = |error: io::Error| format!("{}: {error}", folder.display());
     let marker = folder.with_extension("made");
-    let lock = File::create(folder.with_extension("lock")).map_err(told)?;
-    lock.lock().map_err(told)?;
+    let lock = File::create(folder.with_extension("lock")).map_err(with_folder)?;
+    lock.lock().map_err(with_folder)?;
     if fs::read_to_string(&marker).is_ok_and(|made| made == key) {
         return Ok(());
     }
     let _ = fs::remove_file(&marker);
     if folder.exists() {
-        fs::remove_dir_all(folder).map_err(told)?;
+        fs::remove_dir_all(folder).map_err(with_folder)?;
     }
-    fs::create_dir_all(folder).map_err(told)?;
+    fs::create_dir_all(folder).map_err(with_folder)?;
     make()?;
-    fs::write(&marker, key).map_err(told)
+    fs::write(&marker, key).map_err(with_folder)
 }
 
-/// Runs a command to its end; the error is the last line that it wrote.
+/// Runs a command to completion. The error is the last line that it wrote.
 fn run(command: &mut Command) -> Result<(), String> {
     let Output { status, stderr, .. } =
         command.output().map_err(|error| format!("{:?}: {error}", command.get_program()))?;

@@ -1,13 +1,11 @@
-//! What of shown roundels is found, and what else: seeded frames of roundels of all sizes before a
-//! junk room, and of the junk room alone.
+//! Share of roundels that are found, and false detections, in seeded frames with dense clutter.
 //!
-//! One frame holds roundels of one print, as many as there is room for without any sheet over another.
-//! Their shorter diameter as seen, [`Range::minor_px`], is spread evenly over the octaves; tilt,
-//! place, ratio of diameters, margin, light, blur and noise vary. A roundel counts as found where a
-//! ring lies on it in place and size; every other ring is a false detection, also a second one on the
-//! same roundel and one of the wrong size.
+//! A frame has roundels of one print, as many as fit without overlapping sheets. Their shorter imaged diameter,
+//! [`Range::minor_px`], is log-uniform; tilt, place, ratio of diameters, margin, light, blur and noise vary. A
+//! roundel is found if a ring matches it in position and size. Every other ring is a false detection, including a
+//! second one on the same roundel and one of the wrong size.
 //!
-//! `cargo run -p roundel-tests --bin recall` prints the whole; `tests/recall.rs` holds a share of it.
+//! `cargo run -p roundel-tests -- recall` prints the table; `tests/recall.rs` requires bars on fewer frames.
 
 use std::collections::VecDeque;
 
@@ -19,30 +17,28 @@ use roundel_core::{
 
 use crate::{
     clutter::{Clutter, background},
-    normal::Random,
     optics::{Distortion, Pinhole},
-    render::{Image, Imaging, Print, Renderer, Seen},
+    random::Random,
+    render::{Image, Imaging, MovingPrint, Print, Renderer},
 };
 
-/// Outer diameter of every print, metres.
 const OUTER_M: f64 = 0.16;
-/// Least difference of black and white anywhere in a frame, grey levels.
+/// Minimum difference between black and white anywhere in a frame, grey levels.
 const MIN_CONTRAST: f64 = 90.0;
-/// Least distance of a ring from the frame's edge, pixels.
+/// Minimum distance between a ring and the frame's edge.
 const EDGE_PX: f64 = 4.0;
-/// Places tried for a roundel before it waits for the next frame.
+/// Places that are tried for a roundel before it is deferred to the next frame.
 const TRIES: usize = 60;
 
-/// What frames hold.
+/// Contents of frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Range {
-    /// Shorter diameter of the outer rim as seen, pixels.
+    /// Shorter imaged diameter of the outer rim.
     pub minor_px: [f64; 2],
-    /// Largest angle between normal and line of sight.
+    /// Maximum angle between normal and line of sight.
     pub max_tilt_rad: f64,
-    /// Most roundels of one frame.
+    /// Maximum number of roundels per frame.
     pub per_frame: usize,
-    /// What stands about.
     pub clutter: Clutter,
 }
 
@@ -57,66 +53,59 @@ impl Default for Range {
     }
 }
 
-/// One roundel as it is shown.
+/// One roundel of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Shown {
+pub struct ShownRoundel {
     /// camera_from_roundel.
     pub pose: Isometry3<f64>,
     /// Angle between normal and line of sight.
     pub tilt_rad: f64,
-    /// Outer rim as imaged.
-    pub rim: Oval,
+    /// Image of the outer rim.
+    pub rim: ImagedRim,
     /// Circle about the image of its sheet: centre and radius.
-    room: (Vector2<f64>, f64),
+    sheet_circle: (Vector2<f64>, f64),
 }
 
-/// A rim as imaged, by the moments of the area inside.
+/// Image of a rim, from the moments of the enclosed area.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Oval {
+pub struct ImagedRim {
     /// Pixels.
     pub center: Vector2<f64>,
-    /// Pixels.
     pub semi_major_px: f64,
-    /// Pixels.
     pub semi_minor_px: f64,
 }
 
-/// One frame with what is in it.
+/// One frame and its contents.
 pub struct Scene {
     /// Number of the frame.
     pub seed: u64,
-    /// Grey values.
     pub image: Image,
-    /// How they came about.
     pub imaging: Imaging,
     /// Inner over outer diameter of the print.
     pub ratio: f64,
-    /// Roundels.
-    pub shown: Vec<Shown>,
+    pub shown: Vec<ShownRoundel>,
 }
 
-/// Why and where one roundel was not found.
+/// A roundel that was not found.
 #[derive(Clone, Debug)]
 pub struct Miss {
-    /// Which it is.
-    pub shown: Shown,
-    /// What refused candidates in its neighbourhood, searched alone, with their numbers.
+    pub shown: ShownRoundel,
+    /// Reasons for which candidates near it were rejected when its neighbourhood was searched alone, with counts.
     pub rejects: Vec<(Reject, u32)>,
 }
 
-/// How one frame went.
+/// Result of one frame.
 #[derive(Debug, Default)]
 pub struct Outcome {
-    /// Found, as indices into [`Scene::shown`].
+    /// Indices into [`Scene::shown`].
     pub found: Vec<usize>,
-    /// Not found.
     pub missed: Vec<Miss>,
-    /// Rings where none is shown.
-    pub ghosts: Vec<Ring>,
+    /// Rings where no roundel is.
+    pub false_detections: Vec<Ring>,
 }
 
-/// Frames until `count` roundels are placed, as seeds with the sizes and tilts that each must show:
-/// large ones that find no room wait for the next frame, so that no size is rarer than another.
+/// Generates frames until `count` roundels are placed. Roundels that do not fit wait for the next frame, so that
+/// large ones are as frequent as small ones.
 pub struct Scenes {
     range: Range,
     camera: Pinhole,
@@ -127,7 +116,7 @@ pub struct Scenes {
 }
 
 impl Scenes {
-    /// Frames of 1920 × 1080 with `count` roundels in all; the same for the same `seed`.
+    /// Frames of 1920 × 1080 with `count` roundels in total; the same for the same `seed`.
     pub fn new(range: Range, count: usize, seed: u64) -> Self {
         let distortion = Distortion::PlumbBob([-0.08, 0.02, 4e-4, -3e-4, 0.0]);
         let camera = Pinhole::centered(1920, 1080, 1100.0, distortion);
@@ -135,22 +124,23 @@ impl Scenes {
         Self { range, camera, waiting: VecDeque::new(), left: count, seed: seed << 32, random }
     }
 
-    fn place(&mut self, print: &Print, random: &mut Random) -> Vec<Shown> {
-        let mut shown: Vec<Shown> = Vec::new();
-        let mut asked = self.waiting.len().max(self.range.per_frame);
-        while asked > 0 && shown.len() < self.range.per_frame && self.left > 0 {
-            asked -= 1;
+    fn place(&mut self, print: &Print, random: &mut Random) -> Vec<ShownRoundel> {
+        let mut shown: Vec<ShownRoundel> = Vec::new();
+        let mut attempts = self.waiting.len().max(self.range.per_frame);
+        while attempts > 0 && shown.len() < self.range.per_frame && self.left > 0 {
+            attempts -= 1;
             let [low, high] = self.range.minor_px;
-            let fresh = [
+            let new_size = [
                 low * (high / low).powf(self.random.uniform(0.0, 1.0)),
-                // Cosines evenly spread, as for normals in all directions.
+                // Uniform cosines, as for normals in all directions.
                 self.random.uniform(self.range.max_tilt_rad.cos(), 1.0).acos(),
             ];
-            let [minor_px, tilt_rad] = self.waiting.pop_front().unwrap_or(fresh);
+            let [minor_px, tilt_rad] = self.waiting.pop_front().unwrap_or(new_size);
             let fits = (0..TRIES).find_map(|_| {
                 let new = show(&self.camera, print, minor_px, tilt_rad, random)?;
-                let apart = |other: &Shown| {
-                    (other.room.0 - new.room.0).norm() > other.room.1 + new.room.1 + EDGE_PX
+                let apart = |other: &ShownRoundel| {
+                    (other.sheet_circle.0 - new.sheet_circle.0).norm()
+                        > other.sheet_circle.1 + new.sheet_circle.1 + EDGE_PX
                 };
                 shown.iter().all(apart).then_some(new)
             });
@@ -174,7 +164,7 @@ pub struct Plan {
     imaging: Imaging,
     ratio: f64,
     print: Print,
-    shown: Vec<Shown>,
+    shown: Vec<ShownRoundel>,
 }
 
 impl Iterator for Scenes {
@@ -196,7 +186,7 @@ impl Iterator for Scenes {
 }
 
 impl Plan {
-    /// A frame of clutter alone, from the `seed` of its own.
+    /// A frame of clutter alone, with its own `seed`.
     pub fn empty(clutter: Clutter, seed: u64) -> Self {
         let mut random = Random::new(seed, 1);
         let imaging = imaging(&mut random);
@@ -205,47 +195,47 @@ impl Plan {
         Self { camera, clutter, seed, imaging, ratio: 0.5, print, shown: Vec::new() }
     }
 
-    /// Paints background and roundels, and adds noise.
     pub fn render(self) -> Scene {
         let renderer = Renderer::new(self.camera, self.imaging);
         let mut random = Random::new(self.seed, 2);
         let floor = random.uniform(60.0, 180.0);
         let background = background(&renderer, floor, &self.clutter, &mut random);
         let poses: Vec<_> = self.shown.iter().map(|shown| move |_: f64| shown.pose).collect();
-        let seen: Vec<_> = poses.iter().map(|motion| Seen { print: &self.print, motion }).collect();
-        let image = renderer.frame(&background, &seen, &mut random);
+        let moving: Vec<_> =
+            poses.iter().map(|motion| MovingPrint { print: &self.print, motion }).collect();
+        let image = renderer.frame(&background, &moving, &mut random);
         let (seed, imaging, ratio) = (self.seed, self.imaging, self.ratio);
         Scene { seed, image, imaging, ratio, shown: self.shown }
     }
 }
 
-/// Light and lens of one frame: at its darkest place the contrast is still the least allowed, at its
-/// brightest white may just saturate.
+/// Light and lens of one frame: at its darkest place the contrast is still [`MIN_CONTRAST`], at its brightest, white
+/// may just saturate.
 fn imaging(random: &mut Random) -> Imaging {
     let gradient = [random.uniform(-0.35, 0.35), random.uniform(-0.35, 0.35)];
     let reach = 0.5 * (gradient[0].abs() + gradient[1].abs());
     let black = random.uniform(8.0, 50.0);
-    let least = black + MIN_CONTRAST / (1.0 - reach);
-    let most = (255.0 / (1.0 + reach)).max(least);
+    let min_white = black + MIN_CONTRAST / (1.0 - reach);
+    let max_white = (255.0 / (1.0 + reach)).max(min_white);
     Imaging {
         blur_px: random.uniform(0.5, 1.1),
         noise: random.uniform(0.0, 4.0),
         black,
-        white: random.uniform(least, most),
+        white: random.uniform(min_white, max_white),
         gradient,
         ..Imaging::default()
     }
 }
 
-/// A roundel somewhere in the image, at the distance where its rim is seen as `minor_px` wide; `None`
-/// where the frame cuts it.
+/// A roundel somewhere in the image, at the distance where its rim is `minor_px` wide. `None` if it does not fit into
+/// the frame.
 fn show(
     camera: &Pinhole,
     print: &Print,
     minor_px: f64,
     tilt_rad: f64,
     random: &mut Random,
-) -> Option<Shown> {
+) -> Option<ShownRoundel> {
     let pixel = Vector2::new(
         random.uniform(0.0, camera.width as f64),
         random.uniform(0.0, camera.height as f64),
@@ -258,22 +248,28 @@ fn show(
     let at = |range_m: f64| Isometry3::from_parts(Translation3::from(ray * range_m), facing * lean);
     let mut range_m = camera.focal_px[0] * OUTER_M * tilt_rad.cos() / minor_px;
     for _ in 0..4 {
-        let seen_px = 2.0 * oval(camera, &at(range_m), OUTER_M)?.semi_minor_px;
+        let seen_px = 2.0 * imaged_rim(camera, &at(range_m), OUTER_M)?.semi_minor_px;
         range_m *= seen_px / minor_px;
     }
     let pose = at(range_m);
     let crate::render::Outline::Disc { diameter_m } = print.sheet else { return None };
-    let (rim, sheet) = (oval(camera, &pose, OUTER_M)?, oval(camera, &pose, diameter_m)?);
+    let (rim, sheet) =
+        (imaged_rim(camera, &pose, OUTER_M)?, imaged_rim(camera, &pose, diameter_m)?);
     let inside = |x: f64, side: usize| {
         let reach = rim.semi_major_px + EDGE_PX;
         x >= reach && x <= side as f64 - 1.0 - reach
     };
     let whole = inside(rim.center.x, camera.width) && inside(rim.center.y, camera.height);
-    whole.then_some(Shown { pose, tilt_rad, rim, room: (sheet.center, sheet.semi_major_px) })
+    whole.then_some(ShownRoundel {
+        pose,
+        tilt_rad,
+        rim,
+        sheet_circle: (sheet.center, sheet.semi_major_px),
+    })
 }
 
-/// Centre and semiaxes of a circle's image from the moments of the polygon through many of its points.
-fn oval(camera: &Pinhole, pose: &Isometry3<f64>, diameter_m: f64) -> Option<Oval> {
+/// Centre and semiaxes of a circle's image, from the moments of a polygon of its points.
+fn imaged_rim(camera: &Pinhole, pose: &Isometry3<f64>, diameter_m: f64) -> Option<ImagedRim> {
     const POINTS: usize = 256;
     let point = |i: usize| {
         let (sin, cos) = (std::f64::consts::TAU * i as f64 / POINTS as f64).sin_cos();
@@ -298,12 +294,12 @@ fn oval(camera: &Pinhole, pose: &Isometry3<f64>, diameter_m: f64) -> Option<Oval
     let (half, apart) = (0.5 * (uu + vv), (0.5 * (uu - vv)).hypot(uv));
     let semi = |variance: f64| 2.0 * variance.max(0.0).sqrt();
     let (semi_major_px, semi_minor_px) = (semi(half + apart), semi(half - apart));
-    Some(Oval { center: origin + mean, semi_major_px, semi_minor_px })
+    Some(ImagedRim { center: origin + mean, semi_major_px, semi_minor_px })
 }
 
-/// Whether a ring is this roundel: its place within a twentieth and its size within a tenth of the
-/// rim's radius, and half a pixel.
-fn is_seen(ring: &Ring, shown: &Shown) -> bool {
+/// Whether a ring matches this roundel: centre within a twentieth and size within a tenth of the rim's radius, plus
+/// half a pixel.
+fn matches(ring: &Ring, shown: &ShownRoundel) -> bool {
     let rim = &shown.rim;
     let radius_px = (rim.semi_major_px * rim.semi_minor_px).sqrt();
     let center = Vector2::new(ring.outer.center.u, ring.outer.center.v);
@@ -314,24 +310,24 @@ fn is_seen(ring: &Ring, shown: &Shown) -> bool {
 }
 
 impl Scene {
-    /// A detector that knows this frame's print, or one that takes any ring.
-    pub fn detector(&self, knows_print: bool) -> Detector {
+    /// A detector that knows this frame's print, or one that accepts any ratio.
+    pub fn detector(&self, print_is_known: bool) -> Detector {
         let kind = Kind::plain("shown", OUTER_M, OUTER_M * self.ratio);
-        let kinds = if knows_print { vec![kind] } else { Vec::new() };
+        let kinds = if print_is_known { vec![kind] } else { Vec::new() };
         Detector::new(kinds, Params::default()).expect("a print within the limits")
     }
 
-    /// What the detector makes of it.
+    /// Runs the detector and compares its rings with the contents.
     pub fn judge(&self, detector: &Detector, scratch: &mut Scratch) -> Outcome {
         let Image { width, height, pixels } = &self.image;
         let frame = Frame::new(pixels, *width, *height, *width).expect("a whole image");
         let mut outcome = Outcome::default();
         for ring in detector.detect(&frame, scratch) {
-            let fresh = |index: &usize| !outcome.found.contains(index);
-            let seen = (0..self.shown.len()).filter(fresh);
-            match seen.into_iter().find(|&index| is_seen(ring, &self.shown[index])) {
+            let is_open = |index: &usize| !outcome.found.contains(index);
+            let mut open = (0..self.shown.len()).filter(is_open);
+            match open.find(|&index| matches(ring, &self.shown[index])) {
                 Some(index) => outcome.found.push(index),
-                None => outcome.ghosts.push(*ring),
+                None => outcome.false_detections.push(*ring),
             }
         }
         for (index, shown) in self.shown.iter().enumerate() {
@@ -343,11 +339,11 @@ impl Scene {
         outcome
     }
 
-    /// What refuses candidates in the neighbourhood of a roundel when it is searched alone.
+    /// Reasons for which candidates near a roundel are rejected when its neighbourhood is searched alone.
     fn rejects_near(
         &self,
         detector: &Detector,
-        shown: &Shown,
+        shown: &ShownRoundel,
         scratch: &mut Scratch,
     ) -> Vec<(Reject, u32)> {
         let reach = 1.2 * shown.rim.semi_major_px + 6.0;

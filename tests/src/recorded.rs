@@ -1,4 +1,4 @@
-//! What an arena's cameras see, recorded by a server that runs, in real time.
+//! Records an arena's simulated observations with a running server, in real time.
 
 use std::{
     collections::VecDeque,
@@ -23,26 +23,24 @@ use crate::{
     optics::Pinhole,
 };
 
-/// Room for the server to start.
+/// Time for the server to start.
 const LEAD_S: f64 = 0.5;
 
-/// What came of it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Recorded {
-    /// The file.
     pub file: PathBuf,
-    /// Messages that found no room, since the machine is too slow.
+    /// Messages that were dropped because the machine is too slow.
     pub dropped: u64,
 }
 
-/// What one camera sees, each frame when it is due.
-struct Sights {
+/// A source that delivers one camera's observations when they are due.
+struct ObservationSource {
     coming: VecDeque<FrameObservations>,
     clock: roundel_server::model::clock::Clock,
     stop: StopSignal,
 }
 
-impl FrameSource for Sights {
+impl FrameSource for ObservationSource {
     fn next_frame(&mut self) -> Result<LentFrame<'_>, SourceError> {
         Err(SourceError::Failed("it gives what was seen, and no frames".into()))
     }
@@ -66,30 +64,30 @@ impl FrameSource for Sights {
     }
 }
 
-/// Opens them once.
-struct Once(Option<Sights>);
+/// Opens the source once.
+struct Once(Option<ObservationSource>);
 
 impl OpenSource for Once {
     fn open(&mut self) -> Result<Box<dyn FrameSource>, SourceError> {
         match self.0.take() {
-            Some(sights) => Ok(Box::new(sights)),
+            Some(source) => Ok(Box::new(source)),
             None => Err(SourceError::Finished),
         }
     }
 }
 
-/// Records frames of the arena's cameras into a folder that exists; `mistaken` are cameras of which the configuration has
-/// another lens.
+/// Records frames of the arena's cameras into an existing folder. `wrong_lenses` replaces the lenses of some cameras
+/// in the configuration.
 pub fn record(
     arena: &Arena,
     frames: impl Iterator<Item = FrameObservations>,
     folder: &Path,
-    mistaken: &[(usize, Pinhole)],
+    wrong_lenses: &[(usize, Pinhole)],
 ) -> anyhow::Result<Recorded> {
     let site = folder.join("site");
     fs::create_dir(&site)?;
     let config = Export::lab(1).write(arena, &site)?.config;
-    for (index, optics) in mistaken {
+    for (index, optics) in wrong_lenses {
         let name = &arena.sites[*index].name;
         fs::write(site.join(format!("{name}.yaml")), camera_yaml(name, optics))?;
     }
@@ -115,7 +113,7 @@ pub fn record(
             let mut coming = std::mem::take(&mut seen[setting.index]);
             coming.iter_mut().for_each(|frame| shift(frame, begin.as_ns() - start_ns));
             let (clock, stop) = (setting.clock, setting.stop);
-            Box::new(Once(Some(Sights { coming, clock, stop })))
+            Box::new(Once(Some(ObservationSource { coming, clock, stop })))
         })
         .await?;
         tokio::time::sleep(length).await;
@@ -126,7 +124,7 @@ pub fn record(
     })
 }
 
-/// The same frame at another time.
+/// Moves a frame in time.
 fn shift(frame: &mut FrameObservations, by_ns: i64) {
     let moved = |time: Timestamp| Timestamp::from_ns(time.as_ns() + by_ns);
     frame.capture_time = moved(frame.capture_time);

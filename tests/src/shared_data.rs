@@ -1,9 +1,8 @@
-//! The recordings kept beside the repository, for tests that can do without them.
+//! Recordings beside the repository, for tests that are skipped without them.
 
 use std::path::{Path, PathBuf};
 
-/// The folder `../shared/data/NAME` beside the workspace; `None`, with one line that says so, where
-/// it is not there.
+/// The folder `../shared/data/NAME` beside the workspace. `None` if it is missing, after printing that.
 pub fn shared_data(test: &str, name: &str) -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data").join(name);
     if folder.exists() {

@@ -1,10 +1,9 @@
-//! Times of following and searching with poses, on rendered roundels.
+//! Times of tracking and searching, with poses, on rendered roundels.
 //!
-//! Poses are those of all rings of a frame at once, as the server has them; of one roundel that is one alone.
-//! In: how many roundels of which size in an image of which size. Out: least times of a frame, in both
-//! modes, on one thread. The roundels go round in small circles, so that neither their places nor
-//! their poses are those of the frame before. The least of many repetitions counts, since others use
-//! the machine.
+//! In: the number and size of roundels, and the image size. Out: minimum times per frame, in both modes, on one
+//! thread. Poses are estimated for all rings of a frame at once, as in the server. The roundels move on small
+//! circles, so that positions and poses change from frame to frame. The minimum over many repetitions counts, since
+//! other processes use the machine.
 
 use std::time::Instant;
 
@@ -17,44 +16,39 @@ use roundel_core::{
 
 use crate::{
     arena::Kind,
-    normal::Random,
     optics::{Distortion, Pinhole},
     pipeline::{core_camera, core_kinds},
     precision::MODES,
-    render::{Canvas, Image, Imaging, Print, Renderer, Seen},
+    random::Random,
+    render::{Canvas, Image, Imaging, MovingPrint, Print, Renderer},
 };
 
-/// Focal length over the image's width, that of the reference installations: the same view on sensors
-/// of other sizes.
+/// Focal length over the image's width, as in the reference installations: the same view on sensors of other sizes.
 const FOCAL: f64 = 1100.0 / 1920.0;
-/// Frames of one round of the circles.
+/// Frames of one revolution.
 const FRAMES: usize = 8;
-/// Radius of the circles, pixels.
+/// Radius of the circles.
 const CIRCLE_PX: f64 = 2.0;
-/// How far that moves the roundels from frame to frame, pixels.
+/// Resulting motion from frame to frame.
 pub const MOTION_PX: f64 = 1.5;
 
-/// What is timed.
 #[derive(Clone, Copy, Debug)]
 pub struct Case {
-    /// Of the image, pixels.
     pub width: usize,
-    /// Of the image, pixels.
     pub height: usize,
-    /// Roundels in it.
     pub count: usize,
-    /// Their outer diameter, pixels.
+    /// Outer diameter.
     pub diameter_px: f64,
 }
 
-/// Least times of one case in one mode, poses included.
+/// Minimum times of one case in one mode, poses included.
 #[derive(Clone, Copy, Debug)]
 pub struct Times {
-    /// To follow all, seconds a frame.
-    pub follow_s: f64,
-    /// Of that to find the rings, seconds a frame.
+    /// Tracking all roundels, seconds per frame.
+    pub track_s: f64,
+    /// The part of it that finds the rings, without poses.
     pub rings_s: f64,
-    /// To search the whole frame, seconds a frame.
+    /// Searching the whole frame, seconds per frame.
     pub search_s: f64,
 }
 
@@ -71,8 +65,8 @@ pub fn times(case: &Case, rounds: usize) -> [Times; 2] {
         })
         .collect();
     MODES.map(|mode| {
-        let (follow_s, rings_s) = follow(case, &camera, &frames, mode, rounds);
-        Times { follow_s, rings_s, search_s: search(case, &camera, &frames[0], mode, rounds) }
+        let (track_s, rings_s) = track(case, &camera, &frames, mode, rounds);
+        Times { track_s, rings_s, search_s: search(case, &camera, &frames[0], mode, rounds) }
     })
 }
 
@@ -86,8 +80,8 @@ fn locator(camera: &Pinhole, mode: Mode) -> Locator {
     Locator::new(camera, core_kinds(&[Kind::robot()]), mode)
 }
 
-/// With poses, and without.
-fn follow(
+/// Times with poses, and without.
+fn track(
     case: &Case,
     camera: &Pinhole,
     frames: &[Frame<'_>],
@@ -109,7 +103,7 @@ fn follow(
         }
     };
     let frames = frames.len() as f64;
-    (least(rounds, || round(true)) / frames, least(rounds, || round(false)) / frames)
+    (min_time(rounds, || round(true)) / frames, min_time(rounds, || round(false)) / frames)
 }
 
 fn search(case: &Case, camera: &Pinhole, frame: &Frame<'_>, mode: Mode, rounds: usize) -> f64 {
@@ -117,7 +111,7 @@ fn search(case: &Case, camera: &Pinhole, frame: &Frame<'_>, mode: Mode, rounds: 
     let mut locator = locator(camera, mode);
     let mut scratch = Scratch::default();
     let kind = &core_kinds(&[Kind::robot()])[0];
-    least(rounds, || {
+    min_time(rounds, || {
         let rings = detector.detect(frame, &mut scratch);
         assert_eq!(rings.len(), case.count, "all roundels are found");
         let located = rings.iter().filter(|ring| locator.locate_single(frame, kind, ring).is_ok());
@@ -125,19 +119,19 @@ fn search(case: &Case, camera: &Pinhole, frame: &Frame<'_>, mode: Mode, rounds: 
     })
 }
 
-/// The least time of a call, seconds, once it is warm.
-fn least(rounds: usize, mut call: impl FnMut()) -> f64 {
+/// Minimum time of a call, seconds, after a warm-up.
+fn min_time(rounds: usize, mut call: impl FnMut()) -> f64 {
     call();
-    let mut least = f64::MAX;
+    let mut min_time = f64::MAX;
     for _ in 0..rounds {
         let start = Instant::now();
         call();
-        least = least.min(start.elapsed().as_secs_f64());
+        min_time = min_time.min(start.elapsed().as_secs_f64());
     }
-    least
+    min_time
 }
 
-/// Roundels of one size in a grid, each tilted to its own side, as they go round.
+/// Roundels of one size in a grid, each tilted in its own direction, moving on circles.
 fn pictures(case: &Case, camera: &Pinhole) -> Vec<Image> {
     let mut random = Random::new(6, case.count as u64);
     let poses = poses(case, camera, &mut random);
@@ -157,9 +151,9 @@ fn pictures(case: &Case, camera: &Pinhole) -> Vec<Image> {
                     move |_: f64| shift * pose
                 })
                 .collect();
-            let seen: Vec<_> =
-                motions.iter().map(|motion| Seen { print: &print, motion }).collect();
-            renderer.frame(&floor, &seen, &mut random)
+            let moving: Vec<_> =
+                motions.iter().map(|motion| MovingPrint { print: &print, motion }).collect();
+            renderer.frame(&floor, &moving, &mut random)
         })
         .collect()
 }

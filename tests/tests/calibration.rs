@@ -1,5 +1,5 @@
-//! The arena is calibrated while it is served: started over the network, taken over by the cameras, kept, and
-//! found again at the next start. Frames are empty; what cameras see in them comes from the sensor model.
+//! Calibration of an arena while it is served: started over the network, applied to the cameras, saved, and loaded at
+//! the next start. Frames are empty; observations come from the simulated sensors.
 
 use std::{fs, path::Path, sync::Arc, time::Duration};
 
@@ -20,16 +20,16 @@ use roundel_tests::{
     arena::Arena, export::Export, sensor::Sensing, sensor::Stream, survey::Survey,
 };
 
-/// As precise as precise detections are.
-const SENSING: Sensing = Sensing { noise_px: 0.03, ..Sensing::USUAL };
-/// Of driving; the recording itself takes the least that is allowed.
+/// Noise of precise detections.
+const SENSING: Sensing = Sensing { noise_px: 0.03, ..Sensing::DEFAULT };
+/// Seconds of driving. The recording itself has the minimum duration.
 const DRIVEN_S: f64 = 25.0;
 const RECORDED_S: f64 = 2.0;
-/// Frames that the hub surely keeps until they are looked for.
+/// Frames that the hub keeps until they are processed.
 const AT_ONCE: usize = 60;
 const HANG: Duration = Duration::from_secs(120);
 
-/// Gives black frames, twenty a second.
+/// A source of black frames, twenty a second.
 struct Black(CameraPace, Vec<u8>);
 
 #[derive(Clone)]
@@ -69,7 +69,7 @@ async fn serve(config: &Path) -> anyhow::Result<(Server, Client)> {
     Ok((server, client))
 }
 
-/// The installation's configuration, all poses unknown, references as said.
+/// Writes the installation's configuration with unknown poses and stated references.
 fn write(survey: &Survey, folder: &Path, shift_m: f64) -> anyhow::Result<std::path::PathBuf> {
     let installation = Export::lab(1).write(&survey.arena, folder)?;
     let text = fs::read_to_string(&installation.config)?;
@@ -91,29 +91,29 @@ fn write(survey: &Survey, folder: &Path, shift_m: f64) -> anyhow::Result<std::pa
     Ok(installation.config)
 }
 
-/// Has the cameras see robots drive about.
+/// Publishes observations of robots that drive.
 async fn drive(survey: &Survey, server: &Server) {
     for (index, frame) in Stream::new(&survey.arena, SENSING, DRIVEN_S).enumerate() {
-        server.hub().publish_observations(Arc::new(survey.overlooked(frame)));
+        server.hub().publish_observations(Arc::new(survey.without_references(frame)));
         if index % AT_ONCE == AT_ONCE - 1 {
             tokio::time::sleep(Duration::from_millis(12)).await;
         }
     }
 }
 
-fn wanted(apply: CalibrationApply) -> StartCalibrationRequest {
+fn request(apply: CalibrationApply) -> StartCalibrationRequest {
     StartCalibrationRequest { seconds: Some(RECORDED_S), refine_lenses: false, apply: apply.into() }
 }
 
-/// Calibrates, and gives every stage that was told, and the end.
+/// Calibrates, and returns all reported stages and the final status.
 async fn calibrate(
     survey: &Survey,
     server: &Server,
     client: &Client,
     apply: CalibrationApply,
 ) -> anyhow::Result<(Vec<CalibrationStage>, v1::Calibration)> {
-    let begun = client.start_calibration(wanted(apply)).await?;
-    ensure!(begun.stage() == CalibrationStage::Recording, "{begun:?}");
+    let started = client.start_calibration(request(apply)).await?;
+    ensure!(started.stage() == CalibrationStage::Recording, "{started:?}");
     let mut changes = client.watch_calibration().await?;
     let follow = async {
         let mut stages = Vec::new();
@@ -169,7 +169,7 @@ async fn an_arena_is_calibrated_while_it_is_served() -> anyhow::Result<()> {
         assert!(off_m.norm() < 3e-3 && camera.moved_m.is_none(), "{off_m:?} {camera:?}");
         assert!((0.5..2.0).contains(&camera.error_ratio), "{camera:?}");
     }
-    // Every camera takes it over with its next frame.
+    // Every camera applies it with its next frame.
     for index in 0..4 {
         let taken = camera(&client, index, |camera| camera.calibration_version == 1).await?;
         assert_eq!(taken.pose_status(), PoseStatus::Calibrated);
@@ -183,7 +183,7 @@ async fn an_arena_is_calibrated_while_it_is_served() -> anyhow::Result<()> {
     assert!(kinds.contains(&v1::EventKind::CalibrationBegun), "{kinds:?}");
     server.shutdown().await;
 
-    // The next start finds it.
+    // The next start loads it.
     let (server, client) = serve(&config).await?;
     let kept = camera(&client, 2, |camera| camera.pose.is_some()).await?;
     let place =
@@ -193,7 +193,7 @@ async fn an_arena_is_calibrated_while_it_is_served() -> anyhow::Result<()> {
     assert!((place(&kept).x - found.x).abs() < 1e-9, "{kept:?}");
     server.shutdown().await;
 
-    // What somebody wrote into the configuration since then counts more.
+    // A pose that was configured afterwards takes precedence.
     let text = fs::read_to_string(&config)?.replacen(
         "pose = \"unknown\"",
         "pose = { position_m = [1.0, 2.0, 3.0], orientation_xyzw = [1.0, 0.0, 0.0, 0.0] }",
@@ -203,14 +203,14 @@ async fn an_arena_is_calibrated_while_it_is_served() -> anyhow::Result<()> {
     let (server, client) = serve(&config).await?;
     let first = camera(&client, 0, |camera| camera.pose.is_some()).await?;
     assert_eq!((first.pose_status(), place(&first).z), (PoseStatus::Configured, 3.0));
-    let told = client.events(50).await?.next().await.context("an event")??;
-    assert!(told.message.contains("another pose"), "{}", told.message);
+    let event = client.events(50).await?.next().await.context("an event")??;
+    assert!(event.message.contains("another pose"), "{}", event.message);
     server.shutdown().await;
     Ok(())
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_doubtful_result_waits_for_somebody_to_look() -> anyhow::Result<()> {
+async fn a_doubtful_result_waits_for_approval() -> anyhow::Result<()> {
     let survey = Survey::new(Arena::r4(4));
     let folder = tempfile::tempdir()?;
     // The second reference is not where the configuration says.
@@ -232,7 +232,7 @@ async fn a_doubtful_result_waits_for_somebody_to_look() -> anyhow::Result<()> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_cannot_be_done_is_refused_in_words() -> anyhow::Result<()> {
+async fn impossible_requests_are_rejected_with_a_reason() -> anyhow::Result<()> {
     let survey = Survey::new(Arena::r4(5));
     let folder = tempfile::tempdir()?;
     let config = write(&survey, folder.path(), 0.0)?;
@@ -249,8 +249,8 @@ async fn what_cannot_be_done_is_refused_in_words() -> anyhow::Result<()> {
     assert!(refused(client.cancel_calibration().await).contains("no calibration is running"));
     assert!(refused(client.apply_calibration().await).contains("start one first"));
 
-    client.start_calibration(wanted(CalibrationApply::Never)).await?;
-    let message = refused(client.start_calibration(wanted(CalibrationApply::Never)).await);
+    client.start_calibration(request(CalibrationApply::Never)).await?;
+    let message = refused(client.start_calibration(request(CalibrationApply::Never)).await);
     assert!(message.contains("running already"), "{message}");
     client.cancel_calibration().await?;
     let mut changes = client.watch_calibration().await?;
@@ -262,8 +262,8 @@ async fn what_cannot_be_done_is_refused_in_words() -> anyhow::Result<()> {
     };
     assert_eq!((ended.stage(), ended.error.as_str()), (CalibrationStage::Failed, "cancelled"));
 
-    // Nothing was seen at all.
-    client.start_calibration(wanted(CalibrationApply::Never)).await?;
+    // Without any observation.
+    client.start_calibration(request(CalibrationApply::Never)).await?;
     let mut changes = client.watch_calibration().await?;
     let ended = loop {
         let calibration = changes.next().await.context("the stream ended")??;
@@ -282,7 +282,7 @@ async fn what_cannot_be_done_is_refused_in_words() -> anyhow::Result<()> {
     );
     fs::write(&config, placed)?;
     let (server, client) = serve(&config).await?;
-    let message = refused(client.start_calibration(wanted(CalibrationApply::Never)).await);
+    let message = refused(client.start_calibration(request(CalibrationApply::Never)).await);
     assert!(
         message.contains("0 reference roundels") && message.contains("[[reference]]"),
         "{message}"

@@ -1,7 +1,7 @@
-//! Servers under seeded faults. `cargo run -p roundel-tests --bin chaos` runs more seeds.
+//! Servers under seeded faults. `cargo run -p roundel-tests -- chaos` runs more seeds.
 //!
-//! A program of its own, since cargo runs one test program after another: these tests run in real time, which others
-//! disturb.
+//! A program of its own, since cargo runs test programs one after another: these tests run in real time, and other
+//! tests would disturb them.
 
 use roundel_tests::chaos::{self, timetable::Stage};
 

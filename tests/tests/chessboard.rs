@@ -1,4 +1,4 @@
-//! Lenses from chessboards and ChArUco boards: the same as from roundels, found in rendered pictures.
+//! Lens calibration from rendered chessboards and ChArUco boards, with the same bars as from roundels.
 
 use nalgebra::Point3;
 use roundel_core::{
@@ -14,7 +14,7 @@ use roundel_tests::{
         CHARUCO, CHESSBOARD, SQUARE_M, SQUARES, camera, charuco_print, chessboard_print, imaging,
         lens_of_chessboard, pictures, poses,
     },
-    normal::Random,
+    random::Random,
     render::{Image, Print},
 };
 
@@ -59,17 +59,17 @@ fn check(text: &str, print: &Print) {
 }
 
 #[test]
-fn a_chessboard_tells_the_lens() {
+fn a_lens_is_calibrated_from_a_chessboard() {
     check(CHESSBOARD, &chessboard_print());
 }
 
 #[test]
-fn a_charuco_board_tells_the_lens() {
+fn a_lens_is_calibrated_from_a_charuco_board() {
     check(CHARUCO, &charuco_print());
 }
 
 #[test]
-fn part_of_a_charuco_board_is_a_view_and_part_of_a_chessboard_is_none() {
+fn a_partial_charuco_board_is_a_view_and_a_partial_chessboard_is_not() {
     // The board's left quarter is hidden.
     let truth = camera();
     let pose = poses(&truth, 1, &mut Random::new(3, 0))[0];
@@ -90,7 +90,7 @@ fn part_of_a_charuco_board_is_a_view_and_part_of_a_chessboard_is_none() {
 }
 
 #[test]
-fn what_is_not_as_described_is_told() {
+fn other_boards_than_described_are_reported() {
     let pictures = rendered(&chessboard_print(), 6, 5);
     // Squares instead of corners, and other counts.
     for described in ["chessboard:10x7:25", "chessboard:8x6:25", "chessboard:9x5:25"] {
@@ -98,7 +98,7 @@ fn what_is_not_as_described_is_told() {
         let error = search.gathered().unwrap().other_print(true).unwrap().to_string();
         assert!(error.contains("shows 9 x 6 inner corners, not"), "{described}: {error}");
     }
-    // Upright or not is the same.
+    // The orientation does not matter.
     let turned = search("chessboard:6x9:25", &pictures).unwrap();
     let selector = &turned.gathered().unwrap().selector;
     assert_eq!((selector.taken().len(), selector.target().columns()), (6, 6));

@@ -1,34 +1,34 @@
-//! Coded roundels located: precisely by their grey levels, teeth, yaw and all; fast by their rims; and where the
-//! teeth cannot be read, by the outer rim.
-//! `-- --nocapture` prints the table.
+//! Poses of coded roundels: in precise mode from grey levels, teeth and yaw, in fast mode from the rims, and from the
+//! outer rim where the teeth cannot be read. `-- --nocapture` prints the table.
 
 use roundel_core::marker::Mode;
 use roundel_tests::precision::{
-    MODES, RATIO, Range, Shot, Summary, WIDE_MARGIN, coded_trials, once_read_trials, uncoded_trials,
+    MODES, RATIO, Range, Summary, TrialFrame, WIDE_MARGIN, coded_trials, trials_read_once,
+    uncoded_trials,
 };
 
 /// Bits and diameters, pixels.
 const CASES: [(u8, (f64, f64)); 4] =
     [(8, (36.0, 50.0)), (8, (50.0, 110.0)), (12, (60.0, 110.0)), (16, (90.0, 110.0))];
-/// The same of roundels with teeth that are no code.
+/// The same for roundels with teeth that are no code.
 const UNREAD: [(u8, (f64, f64)); 3] = [(8, (30.0, 50.0)), (8, (50.0, 110.0)), (16, (60.0, 110.0))];
-/// Share of those found that have a yaw, by mode: in fast mode the rims alone say which normal is right.
+/// Minimum share of detections with a yaw, by mode: in fast mode the rims alone decide which normal is right.
 const LEAST_TURNED: [f64; 2] = [0.95, 0.98];
-/// The same of frames whose teeth are known from the one before.
+/// The same for frames whose teeth are known from the previous frame.
 const LEAST_PRESUMED: f64 = 0.97;
-/// Of each, two frames each.
+/// Trials of each case, two frames each.
 const TRIALS: usize = 120;
 
 #[test]
-fn coded_roundels_are_located_as_well_as_their_pixels_allow() {
+fn poses_of_coded_roundels_are_near_the_bound() {
     for (index, (bits, diameter_px)) in CASES.into_iter().enumerate() {
         let trials = coded_trials(&range(diameter_px), bits, TRIALS, 500 + index as u64);
-        let shots: Vec<&Shot> = trials.iter().flat_map(|trial| &trial.frames).collect();
+        let frames: Vec<&TrialFrame> = trials.iter().flat_map(|trial| &trial.frames).collect();
         for (mode, name) in MODES.iter().enumerate() {
-            let summary = Summary::of(shots.iter().copied(), mode);
+            let summary = Summary::of(frames.iter().copied(), mode);
             let name = format!("{bits} bits, {diameter_px:?} px, {name:?}");
             print(&name, &summary);
-            assert_honest(&name, &summary);
+            assert_consistent(&name, &summary);
             assert!(
                 summary.turned() as f64 >= LEAST_TURNED[mode] * summary.found() as f64,
                 "{name}"
@@ -40,33 +40,33 @@ fn coded_roundels_are_located_as_well_as_their_pixels_allow() {
     }
 }
 
-/// Where the teeth say nothing, the outer rim alone is left, in either mode.
+/// Without the teeth, both modes use the outer rim alone.
 #[test]
-fn coded_roundels_that_are_not_read_are_located_by_their_outer_rims() {
+fn unread_coded_roundels_are_located_by_their_outer_rims() {
     for (index, (bits, diameter_px)) in UNREAD.into_iter().enumerate() {
         let trials = uncoded_trials(&range(diameter_px), bits, TRIALS, 600 + index as u64);
         for (mode, name) in MODES.iter().enumerate() {
             let summary = Summary::of(trials.iter().flat_map(|trial| &trial.frames), mode);
             let name = format!("{bits} bits, {diameter_px:?} px, unread, {name:?}");
             print(&name, &summary);
-            assert!(summary.missed * 100 <= summary.shots, "{name}: {} missed", summary.missed);
+            assert!(summary.missed * 100 <= summary.frames, "{name}: {} missed", summary.missed);
             assert_eq!(summary.turned(), 0, "{name}");
             assert!(summary.depth_over_bound() < 4.5, "{name}");
-            assert_honest(&name, &summary);
+            assert_consistent(&name, &summary);
         }
     }
 }
 
-/// A track knows the teeth: a frame that cannot be read is fitted all the same.
+/// A track knows the teeth, so a frame that cannot be read is fitted as well.
 #[test]
-fn coded_roundels_are_fitted_in_frames_that_are_not_read() {
+fn tracked_coded_roundels_are_fitted_in_unread_frames() {
     for (index, (bits, diameter_px)) in CASES.into_iter().enumerate() {
-        let trials = once_read_trials(&range(diameter_px), bits, TRIALS, 700 + index as u64);
+        let trials = trials_read_once(&range(diameter_px), bits, TRIALS, 700 + index as u64);
         let summary = Summary::of(trials.iter().map(|trial| &trial.frames[1]), 1);
         let name = format!("{bits} bits, {diameter_px:?} px, read before, {:?}", MODES[1]);
         print(&name, &summary);
         assert_eq!(summary.missed, 0, "{name}");
-        assert_honest(&name, &summary);
+        assert_consistent(&name, &summary);
         assert!(summary.turned() as f64 >= LEAST_PRESUMED * summary.found() as f64, "{name}");
         let (depth, yaw) = (summary.depth_over_bound(), summary.yaw_over_bound());
         assert!(depth <= 1.3 && yaw <= 1.3, "{name}: depth {depth}, yaw {yaw} of the bound");
@@ -85,8 +85,8 @@ fn range(diameter_px: (f64, f64)) -> Range {
     }
 }
 
-/// Bars hold for what chance leaves of them: a share or mean of so few is allowed two deviations more.
-fn assert_honest(name: &str, summary: &Summary) {
+/// Bars of shares and means are widened by two standard deviations of the sample.
+fn assert_consistent(name: &str, summary: &Summary) {
     let count = summary.found() as f64;
     let bias = summary.bias_over_rms().abs();
     assert!(bias < 1.0 / 3.0 + 2.0 / count.sqrt(), "{name}: {bias}");
@@ -100,7 +100,10 @@ fn assert_near_the_bound(name: &str, summary: &Summary) {
     let (depth, yaw) = (summary.depth_over_bound(), summary.yaw_over_bound());
     assert!(depth <= 1.5 && yaw <= 1.5, "{name}: depth {depth}, yaw {yaw} of the bound");
     let stated = summary.yaw_over_stated();
-    assert!((0.85..1.15).contains(&stated), "{name}: yaw {stated} of what is stated");
+    assert!(
+        (0.85..1.15).contains(&stated),
+        "{name}: yaw error {stated} times its stated deviation"
+    );
 }
 
 fn print(name: &str, summary: &Summary) {
@@ -117,7 +120,7 @@ fn print(name: &str, summary: &Summary) {
         100.0 * summary.pose_share(),
         summary.missed,
         summary.found() - summary.turned(),
-        100.0 * summary.mistaken(),
-        summary.shots,
+        100.0 * summary.wrong_normal_share(),
+        summary.frames,
     );
 }

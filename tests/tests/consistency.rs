@@ -1,5 +1,5 @@
-//! The whole way, over the public surfaces only: a rendered arena as image files, a real `roundel
-//! serve`, a real gRPC subscription, and the snapshots against the truth.
+//! Consistency of served poses: a rendered arena as image files, a real `roundel serve`, a real gRPC subscription,
+//! and snapshots compared with the truth.
 
 use std::{collections::HashMap, f64::consts::PI, time::Duration};
 
@@ -17,7 +17,7 @@ use roundel_tests::{
 };
 use tonic::transport::Endpoint;
 
-/// Tracks and velocities are settled so long after the first frame.
+/// Time after the first frame until tracks and velocities have settled.
 const SETTLED_NS: i64 = 1_500_000_000;
 
 /// Every snapshot of a server until its pose time has passed `end_ns`.
@@ -41,7 +41,7 @@ async fn snapshots_until(server: &Server, end_ns: i64) -> anyhow::Result<Vec<Sna
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn served_poses_are_as_exact_as_stated() -> anyhow::Result<()> {
+async fn served_poses_match_their_covariances() -> anyhow::Result<()> {
     let arena = Arena::r4_lite(2, 24, 8);
     let frames = 150;
     let folder = tempfile::tempdir()?;
@@ -58,14 +58,14 @@ async fn served_poses_are_as_exact_as_stated() -> anyhow::Result<()> {
     ensure!(score.position.count() > 0, "nothing was tracked; the server's log:\n{}", server.log());
     assert_eq!((score.swaps, score.strays, score.extra_ids, score.unusable), (0, 0, 0, 0));
     let share = score.position.share_within(CHI2_95_3);
-    // The other side, 0.98, is held in virtual time (`fusion.rs`): on a busy machine snapshots are
-    // predicted further ahead, and the bounded accelerations of robots stray less than a filter allows.
+    // The upper limit, 0.98, is checked in virtual time (`fusion.rs`): on a busy machine snapshots are predicted
+    // further ahead, and robots with bounded accelerations deviate less than a filter must allow.
     assert!(share >= 0.92, "{share} of the errors lie inside the 95 % ellipsoid");
     assert!(score.position.rms() < 0.005, "{}", score.position.rms());
     Ok(())
 }
 
-/// The robot next to an object, and the angle about its normal by which the object is turned against it.
+/// The robot next to an object, and the object's rotation about its normal relative to the robot.
 fn heading_off(arena: &Arena, pose_time_ns: i64, object: &ObjectState) -> Option<(usize, f64)> {
     let p = object.position.as_ref()?;
     let q = object.orientation.as_ref()?;
@@ -79,7 +79,7 @@ fn heading_off(arena: &Arena, pose_time_ns: i64, object: &ObjectState) -> Option
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn elliptical_discs_tell_headings_that_half_turns_do_not_turn_round() -> anyhow::Result<()> {
+async fn headings_of_elliptical_discs_do_not_flip() -> anyhow::Result<()> {
     let mut arena = Arena::r4_lite(9, 4, 0);
     arena.sites.truncate(2);
     let kind = Kind { inner_diameter_m: 0.112, inner_minor_m: Some(0.064), ..Kind::robot() };

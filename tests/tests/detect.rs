@@ -1,5 +1,5 @@
-//! `roundel detect` on rendered pictures with known truth, and on prints that exist (WhyCode's, of
-//! `../shared/data/whycode`; skipped by name where they are not).
+//! `roundel detect` on rendered pictures with ground truth, and on existing prints (WhyCode's, of
+//! `../shared/data/whycode`; skipped where they are missing).
 
 use std::{
     fs,
@@ -11,10 +11,10 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use roundel_server::capture::image_file;
 use roundel_tests::{
     export::{camera_yaml, write_png},
-    normal::Random,
     optics::{Distortion, Pinhole},
     process::roundel,
-    render::{Canvas, Image, Imaging, Print, Renderer, Seen},
+    random::Random,
+    render::{Canvas, Image, Imaging, MovingPrint, Print, Renderer},
     shared_data::shared_data,
 };
 use serde_json::Value;
@@ -22,8 +22,7 @@ use serde_json::Value;
 const OUTER_M: f64 = 0.16;
 const INNER_M: f64 = 0.064;
 
-/// A folder with a camera file and a picture of a roundel of 60 px at the place given back, among
-/// three dark squares.
+/// A folder with a camera file and a picture of a roundel of 60 px among three dark squares, and the roundel's pose.
 fn pictured() -> (tempfile::TempDir, Isometry3<f64>) {
     let camera =
         Pinhole::centered(640, 480, 600.0, Distortion::PlumbBob([-0.1, 0.02, 0.0, 0.0, 0.0]));
@@ -40,20 +39,20 @@ fn pictured() -> (tempfile::TempDir, Isometry3<f64>) {
     }
     let print = Print::plain(OUTER_M, INNER_M, 0.2);
     let motion = move |_: f64| pose;
-    let seen = [Seen { print: &print, motion: &motion }];
-    let image = renderer.frame(&background, &seen, &mut Random::new(7, 0));
+    let moving = [MovingPrint { print: &print, motion: &motion }];
+    let image = renderer.frame(&background, &moving, &mut Random::new(7, 0));
     let folder = tempfile::tempdir().unwrap();
     write_png(&folder.path().join("picture.png"), &image).unwrap();
     fs::write(folder.path().join("camera.yaml"), camera_yaml("camera", &camera)).unwrap();
     (folder, pose)
 }
 
-/// Runs `roundel detect` in a folder: the lines that it prints.
+/// Runs `roundel detect` in a folder, and returns its lines.
 fn detect(folder: &Path, arguments: &[&str]) -> Vec<Value> {
     let mut command = Command::new(roundel().unwrap());
     let output = command.arg("detect").args(arguments).current_dir(folder).output().unwrap();
-    let told = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{arguments:?}: {told}");
+    let explained = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{arguments:?}: {explained}");
     let lines = String::from_utf8(output.stdout).unwrap();
     lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
 }
@@ -64,7 +63,7 @@ fn vector(value: &Value) -> Vector3<f64> {
     Vector3::from_column_slice(&numbers)
 }
 
-/// Red, green and blue of a PNG that was drawn into.
+/// Red, green and blue of an annotated PNG.
 fn drawn(path: PathBuf) -> Vec<[u8; 3]> {
     let decoder = png::Decoder::new(std::io::BufReader::new(fs::File::open(path).unwrap()));
     let mut reader = decoder.read_info().unwrap();
@@ -74,7 +73,7 @@ fn drawn(path: PathBuf) -> Vec<[u8; 3]> {
 }
 
 #[test]
-fn both_modes_place_a_roundel_where_it_is() {
+fn both_modes_locate_a_roundel() {
     let (folder, truth) = pictured();
     for mode in ["precise", "fast"] {
         let print = ["--camera", "camera.yaml", "--marker", "160:64", "--mode", mode];
@@ -88,13 +87,13 @@ fn both_modes_place_a_roundel_where_it_is() {
         let angle = normals.map(|normal| normal.angle(&(truth.rotation * Vector3::z())));
         assert!(angle[0].min(angle[1]) < 0.02, "{mode}: {angle:?}");
         assert_eq!(roundel["covariance"].as_array().unwrap().len(), 21);
-        // A plain roundel says neither who it is nor how it is turned.
+        // A plain roundel has neither an id nor a yaw.
         assert_eq!((&roundel["id"], &roundel["yaw_rad"]), (&Value::Null, &Value::Null));
     }
 }
 
 #[test]
-fn white_rings_are_found_where_they_are_asked_for() {
+fn white_rings_are_found_on_request() {
     let (folder, truth) = pictured();
     let black = image_file::load(&folder.path().join("picture.png")).unwrap();
     let pixels = black.pixels.iter().map(|level| 255 - level).collect();
@@ -110,37 +109,37 @@ fn white_rings_are_found_where_they_are_asked_for() {
             assert_eq!(roundels.map(Vec::len), found, "{print} {polarity}: {lines:?}");
             let roundel = roundels.into_iter().flatten().next().unwrap();
             let error_m = (vector(&roundel["position_m"]) - truth.translation.vector).norm();
-            // Without the inner diameter the ratio is the one seen, which is off by some of a pixel.
+            // Without the inner diameter, the ratio is measured, with an error of a fraction of a pixel.
             assert!(error_m < 0.02, "{print} {polarity}: {error_m} m");
         }
     }
 }
 
 #[test]
-fn what_was_refused_is_told_and_drawn() {
+fn rejected_candidates_are_reported_and_drawn() {
     let (folder, _) = pictured();
     let plain = detect(folder.path(), &["--draw", "plain", "picture.png"]);
     assert_eq!((&plain[0]["rejects"], &plain[0]["rejected"]), (&Value::Null, &Value::Null));
-    let told = detect(folder.path(), &["--explain", "--draw", "told", "picture.png"]);
-    let told = &told[0];
-    let counts = told["rejects"].as_object().unwrap();
+    let explained = detect(folder.path(), &["--explain", "--draw", "explained", "picture.png"]);
+    let explained = &explained[0];
+    let counts = explained["rejects"].as_object().unwrap();
     let total: u64 = counts.values().map(|count| count.as_u64().unwrap()).sum();
-    let rejected = told["rejected"].as_array().unwrap();
-    assert!(total > 0 && rejected.len() as u64 <= total, "{told}");
+    let rejected = explained["rejected"].as_array().unwrap();
+    assert!(total > 0 && rejected.len() as u64 <= total, "{explained}");
     for each in rejected {
         assert!(counts.contains_key(each["reason"].as_str().unwrap()), "{each}");
         let places = ["center_px", "half_box_px"].map(|key| each[key].as_array().unwrap().len());
         assert_eq!(places, [2, 2]);
     }
-    let [plain, told] =
-        ["plain", "told"].map(|it| drawn(folder.path().join(it).join("picture.png")));
-    assert_ne!(plain, told);
-    // What was found is drawn in both: the same green.
+    let [plain, explained] =
+        ["plain", "explained"].map(|it| drawn(folder.path().join(it).join("picture.png")));
+    assert_ne!(plain, explained);
+    // Detections are drawn in both, in the same green.
     let green = |pixels: &[[u8; 3]]| pixels.iter().filter(|p| **p == [40, 230, 80]).count();
     assert!(green(&plain) > 100, "{}", green(&plain));
 }
 
-/// A quarter turn of the paper, counter-clockwise as seen.
+/// A quarter turn of the paper, counter-clockwise in the image.
 fn turned(image: &Image) -> Image {
     let (width, height) = (image.height, image.width);
     let pixels = (0..height).flat_map(|v| (0..width).map(move |u| (u, v)));
@@ -148,7 +147,7 @@ fn turned(image: &Image) -> Image {
     Image { width, height, pixels: pixels.collect() }
 }
 
-/// Where the print's right points, in the camera frame.
+/// Direction of the print's right in the camera frame.
 fn right_of(roundel: &Value) -> Vector3<f64> {
     let yaw =
         UnitQuaternion::from_axis_angle(&Vector3::z_axis(), roundel["yaw_rad"].as_f64().unwrap());
@@ -157,9 +156,8 @@ fn right_of(roundel: &Value) -> Vector3<f64> {
 }
 
 #[test]
-fn prints_are_read_with_their_number_and_their_turn() {
-    let Some(prints) = shared_data("prints_are_read_with_their_number_and_their_turn", "whycode")
-    else {
+fn prints_are_read_with_their_number_and_yaw() {
+    let Some(prints) = shared_data("prints_are_read_with_their_number_and_yaw", "whycode") else {
         return;
     };
     let camera = Pinhole::centered(600, 600, 800.0, Distortion::PlumbBob([0.0; 5]));

@@ -1,5 +1,5 @@
-//! Checks every Markdown file of the repository: links and anchors resolve, commands name what exists, and the README is
-//! short. Each problem names file, line and remedy.
+//! Checks every Markdown file of the repository: links and anchors resolve, commands exist, and the README is short.
+//! Each problem names file, line and remedy.
 
 use std::{collections::BTreeMap, fs, path::PathBuf, process::Command};
 
@@ -9,11 +9,18 @@ use serde_json::Value;
 const README_LINES: usize = 200;
 const README_WORDS: usize = 1500;
 const README_LINE_CHARS: usize = 160;
-/// Cargo's own subcommands that documents use.
+/// Cargo's subcommands that documents use.
 const SUBCOMMANDS: [&str; 9] =
     ["bench", "build", "check", "clippy", "deny", "fmt", "install", "run", "test"];
 
-/// What documents may refer to.
+/// Programs whose subcommands and options are checked.
+#[derive(Clone, Copy)]
+enum Program {
+    Roundel,
+    Tests,
+}
+
+/// Everything that documents may refer to.
 struct Repository {
     root: PathBuf,
     /// Text of each document, by its path below the root.
@@ -72,7 +79,7 @@ impl Repository {
         problems
     }
 
-    /// Why a link leads nowhere.
+    /// The problem of a broken link.
     fn link_problem(&self, name: &str, text: &str, link: &str) -> Option<String> {
         if link.contains("://") {
             return None;
@@ -94,7 +101,7 @@ impl Repository {
         (!is_known).then(|| format!("no heading #{anchor} in {other}: use one of {known}"))
     }
 
-    /// What is wrong with a line of shell that runs cargo, `roundel` or a script, or with the path of a source file.
+    /// Problems of a line of shell that runs cargo, one of our programs or a script, or of a path of a source file.
     fn command_problems(&self, line: &str) -> Vec<String> {
         let line = line.split(" #").next().unwrap_or_default();
         line.split(['|', '&', ';', '(', ')'])
@@ -107,7 +114,7 @@ impl Repository {
         let mut words = command.split_whitespace().skip_while(is_variable);
         let first = match words.next()? {
             "cargo" => return self.cargo_problem(&words.collect::<Vec<_>>()),
-            "roundel" => return self.roundel_problem(&words.collect::<Vec<_>>()),
+            "roundel" => return self.program_problem(Program::Roundel, &words.collect::<Vec<_>>()),
             "python" => words.next()?,
             first => first,
         };
@@ -167,17 +174,26 @@ impl Repository {
                 }
             }
         }
-        let runs_roundel = *name == "run" && names == ["roundel-server"];
-        if runs_roundel { self.roundel_problem(rest.get(1..)?) } else { None }
+        let program = match names[..] {
+            ["roundel-server"] => Program::Roundel,
+            ["roundel-tests"] => Program::Tests,
+            _ => return None,
+        };
+        if *name == "run" { self.program_problem(program, rest.get(1..)?) } else { None }
     }
 
-    /// Subcommand and options, looked up in the sources of the command line.
-    fn roundel_problem(&self, words: &[&str]) -> Option<String> {
+    /// Checks a subcommand and its options against the sources of the command line.
+    fn program_problem(&self, program: Program, words: &[&str]) -> Option<String> {
         let subcommand = words.first().filter(|word| is_name(word) && !word.starts_with('-'))?;
-        let file = self.root.join(format!("server/src/app/cli/{subcommand}.rs"));
-        let Ok(mut source) = fs::read_to_string(&file) else {
-            return Some(format!("no command roundel {subcommand}: see roundel --help"));
+        let (program, folder) = match program {
+            Program::Roundel => ("roundel", "server/src/app/cli"),
+            Program::Tests => ("roundel-tests", "tests/src/run"),
         };
+        let file = self.root.join(folder).join(format!("{}.rs", subcommand.replace('-', "_")));
+        if !file.exists() && !file.with_extension("").exists() {
+            return Some(format!("no command {program} {subcommand}: see {program} --help"));
+        }
+        let mut source = fs::read_to_string(&file).unwrap_or_default();
         for entry in fs::read_dir(file.with_extension("")).into_iter().flatten().flatten() {
             source += &fs::read_to_string(entry.path()).unwrap_or_default();
         }
@@ -190,7 +206,7 @@ impl Repository {
             let field = format!(" {}: ", option.replace('-', "_"));
             !source.contains(&field) && !source.contains(&format!("\"{option}\""))
         });
-        unknown.map(|option| format!("roundel {subcommand} has no --{option}: see its --help"))
+        unknown.map(|option| format!("{program} {subcommand} has no --{option}: see its --help"))
     }
 }
 
@@ -215,7 +231,7 @@ fn anchors(text: &str) -> Vec<String> {
     anchors
 }
 
-/// Where the README is too long.
+/// Excess length of the README.
 fn length_problems(text: &str) -> Vec<String> {
     let (lines, words) = (text.lines().count(), text.split_whitespace().count());
     let mut problems = Vec::new();
@@ -247,7 +263,7 @@ fn links_and_commands_of_all_documents_hold() {
 }
 
 #[test]
-fn what_is_wrong_is_found_where_it_is() {
+fn problems_are_found_with_their_lines() {
     let repository = Repository::read();
     let cases = [
         ("# A b\n\n[c](#a-b) [d](../README.md#figures) ![e](run) [f](https://x.y)", ""),
@@ -260,8 +276,11 @@ fn what_is_wrong_is_found_where_it_is() {
             "```sh\nA=b cargo bench -p roundel-core --bench none\n```",
             "x.md:2: no target --bench none",
         ),
-        ("    cargo run -p roundel-core --bin recall", "no target --bin recall"),
-        ("    cargo run -p roundel-tests --bin recall > x", ""),
+        ("    cargo run -p roundel-core --bin none", "no target --bin none"),
+        ("    cargo run -p roundel-tests -- recall > x", ""),
+        ("    cargo scenarios --short alone", ""),
+        ("    cargo run -p roundel-tests -- chaos --none", "roundel-tests chaos has no --none"),
+        ("    cargo run -p roundel-tests -- none", "no command roundel-tests none"),
         ("    cargo build --features none", "no feature none"),
         ("    cargo bench -p roundel-server --bench decode", "needs --features \"gst\""),
         ("    cargo nonsense", "cargo nonsense"),

@@ -1,27 +1,27 @@
-//! Roundels with elliptical discs are found, told apart from each other and from plain ones, and located
-//! with their heading. `-- --nocapture` prints the table.
+//! Roundels with elliptical discs: detection, distinction from each other and from plain ones, and pose with heading.
+//! `-- --nocapture` prints the table.
 
 use roundel_core::marker::Polarity;
 use roundel_tests::elliptical::{Case, Score, run};
 
-/// What a case must reach.
+/// Bars of a case.
 struct Bar {
     diameters_px: (f64, f64),
     tilts_deg: (f64, f64),
-    /// Largest share of roundels that are not found, and of those taken for another elliptical kind.
+    /// Maximum share of roundels that are missed, and of those detected as another elliptical kind.
     missed: f64,
-    mistaken: f64,
+    confused: f64,
     /// Fast, precise.
     modes: [Reach; 2],
 }
 
-/// What a mode must reach.
+/// Bars of a mode.
 struct Reach {
-    /// Rms error of the heading, degrees.
+    /// Rms error of the heading.
     heading_deg: f64,
-    /// The same over the Cramér-Rao bound.
+    /// The same relative to the Cramér-Rao bound.
     heading_over_bound: f64,
-    /// Shares inside of the stated 95 % ellipsoids, of positions and of rotations.
+    /// Shares inside the stated 95 % ellipsoids, of positions and of rotations.
     shares: (f64, f64),
 }
 
@@ -34,52 +34,52 @@ const BARS: [Bar; 4] = [
         diameters_px: (12.0, 20.0),
         tilts_deg: (0.0, 40.0),
         missed: 0.01,
-        mistaken: 0.05,
+        confused: 0.05,
         modes: [reach(1.3, 4.0, (0.9, 0.9)), reach(0.6, 1.8, (0.89, 0.88))],
     },
     Bar {
         diameters_px: (20.0, 30.0),
         tilts_deg: (0.0, 60.0),
         missed: 0.0,
-        mistaken: 0.01,
+        confused: 0.01,
         modes: [reach(0.8, 3.5, (0.8, 0.82)), reach(0.3, 1.5, (0.91, 0.9))],
     },
     Bar {
         diameters_px: (30.0, 50.0),
         tilts_deg: (0.0, 60.0),
         missed: 0.0,
-        mistaken: 0.0,
+        confused: 0.0,
         modes: [reach(0.2, 2.2, (0.86, 0.84)), reach(0.12, 1.3, (0.88, 0.9))],
     },
     Bar {
         diameters_px: (50.0, 110.0),
         tilts_deg: (0.0, 60.0),
         missed: 0.0,
-        mistaken: 0.0,
+        confused: 0.0,
         modes: [reach(0.08, 2.0, (0.88, 0.92)), reach(0.05, 1.3, (0.92, 0.91))],
     },
 ];
 
 #[test]
-fn black_rings_are_found_told_apart_and_located() {
+fn black_elliptical_rings_are_found_distinguished_and_located() {
     BARS.iter().for_each(|bar| check(bar, Polarity::BlackRing, 300));
 }
 
 #[test]
-fn white_rings_are_found_told_apart_and_located() {
+fn white_elliptical_rings_are_found_distinguished_and_located() {
     BARS[1..].iter().for_each(|bar| check(bar, Polarity::WhiteRing, 300));
 }
 
 fn check(bar: &Bar, polarity: Polarity, count: usize) {
     let Bar { diameters_px, tilts_deg, .. } = *bar;
     let score = run(&Case { diameters_px, tilts_deg, polarity }, count);
-    let Score { shown, found, mistaken, .. } = score;
+    let Score { shown, found, confused, .. } = score;
     let case = format!("{polarity:?}, {diameters_px:?} px, {tilts_deg:?}°");
-    println!("{case}: {found} of {shown} found, {mistaken} taken for another elliptical kind");
+    println!("{case}: {found} of {shown} found, {confused} detected as another elliptical kind");
     let share = |part: usize| part as f64 / shown as f64;
     assert!(share(shown - found) <= bar.missed, "{case}: missed {:?}", score.missed);
-    assert_eq!((score.false_rings, score.plain_mistaken), (0, 0), "{case}");
-    assert!(share(mistaken) <= bar.mistaken, "{case}: {mistaken} mistaken");
+    assert_eq!((score.false_rings, score.plain_confused), (0, 0), "{case}");
+    assert!(share(confused) <= bar.confused, "{case}: {confused} confused");
     for (index, mode) in ["fast", "precise"].into_iter().enumerate() {
         let (errors, reach) = (&score.modes[index], &bar.modes[index]);
         let (positions, rotations) = errors.shares();
@@ -90,10 +90,10 @@ fn check(bar: &Bar, polarity: Polarity, count: usize) {
              {rotations:.3}, plain {:.3}",
             errors.heading_over_stated(),
             errors.heading_over_bound(),
-            errors.heading_most_deg(),
+            errors.heading_max_deg(),
             errors.depth_over_bound(),
             errors.normal_median_deg(),
-            errors.mistaken,
+            errors.wrong_normals,
             errors.own,
             errors.plain_share(),
         );

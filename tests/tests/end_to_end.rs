@@ -1,5 +1,5 @@
-//! The demo as its users meet it: the real binary, the Rust client, a WebSocket and REST at once,
-//! and a stop by signal while they listen.
+//! The demo with the real binary, the Rust client, a WebSocket and REST at the same time, and its stop by a signal
+//! while clients are connected.
 
 use std::time::Duration;
 
@@ -17,7 +17,7 @@ use tokio::{
 use tokio_tungstenite::{connect_async, tungstenite::Message};
 
 const ROBOTS: usize = 24;
-/// A loaded machine may take its time; nothing here asserts how long things take.
+/// Long enough for a loaded machine. No test asserts durations.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 fn tracked(snapshot: &Snapshot) -> usize {
@@ -25,7 +25,6 @@ fn tracked(snapshot: &Snapshot) -> usize {
     snapshot.objects.iter().filter(|object| is_tracked(object.stage)).count()
 }
 
-/// The next snapshot that the Rust client gives.
 async fn next(
     snapshots: &mut (impl futures::Stream<Item = Result<Update, roundel_client::Error>> + Unpin),
 ) -> anyhow::Result<Snapshot> {
@@ -49,7 +48,7 @@ async fn get(address: &str, path: &str) -> anyhow::Result<(u16, String)> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn every_door_shows_the_same_robots_and_closes_on_a_signal() -> anyhow::Result<()> {
+async fn every_interface_shows_the_same_robots_and_closes_on_a_signal() -> anyhow::Result<()> {
     let folder = tempfile::tempdir()?;
     let mut server = Server::start(&["demo", "--listen", "127.0.0.1:0"], folder.path())?;
 
@@ -67,7 +66,7 @@ async fn every_door_shows_the_same_robots_and_closes_on_a_signal() -> anyhow::Re
         ensure!(object.covariance.len() == 21, "{object:?}");
         ensure!(object.covariance.iter().all(|number| number.is_finite()), "{object:?}");
     }
-    // Three cameras may see all robots before the fourth has painted its floor.
+    // Three cameras may see all robots before the fourth has rendered its floor.
     let mut cameras = client.cameras().await?;
     for _ in 0..3_000 {
         if cameras.iter().all(|camera| camera.frames > 0) {

@@ -1,4 +1,4 @@
-//! The Rust client's examples against the demo: a circle of robots, and a recording of it.
+//! The Rust client's examples with the demo: robots form a circle, and a recording of it.
 
 use std::{f64::consts::TAU, process::Command};
 
@@ -9,26 +9,26 @@ use roundel_tests::process::{self, Server};
 
 const ROBOTS: usize = 12;
 const RADIUS_M: f64 = 2.0;
-/// Root mean square distance from the places that a formation may have.
+/// Maximum rms distance of a formation from its places.
 const GOOD_M: f64 = 0.03;
-/// So far a push of a second at 1 m/s must take its robot.
+/// Minimum displacement of a robot by a push of a second at 1 m/s.
 const PUSHED_M: f64 = 0.3;
 
 fn run(example: &str, arguments: &[&str]) -> anyhow::Result<String> {
     let output = Command::new(process::example(example)?).args(arguments).output()?;
-    let said = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
-    ensure!(output.status.success(), "{example} ended with {}:\n{said}", output.status);
-    Ok(said)
+    let printed = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
+    ensure!(output.status.success(), "{example} ended with {}:\n{printed}", output.status);
+    Ok(printed)
 }
 
-/// What a subscriber of its own sees of a formation, whatever those who drive it say.
+/// A formation as observed by a subscriber independent of the example.
 #[derive(Debug, Default)]
 struct Watch {
-    /// Who stands at each place, once the circle has stood.
+    /// Id of the object at each place once the circle is complete.
     ids: Vec<u64>,
-    /// Farthest that each was from its place since then, by place.
+    /// Largest distance of each object from its place since then.
     farthest_m: Vec<f64>,
-    /// Of now; infinite until the circle has stood, and where one is not followed.
+    /// Current distance; infinite until the circle is complete, and while an object is lost.
     rms_m: f64,
 }
 
@@ -49,14 +49,14 @@ impl Watch {
             };
             let off_m: Vec<f64> = self.ids.iter().enumerate().map(off_m).collect();
             self.rms_m = rms(&off_m);
-            // One that is lost is nowhere: that is no push.
+            // A lost object has an infinite distance, which is not a push.
             let seen = self.farthest_m.iter_mut().zip(off_m).filter(|(_, off_m)| off_m.is_finite());
             seen.for_each(|(farthest_m, off_m)| *farthest_m = farthest_m.max(off_m));
         }
     }
 }
 
-/// Who is nearest to a place on the circle, and how far from it, metres.
+/// The object nearest to a place on the circle, and its distance.
 fn nearest(snapshot: &Snapshot, place: usize) -> (u64, f64) {
     let each = snapshot.objects.iter().map(|state| (state.object_id, off_m(state.position, place)));
     each.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, f64::INFINITY))
@@ -84,7 +84,7 @@ async fn robots_form_a_circle_keep_it_while_one_is_pushed_and_are_recorded() -> 
         move || run("formation", &[&url])
     });
     let mut watch = Watch::default();
-    let said = loop {
+    let printed = loop {
         tokio::select! {
             ended = &mut driving => break ended??,
             update = updates.next() => {
@@ -94,29 +94,29 @@ async fn robots_form_a_circle_keep_it_while_one_is_pushed_and_are_recorded() -> 
             }
         }
     };
-    // Robots that hear nothing stop, so they stand where the example left them.
+    // Robots without commands stop, so they stand where the example left them.
     watch.see(&client.snapshot().await?);
-    let pushed = said.lines().find_map(|line| line.strip_prefix("pushing robot "));
+    let pushed = printed.lines().find_map(|line| line.strip_prefix("pushing robot "));
     let pushed = pushed.and_then(|rest| rest.strip_suffix(" away")?.parse::<u64>().ok());
     let place = watch.ids.iter().position(|id| Some(*id) == pushed);
-    let place = place.with_context(|| format!("expected {pushed:?} in {watch:?}:\n{said}"))?;
+    let place = place.with_context(|| format!("expected {pushed:?} in {watch:?}:\n{printed}"))?;
     for (other, farthest_m) in watch.farthest_m.iter().enumerate() {
-        // Away, and nobody else with it.
+        // One robot was pushed away, and no other.
         let is_sound =
             if other == place { *farthest_m >= PUSHED_M } else { *farthest_m <= PUSHED_M / 2.0 };
-        ensure!(is_sound, "expected a push of place {place} alone, found {watch:?}:\n{said}");
+        ensure!(is_sound, "expected a push of place {place} alone, found {watch:?}:\n{printed}");
     }
     ensure!(
         watch.rms_m <= GOOD_M,
-        "expected at most {GOOD_M} m rms after the push, found {watch:?}; the example said:\n{said}"
+        "expected at most {GOOD_M} m rms after the push, found {watch:?}; the example printed:\n{printed}"
     );
 
     let file = folder.path().join("run.csv");
-    let said = run("record", &[&file.to_string_lossy(), "1", &server.url()])?;
+    let printed = run("record", &[&file.to_string_lossy(), "1", &server.url()])?;
     let text = std::fs::read_to_string(&file)?;
     let lines: Vec<&str> = text.lines().collect();
     let snapshots = (lines.len() - 1) / ROBOTS;
-    ensure!(said.contains(&format!("{snapshots} snapshots written")), "{said}");
+    ensure!(printed.contains(&format!("{snapshots} snapshots written")), "{printed}");
     ensure!(snapshots > 1 && (lines.len() - 1).is_multiple_of(ROBOTS), "{} lines", lines.len());
     let columns = lines[0].split(',').count();
     ensure!(lines.iter().all(|line| line.split(',').count() == columns), "{text}");

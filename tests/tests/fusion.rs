@@ -1,5 +1,5 @@
-//! A rendered arena through core's detection, poses and fusion, scored against the truth: the same
-//! scenario and score as over a real server, without its timing.
+//! A rendered arena through core's detection, pose estimation and fusion, scored against the truth: the same scenario
+//! and score as over a real server, without its timing.
 
 use roundel_core::{
     time::Timestamp,
@@ -12,8 +12,8 @@ use roundel_tests::{
     score::{CHI2_95_3, Judge, Score},
 };
 
-/// Fuses in order, with a snapshot each 1/60 s, 10 ms after the newest frame at least; scores
-/// after the first second, in which tracks begin.
+/// Fuses in order, with a snapshot every 1/60 s, at least 10 ms after the newest frame. Scores after the first
+/// second, in which tracks begin.
 fn score(arena: &Arena, frames: &[FrameObservations], params: FusionParams) -> Score {
     let mut fusion = fusion(arena, params);
     let mut judge = Judge::default();
@@ -32,16 +32,16 @@ fn score(arena: &Arena, frames: &[FrameObservations], params: FusionParams) -> S
     judge.finish()
 }
 
-/// Stated covariances are neither too small nor too large, even where neighbours' sheets
-/// cover parts of one another's rings.
+/// Stated covariances are neither too small nor too large, even where neighbours' sheets cover parts of one another's
+/// rings.
 ///
-/// Too large shows in the mean of the normalized squares, 3 where all is Gaussian. Precise poses leave
-/// errors that are those of the motion model more than of the pixels: a path whose accelerations are
-/// bounded strays less than white acceleration may, so that almost none lie outside the ellipsoid
-/// though it is hardly too large. Nor do errors of pixels stay from frame to frame by as much as is allowed for, which
-/// shows now that accelerations are foreseen: what stands still has 0.8 to 0.9 of 3, what moves lies between.
+/// An excess shows in the mean of the normalized squares, which is 3 for Gaussian errors. With precise poses, the
+/// motion model contributes more to errors than the pixels do: a path with bounded accelerations deviates less than
+/// white acceleration may, so that almost no errors lie outside the ellipsoid although it is hardly too large. Pixel
+/// errors also persist less from frame to frame than the filter allows for. Robots that stand still have 0.8 to 0.9
+/// of 3; those that move lie between.
 #[test]
-fn errors_of_a_crowd_are_those_stated() {
+fn errors_of_crowded_robots_match_their_covariances() {
     for seed in [2, 3] {
         let arena = Arena::r4_lite(seed, 24, 8);
         let score = score(&arena, &watch(&arena, 120), FusionParams::default());
@@ -58,7 +58,7 @@ fn errors_of_a_crowd_are_those_stated() {
 }
 
 #[test]
-fn fused_poses_are_as_exact_as_stated() {
+fn fused_poses_match_their_covariances() {
     let arena = Arena::r4_lite(1, 8, 2);
     let frames = watch(&arena, 90);
     for cameras in [1, 2, 4] {
@@ -68,8 +68,8 @@ fn fused_poses_are_as_exact_as_stated() {
         println!("{cameras} cameras\n{score}\n");
         assert_eq!((score.swaps, score.strays, score.extra_ids, score.unusable), (0, 0, 0, 0));
         assert!(score.position.count() > 500);
-        // Errors of one camera's depth are the same from frame to frame; a few robots say little
-        // of their share. With all cameras it must hold.
+        // Depth errors of one camera persist from frame to frame, so a few robots show little of their share. With
+        // all cameras it must hold.
         if cameras == 4 {
             assert_eq!(score.misses, 0);
             assert!(score.position.share_within(CHI2_95_3) >= 0.92);

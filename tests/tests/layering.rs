@@ -1,4 +1,4 @@
-//! Dependencies between crates and modules, what core must not do, and where core's types become messages.
+//! Dependencies between crates and modules, purity of core, and conversion between core's types and messages.
 
 use std::{
     collections::BTreeMap,
@@ -121,7 +121,7 @@ fn files_do_not_import_each_other_in_a_cycle() {
 }
 
 #[test]
-fn upward_imports_of_the_server_are_refused() {
+fn upward_imports_of_the_server_are_rejected() {
     for (path, source, used) in [
         ("model/hub.rs", "use crate::archive::record::Tap;", "archive"),
         ("fusion/mod.rs", "use crate::{api::{ApiState, error::E}, model::hub::Hub};", "api"),
@@ -169,7 +169,7 @@ fn only_one_file_converts_between_core_and_proto() {
 }
 
 #[test]
-fn a_stray_folder_is_refused() {
+fn an_unexpected_folder_is_rejected() {
     let names = ["core", "README.md", ".ci", "scripts"].map(str::to_owned);
     let broken = stray_names(&names);
     assert_eq!(broken.len(), 1);
@@ -177,7 +177,7 @@ fn a_stray_folder_is_refused() {
 }
 
 #[test]
-fn wrong_dependencies_are_refused() {
+fn wrong_dependencies_are_rejected() {
     let own = |list: &[&str]| list.iter().map(|name| (*name).to_owned()).collect::<Vec<String>>();
     let crates = |fusion: &[&str], client: &[&str]| -> BTreeMap<String, Vec<String>> {
         let mut all: BTreeMap<_, _> =
@@ -198,7 +198,7 @@ fn wrong_dependencies_are_refused() {
 }
 
 #[test]
-fn impure_code_is_refused_and_talk_about_it_is_not() {
+fn impure_code_is_rejected_and_comments_about_it_are_not() {
     for bad in [
         "fn now() -> f64 { std::time::Instant::now().elapsed().as_secs_f64() }",
         "use std::time::SystemTime;",
@@ -221,12 +221,12 @@ fn impure_code_is_refused_and_talk_about_it_is_not() {
     ] {
         assert_clean(&impurities("x.rs", good));
     }
-    // What follows a test item is checked again.
+    // Code after a test item is checked again.
     assert_eq!(impurities("x.rs", "#[cfg(test)]\nuse a::{b};\nfn f() { dbg!(1); }").len(), 1);
 }
 
 #[test]
-fn conversions_elsewhere_are_refused() {
+fn conversions_elsewhere_are_rejected() {
     let both = "use roundel_core::world; use roundel_proto::v1;\n";
     let convert = "fn f(s: &world::Snapshot) -> v1::Snapshot { v1::Snapshot { sequence: 1 } }";
     let pass_on = "fn f(s: &world::Snapshot) -> v1::Snapshot { convert::snapshot(s) }";
@@ -248,7 +248,7 @@ fn conversions_elsewhere_are_refused() {
 }
 
 #[test]
-fn shipped_code_keeps_what_ships() {
+fn test_code_is_removed() {
     let code = shipped_code("fn a() {} // b\n#[cfg(test)]\nmod tests { fn c() {} }\nfn d() {}");
     assert!(code.contains("fn a()") && code.contains("fn d()"));
     assert!(!code.contains('b') && !code.contains("fn c"));

@@ -1,21 +1,21 @@
-//! A lens is found from rendered views of the board, with deviations that hold. What becomes of views that are blurred, cut
-//! off, empty or there twice is in `lens_command`, by name.
+//! Lens calibration from rendered views of the board, with consistent deviations. Blurred, cropped, empty and
+//! duplicate views are covered in `lens_command`.
 
 use roundel_core::{calib::board::Board, marker::CodeLayout};
 use roundel_tests::{
     board::{board_of, board_print, camera, imaging, lens, lens_by, pictures, poses},
-    normal::Random,
+    random::Random,
     render::Imaging,
 };
 
 #[test]
-fn thirty_views_tell_the_lens() {
+fn a_lens_is_calibrated_from_thirty_views() {
     let truth = camera();
     let poses = poses(&truth, 30, &mut Random::new(7, 0));
     let print = board_print();
     let views = pictures(&truth, imaging(), &print, &poses, 7);
     let found = lens(&views).unwrap();
-    // Some are like others by chance, and are no views of their own.
+    // Some views resemble others by chance, and are skipped.
     assert!(found.views.iter().flatten().count() >= 25, "{:?}", found.views);
     let intrinsics = found.camera.intrinsics();
     let deviations = found.deviations();
@@ -31,12 +31,12 @@ fn thirty_views_tell_the_lens() {
     assert!(found.rms_px < 0.06, "{} px", found.rms_px);
     assert!(deviations[..2].iter().all(|deviation| *deviation < 0.2), "{deviations:?}");
     let width = found.diameter_check.unwrap();
-    println!("roundels look {} ± {} as wide as said", width.ratio, width.deviation);
+    println!("roundels appear {} ± {} times as wide as stated", width.ratio, width.deviation);
     assert!((width.ratio - 1.0).abs() < 0.001 && !width.is_doubtful(), "{width:?}");
 }
 
 #[test]
-fn a_pitch_that_is_two_percent_off_is_told() {
+fn a_pitch_that_is_two_percent_off_is_reported() {
     let truth = camera();
     for (seed, blur_px) in [(7, 0.5), (8, 0.8), (9, 1.2)] {
         let poses = poses(&truth, 12, &mut Random::new(seed, 0));
@@ -56,7 +56,7 @@ fn a_pitch_that_is_two_percent_off_is_told() {
 }
 
 #[test]
-fn views_from_one_side_end_in_what_is_missing() {
+fn views_from_one_side_end_with_the_missing_ones_named() {
     let truth = camera();
     let poses = poses(&truth, 40, &mut Random::new(3, 0));
     let facing = |pose: &nalgebra::Isometry3<f64>| {
@@ -77,14 +77,14 @@ fn views_from_one_side_end_in_what_is_missing() {
     let error = lens(&few).unwrap_err().to_string();
     assert!(error.contains("at least 5 different views of the board, found 3"), "{error}");
     assert!(error.contains("still missing: a view tilted by 20° to 45°"), "{error}");
-    // The same view again and again is one.
+    // Repetitions of a view count once.
     let again = vec![few[0].clone(); 8];
     let error = lens(&again).unwrap_err().to_string();
     assert!(error.contains("found 1") && error.contains("corner of the picture"), "{error}");
 }
 
 #[test]
-fn a_board_that_is_not_as_described_is_told() {
+fn a_board_with_another_layout_is_reported() {
     let truth = camera();
     let poses = poses(&truth, 8, &mut Random::new(5, 0));
     let views = pictures(&truth, imaging(), &board_print(), &poses, 5);

@@ -1,5 +1,5 @@
-//! `roundel calibrate lens` over rendered pictures of the board: a camera file that loads and is right, whatever else lies
-//! in the folder.
+//! `roundel calibrate lens` on rendered pictures of the board: a camera file that loads and is right, whatever other
+//! files the folder contains.
 
 use std::{
     fs,
@@ -12,16 +12,16 @@ use roundel_server::model::camera_file;
 use roundel_tests::{
     board::{board_print, camera, imaging, pictures, poses},
     export::write_png,
-    normal::Random,
     optics::Pinhole,
     process::roundel,
+    random::Random,
     render::{Image, Imaging},
 };
 use serde_json::Value;
 
 const VIEWS: usize = 24;
 
-/// Runs it in a folder.
+/// Runs the command in a folder.
 fn calibrate(folder: &Path, arguments: &[&str]) -> Output {
     let mut command = Command::new(roundel().unwrap());
     command.args(["calibrate", "lens"]).args(arguments).current_dir(folder).output().unwrap()
@@ -31,7 +31,7 @@ fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// A folder with a folder of so many views.
+/// A folder with a folder of views.
 fn pictured(count: usize) -> tempfile::TempDir {
     let truth = camera();
     let folder = tempfile::tempdir().unwrap();
@@ -46,12 +46,12 @@ fn pictured(count: usize) -> tempfile::TempDir {
 }
 
 #[test]
-fn a_folder_with_broken_pictures_among_them_gives_a_file_that_is_right() {
+fn a_folder_with_broken_pictures_gives_a_correct_file() {
     let folder = pictured(VIEWS);
     let at = |name: &str| folder.path().join(name);
     let good = fs::read(at("views/view-00.png")).unwrap();
     fs::write(at("views/cut.png"), &good[..good.len() / 2]).unwrap();
-    // Before all others in order: what most have counts, not what comes first.
+    // First in order: the size of most pictures counts, not that of the first.
     let small: Vec<u8> = b"P5\n64 48\n255\n".iter().copied().chain([255; 64 * 48]).collect();
     fs::write(at("views/a.pgm"), small).unwrap();
     fs::write(at("north.yaml"), "of before").unwrap();
@@ -84,7 +84,7 @@ fn a_folder_with_broken_pictures_among_them_gives_a_file_that_is_right() {
     assert!(doubt.is_some(), "it says how well it is known");
     assert_eq!(fs::read_to_string(at("north.previous.yaml")).unwrap(), "of before");
 
-    // The print is 36 mm from one to the next.
+    // The printed pitch is 36 mm.
     assert_eq!(report["width"]["warning"], Value::Null, "{report}");
     let output = calibrate(folder.path(), &["--pitch", "36.7", "--format", "json", "views"]);
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -105,7 +105,7 @@ fn cut_off(truth: &Pinhole) -> Isometry3<f64> {
 }
 
 #[test]
-fn every_bad_kind_of_view_is_left_out_by_name() {
+fn every_kind_of_bad_view_is_rejected_by_name() {
     let folder = pictured(VIEWS);
     let truth = camera();
     let views = folder.path().join("views");
@@ -120,7 +120,7 @@ fn every_bad_kind_of_view_is_left_out_by_name() {
         write(&format!("x-blurred-{blur_px}.png"), &taken(pose, blurred, 31));
     }
     write("x-cut.png", &taken(&cut_off(&truth), imaging(), 32));
-    // The same place once more, with other noise.
+    // The same pose once more, with other noise.
     let first = poses(&truth, 1, &mut Random::new(17, 0));
     write("x-twin.png", &taken(&first[0], imaging(), 33));
     let (width, height) = (truth.width, truth.height);
@@ -146,9 +146,9 @@ fn every_bad_kind_of_view_is_left_out_by_name() {
         assert_eq!(why(name).as_deref(), Some(expected), "{name}: {report:#}");
         assert!(text.contains(&format!("left out: views/{name}: {expected}")), "{text}");
     }
-    // So blurred that some codes cannot be read, it may fall out before.
+    // With this blur some codes cannot be read; the view may be rejected earlier.
     assert!(why("x-blurred-6.png").is_some(), "{report:#}");
-    // And none of the good ones but what is like another by chance.
+    // No good view is rejected, except for those that resemble another one by chance.
     for view in 0..VIEWS {
         let why = why(&format!("view-{view:02}.png"));
         assert!(why.as_ref().is_none_or(|why| why.starts_with("like ")), "{view}: {why:?}");
@@ -160,7 +160,7 @@ fn every_bad_kind_of_view_is_left_out_by_name() {
     assert!((found_px / truth.focal_px[0] - 1.0).abs() < 5e-4, "{found_px}");
     assert_eq!(report["parameters"].get("k3"), None, "it is 0: {report:#}");
 
-    // What speaks for the model is told to people as well.
+    // The text output also gives the reasons for the model.
     let output = calibrate(folder.path(), &["views"]);
     let text = String::from_utf8(output.stdout).unwrap();
     assert!(text.contains("Distortion models"), "{text}");
@@ -180,7 +180,7 @@ fn a_pattern_of_photographs_is_a_folder_and_one_with_a_rate_is_a_stream() {
     let of_pattern = report("images:views/*.png");
     assert_eq!(of_pattern, report("views"));
     assert_eq!(of_pattern["frames"], 8);
-    // No view follows one that is like it.
+    // Consecutive views differ.
     let output = calibrate(folder.path(), &["images:views/*.png?fps=5"]);
     let text = stderr(&output);
     assert!(!output.status.success() && output.stdout.is_empty(), "{text}");

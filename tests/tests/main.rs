@@ -1,11 +1,11 @@
-//! Scenarios, end-to-end tests and checks of the repository itself. One program, so that everything is linked once;
-//! `cargo test -p roundel-tests --test main layering::` runs those of one module.
+//! Scenarios, end-to-end tests and checks of the repository itself. They are one program, so that everything is
+//! linked once; `cargo test -p roundel-tests --test main layering::` runs one module.
 
 mod calibration;
 #[cfg(feature = "chessboard")]
 mod chessboard;
-mod code;
 mod coded;
+mod codes;
 mod consistency;
 mod detect;
 mod documents;
@@ -17,23 +17,23 @@ mod healing;
 mod layering;
 mod lens;
 mod lens_command;
-mod lens_live;
+mod lens_session;
+mod localization;
+mod moving_cameras;
 mod moving_lens;
+mod network_video;
 mod node;
 mod paper;
 mod photometry;
-mod placing;
-mod plan;
+mod plans;
 mod pose;
 mod print;
 mod real;
 mod recall;
 mod recording;
 mod renderer;
-mod riding;
 mod robustness;
 mod scenarios;
 mod shutter;
-mod source;
 mod survey;
 mod wording;

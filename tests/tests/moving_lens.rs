@@ -1,5 +1,5 @@
-//! A lens is found from nothing but coded roundels on robots that drive before a camera of a calibrated arena: recorded
-//! by a server, and read by the real binary.
+//! Lens calibration from coded roundels on robots that move before a camera of a calibrated arena: recorded by a
+//! server, and processed by the real binary.
 
 use std::{
     fs,
@@ -20,8 +20,8 @@ use roundel_tests::{
 use serde_json::Value;
 
 const SENSING: Sensing = Sensing { shows_rims: true, ..PRECISE };
-/// By how much the focal length is off that the configuration has.
-const MISTAKE: f64 = 0.01;
+/// Relative error of the configured focal length.
+const LENS_ERROR: f64 = 0.01;
 
 fn calibrate(file: &Path, camera: &str, more: &[&str]) -> Output {
     let file = file.to_string_lossy();
@@ -36,23 +36,24 @@ fn error(file: &Path, camera: &str) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// As a worker locates roundels that believes in a lens that is too long.
+/// Detections of a worker whose configured focal length is too long.
 fn with_longer_lens(mut frame: FrameObservations) -> FrameObservations {
     for pose in frame.detections.iter_mut().filter_map(|it| it.pose.as_mut()) {
-        pose.position_m.z *= 1.0 + MISTAKE;
+        pose.position_m.z *= 1.0 + LENS_ERROR;
     }
     frame
 }
 
 #[test]
-fn a_wrong_lens_is_found_from_robots_that_others_saw() {
+fn a_wrong_lens_is_corrected_from_robots_that_other_cameras_saw() {
     let arena = Arena::r4(3);
     let folder = tempfile::tempdir().unwrap();
     let (index, truth) = (1, arena.sites[1].optics);
-    let mistaken = Pinhole { focal_px: truth.focal_px.map(|it| it * (1.0 + MISTAKE)), ..truth };
+    let wrong_lens =
+        Pinhole { focal_px: truth.focal_px.map(|it| it * (1.0 + LENS_ERROR)), ..truth };
     let frames = Stream::new(&arena, SENSING, 15.0)
         .map(|frame| if frame.camera.0 == index { with_longer_lens(frame) } else { frame });
-    let recorded = record(&arena, frames, folder.path(), &[(index as usize, mistaken)]).unwrap();
+    let recorded = record(&arena, frames, folder.path(), &[(index as usize, wrong_lens)]).unwrap();
     let yaml = folder.path().join("found.yaml");
     let more = ["--format", "json", "--output", &yaml.to_string_lossy()];
     let output = calibrate(&recorded.file, &arena.sites[1].name, &more);
@@ -66,9 +67,9 @@ fn a_wrong_lens_is_found_from_robots_that_others_saw() {
         ("cx", truth.center_px[0], 1.0),
         ("cy", truth.center_px[1], 1.0),
     ];
-    for (key, truth, most) in expected {
+    for (key, truth, max) in expected {
         let (value, deviation) = (number(key, "value"), number(key, "deviation"));
-        assert!((value - truth).abs() < most, "{key}: {value} ± {deviation} for {truth}");
+        assert!((value - truth).abs() < max, "{key}: {value} ± {deviation} for {truth}");
         assert!((value - truth).abs() < 4.0 * deviation, "{key}: {value} ± {deviation}, {truth}");
     }
     assert_eq!(report["distortion_model"], truth.distortion.name());
@@ -90,10 +91,10 @@ fn a_wrong_lens_is_found_from_robots_that_others_saw() {
 }
 
 #[test]
-fn what_a_recording_does_not_tell_is_said() {
+fn insufficient_recordings_are_rejected_with_a_reason() {
     let arena = Arena::r4(3);
     let folder = tempfile::tempdir().unwrap();
-    // The first camera sees nothing, the second one robot that nobody else sees, and the third little.
+    // The first camera sees nothing, the second one robot that no other camera sees, and the third little.
     let frames = Stream::new(&arena, SENSING, 1.5).map(|mut frame| {
         let (camera, number) = (frame.camera.0, frame.frame);
         frame.detections.retain(|detection| {

@@ -1,5 +1,5 @@
-//! `roundel node` on another network, whose link to `roundel serve` is cut and comes back: two processes, two network
-//! namespaces, and a table of counts that adds up.
+//! `roundel node` on another network, whose link to `roundel serve` is interrupted and restored: two processes, two
+//! network namespaces, and consistent counters.
 
 use std::{
     fs,
@@ -18,7 +18,7 @@ use roundel_client::{
 use roundel_tests::process::{Server, roundel};
 use tokio::time::sleep;
 
-/// Nothing here takes so long but on a machine that stands still.
+/// Only a stalled machine takes this long.
 const PATIENCE: Duration = Duration::from_secs(90);
 const CUT: Duration = Duration::from_secs(11);
 
@@ -28,7 +28,7 @@ distortion_model: plumb_bob\n\
 distortion_coefficients: {rows: 1, cols: 5, data: [0.0, 0.0, 0.0, 0.0, 0.0]}\n";
 const ROUNDEL: &str = "[[roundel]]\nname = \"robot\"\nouter_mm = 160.0\ninner_mm = 64.0\n";
 
-/// A network namespace that one cable joins to this one.
+/// A network namespace, connected to this one by a virtual cable.
 struct Network {
     name: String,
     cable: String,
@@ -46,7 +46,7 @@ impl Network {
     fn new() -> anyhow::Result<Self> {
         let number = std::process::id() % 10_000;
         let (name, cable) = (format!("roundel-{number}"), format!("rt{number}h"));
-        // Of 198.18.0.0/15, which is for tests of networks.
+        // An address of 198.18.0.0/15, which is reserved for network tests.
         let subnet = format!("198.18.{}", number % 256);
         ip(&format!("netns add {name}"))?;
         let network = Self { name, cable, here: format!("{subnet}.1") };
@@ -67,7 +67,7 @@ impl Network {
 
 impl Drop for Network {
     fn drop(&mut self) {
-        // The cable goes with it.
+        // Deletes the cable too.
         let _ = ip(&format!("netns del {}", self.name));
     }
 }
@@ -95,7 +95,7 @@ impl Node {
         Ok(Self(child))
     }
 
-    /// Ends it, and gives what it says at the end.
+    /// Stops it, and returns its final report.
     fn end(mut self) -> anyhow::Result<serde_json::Value> {
         let id = self.0.id().to_string();
         ensure!(Command::new("kill").args(["-s", "TERM", &id]).status()?.success(), "kill {id}");
@@ -113,7 +113,7 @@ impl Drop for Node {
     }
 }
 
-/// A ring of 20 px on white, ten times.
+/// Ten pictures of a ring of 20 px on white.
 fn draw(folder: &Path) -> anyhow::Result<()> {
     let level = |u: f64, v: f64| {
         let radius = (u - 160.0).hypot(v - 120.0);
@@ -133,18 +133,18 @@ async fn until(
     what: &str,
     wanted: impl Fn(&Camera) -> bool,
 ) -> anyhow::Result<Camera> {
-    let begun = Instant::now();
+    let started = Instant::now();
     loop {
         let camera = client.cameras().await?.pop().context("no camera")?;
         if wanted(&camera) {
             return Ok(camera);
         }
-        ensure!(begun.elapsed() < PATIENCE, "{what} did not come about: {camera:#?}");
+        ensure!(started.elapsed() < PATIENCE, "{what} did not come about: {camera:#?}");
         sleep(Duration::from_millis(20)).await;
     }
 }
 
-/// A number of `/metrics`, all of its kind together.
+/// Sum of a metric's values in `/metrics`.
 fn metric(address: &str, name: &str) -> anyhow::Result<u64> {
     let mut socket = TcpStream::connect(address)?;
     write!(socket, "GET /metrics HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n")?;
@@ -209,7 +209,7 @@ async fn a_node_on_another_network_loses_its_link_and_the_counts_add_up() -> any
     let camera = until(&client, "the end", gone).await?;
     let link = camera.link.context("no link")?;
     ensure!((link.received, camera.frames) == (taken, taken), "{link:?} {report}");
-    // What was dropped before the first connection nobody has told the server of.
+    // The server does not know of drops before the first connection.
     ensure!(link.missing <= dropped && link.missing > 0, "{link:?} {report}");
     ensure!(metric(server.address(), "roundel_fusion_frames_total")? == taken, "{report}");
     ensure!(metric(server.address(), "roundel_fusion_detections_total")? == taken, "{report}");

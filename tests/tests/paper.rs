@@ -1,6 +1,6 @@
-//! The paper's tables in short: every row there, with numbers in it and a sentence, our model's figure beside each of
-//! Roundel's, and better than the paper where precision and range are concerned. Times are not judged; a time that is worse
-//! has to say why.
+//! The paper's tables in short: all rows with finite numbers and a sentence, our model's figure beside each of
+//! Roundel's, and better than the paper in precision and range. Times are not judged; one that is worse must have an
+//! excuse.
 
 use roundel_tests::paper::{ALL, Aim, Length, Row, Table};
 
@@ -10,10 +10,10 @@ fn table(name: &str) -> Table {
     println!("{table}");
     for row in &table.rows {
         assert!(row.is_finite(), "{name}: {row:?}");
-        assert!(!row.is_unexcused(), "{name}: worse, and no reason is said: {row:?}");
-        // Of what was not measured here it is said why.
+        assert!(!row.is_unexcused(), "{name}: worse without a reason: {row:?}");
+        // Rows that were not measured here must say why.
         assert!(!row.why().is_empty(), "{name}: no sentence: {row:?}");
-        // The plan measures times, too; there is no model of them.
+        // There is no model of times.
         let is_modelled = row.aim != Aim::Neither && !row.case.ends_with(": ms");
         assert!(!is_modelled || row.model.is_some(), "{name}: our model says nothing: {row:?}");
         assert!(row.here.is_some() || row.paper.is_some(), "{name}: {row:?}");
@@ -35,7 +35,7 @@ fn is_better(table: &Table, count: usize) {
 }
 
 #[test]
-fn roundels_are_found_from_further_away() {
+fn roundels_are_found_from_farther_away() {
     let table = table("table1");
     assert_eq!(table.rows.len(), 12);
     is_better(&table, 12);
@@ -54,7 +54,7 @@ fn a_larger_base_is_covered() {
 }
 
 #[test]
-fn places_are_more_exact_in_space_and_on_the_plane() {
+fn positions_are_more_precise_in_space_and_on_the_plane() {
     for name in ["table3", "table4"] {
         let table = table(name);
         assert_eq!(table.rows.len(), 5 * 4);
@@ -67,7 +67,7 @@ fn places_are_more_exact_in_space_and_on_the_plane() {
 }
 
 #[test]
-fn moving_targets_are_located_more_exactly() {
+fn moving_targets_are_located_more_precisely() {
     let table = table("table6");
     assert_eq!(table.rows.len(), 8);
     is_better(&table, 8);
@@ -90,7 +90,7 @@ fn times_have_all_their_rows() {
 }
 
 #[test]
-fn others_are_measured_on_the_same_places() {
+fn other_detectors_are_measured_at_the_same_poses() {
     let seventh = table("table7");
     assert_eq!(
         rows(&seventh, "2D, side, Roundel").len() + rows(&seventh, "2D, top, Roundel").len(),
@@ -105,7 +105,7 @@ fn others_are_measured_on_the_same_places() {
     assert_eq!(rows(&eighth, "fast, Roundel").len() + rows(&eighth, "slow, Roundel").len(), 4);
     let sizes = table("sizes");
     is_better(&sizes, 1);
-    // Without Python, PyPI or OpenCV they are left out by name.
+    // Without Python, PyPI or OpenCV these rows are skipped.
     for (table, with_others) in [(&seventh, 20), (&eighth, 8 + 3 * 6), (&sizes, 3)] {
         if table.skipped.is_empty() {
             assert_eq!(table.rows.len(), with_others, "{}", table.title);

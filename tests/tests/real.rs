@@ -1,5 +1,4 @@
-//! What the detector makes of real pictures: a video with its rims measured by hand, and pictures
-//! that hold no roundel.
+//! Detection in real pictures: a video with rims measured by hand, and pictures without roundels.
 
 use std::{
     collections::BTreeMap,
@@ -15,7 +14,7 @@ use roundel_server::capture::image_file;
 use roundel_tests::{elliptical, python::Python, shared_data::shared_data};
 use serde::Deserialize;
 
-/// What Python makes is kept here.
+/// Folder for files made by Python.
 const FOLDER: &str = env!("CARGO_TARGET_TMPDIR");
 
 #[derive(Deserialize)]
@@ -72,7 +71,7 @@ impl Deviation {
     }
 }
 
-/// Semiaxes and centres of both rims against the annotation.
+/// Semiaxes and centres of both rims compared with the annotation.
 #[derive(Default)]
 struct Comparison {
     /// Outer major, outer minor, inner major, inner minor.
@@ -138,9 +137,9 @@ fn the_whole_video_is_one_track() {
             part.print(&format!("{ratio:?} frames from {}", 40 * index + 1));
         }
         all.print(&format!("{ratio:?} all"));
-        // The annotation's half level lies between the levels that are seen. Where the ring is so thin
-        // that blur lifts its black, it is outside of the outer rim and inside the inner one, by up
-        // to 0.15 px in the first frames.
+        // The annotation is at half level between the observed levels. Where the ring is so thin that blur lifts its
+        // black, the detector's rims lie outside the outer and inside the inner one, by up to 0.15 px in the first
+        // frames.
         let squares: f64 = all.semiaxes.iter().map(|d| d.rms().powi(2)).sum();
         let rms_px = (squares / 4.0).sqrt();
         println!("{ratio:?}: all semiaxes {rms_px:.3} px rms");
@@ -148,8 +147,8 @@ fn the_whole_video_is_one_track() {
     }
 }
 
-/// Nothing is found in any of these pictures by a detector that takes any ring, nor by ones that know
-/// a print, also where discs may be elliptical.
+/// Requires no detection in these pictures, by a detector of any ratio and by detectors of given kinds, including
+/// elliptical discs.
 fn check_empty(paths: &[PathBuf]) {
     let kinds = elliptical::kinds(Polarity::BlackRing);
     let of_kinds = |kinds: &[Kind]| Detector::new(kinds.to_vec(), Params::default()).unwrap();
@@ -175,8 +174,8 @@ fn check_empty(paths: &[PathBuf]) {
 }
 
 #[test]
-fn rooms_without_a_roundel_have_none() {
-    let Some(folder) = shared_data("rooms_without_a_roundel_have_none", "real/negatives") else {
+fn pictures_of_rooms_have_no_detection() {
+    let Some(folder) = shared_data("pictures_of_rooms_have_no_detection", "real/negatives") else {
         return;
     };
     let paths = sorted(&folder);
@@ -185,8 +184,8 @@ fn rooms_without_a_roundel_have_none() {
 }
 
 #[test]
-fn photographs_of_other_projects_have_none() {
-    const NAME: &str = "photographs_of_other_projects_have_none";
+fn photographs_of_other_projects_have_no_detection() {
+    const NAME: &str = "photographs_of_other_projects_have_no_detection";
     let Some(python) = Python::new(NAME, Path::new(FOLDER)) else { return };
     let Some(folder) = python.folder(NAME, "photographs", "photographs.py", &[]) else { return };
     check_empty(&sorted(&folder));

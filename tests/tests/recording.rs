@@ -1,5 +1,4 @@
-//! Recordings of the real binary: killed, on a full disk, read by the packages that everybody has, and judged as `evo`
-//! judges.
+//! Recordings by the real binary: killed, on a full disk, read by common packages, and scored as by `evo`.
 
 use std::{
     fmt::Write as _,
@@ -16,7 +15,7 @@ use roundel_tests::{
 };
 use serde_json::Value;
 
-/// Nothing here takes so long but on a machine that stands still.
+/// Only a stalled machine takes this long.
 const PATIENCE: Duration = Duration::from_secs(90);
 
 fn lab(folder: &Path, recording: &str) -> PathBuf {
@@ -50,17 +49,17 @@ fn only_file(folder: &Path) -> Option<PathBuf> {
 }
 
 fn until<T>(what: &str, mut wanted: impl FnMut() -> Option<T>) -> T {
-    let begun = Instant::now();
+    let started = Instant::now();
     loop {
         if let Some(found) = wanted() {
             return found;
         }
-        assert!(begun.elapsed() < PATIENCE, "{what} did not come about");
+        assert!(started.elapsed() < PATIENCE, "{what} did not come about");
         thread::sleep(Duration::from_millis(20));
     }
 }
 
-/// Waits until a recording has grown to so many bytes.
+/// Waits until a recording has this many bytes.
 fn grown(folder: &Path, bytes: u64) -> PathBuf {
     until("a recording", || {
         only_file(folder).filter(|path| fs::metadata(path).is_ok_and(|data| data.len() > bytes))
@@ -68,12 +67,12 @@ fn grown(folder: &Path, bytes: u64) -> PathBuf {
 }
 
 #[test]
-fn a_killed_server_loses_no_more_than_a_second() {
+fn a_killed_server_loses_at_most_a_second() {
     let folder = tempfile::tempdir().unwrap();
     let mut server = Server::serve(&lab(folder.path(), "min_free_mb = 0\n")).unwrap();
     let kept = folder.path().join("recordings");
     let file = grown(&kept, 100_000);
-    // Whatever it is doing just then.
+    // An arbitrary time.
     thread::sleep(Duration::from_millis(731));
     let killed_ns =
         std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_nanos()
@@ -89,22 +88,22 @@ fn a_killed_server_loses_no_more_than_a_second() {
     let snapshots =
         report["topics"].as_array().unwrap().iter().find(|it| it["topic"] == "/snapshots");
     assert!(snapshots.unwrap()["messages"].as_u64().unwrap() > 10, "{report}");
-    // What is left can be fused anew.
-    let anew = folder.path().join("anew.mcap");
+    // The remaining part can be run through fusion again.
+    let copy = folder.path().join("copy.mcap");
     let arguments = [
         "replay",
         &file.to_string_lossy(),
         "--from",
         "observations",
         "--to",
-        &anew.to_string_lossy(),
+        &copy.to_string_lossy(),
     ];
     let output = run(&arguments);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    assert_eq!(info(&anew)["complete"], true);
+    assert_eq!(info(&copy)["complete"], true);
 }
 
-/// A disk of one megabyte that is gone with the test.
+/// A disk of one megabyte, removed with the test.
 struct Disk(PathBuf);
 
 impl Disk {
@@ -133,12 +132,12 @@ fn a_full_disk_ends_the_recording_and_nothing_else() {
     let server = Server::serve(&lab(folder.path(), settings)).unwrap();
     until("a full disk", || server.log().contains("The recording failed").then_some(()));
     assert!(server.log().contains("nothing else is affected"), "{}", server.log());
-    // Later ones are attempts to go on.
+    // Later files are attempts to resume.
     let files = fs::read_dir(&disk.0).unwrap().flatten();
     let file = files.max_by_key(|file| file.metadata().map_or(0, |data| data.len())).unwrap();
     let report = info(&file.path());
     assert!(report["duration_s"].as_f64().unwrap() > 0.1, "what there is can be read: {report}");
-    // The server goes on.
+    // The server continues.
     let local = folder.path().join("local.mcap");
     let arguments = [
         "record",
@@ -157,9 +156,9 @@ fn a_full_disk_ends_the_recording_and_nothing_else() {
 }
 
 #[test]
-fn the_packages_that_everybody_has_read_it() {
+fn common_packages_read_recordings() {
     let tmp = PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
-    let Some(python) = Python::new("the_packages_that_everybody_has_read_it", &tmp) else { return };
+    let Some(python) = Python::new("common_packages_read_recordings", &tmp) else { return };
     let folder = tempfile::tempdir().unwrap();
     let settings = "min_free_mb = 0\nframes_every = 10\nframes_format = \"png\"\n";
     let mut server = Server::serve(&lab(folder.path(), settings)).unwrap();
@@ -184,7 +183,7 @@ fn the_packages_that_everybody_has_read_it() {
     assert!(found["images"]["png"].as_u64().unwrap() > 0, "{found}");
 }
 
-/// A course and the same seen from elsewhere, later, and with errors; as a recording and as a truth.
+/// A trajectory, and the same in another frame, later, and with errors: as a recording and as ground truth.
 fn judged(folder: &Path) -> (PathBuf, PathBuf) {
     use nalgebra::{Isometry3, UnitQuaternion, Vector3};
     use roundel_core::time::Timestamp;
@@ -238,7 +237,7 @@ fn judged(folder: &Path) -> (PathBuf, PathBuf) {
 }
 
 #[test]
-fn figures_are_those_of_evo() {
+fn scores_match_evo() {
     let folder = tempfile::tempdir().unwrap();
     let (recording, truth) = judged(folder.path());
     let (pictures, out) = (folder.path().join("pictures"), folder.path().join("out"));
@@ -260,7 +259,7 @@ fn figures_are_those_of_evo() {
         assert!(picture.split("<path").any(is_curve) && picture.contains("</svg>"), "{name}");
     }
     let tmp = PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
-    let Some(python) = Python::new("figures_are_those_of_evo", &tmp) else { return };
+    let Some(python) = Python::new("scores_match_evo", &tmp) else { return };
     let script = roundel_tests::process::workspace_root().join("tests/python/evo_figures.py");
     let files = ["7-cart.truth.tum", "7-cart.estimate.tum"].map(|name| out.join(name));
     let output = Command::new(python.program()).arg(script).args(files).arg("30").output().unwrap();

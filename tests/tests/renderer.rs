@@ -1,13 +1,13 @@
-//! Is the renderer right? Against brute force that goes the other way: rays through a fine grid of
-//! sub-pixels, undistorted by Newton's method, cut with the roundel's plane as it stands when that
-//! row is exposed, and blurred by summing a Gaussian over them.
+//! Compares the renderer with brute force in the opposite direction: rays through a fine grid of subpixels,
+//! undistorted by Newton's method, intersected with the roundel's plane at the time of the row's exposure, and
+//! blurred by summing a Gaussian over them.
 
 use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
 use rayon::prelude::*;
 use roundel_tests::{
-    normal::Random,
     optics::{Distortion, Pinhole},
-    render::{Canvas, Imaging, Print, Renderer, Seen},
+    random::Random,
+    render::{Canvas, Imaging, MovingPrint, Print, Renderer},
 };
 
 const OUTER_M: f64 = 0.16;
@@ -20,7 +20,7 @@ const INSTANTS: usize = 24;
 /// A roundel that faces the camera from `position_m`, tilted about an axis in the image plane.
 fn pose(position_m: [f64; 3], tilt_rad: f64, axis_rad: f64) -> Isometry3<f64> {
     let axis = Vector3::new(axis_rad.cos(), axis_rad.sin(), 0.0) * tilt_rad;
-    // z out of the print, towards the camera: the half turn about x.
+    // z points out of the print, towards the camera: half a turn about x.
     let facing = Rotation3::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
     let turn = Rotation3::new(axis) * facing;
     let rotation = UnitQuaternion::from_rotation_matrix(&turn);
@@ -28,16 +28,16 @@ fn pose(position_m: [f64; 3], tilt_rad: f64, axis_rad: f64) -> Isometry3<f64> {
 }
 
 /// One case: a camera and a moving roundel.
-struct Shot<'a> {
+struct Case<'a> {
     camera: Pinhole,
     imaging: Imaging,
-    /// Sub-pixels along a pixel's side; edges are smooth over one of them.
+    /// Subpixels along a pixel's side; edges are smooth over one of them.
     fine: usize,
     motion: &'a (dyn Fn(f64) -> Isometry3<f64> + Sync),
 }
 
-impl Shot<'_> {
-    /// Distance from the roundel's centre of the point that a place in the image shows.
+impl Case<'_> {
+    /// Distance, from the roundel's centre, of the point that appears at a place in the image.
     fn radius_m(&self, at: Vector2<f64>, offset_s: f64) -> f64 {
         let row_s = (at.y - (self.camera.height as f64 - 1.0) / 2.0) * self.imaging.line_time_s;
         let pose = (self.motion)(offset_s + row_s);
@@ -47,7 +47,7 @@ impl Shot<'_> {
         (ray * distance - pose.translation.vector).norm()
     }
 
-    /// Grey level of the sub-pixel about `at`, from the share of it within each rim.
+    /// Grey level of the subpixel about `at`, from its share within each rim.
     fn sub_pixel(&self, at: Vector2<f64>, offset_s: f64) -> f64 {
         let half = 0.5 / self.fine as f64;
         let radius_m = self.radius_m(at, offset_s);
@@ -95,7 +95,7 @@ impl Shot<'_> {
                 sum / offsets_s.len() as f64
             })
             .collect();
-        // Box and Gaussian as one row of weights over sub-pixels; that of pixel i starts at i · fine.
+        // Box and Gaussian as one row of weights over subpixels; that of pixel i starts at i · fine.
         let wing = (reach * self.fine) as i64;
         let gauss = |i: i64| (-0.5 * (i as f64 / self.fine as f64 / sigma).powi(2)).exp();
         let sum: f64 = (-wing..=wing).map(gauss).sum();
@@ -131,7 +131,7 @@ impl Shot<'_> {
             .collect()
     }
 
-    /// Greatest and rms difference from the renderer, grey levels.
+    /// Maximum and rms difference from the renderer, grey levels.
     fn difference(&self) -> (f64, f64) {
         let center = self.camera.project(&(self.motion)(0.0).translation.vector.into()).unwrap();
         let center = [center.x.round() as usize, center.y.round() as usize];
@@ -139,19 +139,19 @@ impl Shot<'_> {
         let half = (OUTER_M * (0.5 + MARGIN) * scale_px * 1.35).ceil() as usize + 6;
         let renderer = Renderer::new(self.camera, self.imaging);
         let print = Print::plain(OUTER_M, INNER_M, MARGIN);
-        let seen = [Seen { print: &print, motion: self.motion }];
+        let moving = [MovingPrint { print: &print, motion: self.motion }];
         let background = Canvas::flat(self.camera.width, self.camera.height, FLOOR);
-        let rendered = renderer.ideal(&background, &seen);
+        let rendered = renderer.ideal(&background, &moving);
         let expected = self.brute_force(center, half);
-        let (mut greatest, mut squares) = (0.0f64, 0.0);
+        let (mut max, mut squares) = (0.0f64, 0.0);
         for (i, grey) in expected.iter().enumerate() {
             let (u, v) =
                 (center[0] + i % (2 * half + 1) - half, center[1] + i / (2 * half + 1) - half);
             let apart = (f64::from(rendered.grey[v * rendered.width + u]) - grey).abs();
-            greatest = greatest.max(apart);
+            max = max.max(apart);
             squares += apart * apart;
         }
-        (greatest, (squares / expected.len() as f64).sqrt())
+        (max, (squares / expected.len() as f64).sqrt())
     }
 }
 
@@ -176,15 +176,15 @@ fn still_roundels_equal_brute_force() {
     ] {
         let z = depth_m(diameter_px);
         let pose = pose([place[0] * z, place[1] * z, z], f64::to_radians(tilt_deg), 0.7);
-        let shot = Shot {
+        let case = Case {
             camera: Pinhole::centered(640, 480, 700.0, distortion),
             imaging: Imaging { blur_px, ..Imaging::default() },
             fine: 32,
             motion: &|_| pose,
         };
-        let (greatest, rms) = shot.difference();
-        println!("{name}: greatest {greatest:.4}, rms {rms:.4} grey levels");
-        assert!(greatest < 0.1 && rms < 0.01, "{name}: {greatest}");
+        let (max, rms) = case.difference();
+        println!("{name}: max {max:.4}, rms {rms:.4} grey levels");
+        assert!(max < 0.1 && rms < 0.01, "{name}: {max}");
     }
 }
 
@@ -201,20 +201,20 @@ fn moving_roundels_equal_brute_force() {
             let shift = [0.3 + speed_m_s * t, -0.8 + 0.7 * speed_m_s * t, z];
             pose(shift, 0.5 + 2.0 * t, 0.4)
         };
-        let shot = Shot {
+        let case = Case {
             camera: Pinhole::centered(640, 480, 700.0, PLUMB_BOB),
             imaging: Imaging { exposure_s, line_time_s, ..Imaging::default() },
             fine: 16,
             motion: &motion,
         };
-        let (greatest, rms) = shot.difference();
-        println!("{name}: greatest {greatest:.4}, rms {rms:.4} grey levels");
-        assert!(greatest < 0.1 && rms < 0.01, "{name}: {greatest}");
+        let (max, rms) = case.difference();
+        println!("{name}: max {max:.4}, rms {rms:.4} grey levels");
+        assert!(max < 0.1 && rms < 0.01, "{name}: {max}");
     }
 }
 
 #[test]
-fn noise_and_light_are_as_asked_for() {
+fn noise_and_light_have_the_requested_strength() {
     let camera = Pinhole::centered(320, 240, 300.0, Distortion::NONE);
     let imaging = Imaging { noise: 3.0, gradient: [0.2, -0.1], ..Imaging::default() };
     let renderer = Renderer::new(camera, imaging);
@@ -234,7 +234,7 @@ fn noise_and_light_are_as_asked_for() {
 }
 
 #[test]
-fn backs_and_what_lies_behind_are_not_drawn() {
+fn roundels_that_face_away_or_lie_behind_are_not_drawn() {
     let camera = Pinhole::centered(320, 240, 300.0, Distortion::NONE);
     let renderer = Renderer::new(camera, Imaging::default());
     let background = Canvas::flat(320, 240, 120.0);
@@ -242,7 +242,7 @@ fn backs_and_what_lies_behind_are_not_drawn() {
     let from_behind = |_: f64| Isometry3::translation(0.0, 0.0, 1.0);
     let behind = |_: f64| pose([0.0, 0.0, -1.0], 0.0, 0.0);
     let cut = |_: f64| pose([0.53, 0.0, 1.0], 0.0, 0.0);
-    let draw = |motion| renderer.ideal(&background, &[Seen { print: &print, motion }]);
+    let draw = |motion| renderer.ideal(&background, &[MovingPrint { print: &print, motion }]);
     assert_eq!(draw(&from_behind), background);
     assert_eq!(draw(&behind), background);
     assert_ne!(draw(&cut), background);

@@ -1,9 +1,8 @@
-//! Light, motion, covers and cameras as they are: a roundel is found with a covariance that says how
-//! well, or not at all; never at a wrong place with a small covariance.
+//! Disturbances by light, motion, occlusion and cameras: a roundel is found with a covariance that covers its error,
+//! or not at all, but never at a wrong position with a small covariance.
 //!
-//! Each scenario shows single roundels of 20 to 80 px, tilted to 50°, under one disturbance. Of the
-//! poses found none may be further off than its covariance allows ([`WORST`], [`MEDIAN`]), and as many
-//! must be found as the scenario says.
+//! Each scenario has single roundels of 20 to 80 px, tilted up to 50°, under one disturbance. No error of a detection
+//! may exceed its covariance ([`WORST`], [`MEDIAN`]), and the scenario's share must be found.
 
 use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector2, Vector3};
 use rayon::prelude::*;
@@ -12,37 +11,35 @@ use roundel_server::capture::image_file;
 use roundel_tests::{
     arena::Kind,
     coverage::{Contour, Patch},
-    normal::Random,
     optics::{Distortion, Pinhole},
     pipeline::Observer,
     precision::{MODES, NARROW_MARGIN, RATIO, Range, Summary, Trial, WIDE_MARGIN, trials},
-    render::{Canvas, Image, Imaging, Print, Renderer, Seen},
+    random::Random,
+    render::{Canvas, Image, Imaging, MovingPrint, Print, Renderer},
     score::normalized3,
 };
 
 const SIDE: [usize; 2] = [480, 360];
 const FOCAL_PX: f64 = 700.0;
 const COUNT: u64 = 60;
-/// Largest normalized squared error of a position that is no wrong pose; of three degrees of freedom
-/// one in 10,000 is beyond 21.
+/// Maximum normalized squared error of a position. With three degrees of freedom, one in 10,000 exceeds 21.
 const WORST: f64 = 25.0;
-/// Largest median of these; of noise alone it is 2.4.
+/// Maximum of their median; noise alone gives 2.4.
 const MEDIAN: f64 = 5.0;
 
 /// One disturbance.
 struct Scenario {
     name: &'static str,
-    /// Light and lens.
     imaging: fn(&mut Random) -> Imaging,
-    /// Where the roundel is seen, pixels from the image's middle.
+    /// Place of the roundel relative to the image centre.
     at_px: fn(&mut Random) -> [f64; 2],
-    /// Motion across the line of sight, pixels within the exposure.
+    /// Motion across the line of sight within the exposure.
     motion_px: f64,
-    /// What happens to the grey levels before noise, about a roundel at a place with a radius.
+    /// Modifies the grey levels before noise, about a roundel at a place with a radius.
     disturb: fn(&Renderer, &mut Canvas, Vector2<f64>, f64, &mut Random),
-    /// What happens to the finished frame.
+    /// Modifies the finished frame.
     carry: fn(Image) -> Image,
-    /// Least share found.
+    /// Minimum share found.
     found: f64,
 }
 
@@ -74,13 +71,13 @@ impl Default for Scenario {
     }
 }
 
-/// What became of the roundels of one scenario.
+/// Results for the roundels of one scenario.
 #[derive(Debug, Default)]
 struct Outcome {
     found: u64,
     /// Normalized squared errors of positions, with the errors as shares of the distance.
     errors: Vec<(f64, f64)>,
-    /// Rings beside the one shown.
+    /// False detections.
     others: usize,
 }
 
@@ -110,7 +107,7 @@ impl Scenario {
         let velocity = Vector3::new(heading.cos(), heading.sin(), 0.0) * speed_m_s;
         let motion = |time_s: f64| Translation3::from(velocity * time_s) * truth;
         let floor = Canvas::flat(SIDE[0], SIDE[1], 120.0);
-        let mut canvas = renderer.ideal(&floor, &[Seen { print: &print, motion: &motion }]);
+        let mut canvas = renderer.ideal(&floor, &[MovingPrint { print: &print, motion: &motion }]);
         let center = Vector2::new(SIDE[0] as f64 / 2.0 + at_px[0], SIDE[1] as f64 / 2.0 + at_px[1]);
         (self.disturb)(&renderer, &mut canvas, center, diameter_px / 2.0, &mut random);
         let image = (self.carry)(finished(&canvas, imaging.noise, &mut random));
@@ -119,8 +116,8 @@ impl Scenario {
         let mut outcome = Outcome::default();
         for detection in observer.observe(&image, 0).unwrap() {
             let Some(pose) = detection.pose else { continue };
-            let seen = detection.ring.outer.center;
-            if (Vector2::new(seen.u, seen.v) - center).norm() > diameter_px / 2.0 {
+            let found = detection.ring.outer.center;
+            if (Vector2::new(found.u, found.v) - center).norm() > diameter_px / 2.0 {
                 outcome.others += 1;
                 continue;
             }
@@ -133,14 +130,14 @@ impl Scenario {
         outcome
     }
 
-    /// Prints the outcome; panics where it is not what must hold.
+    /// Prints the outcome, and panics if it misses its bars.
     fn check(&self) {
         let outcome = self.run();
         let mut squares: Vec<f64> = outcome.errors.iter().map(|(square, _)| *square).collect();
         squares.sort_by(f64::total_cmp);
         let worst = squares.last().copied().unwrap_or(0.0);
         let median = squares.get(squares.len() / 2).copied().unwrap_or(0.0);
-        let furthest = outcome.errors.iter().fold(0.0f64, |most, (_, error)| most.max(*error));
+        let furthest = outcome.errors.iter().fold(0.0f64, |max, (_, error)| max.max(*error));
         println!(
             "{:24} found {:2} of {COUNT}; normalized squared errors: median {median:.2}, worst \
              {worst:.1}; furthest off {:.3} % of the distance; others {}",
@@ -157,7 +154,7 @@ impl Scenario {
     }
 }
 
-/// Seen at this offset from the image's middle, tilted against the line of sight.
+/// A pose that appears at this offset from the image centre, tilted against the line of sight.
 fn pose(at_px: [f64; 2], diameter_px: f64, outer_m: f64, random: &mut Random) -> Isometry3<f64> {
     let z = FOCAL_PX * outer_m / diameter_px;
     let position = Vector3::new(at_px[0] / FOCAL_PX, at_px[1] / FOCAL_PX, 1.0) * z;
@@ -175,7 +172,7 @@ fn finished(canvas: &Canvas, noise: f64, random: &mut Random) -> Image {
     Image { width: canvas.width, height: canvas.height, pixels }
 }
 
-/// A straight edge through a place; what lies beyond it.
+/// Coverage of the half plane beyond a straight edge through a place.
 fn beyond(
     through: Vector2<f64>,
     heading: f64,
@@ -214,7 +211,7 @@ fn shadow(
     }
 }
 
-/// A sheet of some grey over a part of the ring, from a sliver of its margin to all but the middle.
+/// A grey sheet over a part of the ring, from a sliver of its margin to all but the centre.
 fn cover(
     renderer: &Renderer,
     canvas: &mut Canvas,
@@ -229,7 +226,7 @@ fn cover(
     canvas.paint(&patch, random.uniform(20.0, 230.0));
 }
 
-/// The image as a JPEG file of this quality has it.
+/// The image after JPEG compression at this quality.
 fn as_jpeg(image: Image, quality: u8) -> Image {
     let mut bytes = Vec::new();
     let (width, height) = (image.width as u16, image.height as u16);
@@ -246,7 +243,7 @@ fn undisturbed_roundels_are_found() {
 }
 
 #[test]
-fn a_gradient_of_the_light_costs_no_roundel() {
+fn a_light_gradient_loses_no_roundel() {
     let imaging = |random: &mut Random| Imaging {
         black: 30.0,
         white: 140.0,
@@ -263,7 +260,7 @@ fn fifty_grey_levels_are_enough() {
 }
 
 #[test]
-fn saturated_white_that_blooms_costs_no_roundel() {
+fn saturation_and_bloom_give_no_wrong_pose() {
     let imaging = |random: &mut Random| Imaging { white: 330.0, ..calm(random) };
     Scenario { name: "saturation", imaging, ..Scenario::default() }.check();
     let imaging = |random: &mut Random| Imaging {
@@ -271,7 +268,7 @@ fn saturated_white_that_blooms_costs_no_roundel() {
         bloom_px: random.uniform(0.0, 0.5),
         ..calm(random)
     };
-    // Many have no longer the rims of their kind, and the search refuses them.
+    // Many no longer have the rims of their kind, and the search rejects them.
     Scenario { name: "saturation and bloom", imaging, found: 0.55, ..Scenario::default() }.check();
     let imaging = |random: &mut Random| Imaging { black: -25.0, white: 180.0, ..calm(random) };
     Scenario { name: "black cut off", imaging, ..Scenario::default() }.check();
@@ -293,12 +290,12 @@ fn motion_within_the_exposure_gives_no_wrong_pose() {
     Scenario { name: "motion 3 px", motion_px: 3.0, found: 0.9, ..Scenario::default() }.check();
 }
 
-/// Diameters and motion within the exposure, pixels.
+/// Diameters and motion within the exposure.
 const SIZES_PX: [(f64, f64); 2] = [(20.0, 30.0), (30.0, 60.0)];
 const MOTIONS_PX: [(f64, f64); 4] = [(0.0, 0.5), (0.5, 1.0), (1.0, 2.0), (2.0, 3.0)];
 /// Roundels of each size and motion, in two frames each.
 const MOVING: usize = 40;
-/// Tilt up to which a moving roundel counts as upright, degrees.
+/// Tilt up to which a moving roundel counts as upright.
 const UPRIGHT_DEG: f64 = 20.0;
 
 fn moving(diameter_px: (f64, f64), motion_px: (f64, f64), margin: f64) -> Vec<Trial> {
@@ -314,7 +311,7 @@ fn moving(diameter_px: (f64, f64), motion_px: (f64, f64), margin: f64) -> Vec<Tr
     trials(&range, MOVING, 5)
 }
 
-/// Of the trials chosen, as this mode saw them.
+/// Statistics of the selected trials in this mode.
 fn summary(name: &str, trials: &[Trial], mode: Mode, choose: impl Fn(&Trial) -> bool) -> Summary {
     let chosen = trials.iter().filter(|trial| choose(trial)).flat_map(|trial| &trial.frames);
     let index = MODES.iter().position(|&other| other == mode).unwrap();
@@ -328,14 +325,14 @@ fn summary(name: &str, trials: &[Trial], mode: Mode, choose: impl Fn(&Trial) -> 
         100.0 * summary.position_share(),
         100.0 * summary.pose_share(),
         summary.missed,
-        summary.shots,
+        summary.frames,
     );
     summary
 }
 
-/// Next to the bound with the motion unknown. Bars hold for what chance leaves of them.
+/// Compared with the bound with unknown motion. Bars are widened by the deviations of the sample.
 #[test]
-fn moving_roundels_are_as_exact_as_their_pixels_allow_and_say_so() {
+fn poses_of_moving_roundels_are_near_the_bound_and_consistent() {
     for diameter_px in SIZES_PX {
         let mut all = Vec::new();
         for motion_px in MOTIONS_PX {
@@ -360,9 +357,9 @@ fn moving_roundels_are_as_exact_as_their_pixels_allow_and_say_so() {
     }
 }
 
-/// From the rims alone; on margins wide enough for the rims not to be off by themselves.
+/// Poses from the rims alone, with margins wide enough not to bias the rims.
 #[test]
-fn poses_of_moving_rims_are_as_exact_as_they_say() {
+fn poses_of_moving_rims_are_consistent() {
     for diameter_px in SIZES_PX {
         let mut all = Vec::new();
         for motion_px in MOTIONS_PX {
@@ -384,7 +381,7 @@ fn poses_of_moving_rims_are_as_exact_as_they_say() {
 }
 
 #[test]
-fn jpeg_costs_no_roundel() {
+fn jpeg_loses_no_roundel() {
     let carry = |image| as_jpeg(image, 75);
     Scenario { name: "JPEG 75", carry, ..Scenario::default() }.check();
     let carry = |image| as_jpeg(image, 40);

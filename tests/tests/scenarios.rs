@@ -1,13 +1,13 @@
-//! Short versions of the scenarios of `roundel_tests::scenario`: what holds of them today, without
-//! speeds, which `--bin scenarios` tells.
+//! Short versions of the scenarios of `roundel_tests::scenario`, without speeds: `cargo run --release -p
+//! roundel-tests -- scenarios` measures those.
 
 use roundel_tests::{
     scenario::{BAND, Length, Row, Run, crossing, fault, moving, plane, swarm},
     score::Score,
 };
 
-/// Runs a scenario of one row, of which all identities must be right and no covariance too small, nor that of positions
-/// too large.
+/// Runs a scenario of one row. All identities must be right, no covariance too small, and that of positions not too
+/// large.
 fn sound(run: Run, objects: usize) -> Row {
     let row = safe(run, objects);
     let shares = row.shares().unwrap();
@@ -15,7 +15,7 @@ fn sound(run: Run, objects: usize) -> Row {
     row
 }
 
-/// The same, covariances as large as they like.
+/// The same without a limit on large covariances.
 fn safe(run: Run, objects: usize) -> Row {
     let mut rows = run(Length::Short);
     assert_eq!(rows.len(), 1);
@@ -36,24 +36,25 @@ fn sixty_four_objects_keep_their_ids() {
 }
 
 #[test]
-fn and_do_so_when_frames_come_late() {
+fn sixty_four_objects_keep_their_ids_when_frames_are_late() {
     sound(swarm::late, 64);
 }
 
 #[test]
 fn coded_robots_keep_their_ids_and_codes() {
     sound(swarm::r4, 24);
-    // Judged from half a second to a second, when everything that robots are capable of is still expected.
+    // Scored from half a second to a second, while the filter still allows for all motions that robots are capable
+    // of.
     safe(swarm::r16, 200);
 }
 
 #[test]
-fn plain_roundels_that_cross_are_not_swapped() {
+fn plain_roundels_that_pass_each_other_are_not_swapped() {
     assert!(sound(crossing::crossing, 20).holds());
 }
 
 #[test]
-fn streams_that_misbehave_do_no_harm_and_are_counted() {
+fn faulty_streams_do_no_harm_and_are_counted() {
     let counted: [Run; 9] = [
         fault::twice,
         fault::overdue,
@@ -72,7 +73,7 @@ fn streams_that_misbehave_do_no_harm_and_are_counted() {
 }
 
 #[test]
-fn robots_on_a_floor_are_as_well_located_as_by_a_homography() {
+fn robots_on_a_floor_are_located_as_well_as_by_a_homography() {
     for row in plane::plane(Length::Short) {
         println!("{}: {:?}", row.scenario, row.parts);
         assert!(row.holds(), "{}: {:?}", row.scenario, row.parts);
@@ -80,11 +81,11 @@ fn robots_on_a_floor_are_as_well_located_as_by_a_homography() {
 }
 
 #[test]
-fn cameras_that_move_know_where_they_are() {
+fn moving_cameras_localize_themselves() {
     for row in moving::drone(Length::Short).into_iter().chain(moving::docking(Length::Short)) {
         println!("{}: {:?}, inside {:.3?}", row.scenario, row.parts, row.shares());
         assert!(row.holds(), "{}: {:?}", row.scenario, row.parts);
-        // Systematic errors leave few independent samples in so short a time.
+        // Systematic errors leave few independent samples in such a short time.
         let shares = row.shares().unwrap();
         assert!(shares[0] >= 0.85 && shares[2] >= 0.92, "{}: {shares:?}", row.scenario);
     }

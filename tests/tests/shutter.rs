@@ -1,17 +1,17 @@
-//! Roundels that drive past a rolling shutter: their poses are as exact as those of what stands still, and as
-//! exact as they say, from the first frame on.
+//! Roundels that move past a rolling shutter: their poses are as precise as those of still ones, and consistent from
+//! the first frame on.
 
 use roundel_core::marker::Mode;
 use roundel_tests::{
-    passing::{Drive, FRAMES, Subject, passings},
-    precision::{MODES, RATIO, Range, Shot, Summary, WIDE_MARGIN},
+    precision::{MODES, RATIO, Range, Summary, TrialFrame, WIDE_MARGIN},
+    rolling_shutter::{Drive, FRAMES, MarkerType, sequences},
 };
 
 const LINE_TIME_S: f64 = 12e-6;
 const SPEED_M_S: f64 = 3.0;
 /// Roundels of each kind.
 const COUNT: usize = 60;
-/// From this frame on the motion is known.
+/// Frame from which on the motion is known.
 const SETTLED: usize = 2;
 
 fn range() -> Range {
@@ -26,9 +26,13 @@ fn range() -> Range {
     }
 }
 
-fn summary<'a>(name: &str, shots: impl IntoIterator<Item = &'a Shot>, mode: Mode) -> Summary {
+fn summary<'a>(
+    name: &str,
+    frames: impl IntoIterator<Item = &'a TrialFrame>,
+    mode: Mode,
+) -> Summary {
     let index = MODES.iter().position(|&other| other == mode).unwrap();
-    let summary = Summary::of(shots, index);
+    let summary = Summary::of(frames, index);
     println!(
         "{name}, {mode:?}: depth {:.4} % rms, {:.2} over the bound, bias {:+.2} of it; inside 95 %: \
          position {:.1} %, pose {:.1} %; normal {:.2}° median; {} of {} missed",
@@ -39,21 +43,25 @@ fn summary<'a>(name: &str, shots: impl IntoIterator<Item = &'a Shot>, mode: Mode
         100.0 * summary.pose_share(),
         summary.normal_deg(0.5),
         summary.missed,
-        summary.shots,
+        summary.frames,
     );
     summary
 }
 
-fn check(name: &str, subject: Subject) {
-    let drive =
-        Drive { subject, speed_m_s: SPEED_M_S, line_time_s: LINE_TIME_S, told_s: LINE_TIME_S };
-    let still = Drive { line_time_s: 0.0, told_s: 0.0, ..drive };
+fn check(name: &str, marker: MarkerType) {
+    let drive = Drive {
+        marker,
+        speed_m_s: SPEED_M_S,
+        line_time_s: LINE_TIME_S,
+        configured_line_time_s: LINE_TIME_S,
+    };
+    let still = Drive { line_time_s: 0.0, configured_line_time_s: 0.0, ..drive };
     let (moving, still) =
-        (passings(&range(), &drive, COUNT, 3), passings(&range(), &still, COUNT, 3));
+        (sequences(&range(), &drive, COUNT, 3), sequences(&range(), &still, COUNT, 3));
     for mode in MODES {
-        let of = |all: &[[Shot; FRAMES]], name: &str, from: usize, to: usize| {
-            let shots = all.iter().flat_map(|frames| &frames[from..to]);
-            summary(name, shots.collect::<Vec<_>>(), mode)
+        let of = |all: &[[TrialFrame; FRAMES]], name: &str, from: usize, to: usize| {
+            let frames = all.iter().flat_map(|frames| &frames[from..to]);
+            summary(name, frames.collect::<Vec<_>>(), mode)
         };
         let still = of(&still, &format!("{name}, global shutter"), SETTLED, FRAMES);
         let first = of(&moving, &format!("{name}, first frame"), 0, 1);
@@ -70,18 +78,22 @@ fn check(name: &str, subject: Subject) {
     }
 }
 
-/// What hardly moves is soon known not to: its errors, which are the same, are stated as they are under a global shutter.
+/// A slow roundel is soon known to be slow: its errors are stated as under a global shutter.
 #[test]
-fn what_stands_is_stated_no_wider() {
-    for (name, subject) in [("plain", Subject::Plain), ("8 bits", Subject::Coded(8))] {
-        let drive =
-            Drive { subject, speed_m_s: 0.0, line_time_s: LINE_TIME_S, told_s: LINE_TIME_S };
-        let global = Drive { line_time_s: 0.0, told_s: 0.0, ..drive };
-        let [rolling, global] = [drive, global].map(|drive| passings(&range(), &drive, COUNT, 4));
+fn still_roundels_have_no_larger_covariances() {
+    for (name, marker) in [("plain", MarkerType::Plain), ("8 bits", MarkerType::Coded(8))] {
+        let drive = Drive {
+            marker,
+            speed_m_s: 0.0,
+            line_time_s: LINE_TIME_S,
+            configured_line_time_s: LINE_TIME_S,
+        };
+        let global = Drive { line_time_s: 0.0, configured_line_time_s: 0.0, ..drive };
+        let [rolling, global] = [drive, global].map(|drive| sequences(&range(), &drive, COUNT, 4));
         for (index, mode) in MODES.into_iter().enumerate() {
-            let mean = |all: &[[Shot; FRAMES]]| {
-                let shots = all.iter().flat_map(|frames| &frames[SETTLED..]);
-                let squares = shots.filter_map(|shot| Some(shot.seen[index]?.position_square));
+            let mean = |all: &[[TrialFrame; FRAMES]]| {
+                let frames = all.iter().flat_map(|frames| &frames[SETTLED..]);
+                let squares = frames.filter_map(|frame| Some(frame.errors[index]?.position_square));
                 let squares: Vec<_> = squares.collect();
                 squares.iter().sum::<f64>() / squares.len() as f64
             };
@@ -96,15 +108,15 @@ fn what_stands_is_stated_no_wider() {
 
 #[test]
 fn plain_roundels() {
-    check("plain", Subject::Plain);
+    check("plain", MarkerType::Plain);
 }
 
 #[test]
 fn coded_roundels() {
-    check("8 bits", Subject::Coded(8));
+    check("8 bits", MarkerType::Coded(8));
 }
 
 #[test]
 fn elliptical_roundels() {
-    check("elliptical", Subject::Elliptical);
+    check("elliptical", MarkerType::Elliptical);
 }

@@ -1,5 +1,4 @@
-//! Arenas that calibrate themselves: every camera's place from robots that drive about, and what is said
-//! where that cannot be.
+//! Calibration of arenas: camera poses from moving robots, and the errors reported where that is impossible.
 
 use nalgebra::Vector3;
 use roundel_core::{
@@ -11,31 +10,31 @@ use roundel_core::{
 use roundel_tests::{
     arena::{Arena, Path, look_at},
     sensor::{Sensing, Stream},
-    survey::{Mistaken, Survey, world_error_m},
+    survey::{Survey, WrongLenses, world_error_m},
 };
 
-/// Detections of the precise mode are about as good as this.
-const SENSING: Sensing = Sensing { noise_px: 0.03, ..Sensing::USUAL };
+/// Noise of precise detections, approximately.
+const SENSING: Sensing = Sensing { noise_px: 0.03, ..Sensing::DEFAULT };
 const SECONDS: f64 = 20.0;
-const MOST_HZ: f64 = 30.0;
+const MAX_HZ: f64 = 30.0;
 
 fn run(survey: &Survey) -> Result<ArenaCalibration, ArenaError> {
-    let recording = survey.record(SENSING, SECONDS, MOST_HZ);
+    let recording = survey.record(SENSING, SECONDS, MAX_HZ);
     let params = ArenaParams::default();
     calibrate(&recording, &survey.cameras(), &survey.references, &params, |_| true)
 }
 
 fn r4(seed: u64) -> Survey {
-    Survey::new(Arena::r4(seed).with_unset_clocks())
+    Survey::new(Arena::r4(seed).with_unsynchronized_clocks())
 }
 
-/// Cameras' worst distance from where they are, metres.
+/// Largest position error of any camera.
 fn worst_m(survey: &Survey, found: &ArenaCalibration) -> f64 {
-    found.cameras.iter().map(|it| survey.error(it, SECONDS).off_m).fold(0.0, f64::max)
+    found.cameras.iter().map(|it| survey.error(it, SECONDS).position_m).fold(0.0, f64::max)
 }
 
 #[test]
-fn cameras_and_clocks_are_found_as_well_as_is_stated() {
+fn errors_of_cameras_and_clocks_match_their_covariances() {
     let (mut square, mut count) = (0.0, 0.0);
     for seed in 1..=4 {
         let survey = r4(seed);
@@ -44,7 +43,7 @@ fn cameras_and_clocks_are_found_as_well_as_is_stated() {
         assert!(found.findings.is_empty(), "{:?}", found.findings);
         for camera in &found.cameras {
             let error = survey.error(camera, SECONDS);
-            assert!(error.off_m < 1e-3 && error.turn_rad.to_degrees() < 0.01, "{error:?}");
+            assert!(error.position_m < 1e-3 && error.rotation_rad.to_degrees() < 0.01, "{error:?}");
             assert!(error.clock_s.abs() < 1e-4, "{error:?}");
             assert!(camera.coverage > 0.3 && camera.neighbours.len() == 3);
             square += error.square / 6.0;
@@ -67,9 +66,9 @@ fn the_same_recording_gives_the_same_bits() {
 }
 
 #[test]
-fn a_chain_of_cameras_hangs_on_the_first() {
-    let mut arena = Arena::r16(6).with_unset_clocks();
-    // One row, in which each overlaps with its neighbours.
+fn a_chain_of_cameras_is_calibrated_from_the_first() {
+    let mut arena = Arena::r16(6).with_unsynchronized_clocks();
+    // One row, in which each camera overlaps with its neighbours.
     arena.sites.truncate(4);
     let survey = Survey::new(arena);
     let found = run(&survey).unwrap();
@@ -80,10 +79,10 @@ fn a_chain_of_cameras_hangs_on_the_first() {
 }
 
 #[test]
-fn robots_without_codes_are_told_apart_by_how_they_move() {
+fn robots_without_codes_are_distinguished_by_their_motion() {
     for seed in 21..=23 {
         let survey = r4(seed);
-        let recording = survey.record_plain(SENSING, 2.0 * SECONDS, MOST_HZ);
+        let recording = survey.record_plain(SENSING, 2.0 * SECONDS, MAX_HZ);
         let params = ArenaParams::default();
         let cameras = survey.cameras();
         let found = calibrate(&recording, &cameras, &survey.references, &params, |_| true).unwrap();
@@ -96,17 +95,17 @@ fn robots_without_codes_are_told_apart_by_how_they_move() {
 }
 
 #[test]
-fn a_lens_that_is_off_is_refined() {
+fn a_wrong_lens_is_refined() {
     let survey = r4(7);
-    let mistaken = Mistaken::by(&survey, 3e-3, 1.5);
-    let seen = mistaken.record(&survey, SENSING, SECONDS, MOST_HZ);
+    let wrong = WrongLenses::by(&survey, 3e-3, 1.5);
+    let seen = wrong.record(&survey, SENSING, SECONDS, MAX_HZ);
     let params = ArenaParams::default();
     let [as_believed, refined] = [None, Some(LensDeviation::default())].map(|deviation| {
-        let cameras = mistaken.cameras(&survey, deviation);
+        let cameras = wrong.cameras(&survey, deviation);
         let found = calibrate(&seen, &cameras, &survey.references, &params, |_| true).ok()?;
         world_error_m(&survey, &found, &cameras)
     });
-    // Taken as exact such lenses make references contradict one another, or points that are far off.
+    // If such lenses are assumed exact, references contradict one another, or points are far off.
     let refined = refined.unwrap();
     let as_believed = as_believed.unwrap_or(f64::INFINITY);
     assert!(refined < 1e-3 && refined < 0.5 * as_believed, "{as_believed} m, {refined} m");
@@ -125,7 +124,7 @@ fn a_camera_that_overlaps_with_none_is_named() {
 }
 
 #[test]
-fn too_little_motion_is_said() {
+fn too_little_motion_is_reported() {
     let mut arena = Arena::r4(9);
     arena.robots.truncate(1);
     arena.robots[0].path = Path::still(Vector3::new(0.0, 0.0, 0.3));
@@ -139,7 +138,7 @@ fn too_little_motion_is_said() {
 }
 
 #[test]
-fn a_reference_in_a_wrong_place_is_named_and_left_out() {
+fn a_misplaced_reference_is_named_and_ignored() {
     let mut survey = r4(10);
     survey.references[2].position_m.y += 0.05;
     let found = run(&survey).unwrap();
@@ -152,7 +151,7 @@ fn a_reference_in_a_wrong_place_is_named_and_left_out() {
 }
 
 #[test]
-fn two_references_in_wrong_places_are_an_error_that_says_by_how_much() {
+fn two_misplaced_references_are_an_error_with_their_distances() {
     let mut survey = r4(11);
     survey.references[1].position_m.x += 0.08;
     survey.references[2].position_m.y += 0.05;
@@ -164,7 +163,7 @@ fn two_references_in_wrong_places_are_an_error_that_says_by_how_much() {
 }
 
 #[test]
-fn too_few_references_are_an_error_that_says_who_sees_how_many() {
+fn too_few_references_are_an_error_with_counts_by_camera() {
     let mut survey = r4(12);
     survey.references.truncate(2);
     let error = run(&survey).unwrap_err().to_string();
@@ -172,7 +171,7 @@ fn too_few_references_are_an_error_that_says_who_sees_how_many() {
 }
 
 #[test]
-fn two_roundels_of_one_code_spoil_nothing() {
+fn two_roundels_with_one_code_do_no_harm() {
     let mut survey = r4(13);
     survey.arena.robots[5].code = survey.arena.robots[9].code;
     let found = run(&survey).unwrap();
@@ -185,10 +184,10 @@ fn two_roundels_of_one_code_spoil_nothing() {
 }
 
 #[test]
-fn a_camera_that_takes_two_robots_for_one_another_is_named() {
+fn a_camera_that_confuses_two_robots_is_named() {
     let survey = r4(16);
     let [one, other] = [5, 9].map(|robot: usize| survey.arena.robots[robot].code.unwrap());
-    let mut recording = Recording::new(MOST_HZ);
+    let mut recording = Recording::new(MAX_HZ);
     for mut frame in Stream::new(&survey.arena, SENSING, SECONDS) {
         let swaps = frame.camera == CameraId(1);
         let readings = frame.detections.iter_mut().filter_map(|it| it.ring.code.as_mut());
@@ -200,7 +199,7 @@ fn a_camera_that_takes_two_robots_for_one_another_is_named() {
                 it => it,
             };
         }
-        recording.add(&survey.overlooked(frame));
+        recording.add(&survey.without_references(frame));
     }
     let params = ArenaParams::default();
     let found =
@@ -216,7 +215,7 @@ fn a_camera_that_takes_two_robots_for_one_another_is_named() {
 }
 
 #[test]
-fn references_that_were_put_down_in_each_others_place_are_an_error() {
+fn swapped_references_are_an_error() {
     let mut survey = r4(17);
     let place_m = survey.references[1].position_m;
     survey.references[1].position_m = survey.references[2].position_m;
@@ -226,23 +225,23 @@ fn references_that_were_put_down_in_each_others_place_are_an_error() {
 }
 
 #[test]
-fn a_lens_that_is_off_is_not_taken_for_a_code_shown_twice() {
+fn a_wrong_lens_is_not_mistaken_for_a_duplicate_code() {
     let survey = r4(13);
-    let mistaken = Mistaken::by(&survey, 1e-3, 1.0);
-    let recording = mistaken.record(&survey, SENSING, SECONDS, MOST_HZ);
-    let (cameras, params) = (mistaken.cameras(&survey, None), ArenaParams::default());
+    let wrong = WrongLenses::by(&survey, 1e-3, 1.0);
+    let recording = wrong.record(&survey, SENSING, SECONDS, MAX_HZ);
+    let (cameras, params) = (wrong.cameras(&survey, None), ArenaParams::default());
     let found = calibrate(&recording, &cameras, &survey.references, &params, |_| true).unwrap();
-    let told: Vec<String> = found.findings.iter().map(ToString::to_string).collect();
-    assert!(told.iter().any(|it| it.contains("mm from where others did")), "{told:#?}");
-    assert!(told.iter().all(|it| it.contains("lens")), "{told:#?}");
+    let findings: Vec<String> = found.findings.iter().map(ToString::to_string).collect();
+    assert!(findings.iter().any(|it| it.contains("mm from where others did")), "{findings:#?}");
+    assert!(findings.iter().all(|it| it.contains("lens")), "{findings:#?}");
 }
 
 #[test]
-fn a_reference_that_is_moved_meanwhile_is_named() {
+fn a_reference_that_moves_is_named() {
     let mut survey = r4(14);
     let last = survey.arena.robots.len() - 1;
     let place_m = survey.references[3].position_m;
-    // Creeps 2 cm and back over the recording and a while beyond.
+    // Moves by 2 cm and back over the recording and beyond.
     survey.arena.robots[last].path = Path::circuit(place_m, 0.02, 0.002, 0.0);
     let found = run(&survey).unwrap();
     let moved = |finding: &Finding| matches!(finding, Finding::Moved { reference: 3, .. });
@@ -251,9 +250,9 @@ fn a_reference_that_is_moved_meanwhile_is_named() {
 }
 
 #[test]
-fn a_person_may_stop_it() {
+fn calibration_can_be_cancelled() {
     let survey = r4(15);
-    let recording = survey.record(SENSING, 5.0, MOST_HZ);
+    let recording = survey.record(SENSING, 5.0, MAX_HZ);
     let params = ArenaParams::default();
     let stopped =
         calibrate(&recording, &survey.cameras(), &survey.references, &params, |it| it.step < 2);

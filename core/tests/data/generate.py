@@ -1,6 +1,6 @@
 """Writes the golden numbers that core/tests/golden.rs holds core to, from OpenCV.
 
-OpenCV is needed only to write them anew; the JSON files are committed. From this directory:
+OpenCV is needed only to regenerate them; the JSON files are committed. From this directory:
 
     python3 -m venv venv
     venv/bin/pip install opencv-python-headless==5.0.* numpy

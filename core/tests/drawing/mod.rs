@@ -1,10 +1,10 @@
-//! Draws roundels as a camera sees them: elliptic discs, blurred by a Gaussian and averaged over the
-//! pixels' squares. Shares no code with the detector.
+//! Draws roundels as seen by a camera: elliptic discs, blurred by a Gaussian and averaged over the pixels' squares.
+//! Shares no code with the detector.
 //!
-//! Along u both integrals have a closed form; along v the disc is cut into thin strips, each weighted
-//! by the same integrals at its middle. The cut costs below 0.001 px of the rim.
+//! Along u both integrals have a closed form. Along v the disc is cut into thin strips, each weighted by the same
+//! integrals at its centre. The error of this is below 0.001 px of the rim.
 
-// Each test or benchmark that draws uses a part of this.
+// Each test or benchmark uses a part of this.
 #![allow(dead_code)]
 
 use rand::SeedableRng;
@@ -27,7 +27,7 @@ pub struct Drawing {
     blur_px: f64,
 }
 
-/// A roundel as imaged.
+/// The image of a roundel.
 #[derive(Clone, Copy, Debug)]
 pub struct Roundel {
     pub outer: Ellipse,
@@ -39,7 +39,6 @@ pub struct Roundel {
     pub white: f64,
 }
 
-/// An ellipse from numbers.
 pub fn ellipse((u, v): (f64, f64), (major, minor): (f64, f64), angle_rad: f64) -> Ellipse {
     let center = PixelPoint { u, v };
     Ellipse { center, semi_major_px: major, semi_minor_px: minor, angle_rad }
@@ -69,8 +68,8 @@ impl Drawing {
         self.add_disc(&roundel.inner(), white - black);
     }
 
-    /// Adds a coded roundel, whose `ratio` is that of the white disc between the teeth, the print's right
-    /// along the major axis; the teeth's sides are as sharp as pixels, the round rims blurred.
+    /// Adds a coded roundel, whose `ratio` is that of the white disc between the teeth, with the print's right along
+    /// the major axis. The teeth's sides are as sharp as pixels, the round rims blurred.
     pub fn add_coded(&mut self, roundel: &Roundel, background: f64, teeth: &[Tooth]) {
         const FINE: usize = 6;
         let core = roundel.ratio * CodeLayout::CORE_SHARE;
@@ -138,7 +137,7 @@ impl Drawing {
         }
     }
 
-    /// Multiplies the light by 1 + (u - middle) × `share` / width.
+    /// Multiplies the light by 1 + (u - centre) × `share` / width.
     pub fn shade(&mut self, share: f64) {
         let middle = 0.5 * self.width as f64;
         for row in self.light.chunks_exact_mut(self.width) {
@@ -165,19 +164,19 @@ impl Drawing {
         first..((v + half).ceil().max(0.0) as usize + 1).clamp(first, self.height.max(first))
     }
 
-    /// Share of the pixel at distance x from the middle that a blurred chord of ± half covers.
+    /// Share of the pixel at distance x from the centre of a blurred chord of ± half that the chord covers.
     fn along(&self, x: f64, half: f64) -> f64 {
         let edge = |x: f64| self.blur_px * ramp(x / self.blur_px);
         edge(x + 0.5 + half) - edge(x + 0.5 - half) - edge(x - 0.5 + half) + edge(x - 0.5 - half)
     }
 
-    /// Density of a line at distance y from the pixel's centre, seen by the pixel.
+    /// Density of a line at distance y from the pixel's centre, integrated over the pixel.
     fn across(&self, y: f64) -> f64 {
         normal_cdf((y + 0.5) / self.blur_px) - normal_cdf((y - 0.5) / self.blur_px)
     }
 }
 
-/// Sides of [`nine`], pixels.
+/// Side of [`nine`].
 pub const SIDE: usize = 300;
 
 /// Nine roundels, moved by `shift` pixels, one of them `missing`.

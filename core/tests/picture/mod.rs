@@ -13,7 +13,7 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// Reads a file by its extension; panics with its name if it cannot.
+    /// Reads a file by its extension. Panics with its name if that fails.
     pub fn read(path: &Path) -> Self {
         let bytes = std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
         let png = path.extension().is_some_and(|extension| extension == "png");

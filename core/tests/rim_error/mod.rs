@@ -1,5 +1,4 @@
-//! Errors of found rims against drawn ones, for the test that bounds them and the benchmark that
-//! prints them all.
+//! Errors of found rims against drawn ones, for the test that bounds them and the benchmark that prints them all.
 
 use super::drawing::{Drawing, Roundel, ellipse, frame};
 use rand::{RngExt, SeedableRng};
@@ -9,7 +8,7 @@ use roundel_core::marker::{Detector, Kind, Params, Scratch};
 const RATIO: f64 = 0.4;
 const BACKGROUND: f64 = 90.0;
 
-/// Errors of one number.
+/// Errors of one quantity.
 #[derive(Default)]
 pub struct Errors {
     n: f64,
@@ -33,7 +32,7 @@ impl Errors {
     }
 }
 
-/// What is measured of one kind of picture.
+/// Measurements for one case.
 #[derive(Default)]
 pub struct Cell {
     pub missed: u32,
@@ -43,7 +42,7 @@ pub struct Cell {
     pub minor: Errors,
     pub inner_major: Errors,
     pub inner_minor: Errors,
-    /// Of the geometric mean of the semiaxes, as a share: the error of the depth.
+    /// Of the geometric mean of the semiaxes, relative: the error of the depth.
     pub size: Errors,
 }
 
@@ -124,7 +123,7 @@ pub fn print_row(case: &Case, cell: &Cell) {
     println!("| {:+.3} {:.3}", 100.0 * cell.size.bias(), 100.0 * cell.size.rms());
 }
 
-/// Sizes, tilts and (blur, noise) of the table; too flat ones are left out.
+/// Sizes, tilts and (blur, noise) of the table, without those that appear too flat.
 pub fn cases(sizes: &[f64], margin: f64, kind: bool) -> Vec<Case> {
     let mut cases = Vec::new();
     for &diameter_px in sizes {

@@ -1,4 +1,4 @@
-//! Lens calibration over REST, without a board in view; `tests/tests/lens_live.rs` tests it with one.
+//! Lens calibration over REST, without a board in view; `tests/tests/lens_session.rs` tests it with one.
 
 use std::{sync::Arc, time::Duration};
 

@@ -1,13 +1,13 @@
-//! An arena with known truth: cameras, and robots on smooth paths that carry roundels.
+//! Arenas with ground truth: cameras, and robots with roundels on smooth paths.
 //!
-//! World frame right-handed with z up, metres; a roundel's z is out of its face. Paths ([`path`]) give
-//! position, velocity and acceleration exactly at any time; [`mod@reference`] builds DESIGN's
-//! installations, [`moving`] those with cameras that ride on robots.
+//! World frame right-handed with z up, metres; a roundel's z points out of its face. Paths ([`path`]) give position,
+//! velocity and acceleration exactly at any time. [`mod@reference`] builds the reference installations, [`moving`]
+//! those with cameras mounted on robots.
 
-pub mod errand;
 pub mod moving;
 pub mod path;
 pub mod reference;
+pub mod trips;
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
@@ -17,10 +17,10 @@ use crate::{
 };
 pub use path::{Course, Path, Sine};
 
-/// A camera's place: looking from `position` to `target`, its image upright.
+/// Pose of a camera at `position` that looks at `target`, with its image upright.
 pub fn look_at(position: Vector3<f64>, target: Vector3<f64>) -> Isometry3<f64> {
     let forward = (target - position).normalize();
-    // Seen straight from above, the world's y points up in the image.
+    // Seen from straight above, the world's y points up in the image.
     let up = if forward.xy().norm() < 1e-6 { Vector3::y() } else { Vector3::z() };
     let right = forward.cross(&up).normalize();
     let down = forward.cross(&right);
@@ -33,23 +33,19 @@ pub fn look_at(position: Vector3<f64>, target: Vector3<f64>) -> Isometry3<f64> {
 pub struct Site {
     /// Name in the configuration.
     pub name: String,
-    /// Lens.
     pub optics: Pinhole,
-    /// Grey values and shutter.
     pub imaging: Imaging,
-    /// Place of one that stands: world_from_camera.
+    /// Pose of a fixed camera.
     pub world_from_camera: Isometry3<f64>,
-    /// Of one that rides: on what.
+    /// The robot that a moving camera is mounted on.
     pub mount: Option<Mount>,
-    /// Frames a second.
     pub rate_hz: f64,
-    /// Its first frame's capture time after the arena's start, seconds.
+    /// Capture time of its first frame after the arena's start.
     pub offset_s: f64,
-    /// What it believes of the time.
     pub clock: SiteClock,
 }
 
-/// What a camera is fixed to that rides.
+/// Mount of a moving camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mount {
     /// Index of the robot.
@@ -61,9 +57,7 @@ pub struct Mount {
 /// A camera's clock: at t seconds after the arena's start it shows `ahead_s + (1 + skew) · t`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SiteClock {
-    /// Seconds.
     pub ahead_s: f64,
-    /// Seconds a second.
     pub skew: f64,
 }
 
@@ -74,23 +68,20 @@ pub struct Robot {
     pub name: String,
     /// Kind of roundel, as configured.
     pub kind: String,
-    /// What is printed.
     pub print: Print,
     /// Number of its code, if it has one.
     pub code: Option<u16>,
-    /// Where it goes.
     pub path: Path,
-    /// From when to when no camera sees it, seconds; in order.
+    /// Intervals in which no camera sees it, seconds, in order.
     pub hidden_s: Vec<(f64, f64)>,
-    /// Cameras that stand do not see it at all: it is between shelves, say.
-    pub is_among_shelves: bool,
+    /// Fixed cameras never see it, as if it drove between shelves.
+    pub is_hidden_from_fixed_cameras: bool,
 }
 
 impl Robot {
-    /// Whether anything covers it at `t` seconds.
     pub fn is_hidden(&self, t: f64) -> bool {
-        let begun = self.hidden_s.partition_point(|span| span.0 <= t);
-        begun > 0 && t < self.hidden_s[begun - 1].1
+        let started = self.hidden_s.partition_point(|span| span.0 <= t);
+        started > 0 && t < self.hidden_s[started - 1].1
     }
 }
 
@@ -99,18 +90,18 @@ impl Robot {
 pub struct Kind {
     /// Name in the configuration.
     pub name: String,
-    /// Black ring's outer diameter, metres.
+    /// Diameter of the black ring.
     pub outer_diameter_m: f64,
-    /// White disc's diameter, metres; of an elliptical one the longer.
+    /// Diameter of the white disc; of an elliptical disc the longer one.
     pub inner_diameter_m: f64,
-    /// The shorter one of an elliptical disc.
+    /// Shorter diameter of an elliptical disc.
     pub inner_minor_m: Option<f64>,
-    /// Bits of the codes of a coded one.
+    /// Code length, if it has a code.
     pub code_bits: Option<u8>,
 }
 
 impl Kind {
-    /// DESIGN's roundel of 160 mm with the paper's ratio.
+    /// A roundel of 160 mm with the paper's ratio.
     pub fn robot() -> Self {
         Self {
             name: "robot".into(),
@@ -121,41 +112,38 @@ impl Kind {
         }
     }
 
-    /// DESIGN's coded roundel of 160 mm.
+    /// A coded roundel of 160 mm.
     pub fn coded(bits: u8) -> Self {
         Self { inner_diameter_m: 0.096, code_bits: Some(bits), ..Self::robot() }
     }
 }
 
-/// Where an object truly is.
+/// True state of an object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Truth {
     /// world_from_roundel.
     pub pose: Isometry3<f64>,
-    /// World frame, m/s.
+    /// World frame.
     pub velocity_m_s: Vector3<f64>,
     /// Number of its code, if it has one.
     pub code: Option<u16>,
 }
 
-/// Cameras and robots, from `start_ns` on.
+/// Cameras and robots.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Arena {
     /// Unix time of the arena's second 0.
     pub start_ns: i64,
-    /// Seeds paths, backgrounds and noise.
+    /// Seed of paths, backgrounds and noise.
     pub seed: u64,
-    /// Kinds of roundel in use.
     pub kinds: Vec<Kind>,
-    /// Cameras.
     pub sites: Vec<Site>,
-    /// Robots.
     pub robots: Vec<Robot>,
-    /// Roundels that hang on walls.
+    /// Roundels on walls.
     pub landmarks: Vec<Landmark>,
 }
 
-/// A roundel that stays where it is.
+/// A fixed roundel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Landmark {
     /// Index of its kind.
@@ -167,7 +155,7 @@ pub struct Landmark {
 }
 
 impl Arena {
-    /// Where every robot truly is at this Unix time.
+    /// True state of every robot at this Unix time.
     pub fn truth(&self, time_ns: i64) -> Vec<Truth> {
         let t = (time_ns - self.start_ns) as f64 * 1e-9;
         let truth = |robot: &Robot| Truth {
@@ -178,7 +166,7 @@ impl Arena {
         self.robots.iter().map(truth).collect()
     }
 
-    /// Where a camera is at `t` seconds: world_from_camera.
+    /// Pose of a camera at `t` seconds: world_from_camera.
     pub fn camera_pose(&self, site: &Site, t: f64) -> Isometry3<f64> {
         match &site.mount {
             Some(mount) => self.robots[mount.robot].path.pose(t) * mount.robot_from_camera,
@@ -186,19 +174,19 @@ impl Arena {
         }
     }
 
-    /// Mid-exposure of the middle row of a camera's frame, Unix time.
+    /// Mid-exposure of the centre row of a camera's frame, Unix time.
     pub fn capture_time_ns(&self, site: &Site, frame: usize) -> i64 {
         let seconds = site.offset_s + frame as f64 / site.rate_hz;
         self.start_ns + (seconds * 1e9).round() as i64
     }
 
-    /// What a camera's clock shows at this Unix time.
+    /// Reading of a camera's clock at this Unix time.
     pub fn stated_time_ns(&self, site: &Site, time_ns: i64) -> i64 {
         let t = (time_ns - self.start_ns) as f64 * 1e-9;
         time_ns + ((site.clock.ahead_s + site.clock.skew * t) * 1e9).round() as i64
     }
 
-    /// A point of the world in a camera's pixels; `None` if it is not in its image.
+    /// Pixel of a world point, or `None` if it is outside the image.
     pub fn pixel(&self, site: &Site, point_m: &Point3<f64>) -> Option<[f64; 2]> {
         let p = site.optics.project(&site.world_from_camera.inverse_transform_point(point_m))?;
         let inside = (-0.5..site.optics.width as f64 - 0.5).contains(&p.x)
@@ -218,7 +206,7 @@ mod tests {
             let world_from_camera = look_at(position, target);
             let seen = world_from_camera.inverse_transform_point(&Point3::from(target));
             assert!((seen.coords - Vector3::new(0.0, 0.0, position.norm())).norm() < 1e-12);
-            // Right-handed, and what is higher in the world is higher in the image (smaller v).
+            // Right-handed, and higher points in the world are higher in the image (smaller v).
             assert!(
                 (world_from_camera.rotation.to_rotation_matrix().matrix().determinant() - 1.0)
                     .abs()
@@ -234,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn robots_are_hidden_from_the_start_of_a_span_to_its_end() {
+    fn robots_are_hidden_during_their_intervals() {
         let mut robot = Arena::r4_lite(1, 1, 0).robots.remove(0);
         robot.hidden_s = vec![(1.0, 1.5), (3.0, 3.5)];
         let hidden = [0.9, 1.0, 1.4, 1.5, 2.9, 3.2, 4.0].map(|t| robot.is_hidden(t));

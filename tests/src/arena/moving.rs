@@ -1,4 +1,4 @@
-//! Installations with cameras that ride on robots: a drone above others, and a robot that docks.
+//! Installations with cameras on robots: a drone above others, and a robot that docks.
 
 use std::f64::consts::PI;
 
@@ -8,25 +8,25 @@ use super::{
     Arena, Course, Kind, Landmark, Mount, Path, Sine,
     reference::{Model, site},
 };
-use crate::normal::Random;
+use crate::random::Random;
 
-/// A small camera's 640 × 480 pixels, at 30 Hz.
+/// A small camera of 640 × 480 pixels at 30 Hz.
 const fn small(focal_px: f64) -> Model {
     Model { width: 640, height: 480, focal_px, rate_hz: 30.0 }
 }
 
-/// A print of the station.
+/// Diameter of the docking station's prints.
 const STATION_M: f64 = 0.08;
-/// Half the distances of the station's prints, across and up.
+/// Half the distances between the station's prints, horizontally and vertically.
 const STATION_HALF_M: [f64; 2] = [0.15, 0.10];
 
-/// Before the station the robot's camera goes from the farther distance to the nearer and back, metres.
+/// The docking camera moves between these distances from the station, metres.
 pub const DOCKING_M: [f64; 2] = [0.5, 3.0];
-/// Coming or going, so long.
+/// Duration of each approach and of each retreat.
 pub const DOCKING_S: f64 = 20.0;
 
 impl Arena {
-    /// R4's cameras, which see a drone 2 m up; its camera looks down at ten robots that the others do
+    /// R4's cameras observe a drone at a height of 2 m. Its camera looks down at ten robots that the other cameras do
     /// not see. The drone is robot 0.
     pub fn with_drone(seed: u64) -> Self {
         let mut random = Random::new(seed, 40);
@@ -39,15 +39,15 @@ impl Arena {
                 Vector3::new(0.5 * f64::from(column) - 0.75, 0.65 + 0.45 * f64::from(row), 0.3);
             arena.add_robot(Path::circuit(place, 0.12, 0.3, 0.6 * f64::from(index)));
         }
-        arena.robots[1..].iter_mut().for_each(|robot| robot.is_among_shelves = true);
+        arena.robots[1..].iter_mut().for_each(|robot| robot.is_hidden_from_fixed_cameras = true);
         let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
         let below = Translation3::new(0.05, 0.0, -0.1);
         arena.ride(0, small(350.0), Isometry3::from_parts(below, down), &mut random);
         arena
     }
 
-    /// One robot whose camera (f = 600 px) looks ahead, to a station with four prints of 80 mm; nobody
-    /// else sees it. From afar it comes near and goes back, swaying by 0.1 m.
+    /// One robot with a camera (f = 600 px) that looks forward, at a station with four prints of 80 mm. No other
+    /// camera sees it. It approaches and retreats, swaying by 0.1 m.
     pub fn docking(seed: u64) -> Self {
         let mut random = Random::new(seed, 41);
         let mut arena = Self::empty(seed, Kind::coded(8), Vec::new());
@@ -58,7 +58,7 @@ impl Arena {
             ..Kind::coded(8)
         };
         arena.kinds.push(station);
-        // Ahead is x, and the camera's image upright.
+        // The camera looks along x, with its image upright.
         let axes = Matrix3::from_columns(&[-Vector3::y(), -Vector3::z(), Vector3::x()]);
         let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
         let aboard = Vector3::new(0.2, 0.0, -0.1);
@@ -75,7 +75,7 @@ impl Arena {
         let center_m = Vector3::new(-(near_m + far_m) / 2.0 - aboard.x, 0.0, 0.4);
         arena.add_robot(Path { course, ..Path::still(center_m) });
         arena.ride(0, small(600.0), Isometry3::from_parts(aboard.into(), turn), &mut random);
-        // Out of the wall is -x, and the prints' y up.
+        // The wall's normal is -x, and the prints' y points up.
         let axes = Matrix3::from_columns(&[-Vector3::y(), Vector3::z(), -Vector3::x()]);
         let faces = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
         let corners = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)];
@@ -97,8 +97,7 @@ impl Arena {
         robot_from_camera: Isometry3<f64>,
         random: &mut Random,
     ) {
-        let anywhere = (Vector3::new(0.0, 0.0, 1.0), Vector3::zeros());
-        let mut site = site("aboard".into(), &model, anywhere, random);
+        let mut site = site("aboard".into(), &model, Isometry3::identity(), random);
         site.mount = Some(Mount { robot, robot_from_camera });
         self.sites.push(site);
     }

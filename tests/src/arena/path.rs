@@ -1,4 +1,4 @@
-//! How robots move: position, velocity and acceleration exact at any time.
+//! Paths of robots: position, velocity and acceleration, exact at any time.
 
 use std::{
     f64::consts::{PI, TAU},
@@ -7,55 +7,50 @@ use std::{
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
-use super::errand::Errands;
-use crate::normal::Random;
+use super::trips::Trips;
+use crate::random::Random;
 
-/// Standard gravity, m/s².
+/// Standard gravity.
 const GRAVITY_M_S2: f64 = 9.806_65;
 
-/// One coordinate's motion: `amplitude · sin(rate · t + phase)`.
+/// Motion of one coordinate: `amplitude · sin(rate · t + phase)`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sine {
-    /// Metres.
     pub amplitude_m: f64,
-    /// Radians a second.
     pub rate_rad_s: f64,
-    /// Radians.
     pub phase_rad: f64,
 }
 
-/// Where a path leads, as seen from its centre.
+/// Shape of a path relative to its centre.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Course {
     /// Closed or Lissajous: along x, y and z.
     Sines([Sine; 3]),
     /// Random accelerations.
     Stray(Arc<Stray>),
-    /// From place to place on the floor.
-    Errands(Arc<Errands>),
+    /// From stop to stop on the floor.
+    Trips(Arc<Trips>),
 }
 
 /// A path about a centre.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Path {
-    /// Middle of the path.
     pub center_m: Vector3<f64>,
-    /// The way about it.
     pub course: Course,
-    /// Turns about the vertical, radians a second.
+    /// Rotation about the vertical.
     pub spin_rad_s: f64,
-    /// Leans into its acceleration, as robots that fly do; others stay upright.
+    /// Leans into its acceleration like a multicopter; otherwise stays upright.
     pub leans: bool,
 }
 
 impl Path {
-    /// Stands still at a place, facing the world's x.
+    /// Stands still, facing the world's x.
     pub fn still(center_m: Vector3<f64>) -> Self {
         let course = Course::Sines([Sine::default(); 3]);
         Self { center_m, course, spin_rad_s: 0.0, leans: false }
     }
 
-    /// Round a level circle at an even speed, the print's x turning along.
+    /// A level circle at constant speed; the print's x follows the direction of travel.
     pub fn circuit(center_m: Vector3<f64>, radius_m: f64, speed_m_s: f64, phase_rad: f64) -> Self {
         let rate_rad_s = speed_m_s / radius_m;
         let sine = |phase_rad| Sine { amplitude_m: radius_m, rate_rad_s, phase_rad };
@@ -66,8 +61,8 @@ impl Path {
         }
     }
 
-    /// A loop within `room_m` of its centre whose accelerations stay below 2 m/s². With a `lift_m` it
-    /// flies: so far above the centre, up and down as well, leaning as it goes.
+    /// A loop within `room_m` of its centre, with accelerations below 2 m/s². With a `lift_m` it flies that far above
+    /// the centre, moves up and down as well, and leans.
     pub fn wandering(
         mut center_m: Vector3<f64>,
         room_m: f64,
@@ -82,30 +77,28 @@ impl Path {
         let x = sine(room_m * random.uniform(0.6, 1.0), 1.3, random);
         let y = sine(room_m * random.uniform(0.6, 1.0), 1.3, random);
         let mut z = Sine::default();
-        if let Some((least_m, most_m)) = lift_m {
+        if let Some((min_m, max_m)) = lift_m {
             z = sine(random.uniform(0.1, 0.3), 0.6, random);
-            center_m.z += random.uniform(least_m, most_m);
+            center_m.z += random.uniform(min_m, max_m);
         }
         let course = Course::Sines([x, y, z]);
         let spin_rad_s = random.uniform(-0.8, 0.8);
         Self { center_m, course, spin_rad_s, leans: lift_m.is_some() }
     }
 
-    /// Position as seen from the centre, velocity and acceleration.
+    /// Position relative to the centre, velocity and acceleration.
     fn motion(&self, t: f64) -> [Vector3<f64>; 3] {
         match &self.course {
             Course::Sines(sines) => along(sines, t),
             Course::Stray(stray) => stray.at(t),
-            Course::Errands(errands) => errands.at(t),
+            Course::Trips(trips) => trips.at(t),
         }
     }
 
-    /// Velocity, m/s.
     pub fn velocity(&self, t: f64) -> Vector3<f64> {
         self.motion(t)[1]
     }
 
-    /// Acceleration, m/s².
     pub fn acceleration(&self, t: f64) -> Vector3<f64> {
         self.motion(t)[2]
     }
@@ -121,7 +114,7 @@ impl Path {
     }
 }
 
-/// Position, velocity and acceleration; renderers ask for every point of every rim.
+/// Position, velocity and acceleration. Renderers call it for every point of every rim.
 fn along(sines: &[Sine; 3], t: f64) -> [Vector3<f64>; 3] {
     let mut motion = [Vector3::zeros(); 3];
     for (axis, sine) in sines.iter().enumerate().filter(|(_, sine)| sine.amplitude_m != 0.0) {
@@ -134,31 +127,31 @@ fn along(sines: &[Sine; 3], t: f64) -> [Vector3<f64>; 3] {
     motion
 }
 
-/// Accelerations that change at random: a push that forgets itself within 0.4 s, a spring and a damper
-/// that keep it in place, and never more than a limit.
+/// Random accelerations: a push with a correlation time of 0.4 s, a spring and a damper that keep the robot near its
+/// centre, and a limit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stray {
     /// Position, velocity and acceleration every [`STEP_S`].
     knots: Vec<[Vector3<f64>; 3]>,
 }
 
-/// A random acceleration is constant for so long.
+/// A random acceleration is constant for this long.
 const STEP_S: f64 = 0.005;
 
 impl Stray {
-    /// `seconds` long, after which it stands still; `axes` says how much of each axis is in use.
-    pub fn new(seconds: f64, axes: &Vector3<f64>, most_m_s2: f64, random: &mut Random) -> Self {
+    /// `seconds` of motion, after which it stands still. `axes` scales the motion along each axis.
+    pub fn new(seconds: f64, axes: &Vector3<f64>, max_m_s2: f64, random: &mut Random) -> Self {
         let (mut position, mut velocity, mut push) =
             (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
         let kept: f64 = (-STEP_S / 0.4f64).exp();
-        let push_m_s2 = 0.45 * most_m_s2 * (1.0 - kept * kept).sqrt();
+        let push_m_s2 = 0.45 * max_m_s2 * (1.0 - kept * kept).sqrt();
         let mut knots: Vec<[Vector3<f64>; 3]> = Vec::new();
         for _ in 0..(seconds / STEP_S).ceil() as usize {
             let fresh = Vector3::from_fn(|axis, _| axes[axis] * f64::from(random.normal()));
             push = push * kept + fresh * push_m_s2;
             let mut acceleration: Vector3<f64> = push - position * 12.0 - velocity * 4.0;
-            if acceleration.norm() > most_m_s2 {
-                acceleration *= most_m_s2 / acceleration.norm();
+            if acceleration.norm() > max_m_s2 {
+                acceleration *= max_m_s2 / acceleration.norm();
             }
             knots.push([position, velocity, acceleration]);
             position += velocity * STEP_S + acceleration * (STEP_S * STEP_S / 2.0);
@@ -183,41 +176,41 @@ impl Stray {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::arena::errand;
+    use crate::arena::trips;
 
     fn paths() -> Vec<(Path, f64)> {
         let mut random = Random::new(3, 0);
         let center_m = Vector3::new(1.0, -2.0, 0.3);
         let stray = Stray::new(60.0, &Vector3::new(1.0, 1.0, 0.5), 2.0, &mut random);
-        let errands = errand::plan(3, [2.0, 2.0], 60.0, &mut random).remove(0);
+        let trips = trips::plan(3, [2.0, 2.0], 60.0, &mut random).remove(0);
         let course = |course| Path { course, ..Path::still(center_m) };
         vec![
             (Path::wandering(center_m, 0.4, Some((0.5, 1.2)), &mut random), 2.0),
             (Path::wandering(center_m, 0.3, None, &mut random), 2.0),
             (Path::circuit(center_m, 2.0, 3.0, 1.0), 4.5 + 1e-9),
             (course(Course::Stray(Arc::new(stray))), 2.0 + 1e-9),
-            (course(Course::Errands(Arc::new(errands))), 1.0 + 1e-9),
+            (course(Course::Trips(Arc::new(trips))), 1.0 + 1e-9),
         ]
     }
 
     #[test]
     fn velocities_and_accelerations_are_the_paths_derivatives() {
-        for (path, most_m_s2) in paths() {
+        for (path, max_m_s2) in paths() {
             for step in 0..5000 {
-                // Random accelerations jump each 5 ms; between, they are constant.
+                // Random accelerations jump every 5 ms; between the jumps they are constant.
                 let t = 0.0125 + 0.01 * f64::from(step);
                 let at = |t: f64| path.pose(t).translation.vector;
                 let velocity = (at(t + 1e-4) - at(t - 1e-4)) / 2e-4;
                 assert!((velocity - path.velocity(t)).norm() < 1e-5, "{path:?}");
                 let turn = (path.velocity(t + 1e-4) - path.velocity(t - 1e-4)) / 2e-4;
                 assert!((turn - path.acceleration(t)).norm() < 1e-3, "{path:?}");
-                assert!(path.acceleration(t).norm() <= most_m_s2, "{path:?}");
+                assert!(path.acceleration(t).norm() <= max_m_s2, "{path:?}");
             }
         }
     }
 
     #[test]
-    fn circuits_are_driven_at_their_speed_and_heading() {
+    fn circuits_have_their_speed_and_heading() {
         let path = Path::circuit(Vector3::zeros(), 2.0, 3.0, 0.4);
         for t in [0.0, 0.7, 3.1] {
             assert!((path.velocity(t).norm() - 3.0).abs() < 1e-12);
@@ -225,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn random_paths_stay_near_their_places() {
+    fn random_paths_stay_near_their_centres() {
         let mut random = Random::new(9, 0);
         let stray = Stray::new(300.0, &Vector3::new(1.0, 1.0, 0.6), 2.0, &mut random);
         let far = stray.knots.iter().map(|knot| knot[0].norm()).fold(0.0, f64::max);

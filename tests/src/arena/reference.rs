@@ -1,22 +1,22 @@
-//! DESIGN's reference installations, and R4-lite for the demo.
+//! The reference installations R4 and R16, and R4-lite of the demo.
 
-use nalgebra::Vector3;
+use nalgebra::{Isometry3, Vector3};
 
 use super::{Arena, Kind, Path, Robot, Site, SiteClock, look_at};
 use crate::{
     coded::{coded_print, words},
-    normal::Random,
     optics::{Distortion, Pinhole},
+    random::Random,
     render::{Imaging, Print},
 };
 
 /// Unix time of every arena's second 0.
 const START_NS: i64 = 1_790_000_000_000_000_000;
-/// Roundels of robots on the floor are so high.
+/// Height of roundels on floor robots.
 const FLOOR_ROBOT_M: f64 = 0.3;
-/// Cameras' clocks that nobody has set are off by so much at most …
+/// Largest offset of camera clocks that are not synchronized.
 const AHEAD_S: f64 = 0.040;
-/// … and drift by so much.
+/// Largest drift of such clocks.
 const SKEW: f64 = 50e-6;
 
 /// A camera's sensor and rate.
@@ -30,18 +30,18 @@ pub(super) struct Model {
 const R4_MODEL: Model = Model { width: 1920, height: 1080, focal_px: 1100.0, rate_hz: 60.0 };
 const LITE_MODEL: Model = Model { width: 1280, height: 720, focal_px: 733.3, rate_hz: 30.0 };
 
-/// Robots in rows, each with a cell of a field to itself, so that none ever passes through another.
+/// Robots in rows. Each has a cell of its own, so that robots never pass through each other.
 struct Fleet {
     count: usize,
     field_m: [f64; 2],
     stands: fn(usize) -> bool,
     flies: Box<dyn Fn(usize) -> bool>,
-    /// How far above robots on the floor those that fly do so.
+    /// Heights of flying robots above floor robots.
     lift_m: (f64, f64),
 }
 
 impl Arena {
-    /// Cameras and nobody there yet.
+    /// Cameras without robots.
     pub(super) fn empty(seed: u64, kind: Kind, sites: Vec<Site>) -> Self {
         Self {
             start_ns: START_NS,
@@ -53,8 +53,8 @@ impl Arena {
         }
     }
 
-    /// DESIGN's R4-lite: four cameras 1280x720 at 30 Hz over 10 × 8 m, unsynchronized, with
-    /// `robots` of which a quarter stands still and `flying` of the others fly.
+    /// R4-lite: four unsynchronized cameras 1280x720 at 30 Hz over 10 × 8 m, with `robots`, a quarter of which stands
+    /// still, and `flying` of the others in the air.
     pub fn r4_lite(seed: u64, robots: usize, flying: usize) -> Self {
         let mut random = Random::new(seed, 0);
         let mut arena = Self::empty(seed, Kind::robot(), corner_sites(&LITE_MODEL, &mut random));
@@ -70,8 +70,8 @@ impl Arena {
         arena
     }
 
-    /// DESIGN's R4: four cameras 1920x1080 at 60 Hz, unsynchronized, and 24 robots with codes of 8
-    /// bits of which a third flies to 2 m; accelerations to 2 m/s². Clocks are right.
+    /// R4: four unsynchronized cameras 1920x1080 at 60 Hz, and 24 robots with codes of 8 bits, a third of which flies
+    /// up to 2 m; accelerations to 2 m/s². Clocks are right.
     pub fn r4(seed: u64) -> Self {
         let mut random = Random::new(seed, 4);
         let mut arena = Self::empty(seed, Kind::coded(8), corner_sites(&R4_MODEL, &mut random));
@@ -86,8 +86,8 @@ impl Arena {
         arena
     }
 
-    /// DESIGN's R16: sixteen such cameras in a 4 × 4 grid over 24 × 18 m, so high that an object is
-    /// seen by four of them on average, and 200 robots with codes of 12 bits.
+    /// R16: sixteen such cameras in a 4 × 4 grid over 24 × 18 m, at a height at which four cameras on average see an
+    /// object, and 200 robots with codes of 12 bits.
     pub fn r16(seed: u64) -> Self {
         let mut random = Random::new(seed, 16);
         let sites = (0..16)
@@ -96,7 +96,7 @@ impl Arena {
                 let eye = Vector3::new(6.0 * x, 4.5 * y, 9.0);
                 let target = Vector3::new(5.7 * x, 4.2 * y, 0.0);
                 let name = format!("row {} camera {}", index / 4 + 1, index % 4 + 1);
-                site(name, &R4_MODEL, (eye, target), &mut random)
+                site(name, &R4_MODEL, look_at(eye, target), &mut random)
             })
             .collect();
         let mut arena = Self::empty(seed, Kind::coded(12), sites);
@@ -111,7 +111,7 @@ impl Arena {
         arena
     }
 
-    /// R4's cameras over robots of the caller's, with roundels of this kind.
+    /// R4's cameras with the given robots' paths and kind of roundel.
     pub fn under_r4(seed: u64, kind: Kind, paths: Vec<Path>) -> Self {
         let sites = corner_sites(&R4_MODEL, &mut Random::new(seed, 4));
         let mut arena = Self::empty(seed, kind, sites);
@@ -119,21 +119,21 @@ impl Arena {
         arena
     }
 
-    /// The same cameras, their clocks off by up to 40 ms and 50 ppm.
-    pub fn with_unset_clocks(mut self) -> Self {
+    /// The same cameras with clocks that are off by up to 40 ms and 50 ppm.
+    pub fn with_unsynchronized_clocks(mut self) -> Self {
         let mut random = Random::new(self.seed, 5);
         for site in &mut self.sites {
             let ahead_s = random.uniform(-AHEAD_S, AHEAD_S);
             site.clock = SiteClock { ahead_s, skew: random.uniform(-SKEW, SKEW) };
         }
-        // What is seen tells differences only: the mean of all clocks is the time.
+        // Observations show only differences of clocks: the mean of all clocks is the time.
         let count = self.sites.len() as f64;
         let mean_s = self.sites.iter().map(|site| site.clock.ahead_s).sum::<f64>() / count;
         self.sites.iter_mut().for_each(|site| site.clock.ahead_s -= mean_s);
         self
     }
 
-    /// One more robot, with the next code if its kind has codes.
+    /// Adds a robot, with the next code if its kind has codes.
     pub fn add_robot(&mut self, path: Path) {
         let kind = &self.kinds[0];
         let index = self.robots.len();
@@ -150,7 +150,7 @@ impl Arena {
             code,
             path,
             hidden_s: Vec::new(),
-            is_among_shelves: false,
+            is_hidden_from_fixed_cameras: false,
         });
     }
 
@@ -176,7 +176,7 @@ impl Arena {
     }
 }
 
-/// DESIGN's four places, at (±2.5, ±2, 5) m and looking at (±1.25, ±1, 0).
+/// The four camera poses of R4, at (±2.5, ±2, 5) m, looking at (±1.25, ±1, 0).
 fn corner_sites(model: &Model, random: &mut Random) -> Vec<Site> {
     let corners = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)];
     let names = ["southwest", "southeast", "northwest", "northeast"];
@@ -184,7 +184,7 @@ fn corner_sites(model: &Model, random: &mut Random) -> Vec<Site> {
         .map(|((x, y), name)| {
             let eye = Vector3::new(2.5 * x, 2.0 * y, 5.0);
             let target = Vector3::new(1.25 * x, y, 0.0);
-            site(name.into(), model, (eye, target), random)
+            site(name.into(), model, look_at(eye, target), random)
         })
         .collect()
 }
@@ -193,7 +193,7 @@ fn corner_sites(model: &Model, random: &mut Random) -> Vec<Site> {
 pub(super) fn site(
     name: String,
     model: &Model,
-    (eye, target): (Vector3<f64>, Vector3<f64>),
+    world_from_camera: Isometry3<f64>,
     random: &mut Random,
 ) -> Site {
     let k = [random.uniform(-0.10, -0.06), random.uniform(0.01, 0.04)];
@@ -211,7 +211,7 @@ pub(super) fn site(
             line_time_s: 12e-6,
             ..Imaging::default()
         },
-        world_from_camera: look_at(eye, target),
+        world_from_camera,
         mount: None,
         rate_hz: model.rate_hz,
         offset_s: random.uniform(0.0, 1.0 / model.rate_hz),
@@ -225,28 +225,28 @@ mod tests {
 
     use super::*;
 
-    /// How many cameras see each robot's centre, least and on average, over ten seconds.
+    /// Minimum and mean number of cameras that see a robot's centre, over ten seconds.
     fn views(arena: &Arena) -> (usize, f64) {
-        let (mut least, mut sum, mut count) = (usize::MAX, 0, 0);
+        let (mut min, mut sum, mut count) = (usize::MAX, 0, 0);
         for second in 0..10 {
             for truth in arena.truth(arena.start_ns + second * 1_000_000_000) {
                 let place = Point3::from(truth.pose.translation.vector);
                 let sees = |site: &&Site| arena.pixel(site, &place).is_some();
                 let seen_by = arena.sites.iter().filter(sees).count();
-                least = least.min(seen_by);
+                min = min.min(seen_by);
                 sum += seen_by;
                 count += 1;
             }
         }
-        (least, f64::from(sum as u32) / f64::from(count))
+        (min, f64::from(sum as u32) / f64::from(count))
     }
 
     #[test]
-    fn every_robot_is_seen_wherever_it_goes() {
-        let (least, mean) = views(&Arena::r4(1));
-        assert!(least >= 1 && mean > 2.0, "{least}, {mean}");
-        let (least, mean) = views(&Arena::r16(1));
-        assert!(least >= 1 && (3.5..4.5).contains(&mean), "{least}, {mean}");
+    fn every_robot_is_seen_everywhere() {
+        let (min, mean) = views(&Arena::r4(1));
+        assert!(min >= 1 && mean > 2.0, "{min}, {mean}");
+        let (min, mean) = views(&Arena::r16(1));
+        assert!(min >= 1 && (3.5..4.5).contains(&mean), "{min}, {mean}");
     }
 
     #[test]

@@ -19,7 +19,7 @@ use super::{
     timetable::Fault,
     world::{CODED, SPARE_CAMERA},
 };
-use crate::normal::Random;
+use crate::random::Random;
 
 /// Time for which an attacker stays.
 const STAY: Duration = Duration::from_secs(3);

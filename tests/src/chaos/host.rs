@@ -104,7 +104,7 @@ impl Host {
 
     /// Stops the server; returns how long that took.
     pub async fn stop(&mut self) -> anyhow::Result<Duration> {
-        let begun = Instant::now();
+        let started = Instant::now();
         match self.running.take() {
             Some(Running::Library(server)) => {
                 timeout(STOP, server.shutdown()).await.context("the server does not stop")?;
@@ -118,8 +118,8 @@ impl Host {
             }
             None => {}
         }
-        ensure!(begun.elapsed() < STOP, "the server took {:?} to stop", begun.elapsed());
-        Ok(begun.elapsed())
+        ensure!(started.elapsed() < STOP, "the server took {:?} to stop", started.elapsed());
+        Ok(started.elapsed())
     }
 
     /// Whether a process has ended although it should run.

@@ -88,7 +88,7 @@ impl fmt::Display for Outcome {
         writeln!(f, "seed {} breaks promises; to reproduce:", self.seed)?;
         writeln!(
             f,
-            "    cargo run -p roundel-tests --bin chaos -- --from {} --seeds 1{process}",
+            "    cargo run -p roundel-tests -- chaos --from {} --seeds 1{process}",
             self.seed
         )?;
         let hangs = if self.timetable.disk_hangs_at_stop { ", while the disk hangs" } else { "" };

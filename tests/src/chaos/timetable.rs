@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::normal::Random;
+use crate::random::Random;
 
 /// Cameras of the world.
 pub const CAMERAS: usize = 4;

@@ -14,8 +14,8 @@ use super::timetable::CAMERAS;
 use crate::{
     arena::{Arena, Kind, Path, look_at},
     export::camera_yaml,
-    normal::Random,
     optics::{Distortion, Pinhole},
+    random::Random,
     sensor::Sensing,
 };
 
@@ -32,7 +32,7 @@ const SPARE_X_M: f64 = 50.0;
 pub const FAR_M: f64 = 20.0;
 
 /// How cameras err.
-pub const SENSING: Sensing = Sensing { shows_rims: true, misread: 0.0, ..Sensing::USUAL };
+pub const SENSING: Sensing = Sensing { shows_rims: true, misread: 0.0, ..Sensing::DEFAULT };
 
 /// An arena whose time is this machine's monotonic clock.
 pub struct World {

@@ -1,8 +1,8 @@
-//! What tracks suffer while a bumped camera's sightings still count.
+//! Errors of tracks while a bumped camera's observations are still used.
 //!
-//! Fusion and watch run as in a server. Compared with the truth are objects that are seen (life stage tracked)
-//! and said to be known to [`SURE_M`]: of what hardly anybody sees, or one camera from afar, the error is larger without
-//! any bump, and told.
+//! Fusion and watch run as in a server. Only observed objects (life stage tracked) with a stated deviation below
+//! [`CERTAIN_M`] are compared with the truth. Objects that few cameras see have larger errors without any bump, and
+//! larger stated deviations.
 
 use roundel_core::{
     calib::watch::{Watch, WatchEvent, WatchParams},
@@ -17,37 +17,36 @@ use roundel_core::{
 
 use super::Healing;
 
-/// Objects that are known to this count, metres: a root of the covariance's trace.
-pub const SURE_M: f64 = 1.5e-3;
-/// How long a bump may be felt, seconds: until it is noticed, and until what only that camera saw is forgotten.
-const MEANWHILE_S: f64 = 3.0;
-/// Before this tracks are new, seconds.
+/// Largest stated deviation of compared objects: root of the covariance's trace.
+pub const CERTAIN_M: f64 = 1.5e-3;
+/// Duration of a bump's effect: until it is detected, and until tracks that only that camera observed are dropped.
+const AFTERMATH_S: f64 = 3.0;
+/// Time until tracks have settled.
 const SETTLED_S: f64 = 3.0;
-/// Snapshots are taken so often, seconds.
+/// Interval of snapshots.
 const TICK_S: f64 = 1.0 / 60.0;
 
-/// Errors of tracks of a run.
+/// Errors of tracks in a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Tracks {
-    /// Largest within [`MEANWHILE_S`] of a bump, metres …
-    pub meanwhile_m: f64,
-    /// … and else.
-    pub else_m: f64,
-    /// Cameras that came back.
+    /// Largest error within [`AFTERMATH_S`] of a bump.
+    pub aftermath_m: f64,
+    /// Largest error at other times.
+    pub otherwise_m: f64,
+    /// Cameras that returned.
     pub returned: usize,
-    /// Objects that are followed, mean.
-    pub followed: f64,
-    /// What became of all observations.
+    /// Mean number of tracked objects.
+    pub tracked: f64,
     pub counts: FusionCounts,
 }
 
 impl Healing {
-    /// Lets fusion follow the robots for so many seconds, with the watch's events put into effect.
-    pub fn follow(&self, params: FusionParams, seconds: f64) -> Tracks {
+    /// Runs fusion on the observations for `seconds`, and applies the watch's events.
+    pub fn track(&self, params: FusionParams, seconds: f64) -> Tracks {
         let start = Timestamp::from_ns(self.arena.start_ns);
         let (mut fusion, mut watch) = (Fusion::new(params), Watch::new(WatchParams::default()));
         for (index, (&world_from_camera, _)) in
-            self.believed.iter().zip(&self.arena.sites).enumerate()
+            self.initial_poses.iter().zip(&self.arena.sites).enumerate()
         {
             let id = CameraId(index as u32);
             let placement = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
@@ -58,7 +57,7 @@ impl Healing {
             }
         }
         let (mut next_s, mut tracks) = (SETTLED_S, Tracks::default());
-        let (mut followed, mut ticks) = (0, 0);
+        let (mut tracked, mut ticks) = (0, 0);
         for frame in self.frames(seconds) {
             watch.observe(&frame, 0.0);
             fusion.observe(&frame);
@@ -66,7 +65,7 @@ impl Healing {
             for held in fusion.drain_held_back() {
                 watch.hold(held.camera, held.step == HeldStep::Started);
             }
-            for camera in (0..self.believed.len()).map(|index| CameraId(index as u32)) {
+            for camera in (0..self.initial_poses.len()).map(|index| CameraId(index as u32)) {
                 fusion.set_hold_back_exempt(camera, !watch.is_trusted(camera));
             }
             for event in watch.advance(now) {
@@ -89,16 +88,16 @@ impl Healing {
                 next_s += TICK_S;
                 let bumps = self.moves.iter();
                 let is_meanwhile =
-                    bumps.clone().any(|it| (it.at_s..it.at_s + MEANWHILE_S).contains(&t));
+                    bumps.clone().any(|it| (it.at_s..it.at_s + AFTERMATH_S).contains(&t));
                 let worst_m =
-                    if is_meanwhile { &mut tracks.meanwhile_m } else { &mut tracks.else_m };
+                    if is_meanwhile { &mut tracks.aftermath_m } else { &mut tracks.otherwise_m };
                 let snapshot = fusion.snapshot(now);
                 *worst_m = worst_m.max(self.worst_m(&snapshot));
-                followed += snapshot.objects.iter().filter(|it| is_followed(it)).count();
+                tracked += snapshot.objects.iter().filter(|it| is_tracked(it)).count();
                 ticks += 1;
             }
         }
-        tracks.followed = f64::from(followed as u32) / f64::from(ticks.max(1));
+        tracks.tracked = f64::from(tracked as u32) / f64::from(ticks.max(1));
         tracks.counts = fusion.counts();
         tracks
     }
@@ -107,7 +106,7 @@ impl Healing {
         let truth = self.arena.truth(snapshot.pose_time.as_ns());
         let is_sure = |it: &&ObjectState| {
             let variance = it.covariance.fixed_view::<3, 3>(0, 0).trace();
-            is_followed(it) && variance < SURE_M * SURE_M
+            is_tracked(it) && variance < CERTAIN_M * CERTAIN_M
         };
         let off_m = |object: &ObjectState| {
             let number = object.code?.number;
@@ -118,6 +117,6 @@ impl Healing {
     }
 }
 
-fn is_followed(object: &ObjectState) -> bool {
+fn is_tracked(object: &ObjectState) -> bool {
     object.stage == LifeStage::Tracked
 }

@@ -13,7 +13,7 @@ pub fn shipped_code(source: &str) -> String {
     shipped
 }
 
-/// What follows the first item of `code`: after its `;`, or after its outermost braces.
+/// The text after the first item of `code`: after its `;`, or after its outermost braces.
 fn after_item(code: &str) -> &str {
     let mut depth = 0usize;
     for (i, c) in code.char_indices() {
@@ -51,7 +51,7 @@ fn without_comments_and_strings(source: &str) -> String {
                 i += 1;
                 out.push_str("\"\"");
             }
-            // A character literal, as against a lifetime.
+            // A character literal, not a lifetime.
             '\'' if next == Some('\\') || bytes.get(i + 2) == Some(&'\'') => {
                 i += if next == Some('\\') { 3 } else { 2 };
                 while i < bytes.len() && bytes[i] != '\'' {
@@ -86,7 +86,7 @@ fn end_of_block_comment(text: &[char], start: usize) -> usize {
     i
 }
 
-/// Skips `r"…"` or `r#"…"#`; `r#name` is no string and is copied.
+/// Skips `r"…"` or `r#"…"#`; `r#name` is not a string and is copied.
 fn end_of_raw_string(text: &[char], start: usize, out: &mut String) -> usize {
     let hashes = text[start + 1..].iter().take_while(|c| **c == '#').count();
     if text.get(start + 1 + hashes) != Some(&'"') {

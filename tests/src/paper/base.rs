@@ -1,8 +1,8 @@
-//! Table 2 and the end of section 6.1.1: what a camera covers.
+//! Table 2 and the end of section 6.1.1: the area that a camera covers.
 //!
-//! The Logitech faces a wall with a roundel in each corner of its image, their paper just within it. As in
-//! table 1 it goes away until one of them is no longer reliably found; the places of the four roundels on
-//! the wall are then the base.
+//! The Logitech faces a wall with a roundel in each corner of its image, with its paper just inside. As in table 1,
+//! it moves away until one of them is no longer found reliably. The positions of the four roundels on the wall then
+//! form the base.
 
 use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
@@ -12,7 +12,7 @@ use super::{
     range::{farthest_m, found_down_to},
     scene::{Finder, MARGIN, PaperCamera, RELIABLE, slanted},
 };
-use crate::normal::Random;
+use crate::random::Random;
 
 /// Diameter in centimetres; v_max, v_y, v_z in metres, measured and predicted.
 const CASES: [(f64, [f64; 3], [f64; 3]); 3] = [
@@ -20,12 +20,12 @@ const CASES: [(f64, [f64; 3], [f64; 3]); 3] = [
     (5.0, [3.0, 3.9, 3.0], [3.0, 4.0, 3.0]),
     (7.5, [4.5, 5.9, 4.5], [4.4, 5.8, 4.4]),
 ];
-/// By how much the paper's distances shrink in the corners, per cent.
+/// Reduction of the paper's distances in the corners, per cent.
 const REDUCTION: f64 = 7.0;
-/// Between the paper's edge and the image's, pixels.
+/// Distance between the paper's edge and the image's edge.
 const EDGE_PX: f64 = 2.0;
 
-/// Places on the wall, as shares of its distance, that are seen in the image's corners: left, top, right, bottom.
+/// Positions on the wall, relative to its distance, that appear in the image's corners: left, top, right, bottom.
 fn corners(
     camera: &PaperCamera,
     outer_m: f64,
@@ -48,7 +48,7 @@ fn corners(
     ]
 }
 
-/// How far roundels in the corners are found, metres, of all four corners together.
+/// Largest distance at which roundels in all four corners are found.
 fn farthest_in_corners_m(camera: &PaperCamera, outer_m: f64, pictures: usize, seed: u64) -> f64 {
     let mut finder = Finder::new(camera, outer_m);
     let mut random = Random::new(2, seed);
@@ -60,7 +60,7 @@ fn farthest_in_corners_m(camera: &PaperCamera, outer_m: f64, pictures: usize, se
     })
 }
 
-/// How far one in the middle is found, metres.
+/// Largest distance at which a roundel at the centre is found.
 fn farthest_in_middle_m(camera: &PaperCamera, outer_m: f64, pictures: usize, seed: u64) -> f64 {
     let mut finder = Finder::new(camera, outer_m);
     let mut random = Random::new(3, seed);
@@ -119,10 +119,10 @@ fn reduction(camera: &PaperCamera, pictures: usize, seed: u64) -> Row {
     )
     .paper(REDUCTION, Aim::Neither)
     .model(100.0 * (1.0 - k_x.min(k_y)))
-    .note("the lens shrinks the longer diameter less, which helps as with slanted ones")
+    .note("the lens shrinks the longer diameter less, as with slanted roundels")
 }
 
-/// The paper's table 2, and the loss in the corners of section 6.1.1.
+/// The paper's table 2, and the reduction in the corners of section 6.1.1.
 pub fn table(length: Length) -> anyhow::Result<Table> {
     let pictures = length.pick(25, 100);
     let mut rows: Vec<Row> =
@@ -136,13 +136,13 @@ pub fn table(length: Length) -> anyhow::Result<Table> {
     );
     let remarks = vec![
         format!(
-            "A wall that fills the image, roundels in its four corners: greatest distance at which {:.0} % of \
-             the roundels of {pictures} pictures are found, and what lies between their centres. Model: equations 15 (as corrected) \
-             and 16.",
+            "A wall that fills the image, with roundels in its four corners: largest distance at which {:.0} % \
+             of the roundels of {pictures} pictures are found, and the distances between their centres. Model: \
+             equations 15 (as corrected) and 16.",
             100.0 * RELIABLE
         ),
-        "Ours is greater as in table 1. The base is wider than the model's by the lens, which sees more than w/f and \
-         h/f where it shrinks: equation 16 leaves that out."
+        "Greater for the same reason as in table 1. The base is wider than the model's because the distorted lens \
+         covers more than w/f and h/f, which equation 16 ignores."
             .to_owned(),
     ];
     let title = "Table 2: dimensions of the operational space (Logitech QC Pro)".to_owned();

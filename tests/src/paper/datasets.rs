@@ -1,9 +1,9 @@
 //! The datasets of section 6.3.2, rendered: "small", "large" and "fast".
 //!
-//! As stated: one static roundel of 700 pixels, about 0.1 % of the image; one of 60 px; and 130 images of a fast one of
-//! variable size whose tracking fails in one case. Chosen: the Logitech's 1024x768, a lab's clutter behind, a path on
-//! which the roundel goes by up to 13 px a frame while its diameter varies between 24 and 80 px, and halfway a jump
-//! through a third of the image.
+//! Stated in the paper: one static roundel of 700 pixels, about 0.1 % of the image; one of 60 px; and 130 images of a
+//! fast one of variable size whose tracking fails once. Chosen here: the Logitech's 1024x768, a lab's clutter behind,
+//! a path on which the roundel moves by up to 13 px a frame while its diameter varies between 24 and 80 px, and
+//! halfway a jump across a third of the image.
 
 use std::f64::consts::TAU;
 
@@ -16,17 +16,16 @@ use super::{
 };
 use crate::{
     clutter::{Clutter, background},
-    normal::Random,
     optics::Pinhole,
-    render::{Image, Print, Renderer, Seen},
+    random::Random,
+    render::{Image, MovingPrint, Print, Renderer},
 };
 
-/// Diameter or side of what is shown, metres.
+/// Diameter or side of the marker.
 pub const SIDE_M: f64 = 0.15;
-/// Images of the fast one.
+/// Images of the fast dataset.
 pub const FAST: usize = 130;
 
-/// One dataset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Dataset {
     /// 30 px, static; the "slow" one of table 8.
@@ -38,7 +37,7 @@ pub enum Dataset {
 }
 
 impl Dataset {
-    /// As the paper calls it.
+    /// The paper's name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Small => "small",
@@ -47,7 +46,7 @@ impl Dataset {
         }
     }
 
-    /// Mean diameter, pixels.
+    /// Mean diameter.
     pub fn diameter_px(self) -> f64 {
         match self {
             Self::Small => 30.0,
@@ -56,12 +55,12 @@ impl Dataset {
         }
     }
 
-    /// Images of the static ones differ by noise alone, so that a few stand for the paper's thousand.
+    /// Images of the static datasets differ by noise alone, so a few represent the paper's thousand.
     pub fn count(self, length: Length) -> usize {
         if self == Self::Fast { FAST } else { length.pick(8, 50) }
     }
 
-    /// Where it is in one of the images: middle and diameter, pixels.
+    /// Centre and diameter in one of the images, pixels.
     pub fn place(self, optics: &Pinhole, number: usize) -> (Vector2<f64>, f64) {
         let middle = Vector2::new(optics.width as f64, optics.height as f64) / 2.0;
         if self != Self::Fast {
@@ -87,8 +86,8 @@ impl Dataset {
         let picture = |number: usize| {
             let pose = self.pose(&camera.optics, number);
             let motion = |_: f64| pose;
-            let seen = [Seen { print, motion: &motion }];
-            renderer.frame(&behind, &seen, &mut Random::new(21, number as u64))
+            let moving = [MovingPrint { print, motion: &motion }];
+            renderer.frame(&behind, &moving, &mut Random::new(21, number as u64))
         };
         (0..self.count(length)).into_par_iter().map(picture).collect()
     }
@@ -99,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_fast_one_jumps_once_and_stays_in_the_image() {
+    fn the_fast_dataset_jumps_once_and_stays_in_the_image() {
         let optics = PaperCamera::logitech().optics;
         let places: Vec<_> = (0..FAST).map(|number| Dataset::Fast.place(&optics, number)).collect();
         let moved_px = |two: &[(Vector2<f64>, f64)]| (two[1].0 - two[0].0).norm();

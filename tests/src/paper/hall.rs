@@ -1,10 +1,10 @@
-//! The hall of section 6.2: a floor of tiles of 0.625 x 1.25 m with roundels on their corners, seen from two places
-//! by one of the paper's cameras.
+//! The hall of section 6.2: a floor of tiles of 0.625 x 1.25 m with roundels on their corners, seen from two
+//! positions by one of the paper's cameras.
 //!
-//! As stated: the tiles, their precision of 0.6 mm, some four roundels that define the frame, distances of about
-//! six metres (errors in centimetres over errors in per cent). Chosen: 25 roundels of 15 cm in five rows, which fits
-//! the paper's predictions for its cameras; the outermost four define the frame and the others are measured; the
-//! "side" view from a height of 3.2 m, lines of sight 38° to 66° off the normals, the "top" view from 5.6 m.
+//! Stated in the paper: the tiles, their precision of 0.6 mm, four roundels that define the frame, distances of about
+//! six metres (errors in centimetres over errors in per cent). Chosen here: 25 roundels of 15 cm in five rows, which
+//! fits the paper's predictions for its cameras; the outermost four define the frame and the others are measured; the
+//! "side" view from a height of 3.2 m, with lines of sight 38° to 66° off the normals, the "top" view from 5.6 m.
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 
@@ -12,13 +12,13 @@ use super::scene::PaperCamera;
 use crate::{
     arena::look_at,
     coverage::{Contour, Patch},
-    normal::Random,
-    render::{Canvas, Image, Print, Renderer, Seen},
+    random::Random,
+    render::{Canvas, Image, MovingPrint, Print, Renderer},
 };
 
-/// Diameter of the roundels, side of square markers, metres.
+/// Diameter of the roundels, side of square markers.
 pub const OUTER_M: f64 = 0.15;
-/// Deviation of a tile's corner from its place along each axis, metres.
+/// Deviation of a tile's corner from its nominal position along each axis.
 pub const TILES_M: f64 = 0.0006;
 /// Across and along the hall.
 const TILE_M: [f64; 2] = [1.25, 0.625];
@@ -28,7 +28,6 @@ const FLOOR: f64 = 150.0;
 const JOINT: f64 = 95.0;
 const JOINT_M: f64 = 0.006;
 
-/// From where.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum View {
     /// The paper's "side".
@@ -38,7 +37,7 @@ pub enum View {
 }
 
 impl View {
-    /// As the paper calls it.
+    /// The paper's name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Side => "side",
@@ -47,15 +46,13 @@ impl View {
     }
 }
 
-/// One picture's worth: a camera at its place, and the roundels' places.
+/// One picture's camera pose and roundel positions.
 pub struct Hall {
-    /// What looks.
     pub camera: PaperCamera,
-    /// camera_from_world.
     pub camera_from_world: Isometry3<f64>,
-    /// Where the roundels are said to be, metres.
+    /// Nominal positions of the roundels.
     pub stated_m: Vec<Vector3<f64>>,
-    /// Where they are.
+    /// True positions of the roundels.
     pub true_m: Vec<Vector3<f64>>,
     yaws_rad: Vec<f64>,
     seed: u64,
@@ -97,17 +94,17 @@ impl Hall {
         self.camera_from_world * Isometry3::from_parts(Translation3::from(self.true_m[index]), turn)
     }
 
-    /// Which roundel is seen at this pixel, if one is.
+    /// The roundel at this pixel, if any.
     pub fn at(&self, pixel: Vector2<f64>) -> Option<usize> {
         (0..self.true_m.len()).find(|&index| {
             let place = Point3::from(self.pose(index).translation.vector);
             let size_px = self.camera.optics.focal_px[0] * OUTER_M / place.z;
-            let seen = self.camera.optics.project(&place);
-            seen.is_some_and(|seen| (seen - pixel).norm() < 0.25 * size_px)
+            let image = self.camera.optics.project(&place);
+            image.is_some_and(|image| (image - pixel).norm() < 0.25 * size_px)
         })
     }
 
-    /// Semiaxes of a roundel's image, pixels, near enough for the model.
+    /// Approximate semiaxes of a roundel's image, accurate enough for the model.
     pub fn semiaxes_px(&self, index: usize) -> [f64; 2] {
         let pose = self.pose(index);
         let place = pose.translation.vector;
@@ -116,7 +113,7 @@ impl Hall {
         [major, major * facing]
     }
 
-    /// The picture with these prints in the roundels' places, as many as there are.
+    /// The picture with these prints at the roundels' positions.
     pub fn picture(&self, print: &(dyn Fn(usize) -> Print + Sync)) -> Image {
         let renderer = Renderer::new(self.camera.optics, self.camera.imaging);
         let floor = self.floor(&renderer);
@@ -125,9 +122,12 @@ impl Hall {
             .map(|index| self.pose(index))
             .map(|pose| move |_: f64| pose)
             .collect();
-        let seen: Vec<_> =
-            prints.iter().zip(&motions).map(|(print, motion)| Seen { print, motion }).collect();
-        renderer.frame(&floor, &seen, &mut Random::new(self.seed, 2))
+        let moving: Vec<_> = prints
+            .iter()
+            .zip(&motions)
+            .map(|(print, motion)| MovingPrint { print, motion })
+            .collect();
+        renderer.frame(&floor, &moving, &mut Random::new(self.seed, 2))
     }
 
     /// Tiles with their joints.
@@ -149,7 +149,7 @@ impl Hall {
         canvas
     }
 
-    /// A strip of the floor from its corner on; `None` where it is not in the picture.
+    /// A strip of the floor from its corner on, or `None` if it is outside the picture.
     fn joint(
         &self,
         renderer: &Renderer,
@@ -159,7 +159,7 @@ impl Hall {
         let optics = &self.camera.optics;
         let at = |p: Vector2<f64>| {
             let place = self.camera_from_world * Point3::new(p.x, p.y, 0.0);
-            // Further out the lens' polynomial is good for nothing.
+            // Farther out, the lens' polynomial is not valid.
             let near = place.z > 0.5 && place.x.hypot(place.y) < 1.2 * place.z;
             near.then(|| optics.project(&place)).flatten()
         };

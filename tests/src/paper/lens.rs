@@ -1,7 +1,7 @@
-//! Lenses as Roundel's calibration finds them: from rendered views of its board, chosen and fitted by core.
+//! Lenses as Roundel's calibration finds them: from rendered views of its board, selected and fitted by core.
 //!
-//! Of large sensors the views are taken at a fraction of the resolution and the lens is scaled up, as a camera
-//! is calibrated from its video rather than from its photographs: cheaper, and no better than full views.
+//! For large sensors the views are rendered at a fraction of the resolution and the lens is scaled up, as if a camera
+//! were calibrated from its video instead of its photographs: cheaper, and no better than full views.
 
 use anyhow::{Context, bail};
 use roundel_core::camera::Lens;
@@ -9,25 +9,24 @@ use roundel_core::camera::Lens;
 use super::{Length, scene::PaperCamera};
 use crate::{
     board,
-    normal::Random,
     optics::{Distortion, Pinhole},
+    random::Random,
 };
 
-/// Widest view that is rendered, pixels.
+/// Widest rendered view.
 const WIDEST_PX: usize = 1300;
 
-/// A lens with what is known of its errors.
+/// A calibrated lens with its stated deviations.
 #[derive(Clone, Copy, Debug)]
 pub struct Calibrated {
-    /// As found.
     pub optics: Pinhole,
-    /// Deviation of the focal length, as a share of it.
+    /// Relative deviation of the focal length.
     pub focal_share: f64,
-    /// Deviations of k1 k2 p1 p2 k3; zero of those that were left at zero.
+    /// Deviations of k1 k2 p1 p2 k3; zero for those fixed at zero.
     pub coefficients: [f64; 5],
 }
 
-/// The lens of a camera from 30 views, 16 in short.
+/// Calibrates a camera's lens from 30 views, or 16 in short.
 pub fn calibrated(camera: &PaperCamera, length: Length, seed: u64) -> anyhow::Result<Calibrated> {
     let views = length.pick(16, 30);
     let whole = &camera.optics;

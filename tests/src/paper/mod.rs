@@ -1,27 +1,26 @@
-//! The experiments of the paper's section 6, repeated before simulated cameras by the real detector and the
-//! real poses, and printed beside the paper's figures.
+//! The experiments of the paper's section 6, repeated with simulated cameras and the real detector and pose
+//! estimation, beside the paper's figures.
 //!
-//! In: which tables, and how long. Out: a [`Table`] each, whose rows hold the paper's measurement and
-//! prediction, the prediction of the sensor model for what is measured here ([`model`]), and the
-//! measurement, with a sentence on what makes the difference.
+//! In: the names of tables, and the number of pictures. Out: a [`Table`] each. Its rows have the paper's measurement
+//! and prediction, the sensor model's prediction for this measurement ([`model`]), the measurement, and a sentence on
+//! the differences.
 //!
-//! What stands for the paper's cameras and halls is in [`scene`] and [`hall`], each with what the paper
-//! says of it and what had to be chosen. A rendered lens is exactly what its model says; the paper's were
-//! not, and its error is mostly theirs. So precision is judged with lenses as Roundel's own calibration
-//! finds them from rendered views, never with the true ones.
+//! [`scene`] and [`hall`] define the cameras and the hall, from the paper's statements and from documented choices. A
+//! rendered lens matches its model exactly; the paper's did not, and most of its error comes from there. So precision
+//! is measured with lenses as Roundel's own calibration finds them in rendered views, never with the true ones.
 //!
-//! `cargo run --release -p roundel-tests --bin paper -- [--short] [NAME…]`; `tests/paper.md` has the result.
+//! `cargo run --release -p roundel-tests -- paper [--short] [NAME…]`; `tests/paper.md` has the result.
 
 mod base;
-mod contest;
+mod comparison;
 mod datasets;
-pub mod foretold;
 pub mod hall;
 pub mod lens;
 pub mod model;
 mod moving;
-mod others;
+mod opencv;
 pub mod precision;
+pub mod predictions;
 mod range;
 pub mod scene;
 mod sizes;
@@ -30,11 +29,11 @@ pub mod table;
 
 pub use table::{Aim, Row, Table};
 
-/// What stands above all tables, so that the program's output is the whole of `tests/paper.md`.
+/// The text above all tables, so that the program's output is the whole of `tests/paper.md`.
 pub const INTRODUCTION: &str = "\
 # The paper's experiments, repeated
 
-    cargo run --release -p roundel-tests --bin paper > tests/paper.md
+    cargo run --release -p roundel-tests -- paper > tests/paper.md
 
 repeats section 6 of Krajník et al., *A Practical Multirobot Localization System*, 2014, with simulated cameras and
 Roundel's unmodified detector, poses and calibration. `-- NAME…` selects tables (table1 to table8, fig6, sizes), `--short`
@@ -55,23 +54,23 @@ describe. Rendered pictures have no vignetting, no compression, and lenses that 
 camera. Precision is measured with lenses as `roundel calibrate lens` finds them in rendered views.
 ";
 
-/// The machine that the tables were made on.
+/// A sentence about the machine that the tables were made on.
 pub fn machine() -> String {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     format!("Machine: {threads} threads ({}).\n", speed::processor())
 }
 
-/// How much is rendered.
+/// Number of rendered pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Length {
     /// All rows from few pictures, for tests.
     Short,
-    /// For the record.
+    /// For `tests/paper.md`.
     Full,
 }
 
 impl Length {
-    /// One of two numbers.
+    /// The number that applies.
     pub(crate) fn pick<T>(self, short: T, full: T) -> T {
         match self {
             Self::Short => short,
@@ -80,10 +79,10 @@ impl Length {
     }
 }
 
-/// An experiment: makes its table.
+/// Makes one table.
 pub type Experiment = fn(Length) -> anyhow::Result<Table>;
 
-/// All, by the names that they are asked for with.
+/// All experiments by name.
 pub const ALL: [(&str, Experiment); 10] = [
     ("table1", range::table),
     ("table2", base::table),
@@ -92,7 +91,7 @@ pub const ALL: [(&str, Experiment); 10] = [
     ("fig6", speed::figure),
     ("table5", speed::platforms),
     ("table6", moving::table),
-    ("table7", contest::table),
+    ("table7", comparison::table),
     ("table8", speed::others),
     ("sizes", sizes::table),
 ];

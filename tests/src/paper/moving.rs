@@ -1,11 +1,11 @@
 //! Table 6: targets that move at up to 1.2 m/s before the Logitech.
 //!
-//! As stated: four references that define the frame, four sequences, the webcam's long exposure and rolling shutter,
-//! errors against a reference system that is exact. Chosen: an exposure of 20 ms, rows 30 µs apart, 30 frames a
-//! second, three roundels of 15 cm that go round level circles at 0.4, 0.8 and 1.2 m/s, three metres away. The frame
-//! is found once, from the first picture, with a lens that was calibrated.
+//! Stated in the paper: four references that define the frame, four sequences, the webcam's long exposure and rolling
+//! shutter, errors against an exact reference system. Chosen here: an exposure of 20 ms, rows 30 µs apart, 30 frames
+//! a second, three roundels of 15 cm on level circles at 0.4, 0.8 and 1.2 m/s, three metres away. The frame is
+//! determined once, from the first picture, with a calibrated lens.
 //!
-//! An error is the distance from where the roundel was at the time that is stated for the detection.
+//! An error is the distance to the roundel's true position at the detection's stated time.
 
 use anyhow::Context;
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
@@ -32,9 +32,9 @@ use super::{
 };
 use crate::{
     arena::{Kind, Path, look_at},
-    normal::Random,
     pipeline::{Observer, core_camera},
-    render::{Canvas, Renderer, Seen},
+    random::Random,
+    render::{Canvas, MovingPrint, Renderer},
 };
 
 const RATE_HZ: f64 = 30.0;
@@ -46,16 +46,16 @@ const REFERENCES_M: [[f64; 2]; 4] = [[-1.3, -0.8], [1.3, -0.8], [1.3, 0.8], [-1.
 
 /// Errors of one detection of a target: metres, and shares of its distance.
 #[derive(Clone, Copy)]
-struct Miss {
+struct TargetError {
     space_m: f64,
     plane_m: f64,
     distance_m: f64,
-    /// In which picture, and how fast it was.
+    /// Number of the picture, and the target's speed.
     number: usize,
     speed_m_s: f64,
 }
 
-/// How the camera's pictures lie on the world.
+/// Mapping from the camera's pictures to the world.
 struct Frame {
     world_from_camera: Isometry3<f64>,
     homography: Homography,
@@ -79,8 +79,12 @@ fn paths(random: &mut Random) -> Vec<Path> {
     still.into_iter().chain(targets).collect()
 }
 
-/// Misses of all targets in all frames of a sequence, and how many there were to be.
-fn sequence(lens: &Calibrated, frames: usize, seed: u64) -> anyhow::Result<(Vec<Miss>, usize)> {
+/// Errors of all targets in all frames of a sequence, and their expected number.
+fn sequence(
+    lens: &Calibrated,
+    frames: usize,
+    seed: u64,
+) -> anyhow::Result<(Vec<TargetError>, usize)> {
     let camera = camera();
     let mut random = Random::new(seed, 6);
     let paths = paths(&mut random);
@@ -93,30 +97,31 @@ fn sequence(lens: &Calibrated, frames: usize, seed: u64) -> anyhow::Result<(Vec<
         Observer::with_params(&lens.optics, &[kind], LINE_TIME_S, Params::default())?;
     let print = print();
     let mut frame = None;
-    let mut misses = Vec::new();
+    let mut errors = Vec::new();
     for number in 0..frames {
         let time_s = number as f64 / RATE_HZ;
         let motions: Vec<_> = paths
             .iter()
             .map(|path| move |offset_s: f64| camera_from_world * path.pose(time_s + offset_s))
             .collect();
-        let seen: Vec<_> = motions.iter().map(|motion| Seen { print: &print, motion }).collect();
-        let image = renderer.frame(&floor, &seen, &mut random);
+        let moving: Vec<_> =
+            motions.iter().map(|motion| MovingPrint { print: &print, motion }).collect();
+        let image = renderer.frame(&floor, &moving, &mut random);
         let detections = observer.observe(&image, (time_s * 1e9) as i64)?;
         let placed = match frame.take() {
             Some(placed) => placed,
             None => place(&camera_from_world, &detections).context("the four references")?,
         };
         for (path, speed_m_s) in paths[REFERENCES_M.len()..].iter().zip(SPEEDS_M_S) {
-            let miss = miss(&placed, path, &camera_from_world, &detections);
-            misses.extend(miss.map(|miss| Miss { number, speed_m_s, ..miss }));
+            let error = error(&placed, path, &camera_from_world, &detections);
+            errors.extend(error.map(|error| TargetError { number, speed_m_s, ..error }));
         }
         frame = Some(placed);
     }
-    Ok((misses, frames * SPEEDS_M_S.len()))
+    Ok((errors, frames * SPEEDS_M_S.len()))
 }
 
-/// The frame by what is seen near where the references are.
+/// Determines the frame from the detections near the references.
 fn place(camera_from_world: &Isometry3<f64>, detections: &[Detection]) -> anyhow::Result<Frame> {
     let world_m = REFERENCES_M.map(|[x, y]| Vector3::new(x, y, 0.0));
     let poses = world_m.iter().map(|place_m| {
@@ -139,13 +144,13 @@ fn on_image(position_m: &Vector3<f64>) -> NormalizedPoint {
     NormalizedPoint { x: position_m.x / position_m.z, y: position_m.y / position_m.z }
 }
 
-/// How far a target is from where it is found; `None` if it is not.
-fn miss(
+/// Error of a target, or `None` if it is not detected.
+fn error(
     frame: &Frame,
     path: &Path,
     camera_from_world: &Isometry3<f64>,
     detections: &[Detection],
-) -> Option<Miss> {
+) -> Option<TargetError> {
     detections.iter().find_map(|detection| {
         let pose = detection.pose.as_ref()?;
         let time_s = detection.capture_time.as_ns() as f64 * 1e-9;
@@ -156,7 +161,7 @@ fn miss(
         }
         let found_m = (frame.world_from_camera * Point3::from(pose.position_m)).coords;
         let on_plane_m: Vector2<f64> = frame.homography.apply(on_image(&pose.position_m))?;
-        Some(Miss {
+        Some(TargetError {
             space_m: (found_m - truth_m).norm(),
             plane_m: (on_plane_m - truth_m.xy()).norm(),
             distance_m: in_camera_m.norm(),
@@ -166,26 +171,27 @@ fn miss(
     })
 }
 
-/// Of the table: its name, an error, what is foretold of its mean, the paper's mean and greatest in centimetres and in
-/// per cent; which of its equations says what, and what makes them differ.
-type Side = (&'static str, fn(&Miss) -> f64, f64, [[f64; 2]; 2], (&'static str, f64, String));
+/// One side of the table: its name, an error, its predicted mean, the paper's mean and maximum in centimetres and in
+/// per cent, the equation, and the causes of differences.
+type Side =
+    (&'static str, fn(&TargetError) -> f64, f64, [[f64; 2]; 2], (&'static str, f64, String));
 
-/// What is predicted of the means of errors.
-struct Foretold {
-    /// On the plane if nothing moved, metres.
+/// Predicted mean errors.
+struct PredictedErrors {
+    /// On the plane, for a static target.
     still_plane_m: f64,
-    /// On the plane, metres.
+    /// On the plane.
     plane_m: f64,
-    /// In space, metres.
+    /// In space.
     space_m: f64,
-    /// Equation 19, a share of the distance, and equation 18.
+    /// Equation 19, relative to the distance, and equation 18.
     by_lens: f64,
     plane_by_lens: f64,
 }
 
-/// Of targets at this distance, half way out in the picture. The smear of L pixels is as wide as a blur whose variance is
-/// L²/12 along it and nothing across: L²/24 all round.
-fn foretold(lens: &Calibrated, distance_m: f64) -> anyhow::Result<Foretold> {
+/// For targets at this distance, halfway out in the picture. A smear of L pixels has the variance L²/12 along it and
+/// none across: L²/24 on average.
+fn predict(lens: &Calibrated, distance_m: f64) -> anyhow::Result<PredictedErrors> {
     let semi_major_px = lens.optics.focal_px[0] * OUTER_M / (2.0 * distance_m);
     let semiaxes_px = [semi_major_px, 0.9 * semi_major_px];
     let imaging = camera().imaging;
@@ -213,8 +219,8 @@ fn foretold(lens: &Calibrated, distance_m: f64) -> anyhow::Result<Foretold> {
             predict(&sensor, None, &kind, &pose).context("a target that would be found")?;
         anyhow::Ok([expected.across_m(), expected.depth_m()])
     };
-    // Means of distances on a plane and along a line, and what the four that define the frame add, which between them
-    // count 0.48 in squares.
+    // Means of distances on a plane and along a line, with the contribution of the four that define the frame, 0.48
+    // in squares.
     let frame = 1.48f64.sqrt();
     let on_plane = |across_m: f64| (1.253 * frame * across_m).hypot(lens_share * distance_m);
     let [mut plane_m, mut space_m] = [0.0; 2];
@@ -227,7 +233,7 @@ fn foretold(lens: &Calibrated, distance_m: f64) -> anyhow::Result<Foretold> {
     let [still_m, _] = deviations(0.0)?;
     let by_lens = range_share(lens.focal_share, axis_error_px, semi_major_px, lens_share);
     let still_plane_m = on_plane(still_m);
-    Ok(Foretold { still_plane_m, plane_m, space_m, by_lens, plane_by_lens: lens_share })
+    Ok(PredictedErrors { still_plane_m, plane_m, space_m, by_lens, plane_by_lens: lens_share })
 }
 
 /// The paper's table 6.
@@ -239,23 +245,24 @@ pub fn table(length: Length) -> anyhow::Result<Table> {
         .map(|seed| sequence(&lens, frames, seed))
         .collect::<anyhow::Result<_>>()?;
     let of: usize = sequences.iter().map(|(_, of)| of).sum();
-    let misses: Vec<Miss> = sequences.into_iter().flat_map(|(misses, _)| misses).collect();
-    let mean =
-        |value: fn(&Miss) -> f64| misses.iter().map(value).sum::<f64>() / misses.len() as f64;
-    let distance_m = mean(|miss| miss.distance_m);
-    let Foretold { still_plane_m, plane_m, space_m, by_lens, plane_by_lens } =
-        foretold(&lens, distance_m)?;
+    let errors: Vec<TargetError> = sequences.into_iter().flat_map(|(errors, _)| errors).collect();
+    let mean = |value: fn(&TargetError) -> f64| {
+        errors.iter().map(value).sum::<f64>() / errors.len() as f64
+    };
+    let distance_m = mean(|error| error.distance_m);
+    let PredictedErrors { still_plane_m, plane_m, space_m, by_lens, plane_by_lens } =
+        predict(&lens, distance_m)?;
     let found = format!(
-        "{} of {of} found; {:.5} by noise if they stood still, {:.1} times that by the smear",
-        misses.len(),
+        "{} of {of} found; {:.5} from noise without motion, {:.1} times as much with smear",
+        errors.len(),
         100.0 * still_plane_m,
         plane_m / still_plane_m
     );
-    let of_mean = |most: f64, mean: f64, told: [f64; 2]| {
-        format!("{:.1} times the mean, by the paper {:.1}", most / mean, told[1] / told[0])
+    let relative_to_mean = |max: f64, mean: f64, paper: [f64; 2]| {
+        format!("{:.1} times the mean, in the paper {:.1}", max / mean, paper[1] / paper[0])
     };
-    // Of the same length, so that the greatest of them is that of so many draws.
-    let greatest = |mean_m: f64| model::greatest(&vec![mean_m; misses.len()]);
+    // As many draws as measurements, for the same expected maximum.
+    let expected_max = |mean_m: f64| model::expected_max(&vec![mean_m; errors.len()]);
     let sides: [Side; 2] = [
         (
             "2D",
@@ -273,59 +280,61 @@ pub fn table(length: Length) -> anyhow::Result<Table> {
         ),
     ];
     let mut rows = Vec::new();
-    for (name, error_m, model_m, [told_cm, told_percent], (equation, alone, note)) in sides {
-        let share = move |miss: &Miss| error_m(miss) / miss.distance_m;
-        let all = |of: &dyn Fn(&Miss) -> f64| {
-            let mean = misses.iter().map(of).sum::<f64>() / misses.len() as f64;
-            (mean, misses.iter().map(of).fold(0.0, f64::max))
+    for (name, error_m, model_m, [paper_cm, paper_percent], (equation, alone, note)) in sides {
+        let share = move |error: &TargetError| error_m(error) / error.distance_m;
+        let all = |of: &dyn Fn(&TargetError) -> f64| {
+            let mean = errors.iter().map(of).sum::<f64>() / errors.len() as f64;
+            (mean, errors.iter().map(of).fold(0.0, f64::max))
         };
-        let ((mean_m, most_m), (mean_share, most_share)) = (all(&error_m), all(&share));
-        let row = |what: &str, here: f64, model: f64, told: f64| {
+        let ((mean_m, max_m), (mean_share, max_share)) = (all(&error_m), all(&share));
+        let row = |what: &str, here: f64, model: f64, paper: f64| {
             Row::new(format!("{name}, {what}"), 100.0 * here)
-                .paper(told, Aim::Less)
+                .paper(paper, Aim::Less)
                 .model(100.0 * model)
         };
-        let most_model_m = greatest(model_m);
-        let worst = misses.iter().max_by(|one, other| error_m(one).total_cmp(&error_m(other)));
-        let worst = worst.context("a target that was found")?;
-        let searched = match worst.number {
-            0 => ", which is searched, with no motion known from before",
+        let max_model_m = expected_max(model_m);
+        let largest = errors.iter().max_by(|one, other| error_m(one).total_cmp(&error_m(other)));
+        let largest = largest.context("a target that was found")?;
+        let searched = match largest.number {
+            0 => ", which is searched, without a known motion",
             _ => "",
         };
         let when = format!(
             "at {} m/s in picture {} of {frames}{searched}",
-            worst.speed_m_s,
-            worst.number + 1
+            largest.speed_m_s,
+            largest.number + 1
         );
         rows.extend([
-            row("mean: cm", mean_m, model_m, told_cm[0]).note(note),
-            row("greatest: cm", most_m, most_model_m, told_cm[1])
-                .note(format!("{}; {when}", of_mean(most_m, mean_m, told_cm))),
-            row("mean: %", mean_share, model_m / distance_m, told_percent[0]).note(format!(
-                "over the distance; {equation} alone says {:.7} %, {:.1} times less",
+            row("mean: cm", mean_m, model_m, paper_cm[0]).note(note),
+            row("maximum: cm", max_m, max_model_m, paper_cm[1])
+                .note(format!("{}; {when}", relative_to_mean(max_m, mean_m, paper_cm))),
+            row("mean: %", mean_share, model_m / distance_m, paper_percent[0]).note(format!(
+                "over the distance; {equation} alone predicts {:.7} %, {:.1} times less",
                 100.0 * alone,
                 mean_share / alone
             )),
-            row("greatest: %", most_share, most_model_m / distance_m, told_percent[1])
-                .note(of_mean(most_share, mean_share, told_percent)),
+            row("maximum: %", max_share, max_model_m / distance_m, paper_percent[1])
+                .note(relative_to_mean(max_share, mean_share, paper_percent)),
         ]);
     }
     let remarks = vec![
         format!(
-            "{SEQUENCES} sequences of {frames} frames, three roundels of 15 cm at 0.4, 0.8 and 1.2 m/s three metres away, \
-             exposed for {:.0} ms (at 1.2 m/s a smear of 6 px) by a rolling shutter of {:.0} µs a row. The camera's shutter \
-             is known, as it has to be in a configuration.",
+            "{SEQUENCES} sequences of {frames} frames: three roundels of 15 cm at 0.4, 0.8 and 1.2 m/s, three \
+             metres away, exposed for {:.0} ms (at 1.2 m/s a smear of 6 px) with a rolling shutter of {:.0} µs \
+             per row. The shutter is configured.",
             1e3 * EXPOSURE_S,
             1e6 * LINE_TIME_S
         ),
-        "Equations 18 and 19 know of no motion and, on the plane, of no noise: the lens' coefficients alone, which the \
-         frame's four roundels were seen through as well, leave next to nothing. Our model is therefore that of the plan: noise through the rims, with the smear as a wider blur, of a target and of the four that define the \
-         frame, beside the lens; the greatest are those of as many that vary about its mean (Rayleigh). It does not know that the fit \
-         finds smear and speed as well, which costs precision."
+        "Equations 18 and 19 do not model motion, nor noise on the plane, and the lens errors nearly cancel with \
+         those of the frame's four roundels. Our model is therefore that of `roundel plan`: noise of the rims, \
+         with the smear as a wider blur, of the target and of the four roundels that define the frame, plus the \
+         lens; maximum errors assume a Rayleigh distribution. It ignores that the fit estimates smear and speed \
+         too, which costs precision."
             .to_owned(),
-        "The paper's error is blur, and the delay and shutter of a camera whose times it did not know; here each detection has \
-         the time of its own row, the smear is fitted with the rims, and the camera's times are right. What is not found is a \
-         white disc of 15 px, smeared by 6 px, whose ratio of areas is then no longer that of its kind."
+        "The paper's errors come from blur, and from the unknown delay and shutter of its camera. Here each \
+         detection has the time of its own row, the smear is fitted with the rims, and the camera's times are \
+         exact. The missed detections are white discs of 15 px smeared by 6 px, whose ratio of areas no longer \
+         fits their kind."
             .to_owned(),
     ];
     let title = "Table 6: precision of a moving target (Logitech QC Pro)".to_owned();

@@ -1,9 +1,9 @@
-//! Tables 3 and 4: how exactly roundels on the hall's floor are located, in space and on the plane.
+//! Tables 3 and 4: precision of roundels on the hall's floor, in space and on the plane.
 //!
-//! As in the paper: four roundels define the frame, and of the others the distance between where they are
-//! found and where they are said to be is the error, absolute, and relative to their distance from the
-//! camera. In space the camera is placed by the four poses ([`align`]) and the others' poses follow; on the plane a
-//! [`Homography`] takes their middles there. The lens is the one that was calibrated, and every picture has its own.
+//! As in the paper, four roundels define the frame. The error of the others is the distance between measured and
+//! nominal position, absolute, and relative to the distance from the camera. In space, the camera's pose is estimated
+//! from the four poses ([`align`]), and the others' poses follow. On the plane, a [`Homography`] maps their centres.
+//! The lens is calibrated, separately for every picture.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -17,9 +17,9 @@ use roundel_core::{
 
 use super::{
     Aim, Length, Row, Table,
-    foretold::{Predicted, predicted},
     hall::{Hall, OUTER_M, View},
     lens::{Calibrated, calibrated},
+    predictions::{Prediction, predicted},
     scene::{MARGIN, PaperCamera, RATIO},
 };
 use crate::{
@@ -28,7 +28,7 @@ use crate::{
     render::{Image, Print},
 };
 
-/// One roundel or marker as seen: its middle on the plane z = 1 of the camera, and its place where that is known.
+/// One detected roundel or marker: its centre on the plane z = 1 of the camera, and its position if available.
 #[derive(Clone, Copy, Debug)]
 pub struct Sight {
     /// Undistorted.
@@ -40,21 +40,21 @@ pub struct Sight {
 /// Errors in one picture.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Errors {
-    /// Mean, metres.
+    /// Mean.
     pub mean_m: f64,
-    /// Greatest, metres.
-    pub most_m: f64,
-    /// Mean of the shares of the distance.
+    /// Maximum.
+    pub max_m: f64,
+    /// Mean of the errors relative to the distance.
     pub mean_share: f64,
-    /// Greatest of them.
-    pub most_share: f64,
-    /// Mean, metres, if where the roundels truly are were known to who judges and to who defines the frame.
+    /// Maximum of the relative errors.
+    pub max_share: f64,
+    /// Mean error if the true positions of the roundels were known instead of the nominal ones.
     pub exact_m: f64,
-    /// The same as a share of the distance.
+    /// The same relative to the distance.
     pub exact_share: f64,
-    /// Measured ones.
+    /// Number of measured roundels.
     pub found: f64,
-    /// That were to be.
+    /// Number of roundels to measure.
     pub of: f64,
 }
 
@@ -66,9 +66,9 @@ impl Errors {
         };
         Self {
             mean_m: of(|it| it.mean_m),
-            most_m: of(|it| it.most_m),
+            max_m: of(|it| it.max_m),
             mean_share: of(|it| it.mean_share),
-            most_share: of(|it| it.most_share),
+            max_share: of(|it| it.max_share),
             exact_m: of(|it| it.exact_m),
             exact_share: of(|it| it.exact_share),
             found: of(|it| it.found),
@@ -93,8 +93,8 @@ impl Errors {
             errors.found += 1.0;
             errors.mean_m += error_m;
             errors.mean_share += share;
-            errors.most_m = errors.most_m.max(error_m);
-            errors.most_share = errors.most_share.max(share);
+            errors.max_m = errors.max_m.max(error_m);
+            errors.max_share = errors.max_share.max(share);
         }
         errors.mean_m /= errors.found;
         errors.mean_share /= errors.found;
@@ -102,10 +102,10 @@ impl Errors {
     }
 }
 
-/// Where roundels are found in the world, by their numbers.
+/// World positions of roundels, by index.
 type Found = Vec<Option<Vector3<f64>>>;
 
-/// Finds them, by the places of those that define the frame.
+/// Computes them from the positions of those that define the frame.
 type Locate = fn(&[Vector3<f64>], &[Option<Sight>]) -> anyhow::Result<Found>;
 
 /// Errors in space.
@@ -135,7 +135,7 @@ pub fn on_plane(hall: &Hall, sights: &[Option<Sight>]) -> anyhow::Result<Errors>
     })
 }
 
-/// The four that define the frame, as far as they are seen.
+/// The detected ones among the four that define the frame.
 fn references<'a>(
     places_m: &'a [Vector3<f64>],
     sights: &'a [Option<Sight>],
@@ -150,7 +150,7 @@ pub fn print() -> Print {
     Print::plain(OUTER_M, RATIO * OUTER_M, MARGIN)
 }
 
-/// What the detector and the locator make of a picture of the hall, by the roundels' numbers.
+/// Detections in a picture of the hall, by the roundels' indices.
 pub fn roundels(
     hall: &Hall,
     lens: &Calibrated,
@@ -176,7 +176,7 @@ pub fn roundels(
     Ok(sights)
 }
 
-/// A place of which only so much is stated: looser along the line of sight.
+/// A position with these deviations, across and along the line of sight.
 pub fn loose(position_m: Vector3<f64>, across_m: f64, along_m: f64) -> Sighting {
     let ray = position_m.normalize();
     let along = ray * ray.transpose();
@@ -184,12 +184,12 @@ pub fn loose(position_m: Vector3<f64>, across_m: f64, along_m: f64) -> Sighting 
     Sighting { position_m, covariance }
 }
 
-/// What the paper tells of one of its five pictures: mean and greatest error in centimetres, predicted, mean and
-/// greatest share in per cent.
-type Told = [f64; 5];
+/// The paper's figures for one of its five pictures: mean and maximum error in centimetres, predicted, mean and
+/// maximum share in per cent.
+type PaperFigures = [f64; 5];
 
 /// Camera and view; table 3, table 4.
-type Picture = (fn() -> PaperCamera, View, Told, Told);
+type Picture = (fn() -> PaperCamera, View, PaperFigures, PaperFigures);
 
 const PICTURES: [Picture; 5] = [
     (
@@ -219,10 +219,10 @@ const PICTURES: [Picture; 5] = [
     (PaperCamera::canon, View::Top, [2.5, 7.4, 0.30, 0.43, 1.46], [0.15, 0.33, 0.03, 0.03, 0.07]),
 ];
 
-/// Mean errors in one of the pictures, repeated, and what the model predicts; in space, on the plane.
-type Measured = [(Errors, Predicted); 2];
+/// Mean errors over repetitions of one picture, and the model's prediction; in space, on the plane.
+type Measured = [(Errors, Prediction); 2];
 
-/// Both tables are of the same pictures, which are taken once.
+/// Both tables use the same pictures, which are rendered once.
 static MEASURED: Mutex<Vec<(Length, Vec<Measured>)>> = Mutex::new(Vec::new());
 
 fn measured(length: Length) -> anyhow::Result<Vec<Measured>> {
@@ -230,7 +230,7 @@ fn measured(length: Length) -> anyhow::Result<Vec<Measured>> {
     if let Some((_, all)) = measured.iter().find(|(of, _)| *of == length) {
         return Ok(all.clone());
     }
-    // One after the other: a picture of 18 megapixels takes memory, and its parts run in parallel.
+    // Sequentially: a picture of 18 megapixels needs much memory, and is rendered in parallel.
     let all: Vec<Measured> = (0..PICTURES.len())
         .map(|picture| repeated(picture, length))
         .collect::<anyhow::Result<_>>()?;
@@ -242,56 +242,62 @@ fn repeated(picture: usize, length: Length) -> anyhow::Result<Measured> {
     let (camera, view, ..) = PICTURES[picture];
     let camera = camera();
     let mut errors: [Vec<Errors>; 2] = Default::default();
-    let mut foretold: [Vec<Predicted>; 2] = Default::default();
+    let mut predictions: [Vec<Prediction>; 2] = Default::default();
     let repeats = length.pick(1, 5);
     for seed in (0..repeats).map(|index| 100 * picture as u64 + index) {
         let hall = Hall::new(camera, view, seed);
         let lens = calibrated(&camera, length, seed)?;
         let sights = roundels(&hall, &lens, &hall.picture(&|_| print()))?;
-        let told = || format!("{}, {}: roundels that define the frame", camera.name, view.name());
-        errors[0].push(in_space(&hall, &sights).with_context(told)?);
-        errors[1].push(on_plane(&hall, &sights).with_context(told)?);
-        foretold[0].push(predicted(&hall, &lens, false));
-        foretold[1].push(predicted(&hall, &lens, true));
+        let paper_figures =
+            || format!("{}, {}: roundels that define the frame", camera.name, view.name());
+        errors[0].push(in_space(&hall, &sights).with_context(paper_figures)?);
+        errors[1].push(on_plane(&hall, &sights).with_context(paper_figures)?);
+        predictions[0].push(predicted(&hall, &lens, false));
+        predictions[1].push(predicted(&hall, &lens, true));
     }
-    let mean = |mode: usize| (Errors::mean(&errors[mode]), Predicted::mean(&foretold[mode]));
+    let mean = |mode: usize| (Errors::mean(&errors[mode]), Prediction::mean(&predictions[mode]));
     Ok([0, 1].map(mean))
 }
 
 fn rows(length: Length, plane: bool) -> anyhow::Result<Vec<Row>> {
     let of_picture = |(picture, measured): (usize, &Measured)| {
-        let (camera, view, space_told, plane_told) = PICTURES[picture];
-        let told = if plane { plane_told } else { space_told };
+        let (camera, view, space_figures, plane_figures) = PICTURES[picture];
+        let paper_figures = if plane { plane_figures } else { space_figures };
         let (errors, model) = measured[usize::from(plane)];
-        let row = |what: &str, [here, foretold, paper]: [f64; 3]| {
+        let row = |what: &str, [here, predictions, paper]: [f64; 3]| {
             Row::new(format!("{}, {}, {what}", camera().name, view.name()), here)
                 .paper(paper, Aim::Less)
-                .model(foretold)
+                .model(predictions)
         };
         let missed = match errors.of - errors.found {
             0.0 => String::new(),
             missed => format!("; {missed:.1} of {} not found", errors.of),
         };
         let exactly = format!("{:.3} cm with exact tiles{missed}", 100.0 * errors.exact_m);
-        let of_mean = |most: f64, mean: f64, paper_most: f64, paper_mean: f64| {
-            format!(
-                "{:.1} times the mean, by the paper {:.1}",
-                most / mean,
-                paper_most / paper_mean
-            )
+        let of_mean = |max: f64, mean: f64, paper_max: f64, paper_mean: f64| {
+            format!("{:.1} times the mean, in the paper {:.1}", max / mean, paper_max / paper_mean)
         };
         [
-            row("mean: cm", [100.0 * errors.mean_m, 100.0 * model.mean_m, told[0]]).note(exactly),
-            row("greatest: cm", [100.0 * errors.most_m, 100.0 * model.most_m, told[1]])
-                .note(of_mean(errors.most_m, errors.mean_m, told[1], told[0])),
+            row("mean: cm", [100.0 * errors.mean_m, 100.0 * model.mean_m, paper_figures[0]])
+                .note(exactly),
+            row("maximum: cm", [100.0 * errors.max_m, 100.0 * model.max_m, paper_figures[1]])
+                .note(of_mean(errors.max_m, errors.mean_m, paper_figures[1], paper_figures[0])),
             row(
                 "mean: % of the distance",
-                [100.0 * errors.mean_share, 100.0 * model.mean_share, told[3]],
+                [100.0 * errors.mean_share, 100.0 * model.mean_share, paper_figures[3]],
             )
-            .paper_model(told[2])
-            .note(model.told(plane)),
-            row("greatest: %", [100.0 * errors.most_share, 100.0 * model.most_share, told[4]])
-                .note(of_mean(errors.most_share, errors.mean_share, told[4], told[3])),
+            .paper_model(paper_figures[2])
+            .note(model.contributions(plane)),
+            row(
+                "maximum: %",
+                [100.0 * errors.max_share, 100.0 * model.max_share, paper_figures[4]],
+            )
+            .note(of_mean(
+                errors.max_share,
+                errors.mean_share,
+                paper_figures[4],
+                paper_figures[3],
+            )),
         ]
     };
     Ok(measured(length)?.iter().enumerate().flat_map(of_picture).collect())
@@ -299,9 +305,9 @@ fn rows(length: Length, plane: bool) -> anyhow::Result<Vec<Row>> {
 
 fn method(length: Length) -> String {
     format!(
-        "25 roundels of {:.0} cm on the corners of tiles, of which four define the frame; mean over {} pictures, each \
-         with another place of the camera, other tiles (0.6 mm off along each axis, which the truth that the paper and \
-         this table judge by does not know), other noise, and a lens calibrated anew from {} rendered views.",
+        "25 roundels of {:.0} cm on the corners of tiles, of which four define the frame; mean over {} pictures, \
+         each with another camera pose, other tile errors (0.6 mm along each axis, unknown to the ground truth, \
+         as in the paper), other noise, and another lens calibration from {} rendered views.",
         100.0 * OUTER_M,
         length.pick(1, 5),
         length.pick(16, 30)
@@ -312,12 +318,13 @@ fn method(length: Length) -> String {
 pub fn space(length: Length) -> anyhow::Result<Table> {
     let remarks = vec![
         method(length),
-        "Model: equation 19 with the deviations that the calibration states and the axis's error that noise leaves. The \
-         paper's axis error of 0.15 px is that of moments of thresholded pixels; a fit to the grey levels reaches some \
-         thousandths, so that what is left is the lens and the tiles (0.09 cm), and the error of the frame by its four roundels, \
-         which the model leaves out. \"With exact tiles\": if their corners were known exactly. Its greatest errors are those of as \
-         many that vary about its means as distances on a plane do (Rayleigh). The paper's lenses also differed from their \
-         model; a rendered one does not. Parts of the model's mean are told in per cent of the distance."
+        "Model: equation 19 with the stated deviations of the calibration and the axis error caused by noise. The \
+         paper's axis error of 0.15 px is that of moments of thresholded pixels; a fit to the grey levels reaches \
+         a few thousandths of a pixel. The remaining error comes from the lens, the tiles (0.09 cm), and the \
+         frame defined by four roundels, which the model ignores. \"With exact tiles\" excludes the tile errors. \
+         The model's maximum error assumes a Rayleigh distribution about its mean. Real lenses, unlike rendered \
+         ones, also differ from their model. The components of the model's mean are given in per cent of the \
+         distance."
             .to_owned(),
     ];
     let title = "Table 3: precision of 3D position estimation".to_owned();
@@ -328,10 +335,10 @@ pub fn space(length: Length) -> anyhow::Result<Table> {
 pub fn plane(length: Length) -> anyhow::Result<Table> {
     let remarks = vec![
         method(length),
-        "Model: equations 17 and 18 with the deviations that the calibration states, and the tiles: 0.6 mm along each axis are \
-         0.09 cm in the mean, those of the four that define the frame included. They are nearly all that is left: the \
-         column of reasons has the mean that would be left if the tiles' corners were known exactly. The greatest are as in \
-         table 3. The paper's errors are those of its lenses."
+        "Model: equations 17 and 18 with the stated deviations of the calibration, and the tile errors: 0.6 mm \
+         along each axis give a mean of 0.09 cm, including the four roundels that define the frame. They \
+         dominate; the last column gives the mean without them. Maximum errors are predicted as in table 3. The \
+         paper's errors are those of its lenses."
             .to_owned(),
     ];
     let title = "Table 4: precision of 2D position estimation".to_owned();

@@ -1,11 +1,11 @@
-//! What stands for the paper's cameras, and single roundels before them.
+//! The paper's cameras, and pictures of single roundels.
 //!
-//! The paper names its cameras and pictures, and neither focal lengths nor noise. Focal lengths follow from its
-//! predictions where it makes any (equation 14 with D = 12), else from the usual field of view; blur, noise and
-//! distortion are chosen: barrel distortion that shrinks the corners by the 7 % that it measured (section 6.1.1),
-//! more blur a pixel where pixels are small. Blur and noise are unknown to the detector.
+//! The paper names its cameras and picture sizes, but neither focal lengths nor noise. Focal lengths follow from its
+//! predictions where it makes any (equation 14 with D = 12), else from the usual field of view. Blur, noise and
+//! distortion are chosen: barrel distortion that shrinks the corners by the measured 7 % (section 6.1.1), and more
+//! blur in pixels where pixels are small. Blur and noise are unknown to the detector.
 //!
-//! Roundels are white discs of 0.4 of the black ring, on paper that reaches a quarter of the diameter beyond.
+//! Roundels have white discs of 0.4 of the black ring, on paper with a margin of a quarter of the diameter.
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 use roundel_core::{
@@ -14,30 +14,28 @@ use roundel_core::{
 };
 
 use crate::{
-    normal::Random,
     optics::{Distortion, Pinhole},
-    render::{Canvas, Image, Imaging, Print, Renderer, Seen},
+    random::Random,
+    render::{Canvas, Image, Imaging, MovingPrint, Print, Renderer},
 };
 
 /// White disc over black ring.
 pub const RATIO: f64 = 0.4;
-/// White paper beyond the ring, of its diameter.
+/// White margin, as a share of the outer diameter.
 pub const MARGIN: f64 = 0.25;
-/// Share of frames in which what is reliably found is found.
+/// Share of frames in which a roundel must be found to count as reliably found.
 pub const RELIABLE: f64 = 0.98;
-/// Side of the part of the image that is rendered about small roundels, pixels.
+/// Side of the window that is rendered about small roundels.
 pub const WINDOW_PX: usize = 96;
-/// Grey level of the floor about them.
+/// Grey level of the floor.
 pub const FLOOR: f64 = 120.0;
 
 /// One of the paper's cameras.
 #[derive(Clone, Copy, Debug)]
 pub struct PaperCamera {
-    /// As the paper calls it.
+    /// The paper's name.
     pub name: &'static str,
-    /// Lens and sensor.
     pub optics: Pinhole,
-    /// Grey values.
     pub imaging: Imaging,
 }
 
@@ -69,7 +67,7 @@ impl PaperCamera {
         Self::new("Creative Live!", [1280, 720], 1000.0, -0.05, [0.7, 3.0])
     }
 
-    /// 5184x3456 as stated; a lens of 18 mm before its sensor of 22.3 mm.
+    /// 5184x3456 as stated; a lens of 18 mm and a sensor of 22.3 mm.
     pub fn canon() -> Self {
         Self::new("Canon 550D", [5184, 3456], 4184.0, -0.04, [0.9, 2.0])
     }
@@ -81,7 +79,7 @@ pub fn printed(outer_m: f64) -> (Kind, Print) {
     (Kind::plain("roundel", outer_m, inner_m), Print::plain(outer_m, inner_m, MARGIN))
 }
 
-/// The part of a camera's image with this pixel in its middle, as far as that is within the image.
+/// The window of a camera's image about this pixel, clipped to the image.
 fn window(whole: &Pinhole, middle: Vector2<f64>) -> Pinhole {
     let cut = |at: f64, side: usize| {
         (at - WINDOW_PX as f64 / 2.0).round().clamp(0.0, (side - WINDOW_PX) as f64)
@@ -91,7 +89,7 @@ fn window(whole: &Pinhole, middle: Vector2<f64>) -> Pinhole {
     Pinhole { width: WINDOW_PX, height: WINDOW_PX, center_px, ..*whole }
 }
 
-/// At a place, facing against the camera's axis but for a tilt about an axis across it.
+/// A pose that faces the camera's axis, except for a tilt about an axis across it.
 pub fn slanted(position: Vector3<f64>, tilt_rad: f64, axis_rad: f64) -> Isometry3<f64> {
     let faced = UnitQuaternion::from_scaled_axis(Vector3::x() * std::f64::consts::PI);
     let axis = Vector3::new(axis_rad.cos(), axis_rad.sin(), 0.0);
@@ -99,7 +97,7 @@ pub fn slanted(position: Vector3<f64>, tilt_rad: f64, axis_rad: f64) -> Isometry
     Isometry3::from_parts(Translation3::from(position), lean * faced)
 }
 
-/// Takes pictures of single small prints on an even floor, of the part of the image about them.
+/// Takes pictures of single small prints on an even floor, in a window about them.
 #[derive(Clone)]
 pub struct Studio {
     whole: Pinhole,
@@ -108,7 +106,6 @@ pub struct Studio {
 }
 
 impl Studio {
-    /// With one of the cameras.
     pub fn new(camera: &PaperCamera) -> Self {
         Self {
             whole: camera.optics,
@@ -117,7 +114,7 @@ impl Studio {
         }
     }
 
-    /// A picture, and where in it the middle of the print is.
+    /// A picture, and the image of the print's centre in it.
     pub fn picture(
         &mut self,
         print: &Print,
@@ -128,8 +125,8 @@ impl Studio {
         let seen_at = |optics: &Pinhole| optics.project(&place).expect("a place before the camera");
         self.renderer.camera = window(&self.whole, seen_at(&self.whole));
         let motion = |_: f64| *pose;
-        let seen = [Seen { print, motion: &motion }];
-        let image = self.renderer.frame(&self.floor, &seen, random);
+        let moving = [MovingPrint { print, motion: &motion }];
+        let image = self.renderer.frame(&self.floor, &moving, random);
         (image, seen_at(&self.renderer.camera))
     }
 }
@@ -144,7 +141,7 @@ pub struct Finder {
 }
 
 impl Finder {
-    /// For roundels of this diameter, as the detector is by default.
+    /// With the detector's default parameters, for roundels of this diameter.
     pub fn new(camera: &PaperCamera, outer_m: f64) -> Self {
         let (kind, print) = printed(outer_m);
         let detector = Detector::new(vec![kind], Params::default()).expect("a print of ratio 0.4");
@@ -152,7 +149,7 @@ impl Finder {
         Self { studio, detector, scratch, print, outer_m }
     }
 
-    /// Whether a picture shows it to a search that knows nothing of any other.
+    /// Whether a search of a single picture finds the roundel.
     pub fn finds(&mut self, pose: &Isometry3<f64>, random: &mut Random) -> bool {
         let (image, at) = self.studio.picture(&self.print, pose, random);
         let frame = Frame::new(&image.pixels, image.width, image.height, image.width)

@@ -1,49 +1,47 @@
-//! A table of the paper's figures beside ours, as Markdown.
+//! A table of the paper's figures and ours, as Markdown.
 
 use std::fmt;
 
-/// What counts as better.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Aim {
-    /// Less: errors, times, smallest sizes.
+    /// Less is better: errors, times, smallest sizes.
     Less,
-    /// More: distances.
+    /// More is better: distances.
     More,
-    /// Neither: what is told for the sake of comparison.
+    /// Shown for comparison only.
     Neither,
 }
 
-/// What is measured is told to be off its prediction from this ratio on.
+/// A ratio of measurement to prediction from which on the difference is mentioned.
 const NEAR: f64 = 1.1;
 
 /// One figure.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
-    /// Of what, with its unit.
+    /// The quantity, with its unit.
     pub case: String,
-    /// As the paper measured it.
+    /// The paper's measurement.
     pub paper: Option<f64>,
-    /// As the paper predicted it.
+    /// The paper's prediction.
     pub paper_model: Option<f64>,
-    /// As the sensor model predicts what is measured here.
+    /// The sensor model's prediction for our measurement.
     pub model: Option<f64>,
-    /// As measured here; `None` where it cannot be.
+    /// Our measurement, or `None` where there is none.
     pub here: Option<f64>,
-    /// What counts as better than the paper's measurement.
     pub aim: Aim,
-    /// What makes it differ.
+    /// Causes of differences.
     pub note: String,
-    /// What makes it worse than the paper's, if it is; without one it must not be.
+    /// Reason for which it may be worse than the paper's. Without one it must not be worse.
     pub excuse: Option<&'static str>,
 }
 
 impl Row {
-    /// A figure with nothing to compare yet.
+    /// A figure without any comparison.
     pub fn new(case: impl Into<String>, here: f64) -> Self {
         Self { here: Some(here), ..Self::absent(case) }
     }
 
-    /// One that only the paper has.
+    /// A figure that only the paper has.
     pub fn absent(case: impl Into<String>) -> Self {
         Self {
             case: case.into(),
@@ -57,37 +55,32 @@ impl Row {
         }
     }
 
-    /// With the paper's measurement, and what counts as better than that.
     #[must_use]
     pub fn paper(self, paper: f64, aim: Aim) -> Self {
         Self { paper: Some(paper), aim, ..self }
     }
 
-    /// With the paper's prediction.
     #[must_use]
     pub fn paper_model(self, paper_model: f64) -> Self {
         Self { paper_model: Some(paper_model), ..self }
     }
 
-    /// With the model's prediction.
     #[must_use]
     pub fn model(self, model: f64) -> Self {
         Self { model: Some(model), ..self }
     }
 
-    /// With what makes it differ.
     #[must_use]
     pub fn note(self, note: impl Into<String>) -> Self {
         Self { note: note.into(), ..self }
     }
 
-    /// With what makes it worse than the paper's, should it be.
     #[must_use]
     pub fn excuse(self, excuse: &'static str) -> Self {
         Self { excuse: Some(excuse), ..self }
     }
 
-    /// How many times better than the paper's measurement it is, where that can be said; below 1 it is worse.
+    /// Improvement over the paper's measurement, if both are known; below 1 it is worse.
     pub fn factor(&self) -> Option<f64> {
         let (paper, here) = (self.paper?, self.here?);
         match self.aim {
@@ -97,7 +90,7 @@ impl Row {
         }
     }
 
-    /// Whether it is worse than the paper's, or cannot be told, and nothing says why.
+    /// Whether it is worse than the paper's, or unknown, without an excuse.
     pub fn is_unexcused(&self) -> bool {
         self.excuse.is_none() && self.factor().is_some_and(|factor| factor.is_nan() || factor < 1.0)
     }
@@ -108,8 +101,8 @@ impl Row {
         all.into_iter().flatten().all(f64::is_finite)
     }
 
-    /// The sentence beside its figures: how far it is from the model, why it is worse than the paper's if it is, and
-    /// what makes it differ.
+    /// The sentence beside its figures: the deviation from the model, the excuse if it is worse than the paper's, and
+    /// the causes of differences.
     pub fn why(&self) -> String {
         let ratio = self.model.zip(self.here).map(|(model, here)| here / model);
         let far = ratio.filter(|ratio| !(1.0 / NEAR..NEAR).contains(ratio));
@@ -124,17 +117,15 @@ impl Row {
 /// The figures of one experiment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Table {
-    /// Which of the paper's, and of what.
     pub title: String,
-    /// Figures.
     pub rows: Vec<Row>,
-    /// How it was measured, and what makes it differ from the paper.
+    /// The method, and the differences from the paper.
     pub remarks: Vec<String>,
-    /// What was left out here, by name, and why.
+    /// Rows that were skipped here, and why.
     pub skipped: Vec<String>,
 }
 
-/// Three digits that count, none of them after a point that says nothing.
+/// Three significant digits, without trailing zeros after the decimal point.
 fn digits(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
         return format!("{value}");
@@ -173,7 +164,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn digits_count() {
+    fn numbers_have_three_significant_digits() {
         let shown = [(0.012_34, "0.0123"), (1.0, "1.00"), (19.84, "19.8"), (1234.5, "1234")];
         for (value, text) in shown {
             assert_eq!(digits(value), text);
@@ -181,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn better_is_less_or_more() {
+    fn improvement_follows_the_aim() {
         assert_eq!(Row::new("error", 1.0).paper(4.0, Aim::Less).factor(), Some(4.0));
         assert_eq!(Row::new("distance", 6.0).paper(4.0, Aim::More).factor(), Some(1.5));
         assert_eq!(Row::new("of another", 6.0).paper(4.0, Aim::Neither).factor(), None);
@@ -190,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_worse_needs_an_excuse_and_what_is_off_the_model_is_told() {
+    fn worse_rows_need_an_excuse_and_deviations_are_reported() {
         let worse = Row::new("error", 5.0).paper(4.0, Aim::Less).note("noise");
         assert!(worse.is_unexcused());
         let excused = worse.excuse("a smaller lens");

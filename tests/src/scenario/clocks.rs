@@ -1,10 +1,10 @@
-//! Cameras whose clocks nobody has set.
+//! Cameras with clocks that are not synchronized.
 //!
-//! What fusion makes of them is measured from outside. After 20 s each camera alone feeds a copy of
-//! that fusion for some seconds: if its clock still runs ahead by o, the poses at the stated time are
-//! those of o earlier, e = -o v, which all states together tell ([`Score::delay_s`](crate::score::Score::delay_s)). A delay that all cameras
-//! have in common is no matter of clocks, so the mean of all is taken off. The same with clocks that
-//! are right says how well this measures.
+//! The remaining clock errors are measured from outside. After 20 s, each camera alone feeds a copy of the fusion
+//! state for some seconds. If its clock is still ahead by o, the poses at the stated time are those of o earlier, e =
+//! -o v, and o is the least-squares solution over all states ([`Score::delay_s`](crate::score::Score::delay_s)). A
+//! delay that all cameras share is not a clock error, so the mean is subtracted. The same measurement with correct
+//! clocks shows its accuracy.
 
 use super::{
     Length, Row,
@@ -17,16 +17,15 @@ use crate::{
 };
 
 const TICKS: Ticks = Ticks { rate_hz: 60.0, judged_from_s: 1.0 };
-/// By then clocks are to be known.
+/// Clocks must be known after this time.
 const LEARNED_S: f64 = 20.0;
-/// What remains is measured over so long; the filter forgets the other cameras in the first second.
+/// Duration of the measurement. The filter forgets the other cameras in the first second.
 const MEASURED_S: f64 = 8.0;
 const FORGET_S: f64 = 1.0;
-/// At most so much may remain.
+/// Largest remaining clock error.
 const BAR_MS: f64 = 0.1;
 
-/// How far each camera's clock is ahead of the mean of all in what fusion makes of it, ms, and how it
-/// fused until then.
+/// Estimated clock error of each camera relative to their mean, ms, and the run until then.
 fn remaining_ms(arena: &Arena, learned_s: f64, measured_s: f64) -> (Vec<f64>, Run<'_>) {
     let sensing = Sensing { dropout: 0.0, ..PRECISE };
     let end_ns = arena.start_ns + (learned_s * 1e9) as i64;
@@ -42,21 +41,21 @@ fn remaining_ms(arena: &Arena, learned_s: f64, measured_s: f64) -> (Vec<f64>, Ru
     let ahead_ms: Vec<f64> = (0..arena.sites.len() as u32)
         .map(|camera| {
             let own = after.iter().filter(|frame| frame.camera.0 == camera).cloned();
-            run.anew(learned_s + FORGET_S).take_all(own).finish().score.delay_s() * 1e3
+            run.continued(learned_s + FORGET_S).take_all(own).finish().score.delay_s() * 1e3
         })
         .collect();
     let mean = ahead_ms.iter().sum::<f64>() / ahead_ms.len() as f64;
     (ahead_ms.iter().map(|ahead| ahead - mean).collect(), run)
 }
 
-fn greatest(numbers: &[f64]) -> f64 {
-    numbers.iter().fold(0.0, |most: f64, number| most.max(number.abs()))
+fn max(numbers: &[f64]) -> f64 {
+    numbers.iter().fold(0.0, |max: f64, number| max.max(number.abs()))
 }
 
 /// R4 with offsets to 40 ms and skews to 50 ppm.
 pub fn unset(length: Length) -> Vec<Row> {
     let (learned_s, measured_s) = (length.seconds(LEARNED_S, 3.0), length.seconds(MEASURED_S, 3.0));
-    let (right, unset) = (Arena::r4(21), Arena::r4(21).with_unset_clocks());
+    let (right, unset) = (Arena::r4(21), Arena::r4(21).with_unsynchronized_clocks());
     let (floor_ms, _) = remaining_ms(&right, learned_s, measured_s);
     let (left_ms, run) = remaining_ms(&unset, learned_s, measured_s);
     let true_ms: Vec<f64> = {
@@ -75,13 +74,13 @@ pub fn unset(length: Length) -> Vec<Row> {
         .check(
             format!(
                 "{:.2} ms off after {learned_s:.0} s: {} of {}",
-                greatest(&left_ms),
+                max(&left_ms),
                 list(&left_ms),
                 list(&true_ms)
             ),
-            greatest(&left_ms) <= BAR_MS,
+            max(&left_ms) <= BAR_MS,
         )
-        .note(format!("measured to {:.2} ms", greatest(&floor_ms)))
+        .note(format!("measured to {:.2} ms", max(&floor_ms)))
         .check_identities(24, &score)
         .note_errors(&score);
     vec![row.scored(score)]
@@ -92,14 +91,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn right_clocks_leave_nothing() {
+    fn correct_clocks_have_no_remaining_error() {
         let (left_ms, _) = remaining_ms(&Arena::r4(22), 1.0, 3.0);
-        assert!(greatest(&left_ms) < 0.3, "{left_ms:?}");
+        assert!(max(&left_ms) < 0.3, "{left_ms:?}");
     }
 
-    /// In a tenth of a second nobody can know them.
+    /// A tenth of a second is not enough to learn the clocks.
     #[test]
-    fn clocks_that_nobody_can_know_yet_show_as_they_are() {
+    fn clocks_that_are_not_learned_yet_show_their_errors() {
         let mut arena = Arena::r4(22);
         for (site, ahead_s) in arena.sites.iter_mut().zip([0.03, -0.01, 0.0, -0.02]) {
             site.clock.ahead_s = ahead_s;

@@ -1,4 +1,4 @@
-//! Plain roundels that pass each other as closely as they may, and are covered while they do.
+//! Plain roundels that pass each other closely and are occluded meanwhile.
 
 use std::sync::Arc;
 
@@ -10,9 +10,9 @@ use super::{
 use crate::{
     arena::{
         Arena, Course, Kind, Path,
-        errand::{self, CLEARANCE_M},
+        trips::{self, CLEARANCE_M},
     },
-    normal::Random,
+    random::Random,
     score::CHI2_95_3,
     sensor::{Sensing, Stream},
 };
@@ -21,27 +21,27 @@ use roundel_core::world::EventKind;
 
 const ROBOTS: usize = 20;
 const FIELD_M: [f64; 2] = [5.0, 4.0];
-/// Two that come nearer than this pass each other.
+/// Two robots closer than this pass each other.
 const NEAR_M: f64 = 0.35;
-/// Occlusions last so long …
+/// Duration of an occlusion.
 const HIDDEN_S: f64 = 0.5;
-/// … and come no sooner one after another.
+/// Minimum time between occlusions of a robot.
 const APART_S: f64 = 4.0;
-/// Of two that pass each other, each is covered so often.
+/// Share of passes in which each robot is occluded.
 const COVERED: f64 = 0.1;
-/// Ways are looked at so often, seconds.
+/// Sampling interval of paths.
 const STEP_S: f64 = 0.05;
 
-/// The arena with occlusions of so long, and how often two pass each other.
+/// The arena with occlusions of this duration, and the number of passes.
 fn arena(seconds: f64, covered_s: f64) -> (Arena, usize) {
     let mut random = Random::new(31, 0);
-    let paths = errand::plan(ROBOTS, FIELD_M, seconds, &mut random).into_iter().map(|errands| {
-        let course = Course::Errands(Arc::new(errands));
+    let paths = trips::plan(ROBOTS, FIELD_M, seconds, &mut random).into_iter().map(|trips| {
+        let course = Course::Trips(Arc::new(trips));
         Path { course, ..Path::still(Vector3::new(0.0, 0.0, 0.3)) }
     });
     let mut arena = Arena::under_r4(31, Kind::robot(), paths.collect());
-    let meetings = meetings(&arena, seconds);
-    for &(t, pair) in &meetings {
+    let passes = passes(&arena, seconds);
+    for &(t, pair) in &passes {
         for robot in pair {
             let hidden_s = &mut arena.robots[robot].hidden_s;
             let free = hidden_s.last().is_none_or(|span| t - span.1 > APART_S);
@@ -50,11 +50,11 @@ fn arena(seconds: f64, covered_s: f64) -> (Arena, usize) {
             }
         }
     }
-    (arena, meetings.len())
+    (arena, passes.len())
 }
 
-/// When two are nearest to each other, and who.
-fn meetings(arena: &Arena, seconds: f64) -> Vec<(f64, [usize; 2])> {
+/// Times at which two robots are closest, and their indices.
+fn passes(arena: &Arena, seconds: f64) -> Vec<(f64, [usize; 2])> {
     let apart = |t: f64| -> Vec<f64> {
         let places: Vec<_> =
             arena.robots.iter().map(|robot| robot.path.pose(t).translation.vector).collect();
@@ -84,16 +84,16 @@ fn fused(arena: &Arena, seconds: f64) -> Outcome {
     run.take_all(Stream::new(arena, sensing, seconds)).finish()
 }
 
-/// Twenty of them, under four cameras.
+/// Twenty robots under four cameras.
 pub fn crossing(length: Length) -> Vec<Row> {
     let seconds = length.seconds(600.0, 20.0);
-    let (arena, meetings) = arena(seconds, HIDDEN_S);
+    let (arena, passes) = arena(seconds, HIDDEN_S);
     let occlusions: usize = arena.robots.iter().map(|robot| robot.hidden_s.len()).sum();
     let outcome = fused(&arena, seconds);
     let score = &outcome.score;
     let row = Row::new(
         format!(
-            "{ROBOTS} plain roundels, {seconds:.0} s: {meetings} times two pass each other at \
+            "{ROBOTS} plain roundels, {seconds:.0} s: {passes} times two pass each other at \
              {CLEARANCE_M} to {NEAR_M} m, {occlusions} occlusions of {HIDDEN_S} s then"
         ),
         "no swapped identity",
@@ -114,7 +114,7 @@ pub fn crossing(length: Length) -> Vec<Row> {
 mod tests {
     use super::*;
 
-    /// The scenario can be lost: nobody can tell plain roundels apart that pass each other unseen.
+    /// Shows that the scenario can fail: plain roundels that pass each other unobserved cannot be distinguished.
     #[test]
     fn occlusions_of_a_second_and_a_half_swap_identities() {
         let (arena, _) = arena(60.0, 1.5);

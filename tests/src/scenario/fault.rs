@@ -1,7 +1,6 @@
-//! Streams that misbehave: nothing may panic, no pose may be wrong, and each fault must be counted.
+//! Faulty streams: fusion must not panic, no pose may be wrong, and each fault must be counted.
 //!
-//! R4's robots on their loops, seen without pixels; what is done to the frames is done between cameras
-//! and fusion.
+//! R4's robots on their loops, observed without pixels. Faults are injected between cameras and fusion.
 
 use std::ops::{Range, RangeInclusive};
 
@@ -18,19 +17,19 @@ use super::{
 use crate::{arena::Arena, sensor::Stream};
 
 const BAR: &str = "no panic, no wrong pose, each counted";
-/// No pose may be further off.
-const WRONG_MM: f64 = 50.0;
+/// A larger error is a wrong pose.
+const MAX_ERROR_MM: f64 = 50.0;
 const HOUR_S: f64 = 3600.0;
-/// The camera that something is wrong with, and from when to when.
-const SUSPECT: CameraId = CameraId(2);
-const SUSPECT_S: Range<f64> = 2.0..3.5;
-/// Beyond and within the late window, seconds.
+/// The faulty camera, and the duration of its fault.
+const FAULTY: CameraId = CameraId(2);
+const FAULTY_S: Range<f64> = 2.0..3.5;
+/// Delays beyond and within the late window.
 const OVERDUE_S: f64 = 0.5;
 const DELAY_S: f64 = 0.2;
-/// What has not come for so long never will, seconds.
-const UNKNOWN_YET_S: f64 = 1.2;
+/// A frame that is this late counts as lost.
+const LOST_S: f64 = 1.2;
 
-/// Something that was done to the stream, and in how many counts it must show.
+/// An injected fault, and the range in which its count must lie.
 struct Fault {
     what: &'static str,
     counted: fn(&FusionCounts) -> u64,
@@ -43,13 +42,13 @@ impl Fault {
     }
 }
 
-/// Frames in the order of their arrival, and what was done to them.
+/// Frames in order of arrival, and the faults injected.
 struct Case<'a> {
     arena: &'a Arena,
     seconds: f64,
     frames: Vec<FrameObservations>,
     faults: Vec<Fault>,
-    /// Frames that were taken away.
+    /// Numbers of the frames that were removed.
     missing: RangeInclusive<u64>,
 }
 
@@ -64,11 +63,11 @@ impl<'a> Case<'a> {
         (frame.received_time.as_ns() - self.arena.start_ns) as f64 * 1e-9
     }
 
-    fn is_suspect(&self, frame: &FrameObservations, when_s: &Range<f64>) -> bool {
-        frame.camera == SUSPECT && when_s.contains(&self.seconds_of(frame))
+    fn is_faulty(&self, frame: &FrameObservations, when_s: &Range<f64>) -> bool {
+        frame.camera == FAULTY && when_s.contains(&self.seconds_of(frame))
     }
 
-    /// Does something to those frames that `which` picks; gives how many, and how many detections.
+    /// Modifies the frames selected by `which`; returns the number of frames and of detections.
     fn each(
         &mut self,
         which: impl Fn(&Self, &FrameObservations) -> bool,
@@ -86,7 +85,7 @@ impl<'a> Case<'a> {
         (count, detections)
     }
 
-    /// Every frame comes once more.
+    /// Duplicates every frame.
     fn twice(mut self) -> Self {
         let count = self.frames.len();
         self.frames = self.frames.iter().flat_map(|frame| [frame.clone(), frame.clone()]).collect();
@@ -95,9 +94,9 @@ impl<'a> Case<'a> {
         self
     }
 
-    /// Every tenth frame comes when it is no longer of use.
+    /// Delays every tenth frame beyond the late window.
     fn overdue(mut self) -> Self {
-        // After the end, nothing newer makes them late.
+        // At the end, no newer frame makes a delayed one late.
         let until_s = self.seconds - OVERDUE_S;
         let (count, _) = self.each(
             |case, frame| frame.frame.is_multiple_of(10) && case.seconds_of(frame) < until_s,
@@ -107,7 +106,7 @@ impl<'a> Case<'a> {
         self
     }
 
-    /// Every third frame comes after a dozen others of its camera.
+    /// Delays every third frame by a dozen others of its camera.
     fn reordered(mut self) -> Self {
         let until_s = self.seconds - DELAY_S;
         let (_, moved) = self.each(
@@ -119,16 +118,16 @@ impl<'a> Case<'a> {
         self.faults.push(Fault {
             what: "detections out of order",
             counted: |counts| counts.out_of_order,
-            // Few find nobody newer; those of other cameras come out of order as well.
+            // A few meet no newer frame; frames of other cameras come out of order as well.
             expected: (moved as u64 * 9 / 10)..=all as u64,
         });
         self
     }
 
-    /// The suspect sends nothing for a while.
+    /// The faulty camera sends nothing for a while.
     fn stopped(mut self) -> Self {
         let frames = std::mem::take(&mut self.frames);
-        let stays = |frame: &FrameObservations| !self.is_suspect(frame, &SUSPECT_S);
+        let stays = |frame: &FrameObservations| !self.is_faulty(frame, &FAULTY_S);
         let before = frames.len();
         self.frames = frames.into_iter().filter(stays).collect();
         let missing = (before - self.frames.len()) as u64;
@@ -136,20 +135,20 @@ impl<'a> Case<'a> {
         self
     }
 
-    /// Of ten frames of each camera three never come.
+    /// Removes three of ten frames of each camera.
     fn missing(mut self) -> Self {
         let (frames, missing): (Vec<_>, Vec<_>) =
             std::mem::take(&mut self.frames).into_iter().partition(|frame| frame.frame % 10 > 2);
         self.frames = frames;
-        // Those before the first one that comes nobody can know of, nor yet of the last ones.
-        let until_s = self.seconds - UNKNOWN_YET_S;
+        // Frames before the first that arrives cannot be known to be missing, and the last ones not yet.
+        let until_s = self.seconds - LOST_S;
         let is_known =
             |frame: &&FrameObservations| frame.frame > 2 && self.seconds_of(frame) < until_s;
         self.missing = missing.iter().filter(is_known).count() as u64..=missing.len() as u64;
         self
     }
 
-    /// The suspect's clock is set to another hour, and back again if the time when ends.
+    /// Sets the faulty camera's clock to another hour, and back at the end of the interval.
     fn jumped(mut self, hours: f64, when_s: Range<f64>) -> Self {
         let change = |frame: &mut FrameObservations| {
             frame.capture_time = frame.capture_time.plus_seconds(hours * HOUR_S);
@@ -157,7 +156,7 @@ impl<'a> Case<'a> {
                 seen.capture_time = seen.capture_time.plus_seconds(hours * HOUR_S);
             }
         };
-        let (count, _) = self.each(|case, frame| case.is_suspect(frame, &when_s), change);
+        let (count, _) = self.each(|case, frame| case.is_faulty(frame, &when_s), change);
         let steps = if when_s.end < self.seconds { 2 } else { 1 };
         self.faults.push(Fault::exactly("steps of a clock", steps, |counts| counts.clock_steps));
         self.faults.push(Fault {
@@ -173,14 +172,14 @@ impl<'a> Case<'a> {
         let run = Run::new(self.arena, Ticks { rate_hz: 60.0, judged_from_s: 1.0 });
         let outcome = run.take_all(self.frames).finish();
         let (score, counts) = (outcome.score, outcome.counts);
-        let worst_mm = score.position.greatest() * 1e3;
+        let worst_mm = score.position.max() * 1e3;
         let mut row = Row::new(name, BAR)
             .check_identities(self.arena.robots.len(), &score)
-            .check(format!("worst pose {worst_mm:.0} mm off"), worst_mm <= WRONG_MM);
+            .check(format!("worst pose {worst_mm:.0} mm off"), worst_mm <= MAX_ERROR_MM);
         for fault in &self.faults {
             let count = (fault.counted)(&counts);
-            let (least, most) = (fault.expected.start(), fault.expected.end());
-            let of = if least == most { format!(" of {least}") } else { String::new() };
+            let (min, max) = (fault.expected.start(), fault.expected.end());
+            let of = if min == max { format!(" of {min}") } else { String::new() };
             let text = format!("{count}{of} {}", fault.what);
             row = row.check(text, fault.expected.contains(&count));
         }
@@ -213,7 +212,7 @@ fn arena() -> Arena {
     Arena::r4(41)
 }
 
-/// Every frame comes twice.
+/// Every frame arrives twice.
 pub fn twice(length: Length) -> Vec<Row> {
     Case::new(&arena(), length).twice().judge("every frame twice")
 }
@@ -228,7 +227,7 @@ pub fn reordered(length: Length) -> Vec<Row> {
     Case::new(&arena(), length).reordered().judge("every third frame 0.2 s late")
 }
 
-/// Frames that never come.
+/// Lost frames.
 pub fn missing(length: Length) -> Vec<Row> {
     Case::new(&arena(), length).missing().judge("three frames of ten missing")
 }
@@ -240,25 +239,25 @@ pub fn stopped(length: Length) -> Vec<Row> {
 
 /// A clock that is set forward, and back.
 pub fn hour_ahead(length: Length) -> Vec<Row> {
-    Case::new(&arena(), length).jumped(1.0, SUSPECT_S).judge("a clock an hour ahead for 1.5 s")
+    Case::new(&arena(), length).jumped(1.0, FAULTY_S).judge("a clock an hour ahead for 1.5 s")
 }
 
 /// A clock that is set back, and forward.
 pub fn hour_behind(length: Length) -> Vec<Row> {
-    Case::new(&arena(), length).jumped(-1.0, SUSPECT_S).judge("a clock an hour behind for 1.5 s")
+    Case::new(&arena(), length).jumped(-1.0, FAULTY_S).judge("a clock an hour behind for 1.5 s")
 }
 
-/// A clock that is set forward for good.
+/// A clock that is set forward permanently.
 pub fn hour_for_good(length: Length) -> Vec<Row> {
-    let when_s = SUSPECT_S.start..f64::INFINITY;
-    Case::new(&arena(), length).jumped(1.0, when_s).judge("a clock an hour ahead for good")
+    let when_s = FAULTY_S.start..f64::INFINITY;
+    Case::new(&arena(), length).jumped(1.0, when_s).judge("a clock an hour ahead permanently")
 }
 
-/// A clock that jumps while frames come late and in disorder.
+/// A clock that jumps while frames arrive late and out of order.
 pub fn everything(length: Length) -> Vec<Row> {
     let arena = arena();
-    let mut case = Case::new(&arena, length).jumped(1.0, SUSPECT_S).overdue().reordered().twice();
-    // Which fault a frame is counted under depends on which comes first: only the sums hold.
+    let mut case = Case::new(&arena, length).jumped(1.0, FAULTY_S).overdue().reordered().twice();
+    // A frame with several faults is counted once, so only the sums are checked.
     case.faults.clear();
     case.judge("a clock an hour ahead, frames late, reordered and twice")
 }

@@ -1,25 +1,24 @@
-//! Many cameras, one world: what fusion has to hold, each scenario with fixed seeds and its truth.
+//! Scenarios of fusion with many cameras: seeded worlds, scored against ground truth.
 //!
-//! `cargo run --release -p roundel-tests --bin scenarios` runs them all and prints one table. A row
-//! names the scenario, the bar, what was measured (in bold what misses the bar), the shares of
-//! position, velocity and orientation inside their 95 % ellipsoids, and whether the bar is held. Shares
-//! have a row of their own at the end: they must lie within [`BAND`] in every scenario.
+//! `cargo run --release -p roundel-tests -- scenarios` runs all and prints one table. A row has the scenario, its
+//! bar, the measurements (in bold if they miss the bar), the shares of position, velocity and orientation inside
+//! their 95 % ellipsoids, and whether the bar holds. The last row checks the shares: they must lie within [`BAND`] in
+//! every scenario.
 //!
-//! | names | what | module |
+//! | names | content | module |
 //! | --- | --- | --- |
-//! | `alone`, `late` | 64 objects, 8 cameras, in order and late: ids and speed | [`swarm`] |
+//! | `alone`, `late` | 64 objects, 8 cameras, in order and late: identities and speed | [`swarm`] |
 //! | `r16` | 200 coded objects, 16 cameras: speed | [`swarm`] |
-//! | `r4` | 24 coded robots as DESIGN's R4 moves them | [`swarm`] |
+//! | `r4` | 24 coded robots in R4 | [`swarm`] |
 //! | `static`, `walking`, `driving` | R4 from rendered frames | [`pixels`] |
 //! | `plane` | ground robots under one camera: homography or the plane in the filter | [`plane`] |
-//! | `clocks` | offsets and skews that nobody has set | [`clocks`] |
+//! | `clocks` | clocks that are not synchronized | [`clocks`] |
 //! | `crossing` | plain roundels that pass each other, occluded, for ten minutes | [`crossing`] |
-//! | `drone`, `docking` | cameras that ride, and that find their place from landmarks | [`moving`] |
-//! | `twice`, `overdue`, … | streams that misbehave | [`fault`] |
+//! | `drone`, `docking` | moving cameras, and cameras that localize by landmarks | [`moving`] |
+//! | `twice`, `overdue`, … | faulty streams | [`fault`] |
 //!
-//! All run in virtual time on the calling thread, but for the rendering. Poses are judged where a server
-//! publishes them: at the time of the tick, predicted over the frames' latency. Speeds count the calls
-//! of fusion alone.
+//! All run in virtual time on the calling thread, except for rendering. Poses are scored as a server publishes them:
+//! at the time of the tick, predicted over the frames' latency. Speeds count only the time in calls of fusion.
 
 pub mod clocks;
 pub mod crossing;
@@ -37,17 +36,17 @@ use crate::score::{CHI2_95_2, CHI2_95_3, Score};
 /// Shares inside 95 % that count as consistent.
 pub const BAND: std::ops::RangeInclusive<f64> = 0.92..=0.98;
 
-/// How much of a scenario is run.
+/// Duration of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Length {
-    /// As the table has it.
+    /// For the table.
     Full,
     /// A few seconds, for tests.
     Short,
 }
 
 impl Length {
-    /// One of two durations.
+    /// The duration that applies.
     pub fn seconds(self, full: f64, short: f64) -> f64 {
         match self {
             Length::Full => full,
@@ -56,46 +55,43 @@ impl Length {
     }
 }
 
-/// One thing that was measured.
+/// One measurement.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Part {
     /// With its unit.
     pub text: String,
-    /// Whether it is within the bar; what has none holds.
+    /// Whether it meets its bar; true without a bar.
     pub holds: bool,
 }
 
 /// One row of the table.
 #[derive(Clone, Debug, Default)]
 pub struct Row {
-    /// What was run.
     pub scenario: String,
-    /// What must hold.
     pub bar: &'static str,
-    /// What was measured.
     pub parts: Vec<Part>,
-    /// Its snapshots against the truth; `None` where consistency makes no sense.
+    /// `None` where consistency is not defined.
     pub score: Option<Score>,
 }
 
 impl Row {
-    /// A row without anything measured yet.
+    /// A row without measurements.
     pub fn new(scenario: impl Into<String>, bar: &'static str) -> Self {
         Self { scenario: scenario.into(), bar, ..Self::default() }
     }
 
-    /// Adds what is held against the bar.
+    /// Adds a measurement with a bar.
     pub fn check(mut self, text: impl Into<String>, holds: bool) -> Self {
         self.parts.push(Part { text: text.into(), holds });
         self
     }
 
-    /// Adds what is told beside it.
+    /// Adds a measurement without a bar.
     pub fn note(self, text: impl Into<String>) -> Self {
         self.check(text, true)
     }
 
-    /// Adds ids, swaps, strays and misses, of which there must be one, none, none and none an object.
+    /// Adds ids, swaps, strays and misses. Bars: one id per object, and none of the others.
     pub fn check_identities(self, objects: usize, score: &Score) -> Self {
         let Score { ids, swaps, strays, misses, wrong_codes, .. } = *score;
         let row = self
@@ -116,12 +112,12 @@ impl Row {
         ))
     }
 
-    /// Ends the row with the score that its consistency is read from.
+    /// Completes the row with its score, which has the shares for the consistency check.
     pub fn scored(self, score: Score) -> Self {
         Self { score: Some(score), ..self }
     }
 
-    /// Whether all that was measured is within the bar.
+    /// Whether all measurements meet their bars.
     pub fn holds(&self) -> bool {
         self.parts.iter().all(|part| part.holds)
     }
@@ -132,8 +128,8 @@ impl Row {
     }
 }
 
-/// Shares of position, velocity and orientation inside 95 %; of the orientation the normal where no
-/// yaw is observed.
+/// Shares of position, velocity and orientation inside 95 %. Orientation is that of the normal where no yaw is
+/// observed.
 pub fn shares(score: &Score) -> [f64; 3] {
     let orientation = if score.rotation.count() > 0 {
         score.rotation.share_within(CHI2_95_3)
@@ -145,7 +141,7 @@ pub fn shares(score: &Score) -> [f64; 3] {
     [position, velocity, orientation]
 }
 
-/// A function that runs one scenario.
+/// Runs one scenario.
 pub type Run = fn(Length) -> Vec<Row>;
 
 /// Every scenario by its name, in the order of the table.
@@ -173,7 +169,7 @@ pub const ALL: [(&str, Run); 21] = [
     ("everything", fault::everything),
 ];
 
-/// What the shares of all rows say; the table shows in bold those that are outside.
+/// The row that checks the shares of all rows. The table shows shares outside the band in bold.
 pub fn consistency(rows: &[Row]) -> Row {
     let mut row = Row::new(
         "covariances of all the above",
@@ -183,9 +179,9 @@ pub fn consistency(rows: &[Row]) -> Row {
         let shares: Vec<f64> =
             rows.iter().filter_map(Row::shares).map(|shares| shares[index]).collect();
         let inside = shares.iter().filter(|share| BAND.contains(share)).count();
-        let least = shares.iter().copied().fold(1.0, f64::min) * 100.0;
-        let most = shares.iter().copied().fold(0.0, f64::max) * 100.0;
-        let text = format!("{what} {inside} of {}, {least:.1} to {most:.1} %", shares.len());
+        let min = shares.iter().copied().fold(1.0, f64::min) * 100.0;
+        let max = shares.iter().copied().fold(0.0, f64::max) * 100.0;
+        let text = format!("{what} {inside} of {}, {min:.1} to {max:.1} %", shares.len());
         row = row.check(text, inside == shares.len());
     }
     row
@@ -234,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn what_misses_its_bar_shows() {
+    fn misses_are_marked() {
         let bad = Row::new("slow", "fast").check("fast", false).note("seen");
         assert!(!bad.holds());
         let text = table(&[row(95, 5), bad, row(80, 20)]);
@@ -245,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn consistency_counts_who_is_inside() {
+    fn consistency_counts_shares_inside_the_band() {
         assert!(consistency(&[row(95, 5), row(93, 7)]).holds());
         let bad = consistency(&[row(95, 5), row(100, 0)]);
         assert!(!bad.holds());

@@ -1,10 +1,10 @@
-//! Cameras that ride on what is tracked, and cameras that find their own place from landmarks.
+//! Cameras on tracked robots, and cameras that localize by landmarks.
 //!
-//! The issue states no figures for them; the bars here are this table's own. They lie where the geometry
-//! puts the errors, with a margin of about a half. Normals err by 20 mrad in each view, half of the variance for a second
-//! or so: two views know a drone's orientation to some 10 mrad about each axis, which puts what it sees 1.7 m below
-//! 20 to 30 mm aside. A robot that sees four prints of 80 mm within 0.3 m of one another knows its direction from
-//! their normals to about 10 mrad at 3 m, 30 mm there, and from their places at half a metre.
+//! The bars lie about 50 % above the errors that follow from geometry. Normals have errors of 20 mrad in each view,
+//! half of the variance for about a second. Two views give a drone's orientation to about 10 mrad about each axis,
+//! which displaces objects 1.7 m below it by 20 to 30 mm. A robot that sees four prints of 80 mm within 0.3 m of one
+//! another knows its direction from their normals to about 10 mrad at 3 m, which is 30 mm there, and from their
+//! positions at half a metre.
 
 use roundel_core::{
     time::Timestamp,
@@ -24,15 +24,15 @@ use crate::{
 };
 
 const RATE_HZ: f64 = 60.0;
-/// From then on snapshots are judged, seconds.
+/// Snapshots are scored from this time on.
 const JUDGED_FROM_S: f64 = 1.0;
-/// Robots that the drone sees, rms, mm.
+/// Bar for robots that the drone sees, rms.
 const DRONE_BAR_MM: f64 = 40.0;
-/// The docking robot, rms, mm, within this of the nearest and of the farthest point, m.
+/// Bars for the docking robot, rms, within [`WITHIN_M`] of the nearest and of the farthest point.
 const DOCKING_BAR_MM: [f64; 2] = [2.0, 40.0];
 const WITHIN_M: f64 = 0.15;
 
-/// Snapshots at steady ticks.
+/// Snapshots at regular ticks.
 fn watch(
     arena: &Arena,
     seconds: f64,
@@ -66,7 +66,7 @@ fn only(snapshot: &Snapshot, codes: std::ops::RangeInclusive<u32>) -> Snapshot {
     part
 }
 
-/// A drone's camera above robots that nobody else sees.
+/// A drone's camera above robots that no other camera sees.
 pub fn drone(length: Length) -> Vec<Row> {
     let arena = Arena::with_drone(31);
     let (mut drone, mut robots) = (Judge::default(), Judge::default());
@@ -80,13 +80,13 @@ pub fn drone(length: Length) -> Vec<Row> {
         "10 robots that only a drone's camera sees",
         "rms ≤ 40 mm (not a bar of the issue)",
     );
-    let told = robots.position.count();
+    let states = robots.position.count();
     let ground = ground
         .check(format!("{} ids for 10", robots.ids), robots.ids == 10)
         .check(format!("{} swaps", robots.swaps), robots.swaps == 0)
         .check(format!("{} strays", robots.strays), robots.strays == 0)
         .check(format!("rms {mm:.1} mm"), mm <= DRONE_BAR_MM)
-        .note(format!("seen in {told} states, missing in {}", robots.misses))
+        .note(format!("seen in {states} states, missing in {}", robots.misses))
         .note(format!("{} of {} detections unplaced", counts.no_camera_pose, counts.detections))
         .note_errors(&robots);
     let above = Row::new("the drone, seen by R4's cameras", "none of its own")
@@ -96,7 +96,7 @@ pub fn drone(length: Length) -> Vec<Row> {
     vec![ground.scored(robots), above.scored(drone)]
 }
 
-/// A robot that finds its way to its station by what it sees there.
+/// A robot that localizes by the prints of its docking station.
 pub fn docking(length: Length) -> Vec<Row> {
     let arena = Arena::docking(32);
     let [near_m, far_m] = DOCKING_M;
@@ -112,11 +112,11 @@ pub fn docking(length: Length) -> Vec<Row> {
             }
         });
     let [near, far, all] = judges.map(Judge::finish);
-    let row = |at_m: f64, bar: &'static str, most_mm: f64, score: Score| {
+    let row = |at_m: f64, bar: &'static str, max_mm: f64, score: Score| {
         let mm = score.position.rms() * 1e3;
         let row = Row::new(format!("docking: a robot's own camera {at_m} m from four prints"), bar)
             .check_identities(1, &score)
-            .check(format!("rms {mm:.2} mm"), mm <= most_mm)
+            .check(format!("rms {mm:.2} mm"), mm <= max_mm)
             .note(format!("turned by {:.1} mrad rms", score.rotation.rms() * 1e3))
             .note_errors(&score);
         row.scored(score)

@@ -1,8 +1,7 @@
-//! R4 from rendered frames: what is left of all errors once detection, poses and fusion are done.
+//! R4 from rendered frames: the errors that remain after detection, pose estimation and fusion.
 //!
-//! Frames are rendered camera by camera on all cores, before a lab's clutter, and go through core's
-//! tracker and poses as they would in a server; calibration is exact. Fusion takes them with a latency
-//! of 20 ± 5 ms.
+//! Frames are rendered on all cores, before a lab's clutter, and go through core's tracker and pose estimation as in
+//! a server. Calibration is exact. Fusion receives them with a latency of 20 ± 5 ms.
 
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -16,17 +15,17 @@ use crate::{
     arena::{Arena, Kind, Path},
     clutter::Clutter,
     export::Studio,
-    normal::Random,
     pipeline::{Observer, observations},
+    random::Random,
     score::{Errors, Score},
 };
 
 /// Grey level of the floor.
 const FLOOR: f64 = 120.0;
-/// Tracks and velocities are settled so long after the first frame.
+/// Time until tracks and velocities have settled.
 const SETTLED_S: f64 = 1.0;
 
-/// Every camera's observations of so many rendered frames, by capture time.
+/// Observations of this number of rendered frames of each camera, by capture time.
 pub fn watch(arena: &Arena, frames: usize) -> Vec<FrameObservations> {
     let mut all: Vec<FrameObservations> = (0..arena.sites.len())
         .into_par_iter()
@@ -47,7 +46,7 @@ pub fn watch(arena: &Arena, frames: usize) -> Vec<FrameObservations> {
     all
 }
 
-/// The same frames, each 15 to 25 ms after its exposure.
+/// The same frames, each received 15 to 25 ms after its exposure.
 fn delayed(arena: &Arena, mut frames: Vec<FrameObservations>) -> Vec<FrameObservations> {
     let mut random = Random::new(arena.seed, 9);
     for frame in &mut frames {
@@ -62,7 +61,7 @@ fn fused(arena: &Arena, frames: impl IntoIterator<Item = FrameObservations>) -> 
     run.take_all(frames).finish().score
 }
 
-/// All of R4's robots standing still, a third of them as high as they would fly.
+/// All of R4's robots standing still, a third of them at flying height.
 pub fn still(length: Length) -> Vec<Row> {
     kinds().map(|(name, kind)| standing(name, kind, length)).into()
 }
@@ -95,7 +94,7 @@ fn standing(name: &str, kind: Kind, length: Length) -> Row {
     .scored(score)
 }
 
-/// Robots one behind another round a circle.
+/// Robots one behind another on a circle.
 fn circuit(speed_m_s: f64, radius_m: f64, length: Length) -> Vec<Row> {
     let count = length.seconds(6.0, 2.0) as usize;
     let paths: Vec<Path> = (0..count)
@@ -104,7 +103,7 @@ fn circuit(speed_m_s: f64, radius_m: f64, length: Length) -> Vec<Row> {
             Path::circuit(Vector3::new(0.0, 0.0, 0.3), radius_m, speed_m_s, phase_rad)
         })
         .collect();
-    let (most_mm, bar) =
+    let (max_mm, bar) =
         if speed_m_s < 2.0 { (3.0, "rms at most 3 mm") } else { (8.0, "rms at most 8 mm") };
     let row = |(name, kind): (&str, Kind)| {
         let arena = Arena::under_r4(12, kind, paths.clone());
@@ -115,7 +114,7 @@ fn circuit(speed_m_s: f64, radius_m: f64, length: Length) -> Vec<Row> {
         let scenario =
             format!("R4 from pixels, {name} moving at {speed_m_s} m/s, {push_m_s2:.1} m/s² across");
         Row::new(scenario, bar)
-            .check(format!("{rms_mm:.2} mm at the stated time"), rms_mm <= most_mm)
+            .check(format!("{rms_mm:.2} mm at the stated time"), rms_mm <= max_mm)
             .note(format!(
                 "{:.2} in the plane, {:.2} in height",
                 score.plane.rms() * 1e3,
@@ -132,12 +131,12 @@ fn kinds() -> [(&'static str, Kind); 2] {
     [("coded roundels", Kind::coded(8)), ("plain roundels", Kind::robot())]
 }
 
-/// The paper's speed.
+/// At the paper's speed.
 pub fn walking(length: Length) -> Vec<Row> {
     circuit(1.2, 2.0, length)
 }
 
-/// Two and a half times as fast.
+/// At two and a half times the paper's speed.
 pub fn driving(length: Length) -> Vec<Row> {
     circuit(3.0, 2.5, length)
 }

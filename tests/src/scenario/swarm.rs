@@ -6,23 +6,23 @@ use nalgebra::Vector3;
 
 use super::{
     Length, Row,
-    run::{Outcome, Run, Ticks, least_seconds},
+    run::{Outcome, Run, Ticks, min_seconds},
 };
 use crate::{
     arena::{Arena, Course, Kind, Path, look_at, path::Stray},
-    normal::Random,
+    random::Random,
     sensor::{Sensing, Stream},
 };
 
-/// Pixels as good as a precise detector's at 30 px.
+/// Noise of a precise detector at 30 px.
 pub const PRECISE: Sensing =
-    Sensing { noise_px: 0.05, tilt_rad: 0.02, yaw_rad: 0.005, ..Sensing::USUAL };
+    Sensing { noise_px: 0.05, tilt_rad: 0.02, yaw_rad: 0.005, ..Sensing::DEFAULT };
 
-/// A side of the swarm's rows of objects.
+/// Objects along a side of the swarm's grid.
 const ROWS: usize = 8;
 
-/// 64 plain roundels that change their accelerations at random, to 2 m/s², each about a place of its
-/// own, a third of them 0.9 m higher; eight cameras round them that expose at the same time and all see all.
+/// 64 plain roundels with random accelerations to 2 m/s², each near its own place, a third of them 0.9 m higher.
+/// Eight synchronized cameras around them see all of them.
 pub fn swarm(seed: u64, seconds: f64) -> Arena {
     let mut random = Random::new(seed, 64);
     let mut paths = Vec::new();
@@ -53,14 +53,14 @@ pub fn swarm(seed: u64, seconds: f64) -> Arena {
     arena
 }
 
-/// Equal runs of which speeds are the least.
+/// Equal runs, of which the fastest counts.
 const REPEATS: usize = 3;
 
-/// The first of a few equal runs, and the least time of them all in fusion's calls, seconds.
+/// The first of several equal runs, and the minimum time in fusion's calls, seconds.
 fn timed(arena: &Arena, sensing: Sensing, ticks: Ticks, seconds: f64) -> (Outcome, f64) {
     let run = |_| Run::new(arena, ticks).take_all(Stream::new(arena, sensing, seconds)).finish();
     let mut runs: Vec<Outcome> = (0..REPEATS).map(run).collect();
-    let spent_s = least_seconds(&runs);
+    let spent_s = min_seconds(&runs);
     (runs.swap_remove(0), spent_s)
 }
 
@@ -72,7 +72,7 @@ fn fused(seconds: f64, latency_s: (f64, f64)) -> (Outcome, f64) {
     (outcome, 100.0 * seconds / spent_s)
 }
 
-/// "Fusion alone": the row that compares with Braid's tracker.
+/// The scenario that compares with Braid's tracker.
 pub fn alone(length: Length) -> Vec<Row> {
     let seconds = length.seconds(10.0, 2.0);
     let (Outcome { score, counts, .. }, sets_per_s) = fused(seconds, (0.02, 0.02));
@@ -89,7 +89,7 @@ pub fn alone(length: Length) -> Vec<Row> {
     vec![row.scored(score)]
 }
 
-/// The same with frames that arrive 0 to 40 ms late, each by chance.
+/// The same with frames that arrive 0 to 40 ms late at random.
 pub fn late(length: Length) -> Vec<Row> {
     let (Outcome { score, counts, .. }, sets_per_s) = fused(length.seconds(10.0, 2.0), (0.0, 0.04));
     let out_of_order = 100.0 * counts.out_of_order as f64 / counts.used as f64;
@@ -134,7 +134,7 @@ pub fn r4(length: Length) -> Vec<Row> {
     let yaw = 100.0 * score.rotation.count() as f64 / score.normal.count() as f64;
     let row = Row::new("R4: 24 coded robots, accelerations to 2 m/s², clocks right", "one id each")
         .check_identities(24, &score)
-        .note(format!("yaw told in {yaw:.1} % of states"))
+        .note(format!("yaw known in {yaw:.1} % of states"))
         .note_errors(&score);
     vec![row.scored(score)]
 }
@@ -144,18 +144,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_swarm_keeps_its_distances() {
+    fn robots_of_the_swarm_keep_their_distance() {
         let arena = swarm(1, 11.0);
-        let mut least_m = f64::INFINITY;
+        let mut min_m = f64::INFINITY;
         for step in 0..1000 {
             let truth = arena.truth(arena.start_ns + step * 10_000_000);
             for (index, one) in truth.iter().enumerate() {
                 for other in &truth[..index] {
                     let apart = one.pose.translation.vector - other.pose.translation.vector;
-                    least_m = least_m.min(apart.norm());
+                    min_m = min_m.min(apart.norm());
                 }
             }
         }
-        assert!(least_m > 0.16, "{least_m}");
+        assert!(min_m > 0.16, "{min_m}");
     }
 }

@@ -1,8 +1,8 @@
-//! Are errors as large as their covariances say?
+//! Consistency of errors with their stated covariances.
 //!
-//! For an unbiased estimate whose covariance is right, the normalized error squared (NEES) eᵀ Σ⁻¹ e of
-//! n degrees of freedom follows χ²(n) (Bar-Shalom, Li, Kirubarajan 2001, section 5.4): 95 % of a
-//! position's lie below 7.815.
+//! For an unbiased estimate with the right covariance, the normalized estimation error squared (NEES) eᵀ Σ⁻¹ e of n
+//! degrees of freedom follows χ²(n) (Bar-Shalom, Li, Kirubarajan 2001, section 5.4): 95 % of those of positions lie
+//! below 7.815.
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
@@ -13,7 +13,7 @@ pub const CHI2_95_2: f64 = 5.991;
 /// 95 % of χ² with three degrees of freedom.
 pub const CHI2_95_3: f64 = 7.815;
 
-/// Errors of one kind, with their normalized squares.
+/// Errors of one quantity, with their normalized squares.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Errors {
     squares: Vec<f64>,
@@ -21,53 +21,51 @@ pub struct Errors {
 }
 
 impl Errors {
-    /// Takes one error's length and its normalized square.
+    /// Adds one error's length and its normalized square.
     pub fn push(&mut self, length: f64, normalized: f64) {
         self.squares.push(length * length);
         self.normalized.push(normalized);
     }
 
-    /// How many errors there are.
     pub fn count(&self) -> usize {
         self.squares.len()
     }
 
-    /// Root mean square of the errors' lengths; NaN without any.
+    /// Root mean square of the lengths, or NaN without errors.
     pub fn rms(&self) -> f64 {
         (self.squares.iter().sum::<f64>() / self.count() as f64).sqrt()
     }
 
-    /// The longest error; 0 without any.
-    pub fn greatest(&self) -> f64 {
+    /// The largest length, or 0 without errors.
+    pub fn max(&self) -> f64 {
         self.squares.iter().copied().fold(0.0, f64::max).sqrt()
     }
 
-    /// Takes in another's errors as well.
     pub fn append(&mut self, mut other: Self) {
         self.squares.append(&mut other.squares);
         self.normalized.append(&mut other.normalized);
     }
 
-    /// Share of normalized squares at most `bound`; NaN without any.
+    /// Share of normalized squares up to `bound`, or NaN without errors.
     pub fn share_within(&self, bound: f64) -> f64 {
         let inside = self.normalized.iter().filter(|square| **square <= bound).count();
         inside as f64 / self.count() as f64
     }
 
-    /// Mean normalized square: the degrees of freedom if the covariances are right.
+    /// Mean normalized square; equals the degrees of freedom if the covariances are right.
     pub fn mean_normalized(&self) -> f64 {
         self.normalized.iter().sum::<f64>() / self.count() as f64
     }
 }
 
-/// eᵀ Σ⁻¹ e; `None` unless Σ is positive definite and all is finite.
+/// eᵀ Σ⁻¹ e, or `None` unless Σ is positive definite and all numbers are finite.
 pub fn normalized3(error: &Vector3<f64>, covariance: &Matrix3<f64>) -> Option<f64> {
     let square = error.dot(&covariance.cholesky()?.solve(error));
     square.is_finite().then_some(square)
 }
 
-/// Angle between two unit normals and its normalized square under a rotation's covariance (left
-/// perturbation, same frame): only the two rotations perpendicular to the normal turn it.
+/// Angle between two unit normals and its normalized square under a rotation's covariance (left perturbation, same
+/// frame). Only the two rotations perpendicular to the normal change it.
 pub fn normal_error(
     normal: &Vector3<f64>,
     true_normal: &Vector3<f64>,
@@ -98,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_normal_ignores_the_turn_about_itself() {
+    fn a_normal_error_ignores_rotation_about_the_normal() {
         let covariance = Matrix3::from_diagonal(&Vector3::new(1e-4, 4e-4, 3.3));
         let tilted = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), 0.02) * Vector3::z();
         let (angle, square) = normal_error(&Vector3::z(), &tilted, &covariance).unwrap();

@@ -1,7 +1,7 @@
-//! Snapshots against the truth: identities, and errors next to what covariances say (`error`).
+//! Scores snapshots against ground truth: identities, and errors relative to their covariances (`error`).
 //!
-//! Whatever code an object shows, it is taken for the robot nearest to it, and a change of robot is a
-//! swap; the code is held against that robot's.
+//! An object is associated with the nearest robot, whatever its code. A change of robot is a swap. The code is
+//! compared with the robot's.
 
 mod error;
 
@@ -13,44 +13,44 @@ use roundel_proto::v1::{self, LifeStage, Snapshot};
 use crate::arena::Truth;
 pub use error::{CHI2_95_1, CHI2_95_2, CHI2_95_3, Errors, normal_error, normalized3};
 
-/// What became of a run's snapshots.
+/// Statistics of a run's snapshots.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Score {
     /// Position, metres.
     pub position: Errors,
-    /// Its level part.
+    /// Horizontal component of the position error.
     pub plane: Errors,
-    /// Its height.
+    /// Vertical component.
     pub height: Errors,
-    /// Velocity, m/s, of states that say its covariance.
+    /// Velocity, m/s, of states with a covariance of the velocity.
     pub velocity: Errors,
-    /// Normal, radians, over the two rotations that turn it.
+    /// Normal, radians, over the two rotations that change it.
     pub normal: Errors,
     /// The whole rotation, radians, of states whose yaw is observed and unambiguous.
     pub rotation: Errors,
     /// Position of objects that no camera sees, metres.
     pub predicted: Errors,
-    /// Σ vᵀΛe and Σ vᵀΛv over tracked states, of position error, its precision, and true velocity.
+    /// Σ vᵀΛe and Σ vᵀΛv over tracked states, with position error e, its precision Λ, and true velocity v.
     along: (f64, f64),
     /// Ids that were tracked at some time.
     pub ids: usize,
     /// States with another code than the robot's.
     pub wrong_codes: usize,
-    /// Objects that went over to another robot.
+    /// Changes of an object's robot.
     pub swaps: usize,
     /// States farther than the gate from every robot.
     pub strays: usize,
-    /// Ids given to each robot beyond its first.
+    /// Ids of each robot beyond its first.
     pub extra_ids: usize,
-    /// Robots and snapshots for which no state was there, tracked or predicted.
+    /// Missing states, tracked or predicted, summed over robots and snapshots.
     pub misses: usize,
-    /// States that could not be normalized: a covariance missing or not positive definite.
+    /// States whose error cannot be normalized: a covariance is missing or not positive definite.
     pub unusable: usize,
 }
 
 impl Score {
-    /// How far poses are behind their times, seconds: -Σ vᵀΛe / Σ vᵀΛv, Λ the inverse of the
-    /// covariance that each states, which is the least squares' solution of e = -delay · v.
+    /// Delay of poses relative to their stated times, seconds: -Σ vᵀΛe / Σ vᵀΛv, the weighted least-squares solution
+    /// of e = -delay · v, with Λ the inverse of the stated covariance.
     pub fn delay_s(&self) -> f64 {
         -self.along.0 / self.along.1
     }
@@ -59,7 +59,7 @@ impl Score {
 /// Scores snapshots one by one.
 #[derive(Clone, Debug)]
 pub struct Judge {
-    /// A state farther than this from every robot is a stray, metres.
+    /// A state farther than this from every robot is a stray.
     pub gate_m: f64,
     robot_of: HashMap<u64, usize>,
     ids: HashSet<u64>,
@@ -73,8 +73,7 @@ impl Default for Judge {
 }
 
 impl Judge {
-    /// Takes the states of one snapshot that are tracked (seen now) or predicted; `truth` is that of
-    /// its `pose_time_ns`.
+    /// Adds one snapshot's states that are tracked or predicted. `truth` is that of its `pose_time_ns`.
     pub fn take(&mut self, snapshot: &Snapshot, truth: &[Truth]) {
         let mut found = vec![false; truth.len()];
         for state in &snapshot.objects {
@@ -87,7 +86,7 @@ impl Judge {
         self.score.misses += found.iter().filter(|found| !**found).count();
     }
 
-    /// The score of all snapshots taken.
+    /// The score of all snapshots.
     pub fn finish(mut self) -> Score {
         let robots: HashSet<_> = self.robot_of.values().collect();
         self.score.extra_ids = self.robot_of.len() - robots.len();
@@ -113,8 +112,7 @@ impl Judge {
         self.compare(state, &position, &truth[robot]);
     }
 
-    /// An object that is not seen may be anywhere that its covariance says, so it is held against
-    /// the robot that it was.
+    /// A predicted object may be anywhere within its covariance, so it is compared with its previous robot.
     fn take_predicted(&mut self, state: &v1::ObjectState, truth: &[Truth], found: &mut [bool]) {
         let robot = self.robot_of.get(&state.object_id);
         let (Some(&robot), Some(position)) = (robot, &state.position) else { return };
@@ -232,7 +230,6 @@ impl std::fmt::Display for Score {
     }
 }
 
-/// A wire vector's numbers.
 pub fn vector(v: &v1::Vector3) -> Vector3<f64> {
     Vector3::new(v.x, v.y, v.z)
 }
@@ -267,7 +264,7 @@ mod tests {
     use nalgebra::Isometry3;
 
     use super::*;
-    use crate::normal::Random;
+    use crate::random::Random;
 
     fn state(id: u64, position: Vector3<f64>, variance: f64) -> v1::ObjectState {
         let mut covariance = vec![0.0; 21];
@@ -301,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_as_stated_are_consistent_and_others_are_not() {
+    fn errors_with_the_right_covariance_are_consistent_and_others_are_not() {
         let right = judged(1.0);
         assert!((right.position.share_within(CHI2_95_3) - 0.95).abs() < 0.01);
         assert!((right.position.mean_normalized() - 3.0).abs() < 0.1);
@@ -346,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn codes_are_held_against_the_nearest_robot() {
+    fn codes_are_compared_with_the_nearest_robot() {
         let coded = |number| Truth { code: Some(number), ..truth(f64::from(number)) };
         let mut judge = Judge::default();
         for number in [1, 2, 2] {
@@ -360,7 +357,7 @@ mod tests {
     }
 
     #[test]
-    fn unseen_objects_are_held_against_the_robots_that_they_were() {
+    fn predicted_objects_are_compared_with_their_previous_robots() {
         let mut judge = Judge::default();
         let mut seen = state(1, Vector3::new(0.0, 0.0, 0.3), 1e-2);
         judge.take(&Snapshot { objects: vec![seen.clone()], ..Default::default() }, &[truth(0.0)]);
@@ -374,7 +371,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_about_the_normal_counts_where_it_is_observed() {
+    fn rotation_about_the_normal_counts_where_it_is_observed() {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.02);
         let mut judge = Judge::default();
         for yaw_observed in [false, true] {
@@ -391,7 +388,7 @@ mod tests {
     }
 
     #[test]
-    fn a_triangle_of_another_size_is_no_covariance() {
+    fn a_triangle_of_the_wrong_size_is_no_covariance() {
         assert!(block(&[0.0; 20], 0).is_none());
     }
 }

@@ -1,22 +1,22 @@
-//! Cameras without pixels: what a worker would hand to fusion of an arena's robots, with errors of
-//! exactly the covariances that it states.
+//! Simulated observations without pixels: the detections that a camera worker would pass to fusion, with errors drawn
+//! from exactly the stated covariances.
 //!
-//! Each robot is projected where it truly is when its own image row is exposed, through the judging
-//! side's lens; who is outside the image, turned away, hidden or dropped is not seen. With the line of
-//! sight s, the distance d and the focal length f, a noise of σ pixels is
+//! Each robot is projected at its true pose when its own image row is exposed, through this crate's optics. A robot
+//! that is outside the image, turned away, hidden or dropped is not detected. With the line of sight s, the distance
+//! d and the focal length f, a noise of σ pixels is
 //!
 //! σ d / f across s,  d σ / (D f / d) along it (D the roundel's diameter),
 //!
-//! so tight in bearing and loose in depth; the rotation errs by `tilt_rad` about each axis across the
-//! normal and by `yaw_rad` about it. Each error is √q b + √(1 - q) w with w fresh every frame and b a
-//! camera's and robot's own Ornstein-Uhlenbeck process, so a share q of the variance stays for about
-//! `systematic_time_s`. The normal told first is the right one as often as the likelihood beside it
-//! says; the other is its mirror image about the line of sight. Tests below hold all of this.
+//! so small in bearing and large in depth. The rotation has an error of `tilt_rad` about each axis across the normal
+//! and of `yaw_rad` about it. Each error is √q b + √(1 - q) w, with w new in every frame and b an Ornstein-Uhlenbeck
+//! process of the camera and robot, so a share q of the variance persists for about `systematic_time_s`. The first
+//! normal is right as often as its stated likelihood; the second is its mirror image about the line of sight. The
+//! unit tests verify all of this.
 //!
-//! Cameras that ride are where their robot carries them when the row is exposed.
+//! Moving cameras have the pose of their robot when the row is exposed.
 //!
-//! Times: the frame's capture time is what the camera's clock shows ([`super::arena::SiteClock`]), the
-//! receiving time is the server's.
+//! Times: a frame's capture time is the reading of the camera's clock ([`super::arena::SiteClock`]), its arrival time
+//! is the server's.
 
 mod rims;
 mod stream;
@@ -35,55 +35,54 @@ use roundel_core::{
 
 use crate::{
     arena::{Arena, Kind, Path, Site},
-    normal::Random,
+    random::Random,
 };
 pub use stream::Stream;
 
-/// Cosine of the steepest angle at which a roundel is still seen.
-const STEEPEST: f64 = 0.15;
-/// A camera's tracker that has not seen a roundel for so long gives it another number.
-const FORGOTTEN_S: f64 = 0.25;
-/// Likelihoods of the first normal.
+/// Cosine of the steepest angle at which a roundel is detected.
+const MIN_COSINE: f64 = 0.15;
+/// A tracker assigns a new number to a roundel that it has not seen for this long.
+const TRACK_TIMEOUT_S: f64 = 0.25;
+/// Range of the likelihood of the first normal.
 const LIKELIHOOD: (f64, f64) = (0.55, 0.95);
 
-/// How cameras err.
+/// Error model of cameras.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sensing {
-    /// Standard deviation of a roundel's centre and of its diameter in the image, pixels.
+    /// Standard deviation of a roundel's centre and of its diameter in the image.
     pub noise_px: f64,
-    /// Of the normal, about each axis across it, radians.
+    /// Standard deviation of the normal, about each axis across it.
     pub tilt_rad: f64,
-    /// Of the turn about it, of a code that is read, radians.
+    /// Standard deviation of the rotation about the normal, where the code is read.
     pub yaw_rad: f64,
-    /// Share of the variances that stays from frame to frame …
+    /// Share of the variances that persists from frame to frame.
     pub systematic_share: f64,
-    /// … and for how long.
+    /// Correlation time of that share.
     pub systematic_time_s: f64,
-    /// Whether that of a roundel that stands still before a camera that does stays for good, as in pixels.
-    pub is_kept_while_still: bool,
-    /// Share of roundels that a frame does not show.
+    /// Whether the persistent error of a still roundel before a fixed camera never changes, as with rendered frames.
+    pub bias_persists_while_still: bool,
+    /// Share of roundels that are missed in a frame.
     pub dropout: f64,
-    /// False detections a frame, up to 1.
+    /// False detections per frame, up to 1.
     pub clutter: f64,
     /// Share of codes that cannot be read.
     pub unread: f64,
-    /// Share of codes that are read as another's.
+    /// Share of codes that are misread.
     pub misread: f64,
-    /// Least and greatest time from exposure to arrival, seconds.
+    /// Minimum and maximum time from exposure to arrival, seconds.
     pub latency_s: (f64, f64),
-    /// Whether rings have the rims that a roundel would have where it is said to be; else only a place in the image.
+    /// Whether rings have the rims of a roundel at the observed pose; otherwise only a place in the image.
     pub shows_rims: bool,
 }
 
 impl Sensing {
-    /// What the default is.
-    pub const USUAL: Self = Self {
+    pub const DEFAULT: Self = Self {
         noise_px: 0.1,
         tilt_rad: 0.03,
         yaw_rad: 0.01,
         systematic_share: 0.5,
         systematic_time_s: 1.0,
-        is_kept_while_still: false,
+        bias_persists_while_still: false,
         dropout: 0.02,
         clutter: 0.0,
         unread: 0.02,
@@ -95,22 +94,22 @@ impl Sensing {
 
 impl Default for Sensing {
     fn default() -> Self {
-        Self::USUAL
+        Self::DEFAULT
     }
 }
 
-/// What one camera remembers of one robot.
+/// State of one camera for one robot.
 #[derive(Clone, Copy, Debug, Default)]
-struct Sight {
+struct ErrorState {
     number: u64,
     seen_s: Option<f64>,
-    /// Of position and rotation, unit variance.
+    /// Persistent errors of position and rotation, unit variance.
     bias: [Vector3<f64>; 2],
-    /// When it was that, and where the robot was.
+    /// Time and place of the last update of the errors.
     bias_at: Option<(f64, Vector3<f64>)>,
 }
 
-/// Where a robot is when its row is exposed.
+/// A robot's pose when its row is exposed.
 struct Exposed {
     camera_from_roundel: Isometry3<f64>,
     pixel: Vector2<f64>,
@@ -124,19 +123,19 @@ pub struct Sensor<'a> {
     index: usize,
     sensing: Sensing,
     random: Random,
-    sights: Vec<Sight>,
+    states: Vec<ErrorState>,
     numbers: u64,
 }
 
 impl<'a> Sensor<'a> {
-    /// The `index`-th camera; its errors are seeded by the arena.
+    /// The `index`-th camera. Its errors are seeded by the arena.
     pub fn new(arena: &'a Arena, index: usize, sensing: Sensing) -> Self {
         Self {
             arena,
             index,
             sensing,
             random: Random::new(arena.seed, (index as u64 + 1) << 20),
-            sights: vec![Sight::default(); arena.robots.len() + arena.landmarks.len()],
+            states: vec![ErrorState::default(); arena.robots.len() + arena.landmarks.len()],
             numbers: 0,
         }
     }
@@ -145,20 +144,20 @@ impl<'a> Sensor<'a> {
         &self.arena.sites[self.index]
     }
 
-    /// The `frame`-th frame, from 0; frames come in order.
+    /// The `frame`-th frame, from 0. Frames must be requested in order.
     pub fn frame(&mut self, frame: usize) -> FrameObservations {
         let site = self.site();
         let capture_ns = self.arena.capture_time_ns(site, frame);
         let stated = Timestamp::from_ns(self.arena.stated_time_ns(site, capture_ns));
         let t = (capture_ns - self.arena.start_ns) as f64 * 1e-9;
-        let roundels = 0..self.sights.len();
+        let roundels = 0..self.states.len();
         let mut detections: Vec<_> =
-            roundels.filter_map(|roundel| self.look(roundel, t, stated)).collect();
+            roundels.filter_map(|roundel| self.detect(roundel, t, stated)).collect();
         if self.chance(self.sensing.clutter) {
-            detections.extend(self.imagine(stated));
+            detections.extend(self.false_detection(stated));
         }
-        let (least_s, most_s) = self.sensing.latency_s;
-        let latency_s = self.random.uniform(least_s, most_s);
+        let (min_s, max_s) = self.sensing.latency_s;
+        let latency_s = self.random.uniform(min_s, max_s);
         FrameObservations {
             camera: CameraId(self.index as u32),
             frame: frame as u64 + 1,
@@ -169,27 +168,27 @@ impl<'a> Sensor<'a> {
         }
     }
 
-    fn look(&mut self, robot: usize, t: f64, stated: Timestamp) -> Option<Detection> {
-        let bias = self.drift(robot, t);
+    fn detect(&mut self, robot: usize, t: f64, stated: Timestamp) -> Option<Detection> {
+        let bias = self.persistent_errors(robot, t);
         let (arena, site) = (self.arena, self.site());
         let (kind, code, exposed) = if let Some(carrier) = arena.robots.get(robot) {
-            let is_aside = carrier.is_among_shelves && site.mount.is_none();
+            let is_aside = carrier.is_hidden_from_fixed_cameras && site.mount.is_none();
             if carrier.is_hidden(t) || is_aside || self.chance(self.sensing.dropout) {
                 return None;
             }
             let kind = arena.kinds.iter().position(|kind| kind.name == carrier.kind)?;
-            (kind, carrier.code, expose((arena, site), |t| carrier.path.pose(t), t)?)
+            (kind, carrier.code, expose(arena, site, |t| carrier.path.pose(t), t)?)
         } else {
             let landmark = &arena.landmarks[robot - arena.robots.len()];
             if self.chance(self.sensing.dropout) {
                 return None;
             }
-            (landmark.kind, Some(landmark.code), expose((arena, site), |_| landmark.pose, t)?)
+            (landmark.kind, Some(landmark.code), expose(arena, site, |_| landmark.pose, t)?)
         };
         let kinds = &arena.kinds;
         let reading = self.read(kinds[kind].code_bits.zip(code));
         let number = self.number(robot, t);
-        let pose = self.err(&kinds[kind], &exposed, &bias, reading.is_some());
+        let pose = self.perturb(&kinds[kind], &exposed, &bias, reading.is_some());
         let rims = if self.sensing.shows_rims {
             let turn = exposed.camera_from_roundel.rotation;
             let seen = Isometry3::from_parts(pose.position_m.into(), turn);
@@ -199,7 +198,7 @@ impl<'a> Sensor<'a> {
         } else {
             [None; 2]
         };
-        let mut detection = detection(number, kind, &exposed, stated, (pose, reading));
+        let mut detection = detection(number, kind, &exposed, stated, pose, reading);
         if let [Some(outer), Some(inner)] = rims {
             detection.ring = Ring {
                 kind: detection.ring.kind,
@@ -210,8 +209,8 @@ impl<'a> Sensor<'a> {
         Some(detection)
     }
 
-    /// A roundel that is not there: upright, somewhere in the image and at most 2 m above the floor.
-    fn imagine(&mut self, stated: Timestamp) -> Option<Detection> {
+    /// A false detection: upright, somewhere in the image and at most 2 m above the floor.
+    fn false_detection(&mut self, stated: Timestamp) -> Option<Detection> {
         let (site, kind) = (self.site(), &self.arena.kinds[0]);
         let mut within = |size: usize| self.random.uniform(0.0, size as f64 - 1.0);
         let pixel = Vector2::new(within(site.optics.width), within(site.optics.height));
@@ -219,48 +218,48 @@ impl<'a> Sensor<'a> {
         let eye = site.world_from_camera.translation.vector;
         let along = (self.random.uniform(0.0, 2.0) - eye.z) / ray.z;
         let still = Path::still(eye + ray * along);
-        let exposed = expose((self.arena, site), |t| still.pose(t), 0.0)?;
-        let fresh = [self.gaussian(), self.gaussian()];
-        let pose = self.err(kind, &exposed, &fresh, false);
+        let exposed = expose(self.arena, site, |t| still.pose(t), 0.0)?;
+        let new = [self.gaussian(), self.gaussian()];
+        let pose = self.perturb(kind, &exposed, &new, false);
         self.numbers += 1;
         let number = TrackNumber(self.numbers);
-        (along > 0.0).then(|| detection(number, 0, &exposed, stated, (pose, None)))
+        (along > 0.0).then(|| detection(number, 0, &exposed, stated, pose, None))
     }
 
-    /// The tracker's number for a robot seen now.
+    /// The tracker's number for a robot that is detected now.
     fn number(&mut self, robot: usize, t: f64) -> TrackNumber {
-        let sight = &mut self.sights[robot];
-        if sight.seen_s.is_none_or(|seen_s| t - seen_s > FORGOTTEN_S) {
+        let state = &mut self.states[robot];
+        if state.seen_s.is_none_or(|seen_s| t - seen_s > TRACK_TIMEOUT_S) {
             self.numbers += 1;
-            sight.number = self.numbers;
+            state.number = self.numbers;
         }
-        sight.seen_s = Some(t);
-        TrackNumber(sight.number)
+        state.seen_s = Some(t);
+        TrackNumber(state.number)
     }
 
-    /// The errors that stay for a while, as they are by now.
-    fn drift(&mut self, robot: usize, t: f64) -> [Vector3<f64>; 2] {
-        let fresh = [self.gaussian(), self.gaussian()];
+    /// The persistent errors at time `t`.
+    fn persistent_errors(&mut self, robot: usize, t: f64) -> [Vector3<f64>; 2] {
+        let new = [self.gaussian(), self.gaussian()];
         let place_m = match self.arena.robots.get(robot) {
             Some(carrier) => carrier.path.pose(t).translation.vector,
             None => Vector3::zeros(),
         };
-        let keeps = self.sensing.is_kept_while_still && self.site().mount.is_none();
-        let sight = &mut self.sights[robot];
-        sight.bias = match sight.bias_at {
-            None => fresh,
-            Some((_, before_m)) if keeps && before_m == place_m => sight.bias,
+        let keeps = self.sensing.bias_persists_while_still && self.site().mount.is_none();
+        let state = &mut self.states[robot];
+        state.bias = match state.bias_at {
+            None => new,
+            Some((_, before_m)) if keeps && before_m == place_m => state.bias,
             Some((before_s, _)) => {
                 let kept = (-(t - before_s) / self.sensing.systematic_time_s).exp();
-                let new = (1.0 - kept * kept).sqrt();
-                [0, 1].map(|which| sight.bias[which] * kept + fresh[which] * new)
+                let added = (1.0 - kept * kept).sqrt();
+                [0, 1].map(|which| state.bias[which] * kept + new[which] * added)
             }
         };
-        sight.bias_at = Some((t, place_m));
-        sight.bias
+        state.bias_at = Some((t, place_m));
+        state.bias
     }
 
-    /// What is read of a code with so many bits.
+    /// The reading of a code of this many bits.
     fn read(&mut self, code: Option<(u8, u16)>) -> Option<Code> {
         let (bits, number) = code?;
         if self.chance(self.sensing.unread) {
@@ -270,8 +269,8 @@ impl<'a> Sensor<'a> {
         Some(Code { bits, number: if wrong { number % 8 + 1 } else { number } })
     }
 
-    /// The pose with an error drawn from the covariance that it states.
-    fn err(
+    /// The pose with an error drawn from its stated covariance.
+    fn perturb(
         &mut self,
         kind: &Kind,
         exposed: &Exposed,
@@ -279,9 +278,10 @@ impl<'a> Sensor<'a> {
         with_yaw: bool,
     ) -> RoundelPose {
         let Sensing { noise_px, tilt_rad, yaw_rad, systematic_share, .. } = self.sensing;
-        let stays = systematic_share.sqrt();
-        let mixed = [0, 1]
-            .map(|which| bias[which] * stays + self.gaussian() * (1.0 - systematic_share).sqrt());
+        let persistent = systematic_share.sqrt();
+        let mixed = [0, 1].map(|which| {
+            bias[which] * persistent + self.gaussian() * (1.0 - systematic_share).sqrt()
+        });
         let (true_place, turn) =
             (exposed.camera_from_roundel.translation.vector, exposed.camera_from_roundel.rotation);
         let distance_m = true_place.norm();
@@ -327,16 +327,17 @@ impl<'a> Sensor<'a> {
     }
 }
 
-/// Where a roundel is when its row is exposed; `None` outside the image, or seen from aside or behind.
+/// Pose of a roundel when its row is exposed; `None` if it is outside the image, turned away or too steep.
 fn expose(
-    (arena, site): (&Arena, &Site),
+    arena: &Arena,
+    site: &Site,
     pose: impl Fn(f64) -> Isometry3<f64>,
     t: f64,
 ) -> Option<Exposed> {
     let seen = |t: f64| arena.camera_pose(site, t).inverse() * pose(t);
     let middle = (site.optics.height as f64 - 1.0) / 2.0;
     let mut row_s = 0.0;
-    // Each round brings the row's time closer by image speed × line time, below 1/50.
+    // Each iteration contracts the error of the row's time by image speed × line time, below 1/50.
     for _ in 0..3 {
         let place = Point3::from(seen(t + row_s).translation.vector);
         row_s = (site.optics.project(&place)?.y - middle) * site.imaging.line_time_s;
@@ -347,7 +348,7 @@ fn expose(
     let inside = (0.0..site.optics.width as f64).contains(&pixel.x)
         && (0.0..site.optics.height as f64).contains(&pixel.y);
     let normal = camera_from_roundel.rotation * Vector3::z();
-    let faces = normal.dot(&place) < -STEEPEST * place.norm();
+    let faces = normal.dot(&place) < -MIN_COSINE * place.norm();
     (inside && faces).then_some(Exposed { camera_from_roundel, pixel, row_s })
 }
 
@@ -356,7 +357,8 @@ fn detection(
     kind: usize,
     exposed: &Exposed,
     stated: Timestamp,
-    (pose, code): (RoundelPose, Option<Code>),
+    pose: RoundelPose,
+    code: Option<Code>,
 ) -> Detection {
     let center = PixelPoint { u: exposed.pixel.x, v: exposed.pixel.y };
     let rim = |semi_px| Ellipse {
@@ -382,8 +384,8 @@ fn frame_along(direction: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::from_columns(&[x, z.cross(&x), z])
 }
 
-/// The other orientation that looks the same along the line of sight: its normal is turned by half a
-/// turn about it, and its x points the same way in the image.
+/// The orientation with the same image under weak perspective: its normal is rotated by half a turn about the line of
+/// sight, and its x points the same way in the image.
 fn mirror(seen: &UnitQuaternion<f64>, position_m: &Vector3<f64>) -> UnitQuaternion<f64> {
     let sight = position_m.normalize();
     let (x, z) = (seen * Vector3::x(), seen * Vector3::z());
@@ -393,7 +395,7 @@ fn mirror(seen: &UnitQuaternion<f64>, position_m: &Vector3<f64>) -> UnitQuaterni
     UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes))
 }
 
-/// The turn about the normal, from the smallest rotation that brings +z there.
+/// Rotation about the normal, relative to the smallest rotation that moves +z to the normal.
 fn heading_rad(seen: &UnitQuaternion<f64>) -> f64 {
     let upright = UnitQuaternion::rotation_between(&Vector3::z(), &(seen * Vector3::z()));
     let x = upright.unwrap_or_default().inverse() * (seen * Vector3::x());

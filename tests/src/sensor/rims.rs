@@ -1,4 +1,4 @@
-//! A roundel's rims as imaged: the ellipse with the area, the centroid and the second moments of what the rim surrounds.
+//! Rims of a roundel in the image: the ellipse with the area, the centroid and the second moments of the imaged disc.
 
 use nalgebra::{Isometry3, Matrix2, Point3, Vector2};
 use roundel_core::{camera::PixelPoint, ellipse::Ellipse};
@@ -8,7 +8,7 @@ use crate::optics::Pinhole;
 /// Corners of the rim.
 const CORNERS: usize = 48;
 
-/// The rim of this diameter; `None` where the camera cannot see it.
+/// The imaged rim of this diameter, or `None` where the camera cannot see it.
 pub(super) fn imaged(
     optics: &Pinhole,
     camera_from_roundel: &Isometry3<f64>,

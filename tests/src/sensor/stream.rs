@@ -1,4 +1,4 @@
-//! All cameras' frames in the order in which they arrive.
+//! Frames of all cameras in order of arrival.
 
 use std::collections::BTreeMap;
 
@@ -7,11 +7,11 @@ use roundel_core::world::FrameObservations;
 use super::{Sensing, Sensor};
 use crate::arena::Arena;
 
-/// Makes frames as they are asked for, so that ten minutes of them need no memory.
+/// Generates frames on demand, so that ten minutes of them need little memory.
 #[derive(Clone, Debug)]
 pub struct Stream<'a> {
     arena: &'a Arena,
-    least_latency_s: f64,
+    min_latency_s: f64,
     end_ns: i64,
     sensors: Vec<(Sensor<'a>, usize)>,
     /// By arrival and camera.
@@ -19,20 +19,20 @@ pub struct Stream<'a> {
 }
 
 impl<'a> Stream<'a> {
-    /// Every camera's frames of so many seconds.
+    /// Every camera's frames for `seconds`.
     pub fn new(arena: &'a Arena, sensing: Sensing, seconds: f64) -> Self {
         let sensors =
             (0..arena.sites.len()).map(|index| (Sensor::new(arena, index, sensing), 0)).collect();
         Self {
             arena,
-            least_latency_s: sensing.latency_s.0,
+            min_latency_s: sensing.latency_s.0,
             end_ns: arena.start_ns + (seconds * 1e9) as i64,
             sensors,
             waiting: BTreeMap::new(),
         }
     }
 
-    /// The camera whose next frame is taken first, and when that is.
+    /// The camera whose next frame is captured first, and its capture time.
     fn next_exposure(&self) -> Option<(usize, i64)> {
         let exposure = |(index, (_, frame)): (usize, &(Sensor<'_>, usize))| {
             (index, self.arena.capture_time_ns(&self.arena.sites[index], *frame))
@@ -47,8 +47,8 @@ impl Iterator for Stream<'_> {
 
     fn next(&mut self) -> Option<FrameObservations> {
         while let Some((index, time_ns)) = self.next_exposure() {
-            // Nothing that is taken from now on arrives earlier.
-            let earliest_ns = time_ns + (self.least_latency_s * 1e9) as i64;
+            // All later frames arrive after this.
+            let earliest_ns = time_ns + (self.min_latency_s * 1e9) as i64;
             if self.waiting.first_key_value().is_some_and(|(key, _)| key.0 < earliest_ns) {
                 break;
             }

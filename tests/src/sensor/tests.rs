@@ -3,19 +3,19 @@ use nalgebra::Vector6;
 use super::*;
 use crate::arena::SiteClock;
 
-/// One camera's errors against the truth, with what it stated.
-struct Tally {
-    /// Normalized squares of position, of the rotation, and of the likelier normal's being right.
+/// Normalized errors of one camera's detections.
+struct ErrorSample {
+    /// Normalized squares of position and rotation, and whether the likelier normal was right.
     position: Vec<f64>,
     rotation: Vec<f64>,
     right: usize,
     expected_right: f64,
 }
 
-/// Errors in the camera's frame at the time that each detection states.
-fn tally(arena: &Arena, sensing: Sensing, frames: usize) -> Tally {
-    let mut tally =
-        Tally { position: Vec::new(), rotation: Vec::new(), right: 0, expected_right: 0.0 };
+/// Errors in the camera's frame at each detection's stated time.
+fn sample(arena: &Arena, sensing: Sensing, frames: usize) -> ErrorSample {
+    let mut sample =
+        ErrorSample { position: Vec::new(), rotation: Vec::new(), right: 0, expected_right: 0.0 };
     for index in 0..arena.sites.len() {
         let mut sensor = Sensor::new(arena, index, sensing);
         let camera_from_world = arena.sites[index].world_from_camera.inverse();
@@ -32,40 +32,40 @@ fn tally(arena: &Arena, sensing: Sensing, frames: usize) -> Tally {
                 let first = orientation(&pose.normal, pose.yaw_rad.unwrap());
                 let other = orientation(&pose.other_normal, pose.other_yaw_rad().unwrap());
                 let is_right = first.angle_to(&truth.rotation) < other.angle_to(&truth.rotation);
-                tally.right += usize::from(is_right);
-                tally.expected_right += pose.normal_likelihood;
+                sample.right += usize::from(is_right);
+                sample.expected_right += pose.normal_likelihood;
                 let error = pose.position_m - truth.translation.vector;
                 let block = |from| pose.covariance.fixed_view::<3, 3>(from, from).into_owned();
                 let square = |error: &Vector3<f64>, block: Matrix3<f64>| {
                     error.dot(&block.cholesky().unwrap().solve(error))
                 };
-                tally.position.push(square(&error, block(0)));
+                sample.position.push(square(&error, block(0)));
                 if is_right {
                     let turn = (first * truth.rotation.inverse()).scaled_axis();
-                    tally.rotation.push(square(&turn, block(3)));
+                    sample.rotation.push(square(&turn, block(3)));
                 } else {
-                    // Told second, it is the same orientation.
+                    // The second normal belongs to the same orientation.
                     let turn = (other * truth.rotation.inverse()).scaled_axis();
                     assert!(turn.norm() < 0.3, "{turn}");
                 }
             }
         }
     }
-    tally
+    sample
 }
 
 fn mean(numbers: &[f64]) -> f64 {
     numbers.iter().sum::<f64>() / numbers.len() as f64
 }
 
-/// Every code is read, and a lens at an angle of sight that parts the normals.
+/// Every code is read, at a viewing angle where the two normals differ.
 const READ: Sensing = Sensing {
     noise_px: 0.2,
     tilt_rad: 0.02,
     yaw_rad: 0.005,
     systematic_share: 0.0,
     systematic_time_s: 1.0,
-    is_kept_while_still: false,
+    bias_persists_while_still: false,
     dropout: 0.1,
     clutter: 0.0,
     unread: 0.0,
@@ -74,28 +74,28 @@ const READ: Sensing = Sensing {
     shows_rims: false,
 };
 
-/// Moving robots, a rolling shutter and a lens that bends: errors are what is stated all the same.
+/// Moving robots, a rolling shutter and a distorting lens do not change the error model.
 #[test]
-fn errors_are_those_stated() {
+fn errors_match_their_covariances() {
     let arena = Arena::r4(2);
-    let tally = tally(&arena, READ, 300);
-    let count = tally.position.len();
+    let sample = sample(&arena, READ, 300);
+    let count = sample.position.len();
     assert!(count > 10_000);
     let inside = |squares: &[f64]| {
         squares.iter().filter(|square| **square <= 7.815).count() as f64 / squares.len() as f64
     };
-    assert!((mean(&tally.position) - 3.0).abs() < 0.1, "{}", mean(&tally.position));
-    assert!((inside(&tally.position) - 0.95).abs() < 0.01);
-    // Where both normals nearly coincide, which one is right cannot be told.
-    assert!((mean(&tally.rotation) - 3.0).abs() < 0.15, "{}", mean(&tally.rotation));
-    assert!((inside(&tally.rotation) - 0.95).abs() < 0.01);
-    let (right, expected) = (tally.right as f64, tally.expected_right);
+    assert!((mean(&sample.position) - 3.0).abs() < 0.1, "{}", mean(&sample.position));
+    assert!((inside(&sample.position) - 0.95).abs() < 0.01);
+    // Where both normals almost coincide, which one is right cannot be decided.
+    assert!((mean(&sample.rotation) - 3.0).abs() < 0.15, "{}", mean(&sample.rotation));
+    assert!((inside(&sample.rotation) - 0.95).abs() < 0.01);
+    let (right, expected) = (sample.right as f64, sample.expected_right);
     assert!((right - expected).abs() < 0.02 * expected, "{right} {expected}");
 }
 
-/// The mean of a second's errors of one robot is as far off as the share that stays says.
+/// The mean error of one robot over a second has the variance of the persistent share.
 #[test]
-fn a_share_of_the_errors_stays() {
+fn a_share_of_the_errors_persists() {
     let mut arena = Arena::r4(3);
     arena.robots.truncate(1);
     arena.robots[0].path = Path::still(Vector3::new(0.3, 0.2, 0.3));
@@ -119,15 +119,15 @@ fn a_share_of_the_errors_stays() {
     };
     assert!((mean_square(0.0) - 1.0 / 54.0).abs() < 0.005);
     // Within a second, a process of 5 s keeps 94 % of its mean's variance.
-    let stays = mean_square(0.5);
-    assert!((0.37..0.57).contains(&stays), "{stays}");
+    let persistent = mean_square(0.5);
+    assert!((0.37..0.57).contains(&persistent), "{persistent}");
 }
 
-/// Kept while still, all of the share is the same at any time; a robot that moves does not keep it.
+/// The persistent error of a still roundel never changes; that of a moving one does.
 #[test]
-fn what_stands_keeps_its_error_and_what_moves_does_not() {
+fn still_roundels_keep_their_error_and_moving_ones_do_not() {
     let mut arena = Arena::r4(3);
-    let sensing = Sensing { systematic_share: 1.0, is_kept_while_still: true, ..READ };
+    let sensing = Sensing { systematic_share: 1.0, bias_persists_while_still: true, ..READ };
     let mut errors = |path: Option<Path>| -> Vec<Vector3<f64>> {
         arena.robots.truncate(1);
         if let Some(path) = path {
@@ -150,7 +150,7 @@ fn what_stands_keeps_its_error_and_what_moves_does_not() {
 }
 
 #[test]
-fn stated_times_are_the_clocks_and_rows_count() {
+fn stated_times_are_the_clocks_plus_the_rows_delay() {
     let mut arena = Arena::r4(4);
     arena.sites[1].clock = SiteClock { ahead_s: 0.03, skew: 0.0 };
     let mut sensor = Sensor::new(&arena, 1, READ);
@@ -167,7 +167,7 @@ fn stated_times_are_the_clocks_and_rows_count() {
 }
 
 #[test]
-fn streams_arrive_in_order_and_whole() {
+fn streams_arrive_in_order_and_complete() {
     let arena = Arena::r4(5);
     let sensing = Sensing { latency_s: (0.0, 0.04), clutter: 1.0, ..READ };
     let frames: Vec<_> = Stream::new(&arena, sensing, 2.0).collect();
@@ -182,7 +182,7 @@ fn streams_arrive_in_order_and_whole() {
 }
 
 #[test]
-fn a_robot_that_was_hidden_comes_back_under_another_number() {
+fn a_hidden_robot_returns_with_another_track_number() {
     let mut arena = Arena::r4(6);
     arena.robots[0].hidden_s = vec![(0.5, 1.0)];
     let sensing = Sensing { dropout: 0.0, ..READ };
@@ -204,7 +204,7 @@ fn a_robot_that_was_hidden_comes_back_under_another_number() {
 }
 
 #[test]
-fn mirrored_orientations_have_the_same_image_and_come_back() {
+fn mirroring_keeps_the_image_and_is_its_own_inverse() {
     let seen = UnitQuaternion::from_euler_angles(2.7, 0.3, 1.1);
     let place = Vector3::new(0.4, -0.2, 5.0);
     let other = mirror(&seen, &place);

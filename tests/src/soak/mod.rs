@@ -83,7 +83,7 @@ pub fn run(days: f64, mut report: impl FnMut(&Sample)) -> anyhow::Result<Vec<Sam
     let mut samples = Vec::new();
     let mut next_snapshot_s = SNAPSHOT_INTERVAL_S;
     let mut placed = vec![false; arena.sites.len()];
-    for frame in Stream::new(&arena, Sensing::USUAL, days * DAY_S) {
+    for frame in Stream::new(&arena, Sensing::DEFAULT, days * DAY_S) {
         let time = frame.received_time;
         let is_placed = std::mem::replace(&mut placed[frame.camera.0 as usize], true);
         let placement = (!is_placed).then(|| placement(&arena, &frame));

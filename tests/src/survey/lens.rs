@@ -1,4 +1,4 @@
-//! Lenses that are not what a camera believes, and how far off the world is once they were refined.
+//! Cameras configured with wrong lenses, and the world's error after the lenses were refined.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 use roundel_core::{
@@ -8,22 +8,22 @@ use roundel_core::{
 };
 
 use super::Survey;
-use crate::{normal::Random, sensor::Sensing};
+use crate::{random::Random, sensor::Sensing};
 
-/// Points in which the world is judged: metres from its origin, and between them.
+/// Grid of points at which the world's error is measured: largest coordinates, spacing and heights.
 const REACH_M: [f64; 2] = [3.0, 2.25];
 const STEP_M: f64 = 0.75;
 const HEIGHTS_M: [f64; 2] = [0.1, 0.5];
 
-/// What every camera of a survey believes of its lens.
+/// The configured lens of every camera of a survey.
 #[derive(Clone, Debug)]
-pub struct Mistaken {
-    believed: Vec<Camera>,
+pub struct WrongLenses {
+    configured: Vec<Camera>,
 }
 
-impl Mistaken {
-    /// Lenses that are off by `relative` in the focal length and by so many pixels in each coordinate of the
-    /// principal point, one sign in every other camera.
+impl WrongLenses {
+    /// Lenses with these errors of the focal length, relative, and of each coordinate of the principal point, with
+    /// alternating signs from camera to camera.
     pub fn by(survey: &Survey, relative: f64, center_px: f64) -> Self {
         let mut sign = -1.0;
         Self::new(survey, || {
@@ -32,7 +32,7 @@ impl Mistaken {
         })
     }
 
-    /// The same with numbers drawn from normal distributions with these deviations.
+    /// Lenses with normally distributed errors of these deviations.
     pub fn drawn(survey: &Survey, relative: f64, center_px: f64) -> Self {
         let mut random = Random::new(survey.arena.seed, 1 << 30);
         Self::new(survey, || {
@@ -40,20 +40,20 @@ impl Mistaken {
         })
     }
 
-    fn new(survey: &Survey, mut off: impl FnMut() -> [f64; 3]) -> Self {
-        let believed = survey.cameras().into_iter().map(|camera| {
-            let [relative, u, v] = off();
+    fn new(survey: &Survey, mut error: impl FnMut() -> [f64; 3]) -> Self {
+        let configured = survey.cameras().into_iter().map(|camera| {
+            let [relative, u, v] = error();
             let lens = camera.lens.intrinsics().clone();
-            let believed = Intrinsics {
+            let configured = Intrinsics {
                 fx_px: lens.fx_px * (1.0 + relative),
                 fy_px: lens.fy_px * (1.0 + relative),
                 cx_px: lens.cx_px + u,
                 cy_px: lens.cy_px + v,
                 ..lens
             };
-            Camera::new(believed).expect("survey: a lens that core takes")
+            Camera::new(configured).expect("survey: a lens that core takes")
         });
-        Self { believed: believed.collect() }
+        Self { configured: configured.collect() }
     }
 
     /// The survey's cameras with these lenses, exact or to be refined.
@@ -63,7 +63,7 @@ impl Mistaken {
             lens_deviation: deviation,
             ..camera
         };
-        survey.cameras().into_iter().zip(&self.believed).map(camera).collect()
+        survey.cameras().into_iter().zip(&self.configured).map(camera).collect()
     }
 
     /// A recording of poses that were computed with these lenses.
@@ -72,18 +72,18 @@ impl Mistaken {
         survey: &Survey,
         sensing: Sensing,
         seconds: f64,
-        most_hz: f64,
+        max_hz: f64,
     ) -> Recording {
         let cameras = survey.cameras();
-        survey.record_through(sensing, seconds, most_hz, |camera: CameraId, place_m| {
+        survey.record_with_lenses(sensing, seconds, max_hz, |camera: CameraId, place_m| {
             let index = camera.0 as usize;
-            measured(&cameras[index].lens, &self.believed[index], place_m)
+            measured(&cameras[index].lens, &self.configured[index], place_m)
         })
     }
 }
 
-/// By how much points of the arena are misplaced by what was found, where two cameras or more look along
-/// their rays: rms, metres. `cameras` as they were given to the calibration.
+/// Rms error of points of the arena, triangulated with the calibration from all cameras that see them, at least two.
+/// `cameras` are the inputs of the calibration.
 pub fn world_error_m(
     survey: &Survey,
     found: &ArenaCalibration,
@@ -105,7 +105,7 @@ pub fn world_error_m(
     (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
 }
 
-/// The point nearest to all rays on which cameras see a point, each by its distance in radians.
+/// The point closest to all rays on which cameras see a point, weighted by the inverse square of their distances.
 fn placed(
     survey: &Survey,
     found: &ArenaCalibration,
@@ -129,15 +129,15 @@ fn placed(
     (count > 1).then(|| information.cholesky()).flatten().map(|root| root.solve(&weighted))
 }
 
-/// Where a camera that believes another lens measures what is at `place_m`: along that lens' ray, and as far
-/// off as makes it as large there as it is seen.
-fn measured(lens: &Camera, believed: &Camera, place_m: &Vector3<f64>) -> Vector3<f64> {
+/// The position that a camera with a wrong lens measures for an object at `place_m`: along the wrong lens' ray, at
+/// the distance that gives the object the same size in the image.
+fn measured(lens: &Camera, configured: &Camera, place_m: &Vector3<f64>) -> Vector3<f64> {
     let pixel = lens.project(place_m).expect("survey: what is seen has a pixel");
-    let bearing = believed.bearing(pixel).expect("survey: a pixel with a ray");
-    bearing * (size_px(believed, &bearing) / size_px(lens, place_m))
+    let bearing = configured.bearing(pixel).expect("survey: a pixel with a ray");
+    bearing * (size_px(configured, &bearing) / size_px(lens, place_m))
 }
 
-/// Root of the area that a small square across the line of sight has in the image, over its side.
+/// Root of the area of a small square across the line of sight in the image, over its side.
 fn size_px(lens: &Camera, place_m: &Vector3<f64>) -> f64 {
     let side_m = 1e-4 * place_m.norm();
     let across = place_m.cross(&Vector3::y()).normalize();

@@ -1,8 +1,7 @@
-//! Recordings that an arena's cameras are calibrated from, and how far off the result is.
+//! Recordings for the calibration of an arena's cameras, and the errors of the result.
 //!
-//! References are coded roundels that lie on the floor where the first camera sees them, near the corners
-//! of its image; no other camera's sightings of them are kept, so that everything else hangs on robots that
-//! drive about.
+//! References are coded roundels on the floor, near the corners of the first camera's image. Other cameras'
+//! observations of them are removed, so that the other cameras' poses depend on moving robots alone.
 
 mod lens;
 
@@ -22,30 +21,30 @@ use crate::{
     scenario::pixels,
     sensor::{Sensing, Stream},
 };
-pub use lens::{Mistaken, world_error_m};
+pub use lens::{WrongLenses, world_error_m};
 
-/// References' distance from the image's edges, as shares of its sides.
+/// Distance between references and the image's edges, as a share of its sides.
 const INSET: f64 = 0.12;
-/// How well a reference's place is said to be known: measured once and well, metres.
+/// Stated deviation of a reference's position.
 const REFERENCE_SIGMA_M: f64 = 5e-5;
-/// What is so near to a reference is taken for it where it is to be overlooked, metres.
-const OVERLOOKED_M: f64 = 0.15;
-/// Of robots whose prints have no codes.
+/// Detections this close to a reference are removed with it.
+const REFERENCE_RADIUS_M: f64 = 0.15;
+/// Kind of robots without codes.
 const PLAIN: KindId = KindId(1);
 
-/// An arena whose cameras' places nobody knows.
+/// An arena with cameras of unknown pose.
 #[derive(Clone, Debug)]
 pub struct Survey {
-    /// With the references as the last of its robots.
+    /// The references are the last of its robots.
     pub arena: Arena,
-    /// Where they were said to be.
+    /// With their stated positions.
     pub references: Vec<Landmark>,
-    /// Where they truly are, which other cameras than the first overlook.
+    /// True positions of the references.
     places_m: Vec<Vector3<f64>>,
 }
 
 impl Survey {
-    /// Lays out four references before the first camera of an arena of coded roundels.
+    /// Places four references before the first camera of an arena with coded roundels.
     pub fn new(mut arena: Arena) -> Self {
         let (site, kind) = (arena.sites[0].clone(), arena.kinds[0].clone());
         let bits = kind.code_bits.expect("survey: the arena's roundels are coded");
@@ -67,7 +66,7 @@ impl Survey {
         Self { arena, references, places_m }
     }
 
-    /// Cameras as the arena has them.
+    /// The arena's cameras with their true lenses.
     pub fn cameras(&self) -> Vec<ArenaCamera> {
         let camera = |(index, site): (usize, &crate::arena::Site)| ArenaCamera {
             id: CameraId(index as u32),
@@ -77,33 +76,33 @@ impl Survey {
         self.arena.sites.iter().enumerate().map(camera).collect()
     }
 
-    /// So many seconds without pixels.
-    pub fn record(&self, sensing: Sensing, seconds: f64, most_hz: f64) -> Recording {
-        self.record_through(sensing, seconds, most_hz, |_, place_m| *place_m)
+    /// Observations for `seconds`, simulated without pixels.
+    pub fn record(&self, sensing: Sensing, seconds: f64, max_hz: f64) -> Recording {
+        self.record_with_lenses(sensing, seconds, max_hz, |_, place_m| *place_m)
     }
 
-    /// The same as if poses had been computed by other lenses: `place` says where a camera then measures
-    /// what it measures at a place, metres in its frame.
-    pub fn record_through(
+    /// The same with poses computed by wrong lenses: `place` maps a true position in the camera frame to the measured
+    /// one.
+    pub fn record_with_lenses(
         &self,
         sensing: Sensing,
         seconds: f64,
-        most_hz: f64,
+        max_hz: f64,
         place: impl Fn(CameraId, &Vector3<f64>) -> Vector3<f64>,
     ) -> Recording {
-        let mut recording = Recording::new(most_hz);
+        let mut recording = Recording::new(max_hz);
         for mut frame in Stream::new(&self.arena, sensing, seconds) {
             for pose in frame.detections.iter_mut().filter_map(|it| it.pose.as_mut()) {
                 pose.position_m = place(frame.camera, &pose.position_m);
             }
-            recording.add(&self.overlooked(frame));
+            recording.add(&self.without_references(frame));
         }
         recording
     }
 
-    /// The same of robots whose prints have no codes; the references keep theirs, as a kind of their own.
-    pub fn record_plain(&self, sensing: Sensing, seconds: f64, most_hz: f64) -> Recording {
-        let mut recording = Recording::new(most_hz);
+    /// The same for robots without codes. The references keep theirs and have a kind of their own.
+    pub fn record_plain(&self, sensing: Sensing, seconds: f64, max_hz: f64) -> Recording {
+        let mut recording = Recording::new(max_hz);
         for mut frame in Stream::new(&self.arena, sensing, seconds) {
             let place = self.arena.sites[frame.camera.0 as usize].world_from_camera;
             for seen in &mut frame.detections {
@@ -111,23 +110,22 @@ impl Survey {
                     (seen.ring.kind, seen.ring.code) = (Some(PLAIN), None);
                 }
             }
-            recording.add(&self.overlooked(frame));
+            recording.add(&self.without_references(frame));
         }
         recording
     }
 
-    /// So many rendered frames of each camera.
+    /// Observations of this number of rendered frames of each camera.
     pub fn record_pixels(&self, frames: usize) -> Recording {
         let mut recording = Recording::new(1e3);
         for frame in pixels::watch(&self.arena, frames) {
-            recording.add(&self.overlooked(frame));
+            recording.add(&self.without_references(frame));
         }
         recording
     }
 
-    /// A frame as a camera gives it that cannot see the references, unless it is the first. Whatever stands
-    /// where one does is left out, read, misread or not.
-    pub fn overlooked(&self, mut frame: FrameObservations) -> FrameObservations {
+    /// Removes detections near references, read, misread or not, unless the camera is the first.
+    pub fn without_references(&self, mut frame: FrameObservations) -> FrameObservations {
         if frame.camera != CameraId(0) {
             let place = self.arena.sites[frame.camera.0 as usize].world_from_camera;
             let is_reference = |it: &Detection| {
@@ -138,14 +136,13 @@ impl Survey {
         frame
     }
 
-    /// Whether what a camera at `place` sees there stands where a reference does.
+    /// Whether a detection by a camera at pose `place` is near a reference.
     fn is_reference(&self, place: &Isometry3<f64>, pose: &RoundelPose) -> bool {
         let seen_m = place * Point3::from(pose.position_m);
-        self.places_m.iter().any(|at_m| (seen_m.coords - at_m).norm() < OVERLOOKED_M)
+        self.places_m.iter().any(|at_m| (seen_m.coords - at_m).norm() < REFERENCE_RADIUS_M)
     }
 
-    /// How far a camera's result is off: metres and radians in the world, and the square of both over the
-    /// stated covariance.
+    /// Errors of a camera's calibration.
     pub fn error(&self, found: &CalibratedCamera, seconds: f64) -> SurveyError {
         let truth = self.arena.sites[found.camera.0 as usize].world_from_camera;
         let off = found.world_from_camera.translation.vector - truth.translation.vector;
@@ -154,30 +151,28 @@ impl Survey {
         let square =
             found.covariance.cholesky().map_or(f64::INFINITY, |k| both.dot(&k.solve(&both)));
         let clock_s = found.clock_offset_s - self.ahead_s(found.camera, seconds / 2.0);
-        SurveyError { off_m: off.norm(), turn_rad: turn.norm(), square, clock_s }
+        SurveyError { position_m: off.norm(), rotation_rad: turn.norm(), square, clock_s }
     }
 
-    /// What a camera's clock is ahead of the first one's, `t` seconds after the arena's start.
+    /// Lead of a camera's clock over the first one's, `t` seconds after the arena's start.
     fn ahead_s(&self, camera: CameraId, t: f64) -> f64 {
         let [it, first] = [camera.0 as usize, 0].map(|index| self.arena.sites[index].clock);
         it.ahead_s - first.ahead_s + (it.skew - first.skew) * t
     }
 }
 
-/// How far a camera is off.
+/// Errors of one camera's calibration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurveyError {
-    /// Metres.
-    pub off_m: f64,
-    /// Radians.
-    pub turn_rad: f64,
-    /// Of six, over the covariance.
+    pub position_m: f64,
+    pub rotation_rad: f64,
+    /// Normalized squared error, six degrees of freedom.
     pub square: f64,
-    /// Its clock's offset, seconds.
+    /// Error of its clock's offset.
     pub clock_s: f64,
 }
 
-/// Where a pixel's ray meets the floor.
+/// Intersection of a pixel's ray with the floor.
 fn on_floor(optics: &Pinhole, place: &Isometry3<f64>, pixel: &Vector2<f64>) -> Vector3<f64> {
     let ray = place.rotation * optics.ray(pixel).expect("survey: a pixel with a ray");
     let eye_m = place.translation.vector;

@@ -1,4 +1,4 @@
-//! Before a simulated camera: every kind, and every number of the codes that installations use, read from aside.
+//! Prints before a simulated camera at an angle: every kind, and every number of the usual codes.
 
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
@@ -68,12 +68,11 @@ fn a_camera_reads_the_board() {
     assert_eq!(numbers(&found(&board.kind(), &seen)), wanted);
 }
 
-/// A page as a camera sees it that looks at it from aside: the middle of 1600x1200, 2x2 samples a pixel, a blur of
-/// 0.8 px.
+/// A page seen at an angle: at the centre of 1600x1200 pixels, 2x2 samples per pixel, a blur of 0.8 px.
 fn photograph(page: &GreyImage) -> GreyImage {
     const SIZE: (usize, usize) = (1600, 1200);
     let tilt = 0.5_f64;
-    // Page pixels to rays: the page turned about its vertical axis, before a camera of 1400 px.
+    // Page pixels to rays: the page is rotated about its vertical axis, before a camera of 1400 px focal length.
     let scale = 1.0 / page.height as f64;
     let center = (page.width as f64 / 2.0, page.height as f64 / 2.0);
     let columns = [

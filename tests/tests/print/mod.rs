@@ -1,5 +1,5 @@
-//! What is printed is what is detected: every kind and number, by the picture that is written, by the PDF as another
-//! program draws it, and before a simulated camera.
+//! Prints are detected: every kind and number, in the generated picture, in the PDF as drawn by another program, and
+//! before a simulated camera.
 
 mod camera;
 mod pdf;
@@ -38,7 +38,7 @@ fn kinds() -> Vec<Kind> {
     ]
 }
 
-/// One of a plain kind, some of a coded one: all would be hundreds.
+/// One item of a plain kind, some of a coded one: all would be hundreds.
 fn items(kind: &Kind) -> Vec<PrintItem> {
     let numbers = match kind.pattern {
         Pattern::Coded(layout) => {
@@ -58,7 +58,7 @@ fn picture(page: &Page, dpi: f64, folder: &Path) -> GreyImage {
     image_file::load(&file).unwrap()
 }
 
-/// What the detector finds of a kind.
+/// Detections of a kind.
 fn found(kind: &Kind, image: &GreyImage) -> Vec<Ring> {
     let params = Params { mode: Mode::Precise, max_roundels: 1000, ..Params::default() };
     let detector = Detector::new(vec![kind.clone()], params).unwrap();
@@ -87,7 +87,7 @@ fn every_kind_and_number_is_detected_in_the_pictures() {
 }
 
 #[test]
-fn the_board_is_read_as_a_whole_where_its_plan_says() {
+fn the_whole_board_is_read_in_its_planned_place() {
     let folder = tempfile::tempdir().unwrap();
     let layout = CodeLayout { bits: 9, min_distance: 1 };
     let board = Board::new((7, 5), 0.036, 0.03, layout).unwrap();
@@ -108,7 +108,7 @@ fn the_board_is_read_as_a_whole_where_its_plan_says() {
         let off_mm = (right_mm - center.x * 1e3).hypot(up_mm - center.y * 1e3);
         assert!(off_mm < 0.02, "{:?} is off by {off_mm} mm", ring.code);
     }
-    // A smaller page names what fits.
+    // For a smaller page, the error names what fits.
     let a5 = PageSize { width_mm: 148.0, height_mm: 210.0 };
     assert!(board_page(&board, a5).unwrap_err().to_string().contains("has room for"));
 }

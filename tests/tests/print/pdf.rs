@@ -1,6 +1,6 @@
-//! The PDF as another program draws it at 600 dots an inch: true to scale, and every kind and number in its place.
+//! The PDF as another program draws it at 600 dots per inch: true to scale, and every kind and number in its place.
 //!
-//! Needs pdftoppm (poppler-utils); without it, these tests say that they are skipped.
+//! Needs pdftoppm (poppler-utils); without it these tests are skipped.
 
 use std::{fs, path::Path, process::Command};
 
@@ -20,8 +20,8 @@ use super::{A4, coded, found, kinds, numbers};
 
 const DPI: f64 = 600.0;
 const MM: f64 = 25.4 / DPI;
-/// Whatever is measured is true to this, millimetres.
-const TRUE_MM: f64 = 0.1;
+/// Tolerance of all measurements.
+const TOLERANCE_MM: f64 = 0.1;
 
 /// A PDF on disk.
 struct Pdf {
@@ -29,7 +29,7 @@ struct Pdf {
 }
 
 impl Pdf {
-    /// `None` without the program that draws it.
+    /// `None` without pdftoppm.
     fn of(pages: &[Page]) -> Option<Self> {
         if Command::new("pdftoppm").arg("-v").output().is_err() {
             println!("skipped: print needs pdftoppm (poppler-utils)");
@@ -58,7 +58,7 @@ fn middle(outline: &BezPath) -> Point {
     outline.bounding_box().center()
 }
 
-/// A page, with what is on it.
+/// A page and its items.
 struct Sheet<'a> {
     kind: &'a Kind,
     page: &'a Page,
@@ -66,12 +66,16 @@ struct Sheet<'a> {
 }
 
 impl Sheet<'_> {
-    /// Holds a drawing to what was laid out: these numbers and nothing else, each where it should be and as large.
-    fn hold(&self, image: &GreyImage) {
+    /// Requires that a drawing has these numbers and no others, each in its place and size.
+    fn check(&self, image: &GreyImage) {
         let Self { kind, page, numbers } = self;
         let close = |found_mm: f64, wanted_mm: f64, what: &str| {
             let off_mm = (found_mm - wanted_mm).abs();
-            assert!(off_mm < TRUE_MM, "{}: {what} is {found_mm} mm, not {wanted_mm}", kind.name);
+            assert!(
+                off_mm < TOLERANCE_MM,
+                "{}: {what} is {found_mm} mm, not {wanted_mm}",
+                kind.name
+            );
         };
         close(image.width as f64 * MM, page.size.width_mm, "the page's width");
         close(image.height as f64 * MM, page.size.height_mm, "the page's height");
@@ -81,7 +85,8 @@ impl Sheet<'_> {
         for ring in &rings {
             // Pixel centres are whole numbers.
             let (x, y) = ((ring.outer.center.u + 0.5) * MM, (ring.outer.center.v + 0.5) * MM);
-            let near = |at: &Point| (x - at.x).abs() < TRUE_MM && (y - at.y).abs() < TRUE_MM;
+            let near =
+                |at: &Point| (x - at.x).abs() < TOLERANCE_MM && (y - at.y).abs() < TOLERANCE_MM;
             let Some(index) = places.iter().position(near) else {
                 panic!("{}: a roundel at ({x}, {y}) mm, where none is printed", kind.name);
             };
@@ -115,13 +120,13 @@ fn sheets_of<'a>(kind: &'a Kind, pages: &'a [Page], items: &[PrintItem]) -> Vec<
     sheets
 }
 
-/// All that there are of a kind: how many. `None` without the program that draws them.
-fn hold_all(kind: &Kind) -> Option<usize> {
+/// Checks all numbers of a kind, and returns their count. `None` without pdftoppm.
+fn check_all(kind: &Kind) -> Option<usize> {
     let items = items_of_kind(kind, None).unwrap();
     let pages = lay_out_pages(&items, A4).unwrap();
     let pdf = Pdf::of(&pages)?;
     let sheets = sheets_of(kind, &pages, &items);
-    sheets.into_par_iter().enumerate().for_each(|(index, sheet)| sheet.hold(&pdf.drawn(index)));
+    sheets.into_par_iter().enumerate().for_each(|(index, sheet)| sheet.check(&pdf.drawn(index)));
     Some(items.len())
 }
 
@@ -138,24 +143,24 @@ fn every_kind_is_true_to_scale_on_every_page() {
         let pages = lay_out_pages(&items, size).unwrap();
         let Some(pdf) = Pdf::of(&pages) else { return };
         for (index, sheet) in sheets_of(kind, &pages, &items).iter().enumerate() {
-            sheet.hold(&pdf.drawn(index));
+            sheet.check(&pdf.drawn(index));
         }
     }
 }
 
 /// All numbers of all codes that can be printed, 5 to 16 bits, up to 12 bits at every distance (codes at a larger
-/// distance are some of those at distance 1 under other numbers): 9,400 small prints.
+/// distance are a subset of those at distance 1 under other numbers): 9,400 small prints.
 #[test]
 fn every_number_of_every_code_is_read() {
     let mut count = 0;
     for bits in CodeLayout::BITS.0..=CodeLayout::BITS.1 {
-        let most = if bits <= 12 { u8::MAX } else { 1 };
-        for min_distance in 1..=most {
+        let max = if bits <= 12 { u8::MAX } else { 1 };
+        for min_distance in 1..=max {
             let layout = CodeLayout { bits, min_distance };
             if layout.check().is_err() {
                 break;
             }
-            let Some(held) = hold_all(&coded(6.0, layout)) else { return };
+            let Some(held) = check_all(&coded(6.0, layout)) else { return };
             count += held;
         }
     }
@@ -163,13 +168,13 @@ fn every_number_of_every_code_is_read() {
     assert!(count > 8792, "{count}");
 }
 
-/// The codes that installations have unless they say otherwise, as white rings too.
+/// The default codes, as white rings too.
 #[test]
-fn every_number_of_usual_codes_is_read_in_either_polarity() {
+fn every_number_of_the_default_codes_is_read_in_either_polarity() {
     for (bits, min_distance) in [(8, 2), (9, 1)] {
         for polarity in [Polarity::BlackRing, Polarity::WhiteRing] {
             let kind = Kind { polarity, ..coded(15.0, CodeLayout { bits, min_distance }) };
-            if hold_all(&kind).is_none() {
+            if check_all(&kind).is_none() {
                 return;
             }
         }
@@ -186,8 +191,8 @@ fn the_board_is_true_to_scale() {
         let page = board_page(&board, A4).unwrap();
         let Some(pdf) = Pdf::of(std::slice::from_ref(&page)) else { return };
         let numbers: Vec<_> = board.centers().map(|(number, _)| Some(number)).collect();
-        Sheet { kind: &board.kind(), page: &page, numbers }.hold(&pdf.drawn(0));
-        // From the first to the last it is as far as the lens' calibration believes.
+        Sheet { kind: &board.kind(), page: &page, numbers }.check(&pdf.drawn(0));
+        // The distance from the first to the last is that assumed by lens calibration.
         let (first, last) = (middle(&page.prints[0]), middle(page.prints.last().unwrap()));
         let places: Vec<_> = board.centers().map(|(_, center)| center).collect();
         let apart_m = (places[0] - places[places.len() - 1]).norm();
@@ -197,13 +202,13 @@ fn the_board_is_true_to_scale() {
 }
 
 #[test]
-fn rulers_measure_what_they_say() {
+fn rulers_have_their_stated_length() {
     let items = items_of_kind(&kinds()[0], None).unwrap();
     let Some(pdf) = Pdf::of(&lay_out_pages(&items, A4).unwrap()) else { return };
     let image = &pdf.drawn(0);
     let dark = |u: usize, v: usize| image.pixels[v * image.width + u] < 128;
     let mm = |pixels: usize| pixels as f64 * MM;
-    // The longest dark run of any row below the prints is the ruler across, of any column the one down.
+    // The longest dark run of any row below the prints is the horizontal ruler, that of any column the vertical one.
     let longest = |along: usize, is_dark: &dyn Fn(usize) -> bool| {
         let (mut best, mut run) = (0, 0);
         for at in 0..along {
@@ -216,15 +221,15 @@ fn rulers_measure_what_they_say() {
     let across = (foot..image.height).map(|v| longest(image.width, &|u| dark(u, v))).max().unwrap();
     let edge = image.width * 9 / 10;
     let down = (edge..image.width).map(|u| longest(image.height, &|v| dark(u, v))).max().unwrap();
-    // The outermost lines' middles are what is 100 mm apart.
+    // The centres of the outermost lines are 100 mm apart.
     let line_mm = print::page::LINE_MM;
-    assert!((mm(across) - line_mm - 100.0).abs() < TRUE_MM, "{} mm", mm(across));
-    assert!((mm(down) - line_mm - 100.0).abs() < TRUE_MM, "{} mm", mm(down));
+    assert!((mm(across) - line_mm - 100.0).abs() < TOLERANCE_MM, "{} mm", mm(across));
+    assert!((mm(down) - line_mm - 100.0).abs() < TOLERANCE_MM, "{} mm", mm(down));
 }
 
-/// As somebody does it who has nothing but the program.
+/// With the command line alone.
 #[test]
-fn what_the_command_prints_the_command_detects() {
+fn prints_of_the_command_are_detected_by_the_command() {
     if Command::new("pdftoppm").arg("-v").output().is_err() {
         println!("skipped: print needs pdftoppm (poppler-utils)");
         return;
@@ -233,8 +238,8 @@ fn what_the_command_prints_the_command_detects() {
     let run = |program: &Path, arguments: &[&str]| {
         let output =
             Command::new(program).args(arguments).current_dir(folder.path()).output().unwrap();
-        let told = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{arguments:?}: {told}");
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{arguments:?}: {stderr}");
         String::from_utf8(output.stdout).unwrap()
     };
     let roundel = roundel().unwrap();
@@ -254,10 +259,10 @@ fn what_the_command_prints_the_command_detects() {
     assert_eq!(found, wanted);
 }
 
-/// Several sheets, laid one on the other as their marks say.
+/// Several sheets, joined by their marks.
 #[test]
-fn a_roundel_over_several_pages_is_whole_when_they_are_laid_together() {
-    // The larger one with its usual margin, the other with what two sheets have.
+fn a_roundel_over_several_pages_is_whole_when_they_are_joined() {
+    // The larger one with its default margin, the other with that of two sheets.
     for (outer_mm, count) in [(250.0, 4), (225.0, 2)] {
         let kind = coded(outer_mm, CodeLayout { bits: 8, min_distance: 2 });
         let item = PrintItem { kind: kind.clone(), number: Some(7), label: "#7".to_owned() };
@@ -268,16 +273,16 @@ fn a_roundel_over_several_pages_is_whole_when_they_are_laid_together() {
         assert_eq!(numbers(&rings), [Some(7)].into());
         let outer = rings[0].outer;
         for semi_px in [outer.semi_major_px, outer.semi_minor_px] {
-            // Each sheet lies within half a pixel of where it belongs.
+            // Each sheet lies within half a pixel of its place.
             let found_mm = 2.0 * semi_px * MM;
-            assert!((found_mm - outer_mm).abs() < TRUE_MM, "{found_mm} mm");
+            assert!((found_mm - outer_mm).abs() < TOLERANCE_MM, "{found_mm} mm");
         }
     }
 }
 
 /// On a dark floor.
 fn laid_together(kind: &Kind, pages: &[Page], pdf: &Pdf) -> GreyImage {
-    // What a sheet adds to the whole: its window, moved to where the roundel's middle is on all.
+    // A sheet's part of the whole: its window, moved so that the roundel's centres coincide.
     let at = |mm: f64| (mm / MM).round() as usize;
     let side = at(kind.outer_diameter_m * 1e3 * 1.3);
     let mut whole = GreyImage { width: side, height: side, pixels: vec![60; side * side] };
