@@ -5,11 +5,9 @@ use nalgebra::{Matrix3, Vector3};
 use super::{Sensor, rim_noise::rim_noise, roundel_image::RoundelImage};
 use roundel_vision::{
     camera::Camera,
-    marker::{
-        Kind, Mode, Pattern, Ring,
-        rim::{compensated, rim_shift_px},
-    },
-    pose::{RimNoise, RoundelPose, apart_m, locate, photometry::normal_distribution},
+    marker::{Kind, Mode, Pattern, Ring, compensated, rim_shift_px},
+    normal_distribution,
+    pose::{RimNoise, RoundelPose, locate, other_offset_m},
 };
 
 /// Predicts the pose without correction by trials; `None` if the ring cannot be located.
@@ -20,7 +18,7 @@ pub(super) fn predict_pose(
 ) -> Option<RoundelPose> {
     let (solid_kind, noise) = (without_teeth(kind), rim_noise(sensor, kind, image));
     let mut pose = locate(&sensor.camera, &solid_kind, &image.ring, &noise).ok()?;
-    let apart = apart_m(&sensor.camera, &solid_kind, &image.ring, &noise).ok()?;
+    let apart = other_offset_m(&sensor.camera, &solid_kind, &image.ring, &noise).ok()?;
     let wrong = wrong_share(pose.normal_likelihood) - (1.0 - pose.normal_likelihood);
     let moved = match sensor.mode {
         Mode::Precise => Vector3::zeros(),
@@ -35,7 +33,7 @@ pub(super) fn predict_pose(
 /// likelihood.
 fn wrong_share(likelihood: f64) -> f64 {
     let misfit = 2.0 * (likelihood / (1.0 - likelihood)).ln().max(0.0);
-    normal_distribution(-0.5 * misfit.sqrt()).0
+    normal_distribution::cumulative(-0.5 * misfit.sqrt())
 }
 
 /// Error of compensation where the ratio of the rims' areas differs from the print's, camera frame, metres.

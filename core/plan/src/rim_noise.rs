@@ -24,7 +24,8 @@ use std::f64::consts::{PI, TAU};
 
 use super::{Imaging, Sensor, roundel_image::RoundelImage};
 use roundel_vision::{
-    marker::{Beyond, Kind, Mode, WIDE_PX},
+    marker::{Kind, Mode, WIDE_PX},
+    normal_distribution::Beyond,
     pose::RimNoise,
 };
 

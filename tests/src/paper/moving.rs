@@ -191,7 +191,7 @@ struct PredictedErrors {
 
 /// For targets at this distance, halfway out in the picture. A smear of L pixels has the variance L²/12 along it and
 /// none across: L²/24 on average.
-fn predict(lens: &Calibrated, distance_m: f64) -> anyhow::Result<PredictedErrors> {
+fn predict_errors(lens: &Calibrated, distance_m: f64) -> anyhow::Result<PredictedErrors> {
     let semi_major_px = lens.optics.focal_px[0] * OUTER_M / (2.0 * distance_m);
     let semiaxes_px = [semi_major_px, 0.9 * semi_major_px];
     let imaging = camera().imaging;
@@ -251,7 +251,7 @@ pub fn table(length: Length) -> anyhow::Result<Table> {
     };
     let distance_m = mean(|error| error.distance_m);
     let PredictedErrors { still_plane_m, plane_m, space_m, by_lens, plane_by_lens } =
-        predict(&lens, distance_m)?;
+        predict_errors(&lens, distance_m)?;
     let found = format!(
         "{} of {of} found; {:.5} from noise without motion, {:.1} times as much with smear",
         errors.len(),
