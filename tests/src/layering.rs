@@ -43,10 +43,6 @@ pub const IMPURE: [&str; 10] = [
 /// Top-level modules of the server from the bottom up: each may use those before it.
 pub const SERVER_LAYERS: [&str; 7] = ["model", "capture", "fusion", "lab", "archive", "api", "app"];
 
-/// Folders whose files still import each other in cycles: the crate's folder and the module's. Core's folders are not split
-/// by stage yet; each of these goes when its folder is.
-pub const KNOWN_CYCLES: [(&str, &str); 0] = [];
-
 /// Parts of the standard library that core must not use: clocks, files, sockets, processes.
 pub const IMPURE_STD: [&str; 7] = ["env", "fs", "io", "net", "process", "thread", "time"];
 
