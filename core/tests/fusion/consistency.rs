@@ -14,7 +14,7 @@ fn scored(name: &str, setting: Setting, params: FusionParams, seconds: f64) -> S
     let mut fusion = fusion_of(&arena, params);
     let score = run(&arena, &mut fusion, &arena.frames(seconds), 1.5);
     println!("{name}: {}", score.summary());
-    assert_eq!(score.ids.len(), setting.objects, "{name}: one id an object");
+    assert_eq!(score.ids.len(), setting.objects, "{name}: one id per object");
     assert_eq!((score.swaps, score.ghosts), (0, 0), "{name}: swaps and ghosts");
     assert_eq!(fusion.counts().invalid, 0);
     score
@@ -55,7 +55,7 @@ fn standing_still_with_systematic_errors() {
 fn standing_still_without_a_systematic_share_is_overconfident() {
     let setting = Setting { still: 1, ..Setting::default() };
     let params = FusionParams { systematic_share: 0.0, ..FusionParams::default() };
-    let score = scored("share left out", setting, params, 10.0);
+    let score = scored("without systematic share", setting, params, 10.0);
     assert!(score.shares()[0] < 0.90, "{}", score.summary());
 }
 

@@ -64,11 +64,16 @@ fn dock(
     for step in 0..(seconds * 30.0) as u64 {
         let t = step as f64 / 30.0;
         let time = START.plus_seconds(t);
-        let camera = docking(t) * forwards().object_from_camera;
+        let world_from_camera = docking(t) * forwards().object_from_camera;
         let detections = landmarks.iter().zip(1..).map(|(landmark, number)| {
             let place = landmark.position_m.into();
-            let stands = Rigid::from_parts(place, landmark.orientation.unwrap());
-            sensor.detect(&(camera.inverse() * stands), time, number, landmark.code)
+            let world_from_landmark = Rigid::from_parts(place, landmark.orientation.unwrap());
+            sensor.detect(
+                &(world_from_camera.inverse() * world_from_landmark),
+                time,
+                number,
+                landmark.code,
+            )
         });
         fusion.observe(&frame(ONBOARD, step + 1, time, detections.collect()));
         observe(fusion, time);

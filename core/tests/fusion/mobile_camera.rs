@@ -51,11 +51,10 @@ fn fly(
         let t = step as f64 / 120.0;
         let time = START.plus_seconds(t);
         if step % 4 == 2 {
-            let camera_from_roundel = (drone(t) * downwards(0.1)).inverse();
-            let observe = |number: u16| (camera_from_roundel * robot(number, t), number);
+            let camera_from_world = (drone(t) * downwards(0.1)).inverse();
             let detections = ROBOTS
-                .map(observe)
-                .map(|(camera_from_roundel, number)| {
+                .map(|number| {
+                    let camera_from_roundel = camera_from_world * robot(number, t);
                     sensors[4].detect(&camera_from_roundel, time, number.into(), Some(code(number)))
                 })
                 .collect();
@@ -168,7 +167,7 @@ fn an_expired_yaw_locates_nothing() {
 /// Two drones that detect each other: each is located by stationary cameras only.
 #[test]
 fn carriers_do_not_reinforce_each_other() {
-    let covariances = [false, true].map(|looks| {
+    let covariances = [false, true].map(|detect_each_other| {
         let mut fusion = fusion();
         let other = CameraMount { carrier: carrier(2), ..mount() };
         fusion.set_mount(ONBOARD, Some(mount()));
@@ -179,24 +178,25 @@ fn carriers_do_not_reinforce_each_other() {
             let time = START.plus_seconds(step as f64 / 120.0);
             let drones = [(drone(0.0), DRONE), (beside, 2)];
             let camera = step as usize % 4;
-            let camera_from_roundel = drones.map(|(place, number)| {
-                let camera_from_roundel = stationary_camera(STATIONARY[camera]).inverse() * place;
+            let detections = drones.map(|(world_from_roundel, number)| {
+                let camera_from_roundel =
+                    stationary_camera(STATIONARY[camera]).inverse() * world_from_roundel;
                 sensor.detect(&camera_from_roundel, time, u64::from(number), Some(code(number)))
             });
-            fusion.observe(&frame(
-                CameraId(camera as u32),
-                step + 1,
-                time,
-                camera_from_roundel.to_vec(),
-            ));
-            if looks {
+            fusion.observe(&frame(CameraId(camera as u32), step + 1, time, detections.to_vec()));
+            if detect_each_other {
                 let mut aside = RoundelCamera::new(step);
                 let camera_from_roundel = (drone(0.0) * downwards(0.1)).inverse() * beside;
                 let detection = aside.detect(&camera_from_roundel, time, 1, Some(code(2)));
                 fusion.observe(&frame(ONBOARD, step + 1, time, vec![detection]));
             }
         }
-        assert_eq!(fusion.counts().carrier_detections > 200, looks, "{:?}", fusion.counts());
+        assert_eq!(
+            fusion.counts().carrier_detections > 200,
+            detect_each_other,
+            "{:?}",
+            fusion.counts()
+        );
         assert_eq!(fusion.counts().begun, 2);
         let snapshot = fusion.snapshot(START.plus_seconds(2.0));
         own(&snapshot.objects, 2).unwrap().covariance

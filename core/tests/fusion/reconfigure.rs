@@ -71,7 +71,7 @@ fn a_coded_track_continues_as_body_and_back() {
         let carries = body(vec![coded(3, mount)]);
         assert_eq!(fusion.set_bodies(&[(BodyId(0), carries)]), Ok(()));
         let (states, events) = second(&mut fusion, &frames, from_s);
-        assert_eq!(events, [], "it is followed all the time");
+        assert_eq!(events, [], "the track continues");
         let [state] = &states[..] else { panic!("{states:?}") };
         let expected = (ObjectId(1), Some(BodyId(0)), Some(code(3)));
         assert_eq!((state.id, state.body, state.code), expected);
@@ -80,7 +80,7 @@ fn a_coded_track_continues_as_body_and_back() {
 
     assert_eq!(fusion.set_bodies(&[(BodyId(0), body(Vec::new()))]), Ok(()));
     let (states, events) = second(&mut fusion, &frames, 3.0);
-    assert_eq!(events, [], "it is followed all the time");
+    assert_eq!(events, [], "the track continues");
     let [state] = &states[..] else { panic!("{states:?}") };
     assert_eq!((state.id, state.body, state.code), (ObjectId(1), None, Some(code(3))));
     assert_at(state, center_m, end(4.0));
@@ -138,7 +138,7 @@ fn a_changed_motion_class_restarts_its_kind() {
     let kind = roundel_core::id::KindId(0);
     second(&mut fusion, &frames, 0.0);
     fusion.change_motion(kind, MotionClass::Free);
-    assert_eq!(second(&mut fusion, &frames, 1.0).1, [], "it is what it was");
+    assert_eq!(second(&mut fusion, &frames, 1.0).1, [], "nothing changed");
     fusion.change_motion(kind, MotionClass::Ground { height_m: None });
     let (_, events) = second(&mut fusion, &frames, 2.0);
     assert_eq!(events[0].kind, EventKind::Lost, "{events:?}");

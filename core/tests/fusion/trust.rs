@@ -73,7 +73,7 @@ fn a_camera_of_lower_rank_does_not_move_observed_objects() {
         assert!(worst_m < HONEST_M, "{worst_m} {:?}", fusion.counts());
     }
     let (worst_m, _) = largest_error_m(1, slow);
-    assert!(worst_m > 1.5 * HONEST_M, "the lie has an effect among equals: {worst_m}");
+    assert!(worst_m > 1.5 * HONEST_M, "among equal ranks the offset has an effect: {worst_m}");
 }
 
 #[test]

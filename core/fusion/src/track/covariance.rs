@@ -16,11 +16,11 @@ pub struct BlockCovariance {
 /// Traces of the blocks of a [`BlockCovariance`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlockTraces {
-    /// Of the value.
+    /// Trace of the value's block.
     pub value: f64,
-    /// Between value and rate.
+    /// Trace of the block between value and rate.
     pub cross: f64,
-    /// Of the rate.
+    /// Trace of the rate's block.
     pub rate: f64,
 }
 

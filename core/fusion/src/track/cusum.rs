@@ -22,20 +22,6 @@ impl Cusum {
         is_raised
     }
 
-    /// The same for a ratio of at most `max_log_ratio`. Calls `log_ratio` only if the bound alone leaves the sum
-    /// above zero.
-    pub(super) fn is_raised_by_bounded(
-        &mut self,
-        max_log_ratio: f64,
-        log_ratio: impl FnOnce() -> f64,
-    ) -> bool {
-        if self.0 + max_log_ratio <= 0.0 {
-            self.reset();
-            return false;
-        }
-        self.is_raised_by(log_ratio())
-    }
-
     pub(super) fn reset(&mut self) {
         self.0 = 0.0;
     }
@@ -59,16 +45,5 @@ mod tests {
         (0..1000).for_each(|_| assert!(!cusum.is_raised_by(-5.0)));
         assert!(!cusum.is_raised_by(5.0));
         assert!(cusum.is_raised_by(5.0));
-    }
-
-    #[test]
-    fn the_ratio_is_computed_only_when_needed() {
-        let mut cusum = Cusum::default();
-        assert!(!cusum.is_raised_by_bounded(-1.0, || panic!("the sum stays at zero")));
-        assert!(!cusum.is_raised_by_bounded(9.0, || 5.0));
-        assert!(!cusum.is_raised_by_bounded(-2.0, || -3.0), "2 are left");
-        assert!(!cusum.is_raised_by_bounded(-2.0, || panic!("nothing is left")));
-        assert!(!cusum.is_raised_by_bounded(9.0, || 6.0));
-        assert!(cusum.is_raised_by_bounded(9.0, || 3.0));
     }
 }

@@ -223,9 +223,9 @@ impl History {
         let mut remaining = self.entries.iter().filter(stays);
         let Some(first) = remaining.next() else { return Retraction::NothingLeft };
         let mut rebuilt = Self::begin(*first, model);
-        remaining.for_each(|entry| {
+        for entry in remaining {
             rebuilt.insert(entry, model);
-        });
+        }
         let removed = self.entries.len() - rebuilt.entries.len();
         *self = rebuilt;
         Retraction::Removed(removed)
@@ -237,8 +237,8 @@ impl History {
             return;
         }
         let count = self.count();
-        let last_overtaken = count - self.oldest_pending - self.pending as u64;
-        self.overtaken_recently = last_overtaken.max(self.overtaken_recently.saturating_sub(1));
+        let overtaken = count - self.oldest_pending - self.pending as u64;
+        self.overtaken_recently = overtaken.max(self.overtaken_recently.saturating_sub(1));
         if self.oldest_pending < self.applied {
             self.last_overtaken = count;
             self.rewind_and_reuse(model);

@@ -19,9 +19,9 @@
 //! and the sensitivity q_c = ∂x̃/∂ε_c is carried separately:
 //!
 //! - predict: q ← F q;
-//! - update: with u_j = qp_j - [j = c] v, the innovation's sensitivity to ε_j, q_j ← q_j - K u_j; the gain is that of M
-//!   + Σ σ_j² qp_j u_jᵀ, N + Σ σ_j² qv_j u_jᵀ and S + Σ σ_j² u_j u_jᵀ + σ_c² D (v has the covariance D), and P ← P - K
-//!   Mᵀ - M Kᵀ + K (S + σ_c² D) Kᵀ, as for any gain.
+//! - update: with u_j = qp_j - [j = c] v, the innovation's sensitivity to ε_j, q_j ← q_j - K u_j. The gain is that of
+//!   M + Σ σ_j² qp_j u_jᵀ, N + Σ σ_j² qv_j u_jᵀ and S + Σ σ_j² u_j u_jᵀ + σ_c² D (v has the covariance D), and
+//!   P ← P - K Mᵀ - M Kᵀ + K (S + σ_c² D) Kᵀ, as for any gain.
 //!
 //! The reported covariance is P + Σ σ_j² q_j q_jᵀ ([`Kalman::reported`]).
 //!

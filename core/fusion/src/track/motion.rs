@@ -159,8 +159,7 @@ impl Motion {
         });
         let agile = self.agile.update(measurement, model).innovation;
         self.densities.learn(&slope);
-        let max_log_ratio = agile.max_log_ratio(&innovation);
-        if self.manoeuvre.is_raised_by_bounded(max_log_ratio, || agile.log_ratio(&innovation)) {
+        if self.manoeuvre.is_raised_by(agile.log_ratio(&innovation)) {
             self.reset_adaptation(model);
         }
         innovation
@@ -215,14 +214,6 @@ impl Motion {
 }
 
 impl Innovation {
-    /// Upper bound of [`Self::log_ratio`] without a logarithm: ln x ≤ x - 1.
-    fn max_log_ratio(&self, other: &Innovation) -> f64 {
-        let determinants = other.determinant / self.determinant;
-        let max_log_ratio =
-            0.5 * (other.distance_squared - self.distance_squared + determinants - 1.0);
-        if max_log_ratio.is_finite() { max_log_ratio } else { f64::INFINITY }
-    }
-
     /// ln of the ratio of this likelihood to the other. 0 if a covariance was not positive definite.
     fn log_ratio(&self, other: &Innovation) -> f64 {
         let ratio = 0.5

@@ -21,7 +21,7 @@ pub struct FusionCounts {
     pub detections: u64,
     /// Detections that updated or started a track.
     pub used: u64,
-    /// Of these, detections older than others of the same object.
+    /// Part of `used`: detections older than others of the same object.
     pub out_of_order: u64,
     /// Detections that started a track.
     pub begun: u64,
@@ -33,9 +33,9 @@ pub struct FusionCounts {
     pub jumped: u64,
     /// Detections of cameras without a known pose.
     pub no_camera_pose: u64,
-    /// Of these, detections of cameras whose carrier is not tracked.
+    /// Part of `no_camera_pose`: detections of cameras whose carrier is not tracked.
     pub carrier_unseen: u64,
-    /// Of these, detections of cameras whose carrier has no certain orientation.
+    /// Part of `no_camera_pose`: detections of cameras whose carrier has no certain orientation.
     pub carrier_orientation_unknown: u64,
     /// Detections of carriers by mobile cameras, which are not used.
     pub carrier_detections: u64,
@@ -55,7 +55,7 @@ pub struct FusionCounts {
     pub invalid: u64,
     /// Detections outside the gate of the object that their camera assigns them to.
     pub gated: u64,
-    /// Of these, detections dropped because other cameras observe the object elsewhere.
+    /// Part of `gated`: detections dropped because other cameras observe the object elsewhere.
     pub contradicted: u64,
     /// Detections not used because a camera of higher rank observes the object.
     pub outranked: u64,

@@ -51,9 +51,9 @@ pub struct WrongHeight {
 /// Height to which an object is constrained.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ConstrainedHeight {
-    /// Of the point that the track follows, metres.
+    /// Height of the point that the track follows, metres.
     pub(super) tracked_m: f64,
-    /// As configured, metres.
+    /// Configured height, metres.
     pub(super) configured_m: f64,
 }
 

@@ -243,7 +243,7 @@ mod tests {
                 .innovation_after(dt, &model, &off_m, ErrorSource { noise, camera: sighting.camera })
                 .unwrap();
             let mut batches = TrackBatches::default();
-            let coarse = Coarse::of(&estimate, &model.acceleration_density_m2_s3);
+            let coarse = Coarse::from_state(&estimate, &model.acceleration_density_m2_s3);
             let time = estimate.time.plus_seconds(later_s);
             batches.push(&coarse.predicted(time), offset_s.abs(), timing_s);
             let probe = GateProbe::new(place_m.into(), noise, offset_s);

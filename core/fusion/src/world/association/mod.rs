@@ -47,26 +47,9 @@ pub(super) type Decision = Option<(usize, Innovation)>;
 struct Pair {
     sighting: usize,
     track: usize,
-    cost: Cost,
+    /// -2 ln likelihood up to a constant.
+    cost: f64,
     innovation: Innovation,
-}
-
-/// -2 ln likelihood up to a constant: `rest` plus the logarithm of `ratio`.
-#[derive(Clone, Copy, Debug)]
-struct Cost {
-    ratio: f64,
-    rest: f64,
-}
-
-impl Cost {
-    fn whole(&self) -> f64 {
-        self.rest + self.ratio.ln()
-    }
-
-    /// PERF: most sightings fit one track only and well; ln x ≤ x - 1 saves the logarithm.
-    fn is_below(&self, limit: f64) -> bool {
-        self.rest + self.ratio - 1.0 < limit || self.whole() < limit
-    }
 }
 
 /// Buffers reused between frames.
@@ -121,7 +104,7 @@ fn pair_cost(
     params: &FusionParams,
     clocks: &Clocks,
     noise_det: f64,
-) -> Option<(Cost, Innovation)> {
+) -> Option<(f64, Innovation)> {
     if track.subject != sighting.subject {
         return None;
     }
@@ -129,8 +112,8 @@ fn pair_cost(
     // Each body exists once.
     let is_body = sighting.subject.body.map(|_| true);
     let code_agrees = is_body.or(sighting.code.and_then(|read| track.codes.agrees(read)));
-    let unseen_ns = measurement.time.ns_since(track.newest);
-    if code_agrees == Some(false) && unseen_ns > params.predicted_after_ns {
+    let unobserved_ns = measurement.time.ns_since(track.newest);
+    if code_agrees == Some(false) && unobserved_ns > params.predicted_after_ns {
         return None;
     }
     let newest = track.history.newest();
@@ -160,7 +143,8 @@ fn pair_cost(
     let rest = innovation.distance_squared - if is_continued { CONTINUITY_BONUS } else { 0.0 }
         + code_cost
         + if track.is_tentative() { TENTATIVE_COST } else { 0.0 };
-    Some((Cost { ratio: innovation.determinant / noise_det, rest }, innovation))
+    let cost = rest + (innovation.determinant / noise_det).ln();
+    Some((cost, innovation))
 }
 
 /// Labels the groups of sightings and tracks that share pairs by their lowest sighting.
@@ -190,7 +174,7 @@ fn solve(decisions: &mut [Decision], scratch: &mut Scratch) {
     scratch.pairs.sort_by_key(|pair| groups[pair.sighting]);
     for pairs in scratch.pairs.chunk_by(|a, b| groups[a.sighting] == groups[b.sighting]) {
         if let [only] = pairs {
-            if only.cost.is_below(UNASSIGNED_COST) {
+            if only.cost < UNASSIGNED_COST {
                 decisions[only.sighting] = Some((only.track, only.innovation));
             }
             continue;
@@ -209,7 +193,7 @@ fn solve(decisions: &mut [Decision], scratch: &mut Scratch) {
         let place = |list: &[usize], value: usize| list.binary_search(&value).unwrap_or(0);
         for pair in pairs {
             let (row, column) = (place(&rows, pair.sighting), place(&columns, pair.track));
-            costs[row * width + column] = pair.cost.whole();
+            costs[row * width + column] = pair.cost;
         }
         for (row, column) in assign(&costs, rows.len(), width).into_iter().enumerate() {
             let Some(&track) = columns.get(column) else { continue };

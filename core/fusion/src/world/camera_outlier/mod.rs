@@ -142,7 +142,7 @@ pub(super) enum Admission {
 
 /// The camera that moved.
 enum Culprit {
-    Nobody,
+    Unknown,
     Itself,
     Other(CameraId),
 }
@@ -276,7 +276,7 @@ impl CameraOutliers {
             return Admission::Admitted;
         }
         match find_culprit(shift, others.into_iter().flatten(), residuals, gather) {
-            Culprit::Nobody => Admission::Admitted,
+            Culprit::Unknown => Admission::Admitted,
             Culprit::Itself => {
                 self.hold(index, time);
                 Admission::Rejected
@@ -371,7 +371,7 @@ fn find_culprit(
     }
     let gains = &gains[..queried];
     let Some(&(best, other)) = gains.iter().max_by(|one, two| one.0.total_cmp(&two.0)) else {
-        return Culprit::Nobody;
+        return Culprit::Unknown;
     };
     let supporting = gains.iter().filter(|(gain, _)| *gain > MIN_SINGLE_GAIN).count();
     let rest = gains.iter().map(|(gain, _)| gain).sum::<f64>() - best;
@@ -380,7 +380,7 @@ fn find_culprit(
     } else if queried > 1 && best > MIN_GAIN && rest < MAX_REST_GAIN {
         Culprit::Other(other)
     } else {
-        Culprit::Nobody
+        Culprit::Unknown
     }
 }
 

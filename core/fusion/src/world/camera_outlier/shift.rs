@@ -17,8 +17,9 @@ const ROBUST: f64 = 4.0;
 pub(crate) const MAX_OTHERS: usize = 4;
 /// Largest number of reweightings.
 const STEPS: usize = 3;
-/// Prior standard deviations of translation and rotation, metres and radians.
-const PRIOR: (f64, f64) = (0.2, 0.1);
+/// Prior standard deviations of translation and rotation.
+const PRIOR_M: f64 = 0.2;
+const PRIOR_RAD: f64 = 0.1;
 /// Number of unknowns.
 const NUMBERS: usize = 6;
 
@@ -177,7 +178,7 @@ fn add_information(sum: &mut Matrix6<f64>, weight: &Matrix3<f64>, arm_m: &Vector
 }
 
 fn prior() -> Matrix6<f64> {
-    let (place, turn) = (PRIOR.0.powi(-2), PRIOR.1.powi(-2));
+    let (place, turn) = (PRIOR_M.powi(-2), PRIOR_RAD.powi(-2));
     Matrix6::from_diagonal(&Vector6::new(place, place, place, turn, turn, turn))
 }
 

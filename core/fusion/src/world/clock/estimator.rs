@@ -58,8 +58,10 @@ const ROBUST_DISTANCE_SQUARED: f64 = 9.0;
 const OFFSET_WALK: f64 = 1e-12;
 const SKEW_WALK: f64 = 2.5e-15;
 const LATENCY_WALK: f64 = 4e-10;
-/// Prior latency, seconds, and its standard deviation: so wide that receiving times determine skews, not offsets.
-const LATENCY: (f64, f64) = (0.03, 1.0);
+/// Prior latency, seconds.
+const LATENCY_S: f64 = 0.03;
+/// Its standard deviation, seconds: so wide that receiving times determine skews, not offsets.
+const LATENCY_DEVIATION_S: f64 = 1.0;
 /// Smallest jitter of receiving times, seconds.
 const MIN_JITTER_S: f64 = 1e-3;
 /// Stamp less receiving time has stepped if it deviates by more standard deviations than this.
@@ -74,13 +76,20 @@ const LESS_CERTAIN_RATIO: f64 = 1.5;
 
 const STATES: usize = 3;
 
+/// Sums over stamp less receiving time in a batch.
+#[derive(Clone, Copy, Debug, Default)]
+struct DelaySums {
+    count: u32,
+    sum_s: f64,
+    sum_s2: f64,
+}
+
 /// One camera's clock.
 #[derive(Clone, Debug)]
 struct Clock {
     camera: CameraId,
     prior: ClockPrior,
-    /// Stamp less receiving time in this batch: count, sum and sum of squares.
-    delay: (u32, f64, f64),
+    delays: DelaySums,
     /// Time of its last step.
     stepped_at: Option<Timestamp>,
 }
@@ -119,13 +128,13 @@ impl Clocks {
             self.covariance.row_mut(state).fill(0.0);
             self.covariance.column_mut(state).fill(0.0);
         }
-        let latency = if prior == ClockPrior::EXACT { 0.0 } else { LATENCY.1 };
+        let latency = if prior == ClockPrior::EXACT { 0.0 } else { LATENCY_DEVIATION_S };
         for (state, deviation) in [prior.offset_s, prior.skew, latency].into_iter().enumerate() {
             self.covariance[(base + state, base + state)] = deviation * deviation;
         }
         self.mean[base] = 0.0;
         self.mean[base + 1] = 0.0;
-        self.mean[base + 2] = LATENCY.0;
+        self.mean[base + 2] = LATENCY_S;
         self.update_differences();
     }
 
@@ -172,7 +181,7 @@ impl Clocks {
         if clock.prior == ClockPrior::EXACT {
             return self.set_prior(camera, STEP_PRIOR);
         }
-        clock.delay = (0, 0.0, 0.0);
+        clock.delays = DelaySums::default();
         self.covariance[(index * STATES, index * STATES)] += STEP_PRIOR.offset_s.powi(2);
         self.update_differences();
     }
@@ -267,10 +276,10 @@ impl Clocks {
             return;
         }
         let delay_s = stamp.seconds_since(received);
-        let (count, sum, squares) = &mut self.clocks[index].delay;
-        *count += 1;
-        *sum += delay_s;
-        *squares += delay_s * delay_s;
+        let delays = &mut self.clocks[index].delays;
+        delays.count += 1;
+        delays.sum_s += delay_s;
+        delays.sum_s2 += delay_s * delay_s;
         let time = *self.time.get_or_insert(received);
         let since = *self.batch_since.get_or_insert(received);
         if received.seconds_since(since) >= BATCH_S && received > time {
@@ -293,8 +302,12 @@ impl Clocks {
         }
         self.fix_mean();
         let index = self.clocks.len();
-        let clock =
-            Clock { camera, prior: ClockPrior::EXACT, delay: (0, 0.0, 0.0), stepped_at: None };
+        let clock = Clock {
+            camera,
+            prior: ClockPrior::EXACT,
+            delays: DelaySums::default(),
+            stepped_at: None,
+        };
         self.clocks.push(clock);
         let size = self.clocks.len();
         let old = std::mem::take(&mut self.covariance);
@@ -348,13 +361,13 @@ impl Clocks {
     /// Updates each clock by stamp less receiving time.
     fn update_from_delays(&mut self) {
         for index in 0..self.clocks.len() {
-            let (count, sum, squares) = std::mem::take(&mut self.clocks[index].delay);
+            let DelaySums { count, sum_s, sum_s2 } = std::mem::take(&mut self.clocks[index].delays);
             if count == 0 || self.clocks[index].prior == ClockPrior::EXACT {
                 continue;
             }
             let base = index * STATES;
-            let delay_s = sum / f64::from(count);
-            let jitter = squares / f64::from(count) - delay_s * delay_s;
+            let delay_s = sum_s / f64::from(count);
+            let jitter = sum_s2 / f64::from(count) - delay_s * delay_s;
             let noise = jitter.max(MIN_JITTER_S * MIN_JITTER_S);
             let residual = delay_s - (self.mean[base] - self.mean[base + 2]);
             let mut observed = DVector::zeros(self.mean.len());

@@ -97,12 +97,12 @@ impl Fusion {
     /// Ends a track whose roundel was identified as a part of a body.
     fn absorb(&mut self, camera: CameraId, number: TrackNumber, now: Timestamp) {
         let is_it =
-            |track: &Track| track.subject.body.is_none() && track.is_known_as(camera, number);
+            |track: &Track| track.subject.body.is_none() && track.has_number(camera, number);
         let Some(index) = self.tracks.iter().position(is_it) else { return };
-        let mut gone = self.tracks.remove(index);
+        let mut ended = self.tracks.remove(index);
         self.counts.merged += 1;
-        let is_confirmed = !gone.is_tentative();
-        let event = gone.mark_lost(now);
-        self.end(gone, is_confirmed.then_some(event));
+        let is_confirmed = !ended.is_tentative();
+        let event = ended.mark_lost(now);
+        self.end(ended, is_confirmed.then_some(event));
     }
 }

@@ -118,8 +118,9 @@ impl Fusion {
     /// Lets a consistent frame confirm the holds of other cameras.
     fn confirm(&mut self, decisions: &[Decision]) {
         let sees = |camera: CameraId, since: Timestamp| {
-            let is_shared =
-                |index: usize| self.tracks[index].seen_by(camera).is_some_and(|time| time >= since);
+            let is_shared = |index: usize| {
+                self.tracks[index].last_seen_by(camera).is_some_and(|time| time >= since)
+            };
             let shared = decisions.iter().flatten().filter(|(track, _)| is_shared(*track));
             shared.count() >= MIN_CONFIRMED
         };
@@ -147,10 +148,10 @@ impl Fusion {
                     index += 1;
                 }
                 Retraction::NothingLeft => {
-                    let mut gone = self.tracks.remove(index);
-                    let is_confirmed = !gone.is_tentative();
-                    let event = gone.mark_lost(gone.newest);
-                    self.end(gone, is_confirmed.then_some(event));
+                    let mut ended = self.tracks.remove(index);
+                    let is_confirmed = !ended.is_tentative();
+                    let event = ended.mark_lost(ended.newest);
+                    self.end(ended, is_confirmed.then_some(event));
                 }
             }
         }
@@ -183,7 +184,7 @@ fn object_residual(
     // PERF: measurements lie most of a kilobyte apart in memory, so the search stops when all expected cameras
     // are found.
     let since = measurement.time.plus_seconds(-MAX_VIEW_AGE_S);
-    let expected = track.seen_since(since).filter(|&camera| is_queried(camera)).count();
+    let expected = track.cameras_since(since).filter(|&camera| is_queried(camera)).count();
     let expected = expected.min(MAX_OTHERS);
     let kalman = &track.history.newest().motion.agile().kalman;
     let mut others = [None; MAX_OTHERS];

@@ -43,7 +43,7 @@ impl Fusion {
         let (before, after) = self.tracks.split_at(first % count);
         let tracks = after.iter().chain(before);
         let observed = tracks.filter(|track| {
-            !track.is_tentative() && track.seen_by(camera).is_some_and(|time| time >= since)
+            !track.is_tentative() && track.last_seen_by(camera).is_some_and(|time| time >= since)
         });
         let compared = observed.filter_map(|track| {
             let is_own = |measured: &&Measurement| measured.camera == camera;
@@ -137,13 +137,13 @@ mod tests {
         let (fusion, end) = fusion_with_offsets(&[0.0, 0.0, 0.006]);
         let off_m = |camera| {
             let compared = fusion.leave_one_out(CameraId(camera), end, WINDOW_NS, 0, 8);
-            assert_eq!(compared.len(), 1, "one object is there");
+            assert_eq!(compared.len(), 1, "one object");
             compared[0].measured_m.x - compared[0].others_m.x
         };
         let [first, second, third] = [0, 1, 2].map(off_m);
         assert!((-0.005..-0.001).contains(&first), "halfway between the two others: {first}");
         assert!((-0.005..-0.001).contains(&second), "{second}");
-        assert!((0.005..0.007).contains(&third), "both others are replaced: {third}");
+        assert!((0.005..0.007).contains(&third), "against both others: {third}");
     }
 
     #[test]
@@ -161,7 +161,7 @@ mod tests {
             fusion.leave_one_out(CameraId(camera), now, WINDOW_NS, first, max).len()
         };
         assert_eq!(count(0, end, (0, 8)), 1);
-        assert_eq!(count(0, end, (5, 8)), 1, "turns go round");
+        assert_eq!(count(0, end, (5, 8)), 1, "the first index wraps around");
         assert_eq!(count(0, end, (0, 0)), 0);
         assert_eq!(count(0, late, (0, 8)), 0);
         assert_eq!(count(7, end, (0, 8)), 0, "the camera is unknown");

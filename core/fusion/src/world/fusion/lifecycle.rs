@@ -32,7 +32,9 @@ impl Fusion {
         // For an object measured by its own camera, the position depends on the orientation, whose errors last.
         model.learns_rotation_density &= sighting.measurement.number != CARRIER_NUMBER;
         let mut track = Track::begin(id, subject, sighting.measurement, model);
-        sighting.code.into_iter().for_each(|code| track.codes.add(code));
+        if let Some(code) = sighting.code {
+            track.codes.add(code);
+        }
         self.tracks.push(track);
     }
 
@@ -69,14 +71,14 @@ impl Fusion {
 
     pub(super) fn merge(&mut self, now: Timestamp) {
         while let Some((stays, goes)) = find_duplicates(&mut self.tracks, now) {
-            let mut gone = self.tracks[goes].clone();
-            self.tracks[stays].adopt_views(&gone);
-            self.tracks[stays].codes.merge(&gone.codes);
+            let mut ended = self.tracks[goes].clone();
+            self.tracks[stays].adopt_views(&ended);
+            self.tracks[stays].codes.merge(&ended.codes);
             self.tracks.remove(goes);
             self.counts.merged += 1;
-            let is_confirmed = !gone.is_tentative();
-            let event = gone.mark_lost(now);
-            self.end(gone, is_confirmed.then_some(event));
+            let is_confirmed = !ended.is_tentative();
+            let event = ended.mark_lost(now);
+            self.end(ended, is_confirmed.then_some(event));
         }
     }
 

@@ -286,7 +286,9 @@ impl Fusion {
             let is_mobile = is_mobile && sighting.measurement.number != CARRIER_NUMBER;
             if is_mobile && self.mobile_cameras.is_carrier(&sighting.subject, sighting.code) {
                 self.counts.carrier_detections += 1;
-                decision.iter().for_each(|&(track, _)| is_observed[track] = true);
+                if let &Some((track, _)) = decision {
+                    is_observed[track] = true;
+                }
                 continue;
             }
             let Some((track, innovation)) = *decision else {
@@ -315,7 +317,9 @@ impl Fusion {
             }
             track.history.discard_before(forgotten);
             if matches!(inserted, Inserted::InOrder | Inserted::OutOfOrder) {
-                sighting.code.into_iter().for_each(|code| track.codes.add(code));
+                if let Some(code) = sighting.code {
+                    track.codes.add(code);
+                }
                 self.newest_used = self.newest_used.max(Some(sighting.measurement.time));
             }
             match inserted {
@@ -352,10 +356,12 @@ impl Fusion {
         let fresh_since = now.plus_ns(-self.params.predicted_after_ns);
         let (object, kind, replaced) =
             match self.id_registry.claim(&self.tracks, index, mark, &self.trust, fresh_since) {
-                Claim::Own => return event.into_iter().for_each(|event| self.push_event(event)),
-                Claim::Ambiguous => {
-                    self.counts.ambiguous_codes += 1;
-                    return event.into_iter().for_each(|event| self.push_event(event));
+                claim @ (Claim::Own | Claim::Ambiguous) => {
+                    self.counts.ambiguous_codes += u64::from(claim == Claim::Ambiguous);
+                    if let Some(event) = event {
+                        self.push_event(event);
+                    }
+                    return;
                 }
                 Claim::Reappeared(object) => (object, EventKind::Appeared, None),
                 Claim::Moved(other, object) => (object, EventKind::Recovered, Some(other)),
@@ -364,9 +370,9 @@ impl Fusion {
         let is_new = event.is_some_and(|event| event.kind == EventKind::Appeared);
         if !is_new {
             // It was reported under another id, which ends here.
-            let mut gone = self.tracks[index].clone();
-            let event = gone.mark_lost(now);
-            self.end(gone, Some(event));
+            let mut ended = self.tracks[index].clone();
+            let event = ended.mark_lost(now);
+            self.end(ended, Some(event));
         }
         // No longer lost.
         self.lost.retain(|lost| lost.id != object);

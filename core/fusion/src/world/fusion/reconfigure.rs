@@ -173,10 +173,10 @@ impl Fusion {
 
     fn end_where(&mut self, ends: impl Fn(&Track) -> bool) {
         while let Some(index) = self.tracks.iter().position(&ends) {
-            let mut gone = self.tracks.remove(index);
-            let is_confirmed = !gone.is_tentative();
-            let event = gone.mark_lost(gone.newest);
-            self.end(gone, is_confirmed.then_some(event));
+            let mut ended = self.tracks.remove(index);
+            let is_confirmed = !ended.is_tentative();
+            let event = ended.mark_lost(ended.newest);
+            self.end(ended, is_confirmed.then_some(event));
         }
     }
 }

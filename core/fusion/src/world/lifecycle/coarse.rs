@@ -19,10 +19,10 @@ pub(in crate::world) struct Coarse {
 }
 
 impl Coarse {
-    pub(in crate::world) fn of(estimate: &FilterState, density_m2_s3: &Vector3<f64>) -> Self {
-        let filter = estimate.motion.agile();
+    pub(in crate::world) fn from_state(state: &FilterState, density_m2_s3: &Vector3<f64>) -> Self {
+        let filter = state.motion.agile();
         Self {
-            time: estimate.time,
+            time: state.time,
             position_m: filter.position_m,
             velocity_m_s: filter.kalman.rate,
             traces: filter.kalman.reported_traces(),

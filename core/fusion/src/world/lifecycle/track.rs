@@ -4,7 +4,7 @@
 //! A tentative track is confirmed by a score, the logarithm of the likelihood ratio of "object" to "clutter" (Blackman,
 //! Popoli, *Design and Analysis of Modern Tracking Systems*, 1999, section 6.2). Each detection adds -½ d² - ½ ln
 //! det(2π S) - ln λ for a density λ of clutter, so a hit in a narrow gate counts more than one in a wide gate. Each
-//! frame without it, of a camera that had observed it, subtracts. A track is confirmed above [`TRUSTED_SCORE`] with
+//! frame without it, of a camera that had observed it, subtracts. A track is confirmed above [`CONFIRMED_SCORE`] with
 //! enough hits, and dropped below [`DROPPED_SCORE`].
 
 use super::coarse::Coarse;
@@ -24,7 +24,7 @@ use roundel_vision::{
 };
 
 /// e¹⁰: odds of twenty thousand to one.
-const TRUSTED_SCORE: f64 = 10.0;
+const CONFIRMED_SCORE: f64 = 10.0;
 const DROPPED_SCORE: f64 = -5.0;
 /// Contribution of a frame without the track.
 const MISS_SCORE: f64 = -2.0;
@@ -84,7 +84,7 @@ impl Track {
             subject,
             codes: CodeVote::default(),
             stage: LifeStage::Tentative,
-            coarse: Coarse::of(
+            coarse: Coarse::from_state(
                 &FilterState::begin(&measurement, &model),
                 &model.acceleration_density_m2_s3,
             ),
@@ -116,32 +116,35 @@ impl Track {
 
     /// Whether the camera's tracker assigns the measurement to this track.
     pub(in crate::world) fn is_continued_by(&self, measurement: &Measurement) -> bool {
-        self.is_known_as(measurement.camera, measurement.number)
+        self.has_number(measurement.camera, measurement.number)
     }
 
     /// Whether the camera's newest detection of the track has this number.
-    pub(in crate::world) fn is_known_as(&self, camera: CameraId, number: TrackNumber) -> bool {
+    pub(in crate::world) fn has_number(&self, camera: CameraId, number: TrackNumber) -> bool {
         self.view_index(camera).is_ok_and(|index| self.views[index].number == number)
     }
 
     /// Time of a camera's newest detection of the track.
-    pub(in crate::world) fn seen_by(&self, camera: CameraId) -> Option<Timestamp> {
+    pub(in crate::world) fn last_seen_by(&self, camera: CameraId) -> Option<Timestamp> {
         self.view_index(camera).ok().map(|index| self.views[index].time)
     }
 
     /// Cameras with a detection at or after `since`.
-    pub(in crate::world) fn seen_since(&self, since: Timestamp) -> impl Iterator<Item = CameraId> {
+    pub(in crate::world) fn cameras_since(
+        &self,
+        since: Timestamp,
+    ) -> impl Iterator<Item = CameraId> {
         self.views.iter().filter(move |view| view.time >= since).map(|view| view.camera)
     }
 
     /// Removes a camera's measurements from `since` on.
     pub(in crate::world) fn retract(&mut self, camera: CameraId, since: Timestamp) -> Retraction {
-        let taken = self.history.retract(camera, since, &self.model);
-        if matches!(taken, Retraction::Removed(count) if count > 0) {
+        let retraction = self.history.retract(camera, since, &self.model);
+        if matches!(retraction, Retraction::Removed(count) if count > 0) {
             self.newest = self.history.newest_time();
             self.refresh();
         }
-        taken
+        retraction
     }
 
     /// Whether a measurement outside the gate, which its camera assigns to this track, is the camera's error (a
@@ -157,10 +160,10 @@ impl Track {
         let agreed = self
             .view_index(measurement.camera)
             .is_ok_and(|index| within(&self.views[index], MAX_CONTRADICTION_NS));
-        let is_witness = |view: &CameraView| {
+        let is_contradicting = |view: &CameraView| {
             view.camera != measurement.camera && within(view, params.predicted_after_ns)
         };
-        agreed && !self.is_tentative() && self.views.iter().any(is_witness)
+        agreed && !self.is_tentative() && self.views.iter().any(is_contradicting)
     }
 
     /// Standard deviation of the measurement's time against the other cameras that observe the track, seconds. A
@@ -218,9 +221,9 @@ impl Track {
                 self.score += CLUTTER_SCORE
                     - GAUSS_CONSTANT
                     - 0.5 * (innovation.distance_squared + innovation.log_det());
-                let trusted =
-                    self.score >= TRUSTED_SCORE && self.observations >= params.confirm_hits;
-                trusted.then_some(EventKind::Appeared)
+                let is_confirmed =
+                    self.score >= CONFIRMED_SCORE && self.observations >= params.confirm_hits;
+                is_confirmed.then_some(EventKind::Appeared)
             }
             LifeStage::Predicted => is_newest.then_some(EventKind::Recovered),
             LifeStage::Tracked | LifeStage::Lost => None,
@@ -234,7 +237,8 @@ impl Track {
 
     /// Updates the summary after a change of the history.
     pub(in crate::world) fn refresh(&mut self) {
-        self.coarse = Coarse::of(self.history.newest(), &self.model.acceleration_density_m2_s3);
+        self.coarse =
+            Coarse::from_state(self.history.newest(), &self.model.acceleration_density_m2_s3);
     }
 
     /// Notes a frame of this camera without the track.
@@ -252,15 +256,15 @@ impl Track {
         now: Timestamp,
         params: &FusionParams,
     ) -> Result<Option<Event>, Option<Event>> {
-        let unseen_ns = now.ns_since(self.newest);
+        let unobserved_ns = now.ns_since(self.newest);
         if self.is_tentative() {
-            let ends = unseen_ns > params.tentative_after_ns || self.score < DROPPED_SCORE;
-            return if ends { Err(None) } else { Ok(None) };
+            let has_ended = unobserved_ns > params.tentative_after_ns || self.score < DROPPED_SCORE;
+            return if has_ended { Err(None) } else { Ok(None) };
         }
-        if unseen_ns > params.lost_after_ns {
+        if unobserved_ns > params.lost_after_ns {
             return Err(Some(self.mark_lost(self.newest.plus_ns(params.lost_after_ns))));
         }
-        if self.stage == LifeStage::Tracked && unseen_ns > params.predicted_after_ns {
+        if self.stage == LifeStage::Tracked && unobserved_ns > params.predicted_after_ns {
             self.stage = LifeStage::Predicted;
             let time = self.newest.plus_ns(params.predicted_after_ns);
             return Ok(Some(Event { time, object: self.id, kind: EventKind::Predicted }));

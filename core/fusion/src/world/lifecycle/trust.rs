@@ -54,6 +54,6 @@ impl Trust {
     }
 
     fn highest_since(&self, track: &Track, since: Timestamp) -> u8 {
-        track.seen_since(since).map(|camera| self.rank(camera)).max().unwrap_or(0)
+        track.cameras_since(since).map(|camera| self.rank(camera)).max().unwrap_or(0)
     }
 }

@@ -211,7 +211,7 @@ fn choose(
     if indices.is_empty() { Ok(best) } else { Err(ReferenceError::Ambiguous { indices }) }
 }
 
-/// Of all pairs of references whose distance no two detections have, the one that misses by most.
+/// The pair of references whose distance is farthest from that of any two detections, if it is missing.
 fn missing_distance(references: &[Reference], sightings: &[Sighting]) -> Option<ReferenceError> {
     let mut worst: Option<(f64, ReferenceError)> = None;
     for second in 1..references.len() {
