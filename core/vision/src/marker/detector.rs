@@ -11,7 +11,7 @@ use crate::{
     id::KindId,
     marker::{
         Ring,
-        batch::{self, BatchScratch},
+        batch::{self, BATCH_SIZE, BatchScratch},
         coded::{
             measure::{self as coded, CodedKind},
             reader::CodeReader,
@@ -173,18 +173,13 @@ impl Detector {
     /// Measures rings at the scratch's probes that are where predicted, several at once; the rest
     /// needs [`Detector::measure`].
     pub(crate) fn measure_batch(&self, frame: &Frame, scratch: &mut BatchScratch) {
-        for ring in &mut scratch.rings {
-            *ring = None;
-        }
+        scratch.found = [None; BATCH_SIZE];
         if !self.coded.is_empty() || self.kinds.is_empty() || !self.rules.similar {
             return;
         }
         batch::measure_batch(frame, &self.rules, &self.kinds, scratch);
-        for ring in &mut scratch.rings {
-            let center = ring.as_ref().map(|ring| ring.outer.center);
-            if center.is_some_and(|center| self.mask.covers(center)) {
-                *ring = None;
-            }
+        for found in &mut scratch.found {
+            *found = found.filter(|found| !self.mask.covers(found.ring.outer.center));
         }
     }
 
@@ -236,13 +231,11 @@ impl Detector {
             row.read(self.level, frame, v, &window, rules.step);
             for &polarity in &self.polarities {
                 find_hits(row, &rules.hit_in(v), polarity, hits);
-                for hit in &mut hits.hits {
-                    hit.u += window.left;
-                    if scratch.found.len() >= max || claimed.contains(hit.u, v) {
+                for hit in &hits.hits {
+                    if scratch.found.len() >= max || claimed.contains(hit.u, hit.v) {
                         continue;
                     }
-                    if let Some(ring) = self.measure_hit(frame, (hit, v), polarity, rules, scratch)
-                    {
+                    if let Some(ring) = self.measure_hit(frame, hit, polarity, rules, scratch) {
                         let claim = Claim::new(&ring);
                         claimed.add(&claim);
                         scratch.claims.push(claim);
@@ -258,12 +251,12 @@ impl Detector {
     fn measure_hit(
         &self,
         frame: &Frame,
-        (hit, v): (&Hit, usize),
+        hit: &Hit,
         polarity: Polarity,
         rules: &SearchRules,
         scratch: &mut Scratch,
     ) -> Option<Ring> {
-        let center = PixelPoint { u: hit.u as f64, v: v as f64 };
+        let center = PixelPoint { u: hit.u as f64, v: hit.v as f64 };
         let mut rejected =
             Rejected { center, half_box_px: (hit.half_px, hit.half_px), reject: Reject::Masked };
         if self.mask.covers(center) {
@@ -272,7 +265,7 @@ impl Detector {
         }
         let mut first = None;
         for threshold in BinarySearch::new(hit.black, hit.white, SEARCH_DEPTH) {
-            let measured = cross(frame, (hit, v), threshold, &rules.cross, polarity);
+            let measured = cross(frame, hit, threshold, &rules.cross, polarity);
             let measured = measured.and_then(|candidate| {
                 let (u, v) = candidate.center;
                 rejected.center = PixelPoint { u: u as f64, v: v as f64 };

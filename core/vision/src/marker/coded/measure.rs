@@ -257,16 +257,16 @@ fn mean_at(sampler: &Sampler, plane: &PlaneMap, radius: f64, points: usize) -> f
 /// The outer rim, shifted so that the disc has its printed size: bloom and ink spread move both
 /// rims towards the black alike.
 fn compensated_outer(outer: &Ellipse, disc: f64, ratio: f64) -> Result<Ellipse, Reject> {
-    let seen = Ellipse {
+    let inner = Ellipse {
         semi_major_px: disc * outer.semi_major_px,
         semi_minor_px: disc * outer.semi_minor_px,
         ..*outer
     };
-    let shift_px = rim_shift_px(outer, &seen, ratio).ok_or(Reject::Kind)?;
+    let shift_px = rim_shift_px(outer, &inner, ratio).ok_or(Reject::Kind)?;
     if shift_px.abs() > shift_limit_px(outer) {
         return Err(Reject::Kind);
     }
-    Ok(compensated(outer, &seen, shift_px).ok_or(Reject::Kind)?.0)
+    Ok(compensated(outer, &inner, shift_px).ok_or(Reject::Kind)?.0)
 }
 
 /// Fits the white disc's rim between the decoded teeth.
@@ -290,5 +290,5 @@ fn fit_white_disc(
             to_teeth_rad: (to_tooth(is_tooth(slot + 2 * bits - 1)), to_tooth(is_tooth(slot + 1))),
         }
     });
-    disc(sampler, plane, kind.ratio, gaps, (rim.black, rim.blur_px))
+    disc(sampler, plane, kind.ratio, gaps, rim)
 }
