@@ -43,7 +43,8 @@ use crate::{
 /// Depth of the binary search for the threshold of a candidate.
 const SEARCH_DEPTH: u32 = 2;
 /// Margin of the window around a candidate: a factor, and pixels.
-const BEYOND: (f64, f64) = (1.25, 3.0);
+const WINDOW_MARGIN: (f64, f64) = (1.25, 3.0);
+
 /// Finds rings of the given kinds.
 #[derive(Clone, Debug)]
 pub struct Detector {
@@ -51,12 +52,12 @@ pub struct Detector {
     coded: Vec<CodedKind>,
     params: Params,
     rules: Rules,
-    pub(crate) search_rules: SearchRules,
+    search_rules: SearchRules,
     /// Polarities of the kinds; black rings if there are none.
-    pub(crate) polarities: Vec<Polarity>,
-    pub(crate) mask: Mask,
+    polarities: Vec<Polarity>,
+    mask: Mask,
     /// Instruction set, detected once.
-    pub(crate) level: Level,
+    level: Level,
 }
 
 /// Rings per frame for which capacity is reserved in advance.
@@ -212,9 +213,7 @@ impl Detector {
         let plain = measure(frame, probe, &self.rules, &self.kinds, scratch);
         plain.or_else(|reject| coded.map_err(|_| reject))
     }
-}
 
-impl Detector {
     /// Appends rings whose disc crosses `window` and that are not claimed yet to `found`, and
     /// claims them, until `found` has `max` of them.
     pub(crate) fn search(&self, frame: &Frame, window: Window, max: usize, scratch: &mut Scratch) {
@@ -295,7 +294,7 @@ impl Detector {
         scratch: &mut Scratch,
     ) -> Result<Ring, Reject> {
         let (half_u, half_v) = candidate.half_box_px;
-        let reach = |half: f64| half * BEYOND.0 + BEYOND.1;
+        let reach = |half: f64| half * WINDOW_MARGIN.0 + WINDOW_MARGIN.1;
         let center = candidate.ring_center;
         let probe = Probe {
             center: candidate.center,

@@ -16,7 +16,7 @@ use crate::{
     marker::{
         batch::{
             planes::{HALF_PX, MAX_ROWS, Planes},
-            row_sums::{Columns, Source, Sums},
+            row_sums::{ColumnFactors, PixelSource, RowSums},
             table::{RingSums, Row, TOTALS},
         },
         kind::Polarity,
@@ -51,19 +51,19 @@ pub(super) fn accumulate_ring<S: Simd>(
     let (pixels, stride) = frame.pixels();
     let pixels = &pixels[(window.top + top) * stride + window.left..];
     let flip = polarity.flip();
-    let source = Source {
+    let source = PixelSource {
         pixels,
         stride,
         flip: u8x64::splat(simd, flip),
         disc_flip: i16x32::splat(simd, flip.into()),
         disc_column,
         ones: i16x32::splat(simd, 1),
-        even: Columns::new(simd, 2, -(middle.0 as i16)),
-        odd: Columns::new(simd, 2, 1 - middle.0 as i16),
-        disc: Columns::new(simd, 1, disc_column as i16 - middle.0 as i16),
+        even: ColumnFactors::new(simd, 2, -(middle.0 as i16)),
+        odd: ColumnFactors::new(simd, 2, 1 - middle.0 as i16),
+        disc: ColumnFactors::new(simd, 1, disc_column as i16 - middle.0 as i16),
     };
     let rows = bottom - top;
-    let mut sums = Sums::new(simd);
+    let mut sums = RowSums::new(simd);
     sums.add::<false>(simd, &source, planes, 0..disc.0);
     sums.add::<true>(simd, &source, planes, disc.0..middle.1);
     let of_top = sums;
@@ -101,7 +101,7 @@ pub(super) fn accumulate_ring<S: Simd>(
     })
 }
 
-/// Sums of each vector's lanes; [`REVERSED`] gives their order.
+/// RowSums of each vector's lanes; [`REVERSED`] gives their order.
 #[inline(always)]
 fn total<S: Simd>(vectors: &[i32x16<S>; 16]) -> i32x16<S> {
     let mut sums = *vectors;

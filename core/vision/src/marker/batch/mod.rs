@@ -47,7 +47,7 @@ use crate::{
                 predicted::{PredictedRims, disc_motion},
             },
             probe::{Probe, Rules},
-            subpixel::unevenness::{Pixels, unevenness},
+            subpixel::unevenness::{RimPixels, unevenness},
             weighed_rim::{LaneEllipse, WeighedRim},
         },
     },
@@ -192,7 +192,7 @@ fn finish<S: Simd, T: Lane>(
             PixelPoint { u: rim.u.lane(lane), v: rim.v.lane(lane) },
             Symmetric2 { uu: uu.lane(lane), uv: uv.lane(lane), vv: vv.lane(lane) },
         );
-        let pixels = Pixels::within(frame, *window);
+        let pixels = RimPixels::within(frame, *window);
         let contrast = rims.contrast.lane(lane);
         let Ok(unevenness) = unevenness(simd, &pixels, center, &matrix, contrast) else { continue };
         let [outer, inner] = rims.compensated.each_ref().map(

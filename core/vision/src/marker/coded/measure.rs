@@ -28,7 +28,7 @@ use crate::{
             outer_rim::{OuterRim, followed_rim, of_columns, outer_rim},
             outline::{offset, outline},
             plane_map::PlaneMap,
-            profile::Levels,
+            profile::RingLevels,
             reader::{CodeReader, DecodedRing},
             sampler::Sampler,
             white_disc::{Disc, Gap, disc},
@@ -163,7 +163,7 @@ fn decode_ring(
     let (black, white) =
         if sampler.inverted { (255.0 - white, 255.0 - rim.black) } else { (rim.black, *white) };
     let blur_px = (rim.blur_px * rim.blur_px - PIXEL_PX2).max(0.1).sqrt();
-    let levels = Levels { black, white, polarity: kind.polarity, blur_px };
+    let levels = RingLevels { black, white, polarity: kind.polarity, blur_px };
     let read = kind.reader.read_in(sampler, &plane, &levels);
     let disc = read.as_ref().and_then(|read| fit_white_disc(sampler, &plane, kind, rim, read));
     let disc = disc.unwrap_or(Disc { radius: kind.ratio, shift: (0.0, 0.0) });

@@ -39,7 +39,7 @@ use crate::{
                 levels::{LevelSamples, Levels, PartSums},
                 moments::{BandPixels, BandWeights, moments},
                 thin_ring::{RimDistances, ThinPixels},
-                unevenness::{Pixels, unevenness},
+                unevenness::{RimPixels, unevenness},
             },
             weighed_rim::{Cuts, WeighedRim},
         },
@@ -50,6 +50,7 @@ use crate::{
 const THIN_TURNS: usize = 2;
 /// Deviation of a blurred edge where none is measured, pixels.
 const USUAL_BLUR_PX: f64 = 0.75;
+
 /// Both rims without blur, and their quality.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RefinedRims {
@@ -174,7 +175,7 @@ pub(crate) fn refine_rims<S: Simd>(
         return Err(Reject::FrameEdge);
     }
     let center = outer.rim.at(0).center;
-    let unevenness = unevenness(simd, &Pixels::of(patch), center, &outer.matrix(), contrast)?;
+    let unevenness = unevenness(simd, &RimPixels::of(patch), center, &outer.matrix(), contrast)?;
     if margin.is_some() {
         let (outer_pixels, inner_pixels) = (pixels_in(band), pixels_in(bands.disc_band));
         let moved =

@@ -197,7 +197,7 @@ fn lanes<S: Simd>(
     let BandPixels { grey, core, band, words, .. } = *pixels;
     let (core, band) = (&core[..grey.len()], &band[..grey.len()]);
     let column = column.min(WORD_PX - LANES);
-    let pixels = Pixels { grey, core, band, column, offset, gain, whole };
+    let pixels = PixelColumns { grey, core, band, column, offset, gain, whole };
     // Even and odd rows have separate sums, which shortens the dependency chain.
     let [mut n, mut nv, mut nvv] = [zero; 3];
     let [mut odd_n, mut odd_nv, mut odd_nvv] = [zero; 3];
@@ -227,7 +227,7 @@ fn lanes<S: Simd>(
 
 /// Sixteen columns of rows, with their weights.
 #[derive(Clone, Copy)]
-struct Pixels<'a, S: Simd> {
+struct PixelColumns<'a, S: Simd> {
     grey: &'a [[u8; WORD_PX]],
     core: &'a [u64],
     band: &'a [u64],
@@ -237,7 +237,7 @@ struct Pixels<'a, S: Simd> {
     whole: f32x16<S>,
 }
 
-impl<S: Simd> Pixels<'_, S> {
+impl<S: Simd> PixelColumns<'_, S> {
     #[inline(always)]
     fn weight(&self, simd: S, at: usize) -> f32x16<S> {
         let pixels: &[u8; LANES] =
