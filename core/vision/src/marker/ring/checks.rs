@@ -160,7 +160,7 @@ pub(crate) fn check_shapes(
     }
 }
 
-/// Whether levels without blur are plausible; what is not a ring may have levels outside of the
+/// Whether levels without blur are plausible; other objects than rings may have levels outside of the
 /// range of a pixel.
 #[inline(always)]
 pub(crate) fn are_levels<T: Lane>(black: T, white: T, rules: &Rules) -> T::Mask {

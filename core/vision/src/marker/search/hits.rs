@@ -194,8 +194,8 @@ fn hit(
     if disc < black.saturating_add(rules.contrast) {
         return None;
     }
-    // Blur darkens a narrow margin below the disc. What is hardly brighter than the ring is texture
-    // in it, not a margin.
+    // Blur darkens a narrow margin below the disc. Levels hardly brighter than the ring are texture
+    // in it, not margin.
     let reach = MARGIN_HALF_PX;
     let margin = levels(left.fall - reach, left.fall)
         .max()?
