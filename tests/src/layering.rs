@@ -257,7 +257,7 @@ fn builds(code: &str, name: &str) -> bool {
     })
 }
 
-/// `marker/tracker.rs` is module `marker::tracker`; `lib.rs` is the root.
+/// `marker/track.rs` is module `marker::track`; `lib.rs` is the root.
 fn module_path(path: &str) -> Vec<String> {
     let stem = path.strip_suffix(".rs").unwrap_or(path);
     let stem = stem.strip_suffix("/mod").unwrap_or(stem);

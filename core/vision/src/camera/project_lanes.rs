@@ -14,10 +14,10 @@ impl Camera {
         let (image, slope, is_known) = planar.distort(point);
         let area = slope.m11 * slope.m22 - slope.m21 * slope.m12;
         let within = point.square().at_most(point.x.splat(self.reach * self.reach));
-        let known = is_known & area.is_positive() & within & ray.z.is_positive();
+        let visible = is_known & area.is_positive() & within & ray.z.is_positive();
         let of = &self.intrinsics;
         let pixel = Vec2::new(image.x * of.fx_px + of.cx_px, image.y * of.fy_px + of.cy_px);
-        Some((pixel, known))
+        Some((pixel, visible))
     }
 }
 
@@ -41,8 +41,8 @@ mod tests {
     ) -> Option<[Option<[f64; 2]>; 8]> {
         let of = |k: usize| [rays[k].x, rays[k].y, rays[k].z];
         let [x, y, z] = f64x8::simd_from(simd, 0.0).each(of);
-        let (pixel, known) = camera.project_each(Vec3::new(x, y, z))?;
-        Some(std::array::from_fn(|k| known.is_set(k).then(|| [pixel.x.lane(k), pixel.y.lane(k)])))
+        let (pixel, visible) = camera.project_each(Vec3::new(x, y, z))?;
+        Some(std::array::from_fn(|k| visible.is_set(k).then(|| [pixel.x.lane(k), pixel.y.lane(k)])))
     }
 
     #[test]

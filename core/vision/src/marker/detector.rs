@@ -11,7 +11,7 @@ use crate::{
     id::KindId,
     marker::{
         Ring,
-        batch::{self, BatchScratch},
+        batch::{self, BATCH_SIZE, BatchScratch},
         coded::{
             measure::{self as coded, CodedKind},
             reader::CodeReader,
@@ -43,7 +43,8 @@ use crate::{
 /// Depth of the binary search for the threshold of a candidate.
 const SEARCH_DEPTH: u32 = 2;
 /// Margin of the window around a candidate: a factor, and pixels.
-const BEYOND: (f64, f64) = (1.25, 3.0);
+const WINDOW_MARGIN: (f64, f64) = (1.25, 3.0);
+
 /// Finds rings of the given kinds.
 #[derive(Clone, Debug)]
 pub struct Detector {
@@ -51,12 +52,12 @@ pub struct Detector {
     coded: Vec<CodedKind>,
     params: Params,
     rules: Rules,
-    pub(crate) search_rules: SearchRules,
+    search_rules: SearchRules,
     /// Polarities of the kinds; black rings if there are none.
-    pub(crate) polarities: Vec<Polarity>,
-    pub(crate) mask: Mask,
+    polarities: Vec<Polarity>,
+    mask: Mask,
     /// Instruction set, detected once.
-    pub(crate) level: Level,
+    level: Level,
 }
 
 /// Rings per frame for which capacity is reserved in advance.
@@ -173,18 +174,13 @@ impl Detector {
     /// Measures rings at the scratch's probes that are where predicted, several at once; the rest
     /// needs [`Detector::measure`].
     pub(crate) fn measure_batch(&self, frame: &Frame, scratch: &mut BatchScratch) {
-        for ring in &mut scratch.rings {
-            *ring = None;
-        }
+        scratch.found = [None; BATCH_SIZE];
         if !self.coded.is_empty() || self.kinds.is_empty() || !self.rules.similar {
             return;
         }
         batch::measure_batch(frame, &self.rules, &self.kinds, scratch);
-        for ring in &mut scratch.rings {
-            let center = ring.as_ref().map(|ring| ring.outer.center);
-            if center.is_some_and(|center| self.mask.covers(center)) {
-                *ring = None;
-            }
+        for found in &mut scratch.found {
+            *found = found.filter(|found| !self.mask.covers(found.ring.outer.center));
         }
     }
 
@@ -217,9 +213,7 @@ impl Detector {
         let plain = measure(frame, probe, &self.rules, &self.kinds, scratch);
         plain.or_else(|reject| coded.map_err(|_| reject))
     }
-}
 
-impl Detector {
     /// Appends rings whose disc crosses `window` and that are not claimed yet to `found`, and
     /// claims them, until `found` has `max` of them.
     pub(crate) fn search(&self, frame: &Frame, window: Window, max: usize, scratch: &mut Scratch) {
@@ -236,13 +230,11 @@ impl Detector {
             row.read(self.level, frame, v, &window, rules.step);
             for &polarity in &self.polarities {
                 find_hits(row, &rules.hit_in(v), polarity, hits);
-                for hit in &mut hits.hits {
-                    hit.u += window.left;
-                    if scratch.found.len() >= max || claimed.contains(hit.u, v) {
+                for hit in &hits.hits {
+                    if scratch.found.len() >= max || claimed.contains(hit.u, hit.v) {
                         continue;
                     }
-                    if let Some(ring) = self.measure_hit(frame, (hit, v), polarity, rules, scratch)
-                    {
+                    if let Some(ring) = self.measure_hit(frame, hit, polarity, rules, scratch) {
                         let claim = Claim::new(&ring);
                         claimed.add(&claim);
                         scratch.claims.push(claim);
@@ -258,12 +250,12 @@ impl Detector {
     fn measure_hit(
         &self,
         frame: &Frame,
-        (hit, v): (&Hit, usize),
+        hit: &Hit,
         polarity: Polarity,
         rules: &SearchRules,
         scratch: &mut Scratch,
     ) -> Option<Ring> {
-        let center = PixelPoint { u: hit.u as f64, v: v as f64 };
+        let center = PixelPoint { u: hit.u as f64, v: hit.v as f64 };
         let mut rejected =
             Rejected { center, half_box_px: (hit.half_px, hit.half_px), reject: Reject::Masked };
         if self.mask.covers(center) {
@@ -272,7 +264,7 @@ impl Detector {
         }
         let mut first = None;
         for threshold in BinarySearch::new(hit.black, hit.white, SEARCH_DEPTH) {
-            let measured = cross(frame, (hit, v), threshold, &rules.cross, polarity);
+            let measured = cross(frame, hit, threshold, &rules.cross, polarity);
             let measured = measured.and_then(|candidate| {
                 let (u, v) = candidate.center;
                 rejected.center = PixelPoint { u: u as f64, v: v as f64 };
@@ -302,7 +294,7 @@ impl Detector {
         scratch: &mut Scratch,
     ) -> Result<Ring, Reject> {
         let (half_u, half_v) = candidate.half_box_px;
-        let reach = |half: f64| half * BEYOND.0 + BEYOND.1;
+        let reach = |half: f64| half * WINDOW_MARGIN.0 + WINDOW_MARGIN.1;
         let center = candidate.ring_center;
         let probe = Probe {
             center: candidate.center,

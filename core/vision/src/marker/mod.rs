@@ -57,7 +57,6 @@ pub use mask::{Mask, MaskError};
 pub use params::{DetectorError, Mode, Params};
 pub use reject::{MAX_REJECTED, Reject, RejectCounts, Rejected};
 pub use ring::pixels::edge_band::WIDE_PX;
-pub use search::threshold::BinarySearch;
 pub use track::Tracker;
 
 use crate::{

@@ -233,8 +233,8 @@ mod tests {
         };
         assert_eq!(check(&[elliptical(0.064), kind(0.16, 0.08)], &Params::default()), Ok(()));
         assert_eq!(check(&[elliptical(0.064), elliptical(0.07)], &Params::default()), Ok(()));
-        let alike = check(&[elliptical(0.064), elliptical(0.0643)], &Params::default());
-        assert!(matches!(alike, Err(DetectorError::Indistinguishable { .. })));
+        let error = check(&[elliptical(0.064), elliptical(0.0643)], &Params::default());
+        assert!(matches!(error, Err(DetectorError::Indistinguishable { .. })));
         for minor_m in [0.03, 0.094, f64::NAN, -0.05] {
             let error = check(&[elliptical(minor_m)], &Params::default()).unwrap_err();
             assert!(error.to_string().contains("shorter diameter"), "{error}");

@@ -16,56 +16,54 @@ use crate::{
     marker::{
         batch::{
             planes::{HALF_PX, MAX_ROWS, Planes},
-            row_sums::{Columns, Source, Sums},
-            table::{Row, TOTALS, Table},
+            row_sums::{ColumnFactors, PixelSource, RowSums},
+            table::{RingSums, Row, TOTALS},
         },
-        ring::{
-            pixels::{
-                edge_band::{MIN_BLACK, MIN_WHITE},
-                ellipse_mask::{
-                    Area, LANE_NUMBERS, LANES as ROWS_AT_ONCE, PatchEllipse, RowBits, RowSpans,
-                },
-                patch::{Patch, WORD_PX},
-                predicted::{PredictedRims, band_ellipses},
+        kind::Polarity,
+        ring::pixels::{
+            edge_band::{MIN_BLACK, MIN_WHITE},
+            ellipse_mask::{
+                Area, LANE_NUMBERS, LANES as ROWS_AT_ONCE, PatchEllipse, RowBits, RowSpans,
             },
-            probe::Probe,
+            patch::{Patch, WORD_PX},
+            predicted::{PredictedRims, band_ellipses},
         },
     },
 };
 /// The vector whose total is in each lane: the lane's index with its four bits reversed.
 const REVERSED: [usize; 16] = [0, 8, 4, 12, 2, 10, 6, 14, 1, 9, 5, 13, 3, 11, 7, 15];
 
-/// Accumulates the ring with these predicted rims, moved to the disc found, into a column of the
-/// table. False, as in [`crate::marker::ring::pixels::predicted::bands_about`], if there is no such
-/// ring, or it is too large.
+/// Accumulates the ring with these predicted rims, moved to the disc found. `None`, as in
+/// [`crate::marker::ring::pixels::predicted::bands_about`], if there is no such ring, or it is too
+/// large.
 #[simd]
 pub(super) fn accumulate_ring<S: Simd>(
     simd: S,
     frame: &Frame,
-    (patch, probe): (&Patch, &Probe),
+    patch: &Patch,
+    polarity: Polarity,
     predicted: &PredictedRims,
     planes: &mut Planes,
-    (table, ring): (&mut Table, usize),
-) -> bool {
-    let Some(drawn) = draw(simd, patch, predicted, planes) else { return false };
-    let DrawnBands { top, bottom, disc, disc_column, middle, ellipse_sums, half_counts } = drawn;
+) -> Option<RingSums> {
+    let DrawnBands { top, bottom, disc, disc_column, middle, ellipse_sums, half_counts } =
+        draw(simd, patch, predicted, planes)?;
     let window = &patch.window;
     let (pixels, stride) = frame.pixels();
     let pixels = &pixels[(window.top + top) * stride + window.left..];
-    let flip = probe.polarity.flip();
-    let source = Source {
+    let flip = polarity.flip();
+    let source = PixelSource {
         pixels,
         stride,
         flip: u8x64::splat(simd, flip),
         disc_flip: i16x32::splat(simd, flip.into()),
         disc_column,
         ones: i16x32::splat(simd, 1),
-        even: Columns::new(simd, 2, -(middle.0 as i16)),
-        odd: Columns::new(simd, 2, 1 - middle.0 as i16),
-        disc: Columns::new(simd, 1, disc_column as i16 - middle.0 as i16),
+        even: ColumnFactors::new(simd, 2, -(middle.0 as i16)),
+        odd: ColumnFactors::new(simd, 2, 1 - middle.0 as i16),
+        disc: ColumnFactors::new(simd, 1, disc_column as i16 - middle.0 as i16),
     };
     let rows = bottom - top;
-    let mut sums = Sums::new(simd);
+    let mut sums = RowSums::new(simd);
     sums.add::<false>(simd, &source, planes, 0..disc.0);
     sums.add::<true>(simd, &source, planes, disc.0..middle.1);
     let of_top = sums;
@@ -91,18 +89,19 @@ pub(super) fn accumulate_ring<S: Simd>(
     }
     let pixels = |ellipse: usize| totals[Row::Ellipses as usize + 6 * ellipse] as u32;
     if pixels(0) < MIN_WHITE || pixels(2) - pixels(1) < MIN_BLACK {
-        return false;
+        return None;
     }
-    table.set_totals(ring, totals);
-    table.set(Row::OuterReach, ring, (rows - middle.1) as f64);
-    table.set(Row::InnerReach, ring, (disc.1 - middle.1) as f64);
-    table.set(Row::MiddleU, ring, (window.left + middle.0) as f64);
-    table.set(Row::MiddleV, ring, (window.top + top + middle.1) as f64);
-    table.set(Row::IsWhite, ring, f64::from(u8::from(probe.polarity.flip() != 0)));
-    true
+    Some(RingSums {
+        totals,
+        outer_reach: (rows - middle.1) as f64,
+        inner_reach: (disc.1 - middle.1) as f64,
+        middle_u: (window.left + middle.0) as f64,
+        middle_v: (window.top + top + middle.1) as f64,
+        polarity,
+    })
 }
 
-/// Sums of each vector's lanes; [`REVERSED`] gives their order.
+/// RowSums of each vector's lanes; [`REVERSED`] gives their order.
 #[inline(always)]
 fn total<S: Simd>(vectors: &[i32x16<S>; 16]) -> i32x16<S> {
     let mut sums = *vectors;
@@ -229,9 +228,10 @@ mod tests {
         ellipse::Ellipse,
         frame::Window,
         marker::{
-            kind::Polarity,
+            batch::table::Table,
             ring::pixels::{
                 edge_band::{BandScratch, EdgeBands},
+                patch::Threshold,
                 predicted::bands_about,
             },
         },
@@ -298,23 +298,23 @@ mod tests {
             let bytes = picture(&predicted, polarity, seed);
             let frame = Frame::new(&bytes, SIDE, SIDE, STRIDE).unwrap();
             let bounds = Window { left: 18, top: 15, right: 80, bottom: 85 };
-            let (center, threshold) = ((u as usize, v as usize), 120);
-            let probe = Probe { center, threshold, bounds, polarity, predicted: None };
+            let threshold = Threshold { level: 120, polarity };
             let (mut patch, mut words) = (Patch::default(), Patch::default());
             let (mut planes, mut table) = (Planes::default(), Table::default());
             let mut scratch = BandScratch::new();
             let level = if is_baseline { Level::baseline() } else { Level::new() };
-            let (accumulated, found) = dispatch!(level, simd => {
-                Patch::load(simd, &mut patch, &frame, bounds, (threshold, polarity));
-                assert!(Patch::threshold(simd, &mut words, &frame, bounds, (threshold, polarity)));
-                let to = (&mut table, 3);
-                let accumulated = accumulate_ring(simd, &frame, (&words, &probe), &predicted, &mut planes, to);
-                (accumulated, bands_about(simd, &patch, &predicted, &mut scratch))
+            let (sums, found) = dispatch!(level, simd => {
+                Patch::load(simd, &mut patch, &frame, bounds, threshold);
+                assert!(Patch::threshold(simd, &mut words, &frame, bounds, threshold));
+                let sums =
+                    accumulate_ring(simd, &frame, &words, polarity, &predicted, &mut planes);
+                (sums, bands_about(simd, &patch, &predicted, &mut scratch))
             });
             prop_assert_eq!(patch.window, words.window);
             prop_assert_eq!(&patch.white[..patch.rows()], &words.white[..patch.rows()]);
-            prop_assert_eq!(accumulated, found.is_some());
-            let Some(found) = found else { return Ok(()) };
+            prop_assert_eq!(sums.is_some(), found.is_some());
+            let (Some(sums), Some(found)) = (sums, found) else { return Ok(()) };
+            table.store(3, &sums);
             let (middle_u, middle_v) = (found.middle.0 as f64, found.middle.1 as f64);
             let EdgeBands { top, disc_core, disc_band, ring_core, ring_band, black, near, far, .. } =
                 found.bands;

@@ -36,7 +36,7 @@ use crate::{
             accumulate::accumulate_ring,
             planes::Planes,
             rims::Rims,
-            table::{RINGS, Table},
+            table::{RINGS, RingSums, Table},
         },
         kind::Kind,
         ring::{
@@ -47,7 +47,7 @@ use crate::{
                 predicted::{PredictedRims, disc_motion},
             },
             probe::{Probe, Rules},
-            subpixel::unevenness::{Pixels, unevenness},
+            subpixel::unevenness::{RimPixels, unevenness},
             weighed_rim::{LaneEllipse, WeighedRim},
         },
     },
@@ -62,18 +62,23 @@ pub(crate) struct BatchScratch {
     table: Table,
     /// Where rings are predicted.
     pub probes: [Option<Probe>; BATCH_SIZE],
-    /// The rings found there.
-    pub rings: [Option<Ring>; BATCH_SIZE],
-    /// [`crate::ellipse::Ellipse::matrix`] of their outer and inner rims.
-    matrices: [[Symmetric2; 2]; BATCH_SIZE],
+    /// What was found there.
+    pub found: [Option<BatchedRing>; BATCH_SIZE],
+}
+
+/// A ring of a batch.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct BatchedRing {
+    pub ring: Ring,
+    /// Its rims with their matrices.
+    pub rims: PredictedRims,
 }
 
 impl Default for BatchScratch {
     fn default() -> Self {
         let (patch, planes, table) = Default::default();
-        let (probes, rings) = ([None; BATCH_SIZE], [None; BATCH_SIZE]);
-        let matrices = [[Symmetric2::default(); 2]; BATCH_SIZE];
-        Self { level: Level::new(), patch, planes, table, probes, rings, matrices }
+        let (probes, found) = ([None; BATCH_SIZE], [None; BATCH_SIZE]);
+        Self { level: Level::new(), patch, planes, table, probes, found }
     }
 }
 
@@ -81,16 +86,6 @@ impl BatchScratch {
     /// Reserves memory for windows as high as the frame.
     pub fn reserve(&mut self, height: usize) {
         self.patch.reserve(1, height);
-    }
-
-    /// The rims of the ring found by probe `place`.
-    pub fn rims(&self, place: usize) -> Option<PredictedRims> {
-        let ring = self.rings[place].as_ref()?;
-        let [outer, inner] = self.matrices[place];
-        Some(PredictedRims {
-            outer: RimEllipse { ellipse: ring.outer, matrix: outer },
-            inner: RimEllipse { ellipse: ring.inner, matrix: inner },
-        })
     }
 }
 
@@ -103,12 +98,6 @@ struct Accumulated<'a> {
     /// Index of its probe.
     place: usize,
     probe: &'a Probe,
-    found: Located,
-}
-
-/// Where a ring's disc was found.
-#[derive(Clone, Copy, Debug)]
-struct Located {
     /// Displacement from the prediction, pixels.
     moved_px: (f64, f64),
     window: Window,
@@ -122,24 +111,25 @@ pub(crate) fn measure_batch(
     kinds: &[Kind],
     scratch: &mut BatchScratch,
 ) {
-    dispatch!(scratch.level, simd => measure_with(simd, frame, (rules, kinds), scratch));
+    dispatch!(scratch.level, simd => measure_with(simd, frame, rules, kinds, scratch));
 }
 
 #[simd]
 fn measure_with<S: Simd>(
     simd: S,
     frame: &Frame,
-    (rules, kinds): (&Rules, &[Kind]),
+    rules: &Rules,
+    kinds: &[Kind],
     scratch: &mut BatchScratch,
 ) {
-    let BatchScratch { patch, planes, table, probes, rings, matrices, .. } = scratch;
+    let BatchScratch { patch, planes, table, probes, found, .. } = scratch;
     let mut accumulated = [const { None }; BATCH_SIZE];
     let mut count = 0;
     for (place, probe) in probes.iter().enumerate() {
         let Some(probe) = probe else { continue };
-        let to = (&mut *table, count);
-        if let Some(found) = accumulate_probe(simd, frame, probe, (patch, planes), to) {
-            accumulated[count] = Some(Accumulated { place, probe, found });
+        if let Some((moved_px, sums)) = accumulate_probe(simd, frame, probe, patch, planes) {
+            table.store(count, &sums);
+            accumulated[count] = Some(Accumulated { place, probe, moved_px, window: patch.window });
             count += 1;
         }
     }
@@ -149,33 +139,32 @@ fn measure_with<S: Simd>(
         // A batch of eight takes longer than one ring, but less than two.
         1 => {
             let rims = Rims::new(0.0, table, size, rules, kinds);
-            finish(simd, frame, &accumulated, &rims, (rings, matrices));
+            finish(simd, frame, &accumulated, &rims, found);
         }
         _ => {
             let rims = Rims::new(f64x8::simd_from(simd, 0.0), table, size, rules, kinds);
-            finish(simd, frame, &accumulated, &rims, (rings, matrices));
+            finish(simd, frame, &accumulated, &rims, found);
         }
     }
 }
 
-/// Accumulates the ring at a probe if it is there.
+/// Displacement and sums of the ring at a probe if it is there.
 #[simd]
 fn accumulate_probe<S: Simd>(
     simd: S,
     frame: &Frame,
     probe: &Probe,
-    (patch, planes): (&mut Patch, &mut Planes),
-    to: (&mut Table, usize),
-) -> Option<Located> {
+    patch: &mut Patch,
+    planes: &mut Planes,
+) -> Option<((f64, f64), RingSums)> {
     let predicted = probe.predicted.as_ref()?;
-    let with = (probe.frame_threshold(), probe.polarity);
-    if !Patch::threshold(simd, patch, frame, probe.bounds, with) {
+    if !Patch::threshold(simd, patch, frame, probe.bounds, probe.frame_threshold()) {
         return None;
     }
     let moved_px = disc_motion(simd, patch, predicted)?;
     let predicted = predicted.moved(moved_px.0, moved_px.1);
-    let is_one = accumulate_ring(simd, frame, (patch, probe), &predicted, planes, to);
-    is_one.then_some(Located { moved_px, window: patch.window })
+    let sums = accumulate_ring(simd, frame, patch, probe.polarity, &predicted, planes)?;
+    Some((moved_px, sums))
 }
 
 /// Stores the rings that passed all tests.
@@ -185,11 +174,11 @@ fn finish<S: Simd, T: Lane>(
     frame: &Frame,
     accumulated: &[Option<Accumulated>; BATCH_SIZE],
     rims: &Rims<T>,
-    (rings, matrices): (&mut [Option<Ring>; BATCH_SIZE], &mut [[Symmetric2; 2]; BATCH_SIZE]),
+    results: &mut [Option<BatchedRing>; BATCH_SIZE],
 ) {
     for (lane, accumulated) in accumulated.iter().enumerate() {
-        let Some(Accumulated { place, probe, found }) = accumulated else { break };
-        if !rims.valid.is_set(lane) || !is_near(probe, found.moved_px, &rims.raw, lane) {
+        let Some(Accumulated { place, probe, moved_px, window }) = accumulated else { break };
+        if !rims.valid.is_set(lane) || !is_near(probe, *moved_px, &rims.raw, lane) {
             continue;
         }
         let (black, white) = (rims.black.lane(lane), rims.white.lane(lane));
@@ -203,20 +192,23 @@ fn finish<S: Simd, T: Lane>(
             PixelPoint { u: rim.u.lane(lane), v: rim.v.lane(lane) },
             Symmetric2 { uu: uu.lane(lane), uv: uv.lane(lane), vv: vv.lane(lane) },
         );
-        let pixels = Pixels::within(frame, found.window);
+        let pixels = RimPixels::within(frame, *window);
         let contrast = rims.contrast.lane(lane);
         let Ok(unevenness) = unevenness(simd, &pixels, center, &matrix, contrast) else { continue };
-        let [outer, inner] = &rims.compensated;
+        let [outer, inner] = rims.compensated.each_ref().map(
+            #[inline(always)]
+            |rim| RimEllipse { ellipse: rim.at(lane), matrix: rim.matrix_at(lane) },
+        );
         let ring = Ring {
             kind: Some(KindId(rims.kind.lane(lane) as u16)),
             threshold,
             black,
             white,
             unevenness,
-            ..Ring::of_rims(outer.at(lane), inner.at(lane))
+            ..Ring::of_rims(outer.ellipse, inner.ellipse)
         };
-        rings[*place] = Some(ring.with_polarity(probe.polarity));
-        matrices[*place] = [outer.matrix_at(lane), inner.matrix_at(lane)];
+        let ring = ring.with_polarity(probe.polarity);
+        results[*place] = Some(BatchedRing { ring, rims: PredictedRims { outer, inner } });
     }
 }
 
@@ -336,7 +328,7 @@ mod tests {
             for level in [Level::new(), Level::baseline()] {
                 let mut scratch = BatchScratch { level, probes, ..BatchScratch::default() };
                 measure_batch(&frame, &rules(), &kinds, &mut scratch);
-                let found = scratch.rings;
+                let found = scratch.found.map(|found| found.map(|found| found.ring));
                 // A few are left to the single measurement.
                 prop_assert!(found.iter().flatten().count() >= BATCH_SIZE - 2, "{:?}", found);
                 let mut alone = MeasureScratch::default();
@@ -363,9 +355,10 @@ mod tests {
                     // Identical to the last bit, with any others.
                     scratch.probes = [None; BATCH_SIZE];
                     scratch.probes[BATCH_SIZE - 1 - place] = probes[place];
-                    scratch.rings = [None; BATCH_SIZE];
+                    scratch.found = [None; BATCH_SIZE];
                     measure_batch(&frame, &rules(), &kinds, &mut scratch);
-                    prop_assert_eq!(scratch.rings[BATCH_SIZE - 1 - place], Some(*ring));
+                    let again = scratch.found[BATCH_SIZE - 1 - place].map(|found| found.ring);
+                    prop_assert_eq!(again, Some(*ring));
                 }
             }
         }

@@ -52,7 +52,7 @@ impl<T: Lane> Rims<T> {
         let (outer, outer_band) = table.weighed_rim(RimRows::OUTER, (margin.level, black.level));
         let (inner, inner_band) = table.weighed_rim(RimRows::INNER, (black.level, white.level));
         let samples = LevelSamples { black, white, margin: Some(margin) };
-        let correction = BlurCorrection::of_wide((&outer.spread(), &inner.spread()), &samples);
+        let correction = BlurCorrection::of_wide(&outer.spread(), &inner.spread(), &samples);
         let (black, white) = correction.levels(black.level, white.level);
         let is_ring = zero.splat(rules.min_contrast).at_most(contrast)
             & levels.is_margin
@@ -61,7 +61,7 @@ impl<T: Lane> Rims<T> {
             & are_levels(black, white, rules)
             & ShapeTests::new(&outer, &inner, rules).all()
             & is_inside(size, &outer);
-        let moved = levels.movement((&outer, &inner), (outer_band, inner_band));
+        let moved = levels.movement((&outer, outer_band), (&inner, inner_band));
         let (grown_outer, grown_inner) = correction.grown_px;
         let raw = [
             displaced(&outer.rim, moved[0]).grown(grown_outer),

@@ -7,8 +7,8 @@ use fearless_simd::{Simd, i16x32, i32x16, mask8x64, mask16x32, prelude::*, u8x64
 
 use crate::marker::batch::planes::{HALF_PX, Planes};
 
-/// Source of pixels, and their column factors.
-pub(super) struct Source<'a, S: Simd> {
+/// PixelSource of pixels, and their column factors.
+pub(super) struct PixelSource<'a, S: Simd> {
     /// From the first row and column on.
     pub pixels: &'a [u8],
     pub stride: usize,
@@ -17,19 +17,19 @@ pub(super) struct Source<'a, S: Simd> {
     pub disc_column: usize,
     pub ones: i16x32<S>,
     /// For a row's even and odd columns, and for those of the disc.
-    pub even: Columns<S>,
-    pub odd: Columns<S>,
-    pub disc: Columns<S>,
+    pub even: ColumnFactors<S>,
+    pub odd: ColumnFactors<S>,
+    pub disc: ColumnFactors<S>,
 }
 
 /// u and u² of columns.
-pub(super) struct Columns<S: Simd> {
+pub(super) struct ColumnFactors<S: Simd> {
     u: i16x32<S>,
     uu: i16x32<S>,
 }
 
-impl<S: Simd> Columns<S> {
-    /// Columns `first`, `first + step`, …
+impl<S: Simd> ColumnFactors<S> {
+    /// ColumnFactors `first`, `first + step`, …
     #[inline(always)]
     pub fn new(simd: S, step: i16, first: i16) -> Self {
         let mut numbers = [0i16; HALF_PX];
@@ -50,11 +50,11 @@ fn by_turns<S: Simd>(pixels: u8x64<S>) -> [i16x32<S>; 2] {
 
 /// The six sums of a band.
 #[derive(Clone, Copy)]
-struct Moments<S: Simd> {
+struct BandSums<S: Simd> {
     sums: [i32x16<S>; 6],
 }
 
-impl<S: Simd> Moments<S> {
+impl<S: Simd> BandSums<S> {
     /// Adds a row: its sums of I, I u and I u².
     #[inline(always)]
     fn add(&mut self, [d, du, duu]: [i32x16<S>; 3]) {
@@ -74,17 +74,17 @@ fn only<S: Simd>(simd: S, pixels: u8x64<S>, set: u64) -> u8x64<S> {
     mask8x64::from_bitmask(simd, set).select(pixels, u8x64::splat(simd, 0))
 }
 
-/// Sums of adjacent lanes.
+/// RowSums of adjacent lanes.
 #[inline(always)]
 fn wide<S: Simd>(sums: u16x32<S>) -> i32x16<S> {
     sums.pairwise_widening_add().bitcast()
 }
 
-/// Sums over rows, several columns per lane.
+/// RowSums over rows, several columns per lane.
 #[derive(Clone, Copy)]
-pub(super) struct Sums<S: Simd> {
-    outer: Moments<S>,
-    inner: Moments<S>,
+pub(super) struct RowSums<S: Simd> {
+    outer: BandSums<S>,
+    inner: BandSums<S>,
     disc: u16x32<S>,
     black: u16x32<S>,
     near: u16x32<S>,
@@ -92,10 +92,10 @@ pub(super) struct Sums<S: Simd> {
     far_square: i32x16<S>,
 }
 
-impl<S: Simd> Sums<S> {
+impl<S: Simd> RowSums<S> {
     #[inline(always)]
     pub fn new(simd: S) -> Self {
-        let none = Moments { sums: [i32x16::splat(simd, 0); 6] };
+        let none = BandSums { sums: [i32x16::splat(simd, 0); 6] };
         let zero = u16x32::splat(simd, 0);
         let far_square = i32x16::splat(simd, 0);
         Self {
@@ -114,7 +114,7 @@ impl<S: Simd> Sums<S> {
     pub fn add<const HAS_DISC: bool>(
         &mut self,
         simd: S,
-        source: &Source<S>,
+        source: &PixelSource<S>,
         planes: &Planes,
         rows: std::ops::Range<usize>,
     ) {
@@ -142,7 +142,7 @@ impl<S: Simd> Sums<S> {
 
     /// Adds a row of the disc, which half a word contains.
     #[inline(always)]
-    fn add_disc(&mut self, simd: S, source: &Source<S>, line: &[u8], [band, core]: [u64; 2]) {
+    fn add_disc(&mut self, simd: S, source: &PixelSource<S>, line: &[u8], [band, core]: [u64; 2]) {
         let pixels: &[u8; HALF_PX] =
             line[source.disc_column..].first_chunk().expect("the columns are the patch's");
         let pixels = i16x32::from_fn(simd, |column| i16::from(pixels[column])) ^ source.disc_flip;

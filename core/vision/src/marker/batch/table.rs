@@ -1,10 +1,13 @@
 //! Sums over the pixels of the rings of a batch: a row per quantity, a column per ring.
 
 use crate::{
-    marker::ring::{
-        pixels::edge_band::WIDE_PX,
-        subpixel::levels::{PartSum, PartSums},
-        weighed_rim::{Cuts, WeighedRim, WeighedSums},
+    marker::{
+        kind::Polarity,
+        ring::{
+            pixels::edge_band::WIDE_PX,
+            subpixel::levels::{PartSum, PartSums},
+            weighed_rim::{Cuts, WeighedRim, WeighedSums},
+        },
     },
     simd::Lane,
 };
@@ -62,14 +65,10 @@ impl Default for Table {
 }
 
 impl Table {
+    /// Stores the sums of a ring in its column.
     #[inline(always)]
-    pub fn set(&mut self, row: Row, ring: usize, value: f64) {
-        self.rows[row as usize][ring] = value;
-    }
-
-    /// Sets all sums of a ring.
-    #[inline(always)]
-    pub fn set_totals(&mut self, ring: usize, mut totals: [i32; TOTALS]) {
+    pub fn store(&mut self, ring: usize, sums: &RingSums) {
+        let mut totals = sums.totals;
         for both in 0..3 {
             let at = Row::NearPixels as usize + both;
             self.rows[TOTALS + both][ring] = f64::from(totals[at] >> 16);
@@ -78,7 +77,31 @@ impl Table {
         for (row, total) in self.rows.iter_mut().zip(totals) {
             row[ring] = f64::from(total);
         }
+        let is_white = sums.polarity == Polarity::WhiteRing;
+        for (row, value) in [
+            (Row::OuterReach, sums.outer_reach),
+            (Row::InnerReach, sums.inner_reach),
+            (Row::MiddleU, sums.middle_u),
+            (Row::MiddleV, sums.middle_v),
+            (Row::IsWhite, f64::from(u8::from(is_white))),
+        ] {
+            self.rows[row as usize][ring] = value;
+        }
     }
+}
+
+/// The sums over the pixels of one ring.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct RingSums {
+    /// In the order of [`Row`]; three of them hold a second count in their upper halves.
+    pub totals: [i32; TOTALS],
+    /// Rows from the middle to the last one of each band.
+    pub outer_reach: f64,
+    pub inner_reach: f64,
+    /// Position of the middle in the frame.
+    pub middle_u: f64,
+    pub middle_v: f64,
+    pub polarity: Polarity,
 }
 
 /// Where the sums of a rim are.

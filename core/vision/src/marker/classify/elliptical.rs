@@ -43,7 +43,8 @@ pub(crate) fn nearest_kind(
     kinds: &[Kind],
     polarity: Polarity,
     similar: bool,
-    (outer, inner): (&Ellipse, &Ellipse),
+    outer: &Ellipse,
+    inner: &Ellipse,
 ) -> Option<(KindId, Ellipse, Ellipse)> {
     let limit_px = shift_limit_px(outer);
     let mut best: Option<(f64, (KindId, Ellipse, Ellipse))> = None;
@@ -103,7 +104,7 @@ pub(crate) mod tests {
         (cos_tilt, about_rad): (f64, f64),
         shift_px: f64,
     ) -> (Ellipse, Ellipse) {
-        let seen = |major: f64, minor: f64, by_px: f64| {
+        let imaged = |major: f64, minor: f64, by_px: f64| {
             let (sin, cos) = turn_rad.sin_cos();
             let (a, b) = (major * major, minor * minor);
             let flat = Symmetric2 {
@@ -119,7 +120,7 @@ pub(crate) mod tests {
                 angle_rad: angle_rad + about_rad,
             }
         };
-        (seen(1.0, 1.0, -shift_px), seen(p, q, shift_px))
+        (imaged(1.0, 1.0, -shift_px), imaged(p, q, shift_px))
     }
 
     proptest! {
@@ -142,14 +143,14 @@ pub(crate) mod tests {
             let shift_px = shift * (radius_px / 75.0).min(0.3);
             let tilt = (cos_tilt, about_rad);
             let (outer, inner) = rims(radius_px, (max, min), turn_rad, tilt, shift_px);
-            let found = nearest_kind(&kinds, Polarity::BlackRing, true, (&outer, &inner));
+            let found = nearest_kind(&kinds, Polarity::BlackRing, true, &outer, &inner);
             let (found, _, inner) = found.unwrap();
             prop_assert_eq!(found, KindId(drawn as u16));
             let (_, exact) = rims(radius_px, (max, min), turn_rad, tilt, 0.0);
             // A shift of both semiaxes is not an exact shift of an ellipse: a small error remains.
             prop_assert!((inner.semi_major_px - exact.semi_major_px).abs() < 0.05);
             let alone = [kinds[drawn].clone()];
-            let white = nearest_kind(&alone, Polarity::WhiteRing, true, (&outer, &inner));
+            let white = nearest_kind(&alone, Polarity::WhiteRing, true, &outer, &inner);
             prop_assert!(white.is_none());
         }
     }
@@ -158,16 +159,15 @@ pub(crate) mod tests {
     fn a_disc_of_no_kind_is_rejected() {
         let kinds = [Kind::plain("", 1.0, 0.5)];
         let (outer, inner) = rims(30.0, (0.65, 0.385), 0.4, (0.8, 0.3), 0.0);
-        assert!(nearest_kind(&kinds, Polarity::BlackRing, true, (&outer, &inner)).is_none());
+        assert!(nearest_kind(&kinds, Polarity::BlackRing, true, &outer, &inner).is_none());
     }
 
     #[test]
     fn a_plain_kind_needs_similar_rims() {
         let kinds = [Kind::plain("", 1.0, 0.5)];
         let (outer, inner) = rims(8.0, (0.5, 0.5), 0.4, (0.8, 0.3), 0.0);
-        let found = |similar| {
-            nearest_kind(&kinds, Polarity::BlackRing, similar, (&outer, &inner)).is_some()
-        };
+        let found =
+            |similar| nearest_kind(&kinds, Polarity::BlackRing, similar, &outer, &inner).is_some();
         assert!(found(true) && !found(false));
     }
 }

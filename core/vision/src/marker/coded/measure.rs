@@ -28,7 +28,7 @@ use crate::{
             outer_rim::{OuterRim, followed_rim, of_columns, outer_rim},
             outline::{offset, outline},
             plane_map::PlaneMap,
-            profile::Levels,
+            profile::RingLevels,
             reader::{CodeReader, DecodedRing},
             sampler::Sampler,
             white_disc::{Disc, Gap, disc},
@@ -163,7 +163,7 @@ fn decode_ring(
     let (black, white) =
         if sampler.inverted { (255.0 - white, 255.0 - rim.black) } else { (rim.black, *white) };
     let blur_px = (rim.blur_px * rim.blur_px - PIXEL_PX2).max(0.1).sqrt();
-    let levels = Levels { black, white, polarity: kind.polarity, blur_px };
+    let levels = RingLevels { black, white, polarity: kind.polarity, blur_px };
     let read = kind.reader.read_in(sampler, &plane, &levels);
     let disc = read.as_ref().and_then(|read| fit_white_disc(sampler, &plane, kind, rim, read));
     let disc = disc.unwrap_or(Disc { radius: kind.ratio, shift: (0.0, 0.0) });
@@ -257,16 +257,16 @@ fn mean_at(sampler: &Sampler, plane: &PlaneMap, radius: f64, points: usize) -> f
 /// The outer rim, shifted so that the disc has its printed size: bloom and ink spread move both
 /// rims towards the black alike.
 fn compensated_outer(outer: &Ellipse, disc: f64, ratio: f64) -> Result<Ellipse, Reject> {
-    let seen = Ellipse {
+    let inner = Ellipse {
         semi_major_px: disc * outer.semi_major_px,
         semi_minor_px: disc * outer.semi_minor_px,
         ..*outer
     };
-    let shift_px = rim_shift_px(outer, &seen, ratio).ok_or(Reject::Kind)?;
+    let shift_px = rim_shift_px(outer, &inner, ratio).ok_or(Reject::Kind)?;
     if shift_px.abs() > shift_limit_px(outer) {
         return Err(Reject::Kind);
     }
-    Ok(compensated(outer, &seen, shift_px).ok_or(Reject::Kind)?.0)
+    Ok(compensated(outer, &inner, shift_px).ok_or(Reject::Kind)?.0)
 }
 
 /// Fits the white disc's rim between the decoded teeth.
@@ -290,5 +290,5 @@ fn fit_white_disc(
             to_teeth_rad: (to_tooth(is_tooth(slot + 2 * bits - 1)), to_tooth(is_tooth(slot + 1))),
         }
     });
-    disc(sampler, plane, kind.ratio, gaps, (rim.black, rim.blur_px))
+    disc(sampler, plane, kind.ratio, gaps, rim)
 }

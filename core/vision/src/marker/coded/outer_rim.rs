@@ -199,14 +199,14 @@ fn fitted_with<S: Simd>(
     let mut shares = edges.out_px;
     for (index, share) in shares.iter_mut().enumerate() {
         let drawn_px = points.drawn_per_px[index] * (rim.blur_px * rim.blur_px) as f32;
-        let seen = if edges.slope[index] > 0.0 { *share + drawn_px } else { 0.0 };
-        *share = seen / points.height_px[index];
+        let out_px = if edges.slope[index] > 0.0 { *share + drawn_px } else { 0.0 };
+        *share = out_px / points.height_px[index];
     }
     // A slope over one pixel is that of an edge blurred by one more pixel.
-    let seen = (POINTS - edges.missing) as f64;
+    let count = (POINTS - edges.missing) as f64;
     let steep = mean(&edges.slope) * POINTS as f64;
-    let seen_px = contrast * seen / (steep * std::f64::consts::TAU.sqrt());
-    let blur_px = (seen_px * seen_px - SLOPE_PX2).sqrt();
+    let apparent_px = contrast * count / (steep * std::f64::consts::TAU.sqrt());
+    let blur_px = (apparent_px * apparent_px - SLOPE_PX2).sqrt();
     let of_slope = blur_px.max(BLURS_PX.0).min(BLURS_PX.1);
     let blur_px = if threshold.is_none() { of_slope } else { FIRST_BLUR_PX };
     let (ellipse, rest_px) = moved(&rim.ellipse, &points, &shares).ok_or(Reject::Profile)?;

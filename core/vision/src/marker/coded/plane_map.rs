@@ -37,13 +37,13 @@ impl PlaneMap {
     pub fn new(outer: &Ellipse, inner_center: PixelPoint, ratio: f64) -> Self {
         let flat = Self::with_offset(outer, (0.0, 0.0));
         let (x, y) = flat.plane(inner_center);
-        let (seen, r) = (x.hypot(y), ratio * ratio);
+        let (distance, r) = (x.hypot(y), ratio * ratio);
         let mut length = 0.0;
         for _ in 0..TURNS {
-            length = (seen * (1.0 - r * length * length) / (1.0 - r)).min(MAX_OFFSET);
+            length = (distance * (1.0 - r * length * length) / (1.0 - r)).min(MAX_OFFSET);
         }
         // NaN for an invalid ellipse.
-        let share = length / seen;
+        let share = length / distance;
         if share.is_finite() { Self::with_offset(outer, (x * share, y * share)) } else { flat }
     }
 
@@ -151,7 +151,7 @@ mod tests {
 
     /// The ellipse of a circle about the origin of a plane, and its centre's image, by the conic of
     /// the projection matrix, independently of the code above.
-    fn seen(plane_to_image: &nalgebra::Matrix3<f64>, radius: f64) -> Ellipse {
+    fn imaged_circle(plane_to_image: &nalgebra::Matrix3<f64>, radius: f64) -> Ellipse {
         let inverse = plane_to_image.try_inverse().unwrap();
         let circle = nalgebra::Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, -radius * radius));
         let conic = inverse.transpose() * circle * inverse;
@@ -190,7 +190,7 @@ mod tests {
                 let p = plane_to_image * Vector3::new(x, y, 1.0);
                 PixelPoint { u: p.x / p.z, v: p.y / p.z }
             };
-            let (outer, inner) = (seen(&plane_to_image, 1.0), seen(&plane_to_image, 0.6));
+            let (outer, inner) = (imaged_circle(&plane_to_image, 1.0), imaged_circle(&plane_to_image, 0.6));
             let plane = PlaneMap::new(&outer, inner.center, 0.6);
             // One point determines the rotation; all others must agree.
             let first = plane.plane(pixel(0.5, 0.0));

@@ -49,7 +49,7 @@ pub(crate) struct Profile {
 
 /// Grey levels and blur of a ring.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Levels {
+pub(crate) struct RingLevels {
     pub black: f64,
     pub white: f64,
     pub polarity: Polarity,
@@ -79,7 +79,12 @@ impl Directions {
 
     /// The profile of one roundel; `None` if the annulus is not completely inside the frame, or
     /// there is no contrast.
-    pub fn profile(&self, sampler: &Sampler, plane: &PlaneMap, levels: &Levels) -> Option<Profile> {
+    pub fn profile(
+        &self,
+        sampler: &Sampler,
+        plane: &PlaneMap,
+        levels: &RingLevels,
+    ) -> Option<Profile> {
         dispatch!(sampler.level, simd => self.profile_with(simd, sampler.frame, plane, levels))
     }
 
@@ -89,7 +94,7 @@ impl Directions {
         _simd: S,
         frame: &Frame,
         plane: &PlaneMap,
-        levels: &Levels,
+        levels: &RingLevels,
     ) -> Option<Profile> {
         let contrast = levels.white - levels.black;
         let sign = if levels.polarity == Polarity::BlackRing { 1.0 } else { -1.0 };

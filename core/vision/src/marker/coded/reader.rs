@@ -18,7 +18,7 @@ use crate::{
         coded::{
             decode::{self, DecodedWord},
             plane_map::PlaneMap,
-            profile::{Directions, Levels, MAX_SAMPLES, Profile},
+            profile::{Directions, MAX_SAMPLES, Profile, RingLevels},
             sampler::Sampler,
         },
     },
@@ -77,7 +77,7 @@ impl CodeReader {
     /// Reads the teeth inside a ring; `None` if they are unreadable.
     pub fn read(&self, frame: &Frame, ring: &Ring) -> Option<CodeReading> {
         let plane = PlaneMap::new(&ring.outer, ring.inner.center, self.ratio);
-        let levels = Levels {
+        let levels = RingLevels {
             black: ring.black,
             white: ring.white,
             polarity: ring.polarity,
@@ -92,7 +92,7 @@ impl CodeReader {
         &self,
         sampler: &Sampler,
         plane: &PlaneMap,
-        levels: &Levels,
+        levels: &RingLevels,
     ) -> Option<DecodedRing> {
         let profile = self.directions_for(plane).profile(sampler, plane, levels)?;
         let found = decode::decode(&profile, &self.dictionary, &self.own_distances)?;

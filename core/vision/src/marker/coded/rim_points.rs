@@ -138,8 +138,8 @@ impl Points {
             // Shares of the light of the margin, of the gaps, and of the black.
             let of_margin = share(drawn_px - aside_px) + 0.5 * share(-to_teeth_px);
             let of_black = share(-drawn_px - aside_px);
-            let seen = margins[index] - blacks[index];
-            let contrast = seen / (1.0 - of_margin - of_black).max(MIN_LEFT);
+            let mixed = margins[index] - blacks[index];
+            let contrast = mixed / (1.0 - of_margin - of_black).max(MIN_LEFT);
             pure_blacks[index] -= of_margin * contrast;
             pure_margins[index] += of_black * contrast;
         }
@@ -160,7 +160,7 @@ impl Edges {
     /// Within half a pixel; edges that seem more than a pixel away do not count.
     #[inline(always)]
     pub fn near(sampler: &Sampler, points: &Points, half: &PerPoint) -> Self {
-        Self::about(sampler, points, half, (&[0.0; POINTS], &[true; POINTS], 1.0))
+        Self::about(sampler, points, half, &[0.0; POINTS], &[true; POINTS], 1.0)
     }
 
     /// As [`crossing`], at all points at once where the edge is within a pixel.
@@ -188,7 +188,7 @@ impl Edges {
                 out_px[index] = found.unwrap_or_default() as f32;
             }
         }
-        Self::about(sampler, points, half, (&out_px, &is_seen, f32::INFINITY))
+        Self::about(sampler, points, half, &out_px, &is_seen, f32::INFINITY)
     }
 
     /// From levels half a pixel to either side of the estimates, at most `max_px` from there.
@@ -197,15 +197,17 @@ impl Edges {
         sampler: &Sampler,
         points: &Points,
         half: &PerPoint,
-        (thought_px, is_seen, max_px): (&PerPoint, &[bool; POINTS], f32),
+        estimate_px: &PerPoint,
+        is_seen: &[bool; POINTS],
+        max_px: f32,
     ) -> Self {
-        let [mut before, mut after] = [*thought_px; 2];
+        let [mut before, mut after] = [*estimate_px; 2];
         for index in 0..POINTS {
             before[index] -= 0.5;
             after[index] += 0.5;
         }
         let (before, after) = (points.levels(sampler, &before), points.levels(sampler, &after));
-        let (mut slope, mut out_px) = ([0.0; POINTS], *thought_px);
+        let (mut slope, mut out_px) = ([0.0; POINTS], *estimate_px);
         let mut missing = 0;
         for index in 0..POINTS {
             let (before, after) = (before[index] - half[index], after[index] - half[index]);

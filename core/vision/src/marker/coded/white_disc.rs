@@ -18,7 +18,7 @@ use nalgebra::{Matrix3, Vector3};
 use crate::{
     marker::{
         code::CodeLayout,
-        coded::{plane_map::PlaneMap, rim_points::crossing, sampler::Sampler},
+        coded::{outer_rim::OuterRim, plane_map::PlaneMap, rim_points::crossing, sampler::Sampler},
     },
     normal_distribution::normal_each,
 };
@@ -58,14 +58,14 @@ pub(crate) struct Disc {
     pub shift: (f64, f64),
 }
 
-/// Fits the white disc's rim to the gaps between teeth; `black` is the ring's level. `None` without
+/// Fits the white disc's rim to the gaps between teeth. `None` without
 /// enough gaps.
 pub(crate) fn disc(
     sampler: &Sampler,
     plane: &PlaneMap,
     ratio: f64,
     gaps: impl Iterator<Item = Gap> + Clone,
-    (black, blur_px): (f64, f64),
+    rim: &OuterRim,
 ) -> Option<Disc> {
     let mut radius = ratio;
     let mut shift = (0.0, 0.0);
@@ -73,8 +73,10 @@ pub(crate) fn disc(
         let mut normal = Matrix3::<f64>::zeros();
         let mut right = Vector3::<f64>::zeros();
         for gap in gaps.clone() {
-            let seen = ImagedGap::new(plane, radius, shift, &gap);
-            let Some((share, weight)) = seen.outwards(sampler, black, blur_px) else { continue };
+            let imaged = ImagedGap::new(plane, radius, shift, &gap);
+            let Some((share, weight)) = imaged.outwards(sampler, rim.black, rim.blur_px) else {
+                continue;
+            };
             let (cos, sin) = gap.direction;
             let row = Vector3::new(1.0, cos, sin);
             normal += row * row.transpose() * weight;

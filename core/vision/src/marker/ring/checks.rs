@@ -85,18 +85,21 @@ pub(crate) fn check_sizes(
     if ratio < min - slack || ratio > max + slack { Err(Reject::AreaRatio) } else { Ok(()) }
 }
 
-/// Tests both shapes against their boxes, eqs. (1), (2).
-pub(crate) fn check_boxes(
-    (black, outer): (&SegmentSize, &WeighedRim),
-    (white, inner): (&SegmentSize, &WeighedRim),
+/// Tests the black segment against its box, eqs. (1), (2).
+pub(crate) fn check_ring_box(
+    black: &SegmentSize,
+    outer: &WeighedRim,
     rules: &Rules,
 ) -> Result<(), Reject> {
     let filled = black.box_share(outer.covariance);
     let tolerance = black.box_tolerance();
     let (max, min) = (1.0 - rules.ratios.0.powi(2), 1.0 - rules.ratios.1.powi(2));
-    if !(min * (1.0 - tolerance)..=max * (1.0 + tolerance)).contains(&filled) {
-        return Err(Reject::BlackBox);
-    }
+    let is_filled = (min * (1.0 - tolerance)..=max * (1.0 + tolerance)).contains(&filled);
+    if is_filled { Ok(()) } else { Err(Reject::BlackBox) }
+}
+
+/// Tests the disc against its box, eq. (2).
+pub(crate) fn check_disc_box(white: &SegmentSize, inner: &WeighedRim) -> Result<(), Reject> {
     let filled = white.box_share(inner.covariance);
     if (filled - 1.0).abs() > white.box_tolerance() { Err(Reject::WhiteBox) } else { Ok(()) }
 }
@@ -157,7 +160,7 @@ pub(crate) fn check_shapes(
     }
 }
 
-/// Whether levels without blur are plausible; what is not a ring may have levels outside of the
+/// Whether levels without blur are plausible; other objects than rings may have levels outside of the
 /// range of a pixel.
 #[inline(always)]
 pub(crate) fn are_levels<T: Lane>(black: T, white: T, rules: &Rules) -> T::Mask {

@@ -44,12 +44,12 @@ use crate::{
                 ellipse_mask::Area,
                 patch::{Patch, WORD_PX},
                 predicted::{PredictedBands, PredictedRims, bands_about, disc_motion},
-                segment_fill::Extent,
+                segment_fill::{Extent, FilledSegment},
                 segments::{Segments, Spans},
             },
             probe::{Probe, Rules},
             subpixel::{
-                BandLayout, RimQuality, blur::SharpRims, refine_rims, thin_ring::RimDistances,
+                BandLayout, RefinedRims, SegmentSizes, refine_rims, thin_ring::RimDistances,
             },
         },
     },
@@ -120,15 +120,15 @@ fn measure_with<S: Simd>(
     let mut threshold = probe.threshold;
     let found = match followed(simd, frame, probe, rules, scratch) {
         Some(found) => {
-            threshold = own_threshold(found.0.black, found.0.white);
+            threshold = own_threshold(found.black, found.white);
             found
         }
         None => {
             let mut found = rims(simd, frame, probe, rules, scratch)?;
-            let own = own_threshold(found.0.black, found.0.white);
+            let own = own_threshold(found.black, found.white);
             let off = f64::from(own.abs_diff(threshold));
-            let limit = if found.1.cut { RETHRESHOLD_SHARE.1 } else { RETHRESHOLD_SHARE.0 };
-            if off > limit * (found.0.white - found.0.black) {
+            let limit = if found.is_cut { RETHRESHOLD_SHARE.1 } else { RETHRESHOLD_SHARE.0 };
+            if off > limit * (found.white - found.black) {
                 // If the rims are bridged at that threshold, the first result stands.
                 let probe = Probe { threshold: own, ..*probe };
                 load(simd, &mut scratch.patch, frame, &probe);
@@ -141,7 +141,7 @@ fn measure_with<S: Simd>(
             found
         }
     };
-    let (SharpRims { outer, inner, black, white }, RimQuality { unevenness, similar, .. }) = found;
+    let RefinedRims { outer, inner, black, white, unevenness, is_similar, .. } = found;
     let (kind, outer, inner) = if kinds.is_empty() {
         let ratio = inner.mean_radius_px() / outer.mean_radius_px();
         if ratio < RATIO_LIMITS.0 || ratio > RATIO_LIMITS.1 {
@@ -152,7 +152,7 @@ fn measure_with<S: Simd>(
         let nearest = if rules.similar {
             nearest_kind(kinds, probe.polarity, &outer, &inner)
         } else {
-            elliptical::nearest_kind(kinds, probe.polarity, similar, (&outer, &inner))
+            elliptical::nearest_kind(kinds, probe.polarity, is_similar, &outer, &inner)
         };
         let (kind, outer, inner) = nearest.ok_or(Reject::Kind)?;
         (Some(kind), outer, inner)
@@ -170,7 +170,7 @@ pub(crate) fn own_threshold(black: f64, white: f64) -> u8 {
 /// Loads the probe's window of the frame.
 #[inline(always)]
 fn load<S: Simd>(simd: S, patch: &mut Patch, frame: &Frame, probe: &Probe) {
-    Patch::load(simd, patch, frame, probe.bounds, (probe.frame_threshold(), probe.polarity));
+    Patch::load(simd, patch, frame, probe.bounds, probe.frame_threshold());
 }
 
 /// The ring at the probe, by its segments.
@@ -181,15 +181,22 @@ fn rims<S: Simd>(
     probe: &Probe,
     rules: &Rules,
     scratch: &mut MeasureScratch,
-) -> Result<(SharpRims, RimQuality), Reject> {
+) -> Result<RefinedRims, Reject> {
     let MeasureScratch { patch, spans, bands, distances, .. } = scratch;
     let segments = Segments::find(simd, frame, patch, probe.center, spans)?;
     let Segments { disc, ring, disc_size, ring_size } = &segments;
     check_sizes(ring_size, disc_size, rules)?;
-    let bands = EdgeBands::round(simd, patch, (disc, &spans.discs), (ring, &spans.rings), bands);
+    let bands = EdgeBands::round(
+        simd,
+        patch,
+        FilledSegment { extent: disc, spans: &spans.discs },
+        FilledSegment { extent: ring, spans: &spans.rings },
+        bands,
+    );
     let middle = |first: usize, end: usize| (first + end) / 2;
     let columns = &ring.columns;
     let layout = BandLayout {
+        patch,
         middle: (
             middle(columns.first as usize, columns.end as usize) & !1,
             middle(ring.top, ring.bottom) - bands.top,
@@ -197,9 +204,9 @@ fn rims<S: Simd>(
         outer: area_round(ring, &bands, patch),
         inner: area_round(disc, &bands, patch),
         bands,
-        sizes: Some((ring_size, disc_size)),
+        sizes: Some(SegmentSizes { ring: ring_size, disc: disc_size }),
     };
-    refine_rims(simd, frame, probe, rules, (patch, &layout), distances)
+    refine_rims(simd, frame, probe, rules, &layout, distances)
 }
 
 /// The ring at its predicted rims, if it is there.
@@ -210,7 +217,7 @@ fn followed<S: Simd>(
     probe: &Probe,
     rules: &Rules,
     scratch: &mut MeasureScratch,
-) -> Option<(SharpRims, RimQuality)> {
+) -> Option<RefinedRims> {
     let MeasureScratch { patch, bands, distances, .. } = scratch;
     let predicted = probe.predicted.as_ref()?;
     let (du, dv) = disc_motion(simd, patch, predicted)?;
@@ -218,15 +225,14 @@ fn followed<S: Simd>(
     for _ in 0..FOLLOWING_TURNS {
         let PredictedBands { bands, outer, inner, middle } =
             bands_about(simd, patch, &predicted, bands)?;
-        let layout = BandLayout { bands, middle, outer, inner, sizes: None };
-        let found = refine_rims(simd, frame, probe, rules, (patch, &layout), distances).ok()?;
-        let (outer, inner) = (found.0.outer, found.0.inner);
-        if predicted.is_near(&outer, &inner) {
-            let off = own_threshold(found.0.black, found.0.white).abs_diff(probe.threshold);
-            let limit = RETHRESHOLD_SHARE.0 * (found.0.white - found.0.black);
+        let layout = BandLayout { patch, bands, middle, outer, inner, sizes: None };
+        let found = refine_rims(simd, frame, probe, rules, &layout, distances).ok()?;
+        if predicted.is_near(&found.outer, &found.inner) {
+            let off = own_threshold(found.black, found.white).abs_diff(probe.threshold);
+            let limit = RETHRESHOLD_SHARE.0 * (found.white - found.black);
             return (f64::from(off) <= limit).then_some(found);
         }
-        predicted = PredictedRims::new(&outer, &inner);
+        predicted = PredictedRims::new(&found.outer, &found.inner);
     }
     None
 }

@@ -2,7 +2,10 @@
 
 use crate::{
     frame::Window,
-    marker::{kind::Polarity, ring::pixels::predicted::PredictedRims},
+    marker::{
+        kind::Polarity,
+        ring::pixels::{patch::Threshold, predicted::PredictedRims},
+    },
 };
 
 /// Limits for a ring.
@@ -36,10 +39,11 @@ pub(crate) struct Probe {
 impl Probe {
     /// The threshold in the frame's own levels.
     #[inline(always)]
-    pub fn frame_threshold(&self) -> u8 {
-        match self.polarity {
+    pub fn frame_threshold(&self) -> Threshold {
+        let level = match self.polarity {
             Polarity::BlackRing => self.threshold,
             Polarity::WhiteRing => 0u8.wrapping_sub(self.threshold),
-        }
+        };
+        Threshold { level, polarity: self.polarity }
     }
 }

@@ -67,10 +67,10 @@ pub(crate) struct CrossRules {
     pub black_at: Option<f64>,
 }
 
-/// Tests the chords through a hit in row `v`; its `u` counts from the frame's left.
+/// Tests the chords through a hit.
 pub(crate) fn cross(
     frame: &Frame,
-    (hit, v): (&Hit, usize),
+    hit: &Hit,
     threshold: u8,
     rules: &CrossRules,
     polarity: Polarity,
@@ -82,7 +82,7 @@ pub(crate) fn cross(
     let black_share = evenness.black_share;
     let binary = Binary { pixels, width, height, stride, threshold, flip, black_share };
     let limit = (2.0 * hit.half_px / rules.min_axis_ratio) as usize + 2;
-    let u = hit.u;
+    let (u, v) = (hit.u, hit.v);
     let column = binary.even_chord((u, v), (0, 1), limit, evenness)?;
     let v = v.wrapping_add_signed(column.middle(evenness));
     let row = binary.even_chord((u, v), (1, 0), limit, evenness)?;
@@ -108,7 +108,7 @@ pub(crate) fn cross(
         return Err(Reject::Chord);
     }
     let ring_center = (center.0 as f64 + du, center.1 as f64 + dv);
-    shape.check_round(&binary, center, ring_center, (black_at, share))?;
+    shape.check_round(&binary, center, ring_center, black_at, share)?;
     Ok(Candidate { center, ring_center, half_box_px: shape.half_box_px(), threshold })
 }
 
@@ -184,7 +184,8 @@ impl Coarse {
         binary: &Binary,
         (u, v): (usize, usize),
         ring_center: (f64, f64),
-        (black_at, white_share): (f64, f64),
+        black_at: f64,
+        white_share: f64,
     ) -> Result<(), Reject> {
         let (mut open, mut bridged) = (0, 0);
         // 22.5° and on in steps of 45°.

@@ -27,8 +27,9 @@ const MARGIN_HALF_PX: i32 = 8;
 /// A place in a row that may be a roundel's disc.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Hit {
-    /// Middle of the disc's chord, pixels from the row's start.
+    /// Middle of the disc's chord, in the frame.
     pub u: usize,
+    pub v: usize,
     /// Half the chord of the ring, pixels.
     pub half_px: f64,
     /// The highest level of the disc, or of the darker side of the margin if that is lower.
@@ -121,11 +122,11 @@ pub(crate) fn find_hits(
         });
         compress(pairs, rings);
         // Both are sorted by position; weaker edges reproduce what strong edges have found.
-        let mut known = stronger.iter().peekable();
+        let mut found = stronger.iter().peekable();
         for ring in &*rings {
-            while known.next_if(|known| known[1].rise < ring[1].rise).is_some() {}
-            if known.peek() != Some(&ring) {
-                hits.extend(hit(row.line(), ring, rules, polarity));
+            while found.next_if(|earlier| earlier[1].rise < ring[1].rise).is_some() {}
+            if found.peek() != Some(&ring) {
+                hits.extend(hit(row, ring, rules, polarity));
             }
         }
         std::mem::swap(rings, stronger);
@@ -178,12 +179,12 @@ fn is_even([left, right]: &[DarkRun; 2], rules: &HitRules) -> bool {
 }
 
 fn hit(
-    line: &[u8],
+    row: &RowEdges,
     [left, right]: &[DarkRun; 2],
     rules: &HitRules,
     polarity: Polarity,
 ) -> Option<Hit> {
-    let flip = polarity.flip();
+    let (line, flip) = (row.line(), polarity.flip());
     let levels = |from: i32, to: i32| {
         let (from, to) = ((from / 2).max(0) as usize, (to as usize).div_ceil(2) + 1);
         line[from..to.min(line.len())].iter().map(move |&grey| grey ^ flip)
@@ -193,8 +194,8 @@ fn hit(
     if disc < black.saturating_add(rules.contrast) {
         return None;
     }
-    // Blur darkens a narrow margin below the disc. What is hardly brighter than the ring is texture
-    // in it, not a margin.
+    // Blur darkens a narrow margin below the disc. Levels hardly brighter than the ring are texture
+    // in it, not margin.
     let reach = MARGIN_HALF_PX;
     let margin = levels(left.fall - reach, left.fall)
         .max()?
@@ -203,7 +204,8 @@ fn hit(
     let white = if is_margin { disc.min(margin) } else { disc };
     let middle = rules.evenness.middle((left.fall, left.rise), (right.fall, right.rise));
     Some(Hit {
-        u: (middle / 4) as usize,
+        u: row.left + (middle / 4) as usize,
+        v: row.v,
         half_px: 0.25 * f64::from(right.rise - left.fall),
         white,
         black,

@@ -23,6 +23,7 @@ pub(crate) mod row_edges;
 pub(crate) mod threshold;
 
 use crate::marker::{
+    code::CodeLayout,
     kind::{Kind, Pattern},
     ring::probe::Rules,
     search::{
@@ -45,8 +46,6 @@ const MIN_PAIRS: f64 = 2.0;
 /// … except those so long that perspective lets the two sides differ by more than this share: only
 /// some rows of such large rings have an even chord.
 const MAX_SIDE_SHARE: f64 = 0.25;
-/// A coded roundel's white core, as a share of the disc between the teeth.
-const CORE_SHARE: f64 = 240.0 / 420.0;
 /// A coded roundel's ring is black at this share of its radius, for any code.
 const CODED_BLACK: f64 = 0.8;
 
@@ -81,7 +80,7 @@ impl SearchRules {
         let step = (STEP_SHARE * f64::from(contrast)) as u8;
         let mut black_at = None;
         if coded {
-            evenness = evenness.with_teeth(CORE_SHARE);
+            evenness = evenness.with_teeth(CodeLayout::CORE_SHARE);
             black_at = Some(CODED_BLACK);
         }
         for (min, max) in kinds.iter().map(Kind::ratios).filter(|(min, max)| min < max) {

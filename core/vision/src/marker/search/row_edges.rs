@@ -22,6 +22,9 @@ pub(crate) struct RowEdges {
     /// The mean of the rows, with one pixel of padding before and some after.
     line: Vec<u8>,
     width: usize,
+    /// Position of the first pixel in the frame.
+    pub left: usize,
+    pub v: usize,
     /// A bit a pixel: the light falls there.
     pub falls: Vec<u64>,
     /// A bit a pixel: the light rises there.
@@ -34,7 +37,7 @@ impl RowEdges {
         let columns = window.left..window.right;
         let upper = &frame.row(v)[columns.clone()];
         let lower = &frame.row((v + 1).min(frame.height() - 1))[columns];
-        self.width = upper.len();
+        (self.width, self.left, self.v) = (upper.len(), window.left, v);
         let words = self.width.div_ceil(64);
         // Never shrinks: bytes behind the newest row are not read.
         if self.line.len() < words * 64 + 2 {
@@ -44,7 +47,7 @@ impl RowEdges {
         self.rises.resize(words, 0);
         let line = &mut self.line[..words * 64 + 2];
         dispatch!(level, simd =>
-            edges(simd, (upper, lower), step, line, (&mut self.falls, &mut self.rises)));
+            edges(simd, [upper, lower], step, line, &mut self.falls, &mut self.rises));
     }
 
     /// The mean grey levels.
@@ -56,10 +59,11 @@ impl RowEdges {
 #[simd]
 fn edges<S: Simd>(
     simd: S,
-    (upper, lower): (&[u8], &[u8]),
+    [upper, lower]: [&[u8]; 2],
     step: u8,
     line: &mut [u8],
-    (falls, rises): (&mut [u64], &mut [u64]),
+    falls: &mut [u64],
+    rises: &mut [u64],
 ) {
     let width = upper.len();
     for ((mean, &a), &b) in line[1..].iter_mut().zip(upper).zip(lower) {

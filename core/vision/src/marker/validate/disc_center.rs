@@ -4,7 +4,7 @@
 //! its areas fit some ring. The disc of a roundel, however blurred, is brightest at its centre, unless the camera's
 //! sharpening brightens its rim. So the centre is compared with the means along ellipses between it and the rim.
 //!
-//! Of 4,000 rendered roundels none is darker at the centre by more than 0.04 of the contrast; sharpened photographs reach
+//! Among 4,000 rendered roundels, none is darker at the centre by more than 0.04 of the contrast; sharpened photographs reach
 //! 0.2. Of 87 targets that passed every other test, all but two exceed 0.34 (`cargo run -p roundel-tests --bin recall`,
 //! `cargo test -p roundel-core --test main photo::`).
 //!

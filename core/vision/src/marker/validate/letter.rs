@@ -11,7 +11,7 @@
 //! Outlines flatter than a circle at 60° are more often the digit 0 than roundels: for them 0.3 px decreases with the
 //! quotient of axes.
 //!
-//! Of 6,000 rendered rings one exceeded 1.15 (1.6, a ring with little more than a pixel of black), of 900
+//! Among 6,000 rendered rings, one exceeded 1.15 (1.6, a ring with little more than a pixel of black), of 900
 //! photographed ones none 1.33; the letters that passed all other tests begin at 1.63
 //! (`cargo test -p roundel-tests --test main real::`).
 

@@ -27,7 +27,7 @@ use fearless_simd_macros::simd;
 
 use crate::marker::ring::pixels::{
     patch::{PADDING_ROWS, Patch},
-    segment_fill::{Extent, Span},
+    segment_fill::FilledSegment,
 };
 
 /// Rows around a roundel that belong to its bands and the margin.
@@ -86,12 +86,12 @@ impl<'a> EdgeBands<'a> {
     pub fn round<S: Simd>(
         simd: S,
         patch: &Patch,
-        disc: (&Extent, &[Span]),
-        ring: (&Extent, &[Span]),
+        disc: FilledSegment,
+        ring: FilledSegment,
         scratch: &'a mut BandScratch,
     ) -> Self {
-        let top = ring.0.top.saturating_sub(REACH);
-        let bottom = (ring.0.bottom + REACH).min(patch.rows());
+        let top = ring.extent.top.saturating_sub(REACH);
+        let bottom = (ring.extent.bottom + REACH).min(patch.rows());
         let words = patch.words;
         // With an empty row before and after, so that every row has two neighbours.
         let length = (bottom - top + 2) * words;
@@ -115,12 +115,12 @@ impl<'a> EdgeBands<'a> {
             half,
         ] = std::array::from_fn(|_| planes.next().expect("the scratch holds all planes"));
         let pixels = top * words..bottom * words;
-        fill(white, disc, (top, words));
+        fill(white, disc, top, words);
         let inner = words..length - words;
         for (disc, white) in white[inner.clone()].iter_mut().zip(&patch.white[pixels.clone()]) {
             *disc &= white;
         }
-        fill(whole, ring, (top, words));
+        fill(whole, ring, top, words);
 
         let grid = Grid { words };
         grid.shrink::<SQUARE>(white, less);
@@ -210,16 +210,16 @@ fn combine(to: &mut [u64], a: &[u64], b: &[u64], with: impl Fn(u64, u64) -> u64)
 
 /// A segment's spans as bits.
 #[inline(always)]
-fn fill(plane: &mut [u64], (extent, spans): (&Extent, &[Span]), (top, words): (usize, usize)) {
+fn fill(plane: &mut [u64], segment: FilledSegment, top: usize, words: usize) {
+    let extent = segment.extent;
     let (before, rest) = plane.split_at_mut((extent.top - top + 1) * words);
     let (rows, after) = rest.split_at_mut(extent.height() * words);
     before.fill(0);
     after.fill(0);
-    let spans = &spans[extent.top..extent.bottom];
     if words == 1 {
-        rows.iter_mut().zip(spans).for_each(|(bits, span)| *bits = span.bits(0));
+        rows.iter_mut().zip(segment.rows()).for_each(|(bits, span)| *bits = span.bits(0));
     } else {
-        for (row, span) in rows.chunks_exact_mut(words).zip(spans) {
+        for (row, span) in rows.chunks_exact_mut(words).zip(segment.rows()) {
             row.iter_mut().enumerate().for_each(|(word, bits)| *bits = span.bits(word));
         }
     }

@@ -21,6 +21,14 @@ pub(crate) const WORD_PX: usize = 64;
 /// Rows of undefined content after a patch's last, so that this many can be loaded at once.
 pub(crate) const PADDING_ROWS: usize = 16;
 
+/// Grey levels from `level` on are white; levels are inverted for white rings.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Threshold {
+    /// In the frame's own levels.
+    pub level: u8,
+    pub polarity: Polarity,
+}
+
 /// A window of a frame, thresholded.
 #[derive(Debug, Default)]
 pub(crate) struct Patch {
@@ -63,7 +71,7 @@ impl Patch {
         patch: &mut Patch,
         frame: &Frame,
         window: Window,
-        (threshold, polarity): (u8, Polarity),
+        threshold: Threshold,
     ) -> bool {
         if window.width() > WORD_PX || frame.width() < WORD_PX {
             return false;
@@ -75,7 +83,7 @@ impl Patch {
         if patch.white.len() < length {
             patch.white.resize(length, 0);
         }
-        let (flip, limit) = flip_and_limit(simd, threshold, polarity);
+        let (flip, limit) = flip_and_limit(simd, threshold);
         let (pixels, stride) = frame.pixels();
         let rows = pixels[window.top * stride + left..].chunks(stride);
         for (row, white) in rows.zip(&mut patch.white[..window.height()]) {
@@ -93,7 +101,7 @@ impl Patch {
         patch: &mut Patch,
         frame: &Frame,
         window: Window,
-        (threshold, polarity): (u8, Polarity),
+        threshold: Threshold,
     ) {
         let words = window.width().div_ceil(WORD_PX);
         let left = window.left.min(frame.width().saturating_sub(words * WORD_PX));
@@ -109,7 +117,7 @@ impl Patch {
         if patch.white.len() < length {
             patch.white.resize(length, 0);
         }
-        let (flip, limit) = flip_and_limit(simd, threshold, polarity);
+        let (flip, limit) = flip_and_limit(simd, threshold);
         if words == 1 && right - left == WORD_PX {
             let rows = patch.grey.iter_mut().zip(&mut patch.white).zip(&mut patch.black);
             for (v, ((to, white), black)) in (window.top..window.bottom).zip(rows) {
@@ -147,11 +155,12 @@ impl Patch {
 
 /// The mask that inverts grey levels, and the first white level after it.
 #[inline(always)]
-fn flip_and_limit<S: Simd>(simd: S, threshold: u8, polarity: Polarity) -> (u8x64<S>, u8x64<S>) {
+fn flip_and_limit<S: Simd>(simd: S, threshold: Threshold) -> (u8x64<S>, u8x64<S>) {
+    let Threshold { level, polarity } = threshold;
     let limit = match polarity {
-        Polarity::BlackRing => threshold,
+        Polarity::BlackRing => level,
         // I < τ becomes 255 - I ≥ 256 - τ.
-        Polarity::WhiteRing => 0u8.wrapping_sub(threshold),
+        Polarity::WhiteRing => 0u8.wrapping_sub(level),
     };
     (u8x64::splat(simd, polarity.flip()), u8x64::splat(simd, limit))
 }

@@ -248,7 +248,7 @@ mod tests {
     use crate::{
         camera::PixelPoint,
         frame::{Frame, Window},
-        marker::kind::Polarity,
+        marker::{kind::Polarity, ring::pixels::patch::Threshold},
     };
     use fearless_simd::{Level, dispatch};
     use proptest::prelude::*;
@@ -280,7 +280,7 @@ mod tests {
         let left = (ring.outer.ellipse.center.u as usize).saturating_sub(columns / 2);
         let window = Window { left, top: 5, right: (left + columns).min(SIDE), bottom: 145 };
         let mut patch = Patch::default();
-        let with = (120, Polarity::BlackRing);
+        let with = Threshold { level: 120, polarity: Polarity::BlackRing };
         dispatch!(Level::new(), simd => Patch::load(simd, &mut patch, &frame, window, with));
         patch
     }
@@ -378,10 +378,10 @@ mod tests {
         for (set, white) in [(found.near, false), (found.disc_core, false), (found.black, true)] {
             let at = set.iter().position(|&bits| bits != 0).unwrap();
             let pixel = 1 << set[at].trailing_zeros();
-            let mut spoilt = patch(&predicted, 64);
-            spoilt.white[found.top * spoilt.words + at] ^= pixel;
-            assert_eq!(spoilt.white[found.top * spoilt.words + at] & pixel != 0, white);
-            assert!(bands(&spoilt, &predicted, &mut BandScratch::new()).is_none());
+            let mut corrupted = patch(&predicted, 64);
+            corrupted.white[found.top * corrupted.words + at] ^= pixel;
+            assert_eq!(corrupted.white[found.top * corrupted.words + at] & pixel != 0, white);
+            assert!(bands(&corrupted, &predicted, &mut BandScratch::new()).is_none());
         }
     }
 

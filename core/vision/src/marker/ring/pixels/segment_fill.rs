@@ -54,13 +54,27 @@ impl Extent {
     }
 }
 
+/// A segment: its extent, and its spans by row of the patch.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FilledSegment<'a> {
+    pub extent: &'a Extent,
+    pub spans: &'a [Span],
+}
+
+impl FilledSegment<'_> {
+    /// The spans of its own rows.
+    pub fn rows(&self) -> &[Span] {
+        &self.spans[self.extent.top..self.extent.bottom]
+    }
+}
+
 /// Why there is no segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum FillError {
     /// The seed is not of the class.
     Seed,
     /// It reaches an edge of the given rows and columns, with this extent so far.
-    BlurredEdge(Extent),
+    Edge(Extent),
 }
 
 /// Rows of bits of one class.
@@ -104,7 +118,7 @@ pub(crate) fn fill_disc<S: Simd>(
 pub(crate) fn fill_ring<S: Simd>(
     simd: S,
     black: &BitRows,
-    disc: (&Extent, &[Span]),
+    disc: FilledSegment,
     spans: &mut [Span],
 ) -> Result<Extent, FillError> {
     if black.words == 1 {
@@ -133,20 +147,20 @@ fn disc<const ONE: bool>(
 #[inline(always)]
 fn ring<const ONE: bool>(
     black: &BitRows,
-    (disc, discs): (&Extent, &[Span]),
+    disc: FilledSegment,
     spans: &mut [Span],
 ) -> Result<Extent, FillError> {
-    let mut columns = disc.columns;
-    for v in disc.top..disc.bottom {
+    let mut columns = disc.extent.columns;
+    for (v, filled) in (disc.extent.top..).zip(disc.rows()) {
         let row = black.row::<ONE>(v);
         let span = Span {
-            first: start_of_run::<ONE>(row, discs[v].first),
-            end: end_of_run::<ONE>(row, discs[v].end),
+            first: start_of_run::<ONE>(row, filled.first),
+            end: end_of_run::<ONE>(row, filled.end),
         };
         columns = columns.joined(span);
         spans[v] = span;
     }
-    let mut extent = Extent { columns, ..*disc };
+    let mut extent = Extent { columns, ..*disc.extent };
     upwards::<ONE>(black, &mut extent, spans)?;
     downwards::<ONE>(black, &mut extent, spans)?;
     close::<ONE>(black, &mut extent, spans)?;
@@ -162,7 +176,7 @@ fn upwards<const ONE: bool>(
 ) -> Result<(), FillError> {
     loop {
         if extent.columns.first == 0 || extent.columns.end >= bits.columns || extent.top == 0 {
-            return Err(FillError::BlurredEdge(*extent));
+            return Err(FillError::Edge(*extent));
         }
         let above = extent.top - 1;
         let Some(span) = runs_touching(bits.row::<ONE>(above), spans[extent.top]) else {
@@ -186,7 +200,7 @@ fn downwards<const ONE: bool>(
             || extent.columns.end >= bits.columns
             || extent.bottom == bits.rows
         {
-            return Err(FillError::BlurredEdge(*extent));
+            return Err(FillError::Edge(*extent));
         }
         let below = extent.bottom;
         let Some(span) = runs_touching(bits.row::<ONE>(below), spans[below - 1]) else {
@@ -393,6 +407,6 @@ mod tests {
         let white = BitRows::new(&rows, 1, (4, 4));
         let mut spans = [Span::default(); 4];
         let found = dispatch!(Level::new(), simd => fill_disc(simd, &white, (2, 2), &mut spans));
-        assert!(matches!(found, Err(FillError::BlurredEdge(_))), "{found:?}");
+        assert!(matches!(found, Err(FillError::Edge(_))), "{found:?}");
     }
 }

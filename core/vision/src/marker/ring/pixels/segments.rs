@@ -11,7 +11,7 @@ use crate::{
         reject::Reject,
         ring::pixels::{
             patch::Patch,
-            segment_fill::{BitRows, Extent, FillError, Span, fill_disc, fill_ring},
+            segment_fill::{BitRows, Extent, FillError, FilledSegment, Span, fill_disc, fill_ring},
         },
     },
     scratch::reserve_total,
@@ -80,16 +80,20 @@ impl Segments {
             .unwrap_or(Err(FillError::Seed));
         let disc = disc.map_err(|error| match error {
             FillError::Seed => Reject::NoWhite,
-            FillError::BlurredEdge(_) => Reject::WhiteTooLarge,
+            FillError::Edge(_) => Reject::WhiteTooLarge,
         })?;
-        let ring = fill_ring(simd, &black, (&disc, discs), rings).map_err(|error| match error {
-            FillError::Seed => Reject::NoBlack,
-            FillError::BlurredEdge(extent) if at_frame_edge(frame, patch, &extent) => {
-                Reject::FrameEdge
-            }
-            FillError::BlurredEdge(_) => Reject::BlackTooLarge,
-        })?;
-        let (disc_size, ring_size) = counts(patch, (&disc, discs), (&ring, rings));
+        let ring = fill_ring(simd, &black, FilledSegment { extent: &disc, spans: discs }, rings)
+            .map_err(|error| match error {
+                FillError::Seed => Reject::NoBlack,
+                FillError::Edge(extent) if at_frame_edge(frame, patch, &extent) => {
+                    Reject::FrameEdge
+                }
+                FillError::Edge(_) => Reject::BlackTooLarge,
+            })?;
+        let disc_size =
+            size(patch.words, FilledSegment { extent: &disc, spans: discs }, &patch.white);
+        let ring_size =
+            size(patch.words, FilledSegment { extent: &ring, spans: rings }, &patch.black);
         Ok(Self { disc, ring, disc_size, ring_size })
     }
 }
@@ -119,31 +123,22 @@ fn at_frame_edge(frame: &Frame, patch: &Patch, extent: &Extent) -> bool {
         || (extent.bottom == patch.rows() && window.bottom == frame.height())
 }
 
-/// Sizes of the disc and of the black around it.
+/// Size of a segment of the class with these bits.
 #[inline(always)]
-fn counts(
-    patch: &Patch,
-    disc: (&Extent, &[Span]),
-    ring: (&Extent, &[Span]),
-) -> (SegmentSize, SegmentSize) {
-    (count(patch.words, disc, &patch.white), count(patch.words, ring, &patch.black))
-}
-
-#[inline(always)]
-fn count(words: usize, (extent, spans): (&Extent, &[Span]), bits: &[u64]) -> SegmentSize {
-    let spans = &spans[extent.top..extent.bottom];
-    let bits = &bits[extent.top * words..extent.bottom * words];
+fn size(words: usize, segment: FilledSegment, bits: &[u64]) -> SegmentSize {
+    let Extent { top, bottom, .. } = *segment.extent;
+    let bits = &bits[top * words..bottom * words];
     let mut pixels = 0;
     if words == 1 {
-        for (bits, span) in bits.iter().zip(spans) {
+        for (bits, span) in bits.iter().zip(segment.rows()) {
             pixels += (bits & span.bits(0)).count_ones();
         }
     } else {
-        for (row, span) in bits.chunks_exact(words).zip(spans) {
+        for (row, span) in bits.chunks_exact(words).zip(segment.rows()) {
             for (word, bits) in row.iter().enumerate() {
                 pixels += (bits & span.bits(word)).count_ones();
             }
         }
     }
-    SegmentSize::new(pixels, extent)
+    SegmentSize::new(pixels, segment.extent)
 }

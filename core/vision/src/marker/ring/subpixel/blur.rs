@@ -55,7 +55,8 @@ pub(crate) struct SharpRims {
 #[simd]
 pub(crate) fn remove_blur<S: Simd>(
     simd: S,
-    (outer, inner): (&WeighedRim, &WeighedRim),
+    outer: &WeighedRim,
+    inner: &WeighedRim,
     levels: &LevelSamples<f64>,
     thin: Option<&RimDistances>,
 ) -> SharpRims {
@@ -70,7 +71,7 @@ pub(crate) fn remove_blur<S: Simd>(
             let share = (black.level - level) / (white.level - level);
             share.clamp(-MAX_MIXED, MAX_MIXED)
         });
-        correction = correction.turn((&rims.0, &rims.1), levels, &blur, black_share);
+        correction = correction.turn(&rims.0, &rims.1, levels, &blur, black_share);
     }
     let (black, white) = correction.levels(black.level, white.level);
     let (outer, inner) = (
@@ -101,14 +102,11 @@ impl<T: Lane> BlurCorrection<T> {
 
     /// The final estimate for rims with wide bands and all levels beyond them.
     #[inline(always)]
-    pub fn of_wide(
-        (outer, inner): (&RimSpread<T>, &RimSpread<T>),
-        levels: &LevelSamples<T>,
-    ) -> Self {
+    pub fn of_wide(outer: &RimSpread<T>, inner: &RimSpread<T>, levels: &LevelSamples<T>) -> Self {
         let mut correction = Self::none(inner.spread_px2);
         for _ in 0..TURNS {
             let blur = Blur::new(correction.spread_px2);
-            correction = correction.turn((outer, inner), levels, &blur, None);
+            correction = correction.turn(outer, inner, levels, &blur, None);
         }
         correction
     }
@@ -117,13 +115,14 @@ impl<T: Lane> BlurCorrection<T> {
     #[inline(always)]
     fn turn(
         &self,
-        (outer, inner): (&RimSpread<T>, &RimSpread<T>),
+        outer: &RimSpread<T>,
+        inner: &RimSpread<T>,
         levels: &LevelSamples<T>,
         blur: &Blur<T>,
         black_share: Option<T>,
     ) -> Self {
         let (r_o, r_i) = (outer.radius_px, inner.radius_px);
-        let mixed = LevelErrors::new((r_o, r_i), levels, black_share, blur);
+        let mixed = LevelErrors::new(r_o, r_i, levels, black_share, blur);
         // Weights are shares of the measured contrast.
         let scale = (-mixed.white - mixed.black + 1.0).under(1.0);
         let (of_outer, of_inner) = (
@@ -174,7 +173,8 @@ struct LevelErrors<T> {
 impl<T: Lane> LevelErrors<T> {
     #[inline(always)]
     fn new(
-        (r_o, r_i): (T, T),
+        r_o: T,
+        r_i: T,
         levels: &LevelSamples<T>,
         black_share: Option<T>,
         blur: &Blur<T>,

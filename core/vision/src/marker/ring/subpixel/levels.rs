@@ -197,14 +197,14 @@ impl<T: Lane> Levels<T> {
     #[inline(always)]
     pub fn movement(
         &self,
-        (outer, inner): (&WeighedRim<T>, &WeighedRim<T>),
-        (of_outer, of_inner): (T, T),
+        (outer, outer_pixels): (&WeighedRim<T>, T),
+        (inner, inner_pixels): (&WeighedRim<T>, T),
     ) -> [(T, T); 2] {
         let contrast = self.white.level - self.black.level;
         let (r_o, r_i) = (outer.rim.mean_radius_px(), inner.rim.mean_radius_px());
         let along = gradient(self.slopes, (r_o, r_i));
-        let of_outer = of_outer * r_o / (-contrast * outer.area_px2);
-        let of_inner = of_inner * r_i / (contrast * inner.area_px2);
+        let of_outer = outer_pixels * r_o / (-contrast * outer.area_px2);
+        let of_inner = inner_pixels * r_i / (contrast * inner.area_px2);
         [shift(outer, of_outer, along), shift(inner, of_inner, along)]
     }
 }

@@ -21,12 +21,12 @@ use fearless_simd::Simd;
 use fearless_simd_macros::simd;
 
 use crate::{
-    ellipse::Moments,
+    ellipse::{Ellipse, Moments},
     frame::Frame,
     marker::{
         reject::Reject,
         ring::{
-            checks::{are_levels, check_boxes, check_shapes, is_inside},
+            checks::{are_levels, check_disc_box, check_ring_box, check_shapes, is_inside},
             pixels::{
                 edge_band::{EdgeBands, THIN_PX, WIDE_PX, pixels_in},
                 ellipse_mask::Area,
@@ -37,9 +37,9 @@ use crate::{
             subpixel::{
                 blur::{SharpRims, remove_blur},
                 levels::{LevelSamples, Levels, PartSums},
-                moments::{BandWeights, moments},
-                thin_ring::RimDistances,
-                unevenness::{Pixels, unevenness},
+                moments::{BandPixels, BandWeights, moments},
+                thin_ring::{RimDistances, ThinPixels},
+                unevenness::{RimPixels, unevenness},
             },
             weighed_rim::{Cuts, WeighedRim},
         },
@@ -50,26 +50,39 @@ use crate::{
 const THIN_TURNS: usize = 2;
 /// Deviation of a blurred edge where none is measured, pixels.
 const USUAL_BLUR_PX: f64 = 0.75;
-/// Properties of the outer rim besides its ellipse.
+
+/// Both rims without blur, and their quality.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct RimQuality {
+pub(crate) struct RefinedRims {
+    pub outer: Ellipse,
+    pub inner: Ellipse,
+    pub black: f64,
+    pub white: f64,
     /// As in [`crate::marker::Ring`].
     pub unevenness: f64,
     /// Both rims have the same shape.
-    pub similar: bool,
+    pub is_similar: bool,
     /// Only the part inside of the threshold's edge was weighed.
-    pub cut: bool,
+    pub is_cut: bool,
 }
 
-/// Bands, and their position.
+/// Bands, and their position in a patch.
 pub(crate) struct BandLayout<'a> {
+    pub patch: &'a Patch,
     pub bands: EdgeBands<'a>,
     /// A pixel in the middle, its column even, in the bands' rows.
     pub middle: (usize, usize),
     pub outer: Area,
     pub inner: Area,
-    /// Sizes of black and disc, if segments were filled.
-    pub sizes: Option<(&'a SegmentSize, &'a SegmentSize)>,
+    /// If segments were filled.
+    pub sizes: Option<SegmentSizes<'a>>,
+}
+
+/// Sizes of the black segment and of the disc.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SegmentSizes<'a> {
+    pub ring: &'a SegmentSize,
+    pub disc: &'a SegmentSize,
 }
 
 /// Both rims by grey levels, with all tests.
@@ -79,10 +92,10 @@ pub(crate) fn refine_rims<S: Simd>(
     frame: &Frame,
     probe: &Probe,
     rules: &Rules,
-    (patch, layout): (&Patch, &BandLayout),
+    layout: &BandLayout,
     distances: &mut RimDistances,
-) -> Result<(SharpRims, RimQuality), Reject> {
-    let BandLayout { bands, middle, .. } = layout;
+) -> Result<RefinedRims, Reject> {
+    let BandLayout { patch, bands, middle, .. } = layout;
     let (words, window) = (patch.words, &patch.window);
     let first = bands.top * words;
     let grey = &patch.grey[first..first + bands.disc_core.len()];
@@ -98,51 +111,51 @@ pub(crate) fn refine_rims<S: Simd>(
     if margin.is_none() && layout.sizes.is_none() {
         return Err(Reject::Contrast);
     }
-    let cut_px = cut_px(f64::from(probe.threshold) - 0.5, black, white);
-    let cut = margin.is_none() && !levels.has_near_margin();
-    let (of_outer, cuts) = match margin {
-        Some(_) => (
-            (bands.ring_core, bands.ring_band),
-            Cuts { inside_px: bands.inside_px, outside_px: WIDE_PX },
-        ),
-        None if !cut => {
-            ((bands.thin_core, bands.thin_band), Cuts { inside_px: THIN_PX, outside_px: THIN_PX })
-        }
-        None => {
-            ((bands.thin_core, bands.half_band), Cuts { inside_px: THIN_PX, outside_px: cut_px })
-        }
+    let is_cut = margin.is_none() && !levels.has_near_margin();
+    let (core, band, inside_px, outside_px) = if margin.is_some() {
+        (bands.ring_core, bands.ring_band, bands.inside_px, WIDE_PX)
+    } else if is_cut {
+        let cut_px = cut_px(f64::from(probe.threshold) - 0.5, black, white);
+        (bands.thin_core, bands.half_band, THIN_PX, cut_px)
+    } else {
+        (bands.thin_core, bands.thin_band, THIN_PX, THIN_PX)
     };
-    let around = Cuts { inside_px: bands.core_px, outside_px: bands.inside_px };
     let regions = RimRegions {
         grey,
         words,
         origin: (window.left + middle.0, window.top + bands.top + middle.1),
         middle: *middle,
-        outer: (of_outer, cuts, layout.outer),
-        inner: ((bands.disc_core, bands.disc_band), around, layout.inner),
-        white: (margin.map_or(white, |margin| margin.level), white),
+        outer: RimRegion { core, band, area: layout.outer, cuts: Cuts { inside_px, outside_px } },
+        inner: RimRegion {
+            core: bands.disc_core,
+            band: bands.disc_band,
+            area: layout.inner,
+            cuts: Cuts { inside_px: bands.core_px, outside_px: bands.inside_px },
+        },
+        margin: margin.map_or(white, |margin| margin.level),
+        white,
     };
     let mut outer = regions.outer(simd, black)?;
     let mut inner = regions.inner(simd, black)?;
     let mut samples = LevelSamples { black: levels.black, white: levels.white, margin };
-    let thin = bands.black_px < WIDE_PX;
-    let origin = (window.left, window.top + bands.top);
+    let is_thin = bands.black_px < WIDE_PX;
     let mut found;
     let mut turn = 0;
     loop {
-        if thin {
-            let sets = (grey, bands.whole, bands.white);
-            RimDistances::measure(
-                simd,
-                distances,
-                sets,
+        if is_thin {
+            let pixels = ThinPixels {
+                grey,
+                whole: bands.whole,
+                white: bands.white,
                 words,
-                origin,
-                (&outer.rim_ellipse(), &inner.rim_ellipse()),
-            );
+                first: (window.left, window.top + bands.top),
+            };
+            let (outer, inner) = (outer.rim_ellipse(), inner.rim_ellipse());
+            RimDistances::measure(simd, distances, &pixels, &outer, &inner);
         }
-        found = remove_blur(simd, (&outer, &inner), &samples, thin.then_some(&*distances));
-        if !thin || turn == THIN_TURNS {
+        let thin = is_thin.then_some(&*distances);
+        found = remove_blur(simd, &outer, &inner, &samples, thin);
+        if !is_thin || turn == THIN_TURNS {
             break;
         }
         turn += 1;
@@ -153,24 +166,27 @@ pub(crate) fn refine_rims<S: Simd>(
     if !are_levels(found.black, found.white, rules) {
         return Err(Reject::Contrast);
     }
-    if let Some((ring_size, disc_size)) = layout.sizes {
-        check_boxes((ring_size, &outer), (disc_size, &inner), rules)?;
+    if let Some(sizes) = layout.sizes {
+        check_ring_box(sizes.ring, &outer, rules)?;
+        check_disc_box(sizes.disc, &inner)?;
     }
-    let similar = check_shapes(&outer, &inner, rules)?;
+    let is_similar = check_shapes(&outer, &inner, rules)?;
     if !is_inside((frame.width(), frame.height()), &outer) {
         return Err(Reject::FrameEdge);
     }
     let center = outer.rim.at(0).center;
-    let unevenness = unevenness(simd, &Pixels::of(patch), center, &outer.matrix(), contrast)?;
+    let unevenness = unevenness(simd, &RimPixels::of(patch), center, &outer.matrix(), contrast)?;
     if margin.is_some() {
-        let pixels = [of_outer.1, bands.disc_band].map(|band| f64::from(pixels_in(band)));
-        let moved = levels.movement((&outer, &inner), (pixels[0], pixels[1]));
+        let (outer_pixels, inner_pixels) = (pixels_in(band), pixels_in(bands.disc_band));
+        let moved =
+            levels.movement((&outer, f64::from(outer_pixels)), (&inner, f64::from(inner_pixels)));
         for (rim, (du, dv)) in [&mut found.outer, &mut found.inner].into_iter().zip(moved) {
             rim.center.u -= du;
             rim.center.v -= dv;
         }
     }
-    Ok((found, RimQuality { unevenness, similar, cut }))
+    let SharpRims { outer, inner, black, white } = found;
+    Ok(RefinedRims { outer, inner, black, white, unevenness, is_similar, is_cut })
 }
 
 /// The pixels that weigh in for both rims.
@@ -180,35 +196,50 @@ struct RimRegions<'a> {
     /// The pixel that sums are relative to, in the frame and in the rows.
     origin: (usize, usize),
     middle: (usize, usize),
-    /// Core and band of each rim, where the band ends, and its area.
-    outer: ((&'a [u64], &'a [u64]), Cuts, Area),
-    inner: ((&'a [u64], &'a [u64]), Cuts, Area),
+    outer: RimRegion<'a>,
+    inner: RimRegion<'a>,
     /// Levels of the margin and of the disc.
-    white: (f64, f64),
+    margin: f64,
+    white: f64,
+}
+
+/// The pixels that weigh in for one rim.
+struct RimRegion<'a> {
+    core: &'a [u64],
+    band: &'a [u64],
+    /// Contains both.
+    area: Area,
+    cuts: Cuts,
 }
 
 impl RimRegions<'_> {
     #[inline(always)]
     fn outer<S: Simd>(&self, simd: S, black: f64) -> Result<WeighedRim, Reject> {
-        self.weigh(simd, &self.outer, BandWeights::between(self.white.0, black))
+        self.weigh(simd, &self.outer, BandWeights::between(self.margin, black))
     }
 
     #[inline(always)]
     fn inner<S: Simd>(&self, simd: S, black: f64) -> Result<WeighedRim, Reject> {
-        self.weigh(simd, &self.inner, BandWeights::between(black, self.white.1))
+        self.weigh(simd, &self.inner, BandWeights::between(black, self.white))
     }
 
     #[inline(always)]
     fn weigh<S: Simd>(
         &self,
         simd: S,
-        (sets, cuts, area): &((&[u64], &[u64]), Cuts, Area),
+        region: &RimRegion,
         weights: BandWeights,
     ) -> Result<WeighedRim, Reject> {
-        let Moments { n, u, v, uu, uv, vv } =
-            moments(simd, self.grey, *sets, (self.words, area), self.middle, weights);
+        let pixels = BandPixels {
+            grey: self.grey,
+            core: region.core,
+            band: region.band,
+            words: self.words,
+            area: region.area,
+        };
+        let Moments { n, u, v, uu, uv, vv } = moments(simd, &pixels, self.middle, weights);
         let origin = (self.origin.0 as f64, self.origin.1 as f64);
-        let weighed = WeighedRim::new([n, v, vv, u, uv, uu], origin, *cuts);
+        let weighed = WeighedRim::new([n, v, vv, u, uv, uu], origin, region.cuts);
         if weighed.valid { Ok(weighed) } else { Err(Reject::TooSmall) }
     }
 }

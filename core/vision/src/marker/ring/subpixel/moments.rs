@@ -126,19 +126,34 @@ impl BandWeights {
     }
 }
 
-/// Weighted sums over the pixels of `core` and `band`, all within `area`, relative to the middle.
+/// The pixels of a rim's core and band.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct BandPixels<'a> {
+    pub grey: &'a [[u8; WORD_PX]],
+    pub core: &'a [u64],
+    pub band: &'a [u64],
+    pub words: usize,
+    /// Contains core and band.
+    pub area: Area,
+}
+
+/// Weighted sums over the pixels, relative to the middle.
 #[simd]
 pub(crate) fn moments<S: Simd>(
     simd: S,
-    grey: &[[u8; WORD_PX]],
-    (core, band): (&[u64], &[u64]),
-    (words, area): (usize, &Area),
+    pixels: &BandPixels,
     (middle_u, middle_v): (usize, usize),
     weights: BandWeights,
 ) -> Moments {
+    let BandPixels { grey, core, band, words, area } = *pixels;
     let mut sums = [f32x16::splat(simd, 0.0); 6];
     let rows = area.rows.0 * words..(area.rows.1 * words).min(grey.len());
-    let (grey, core, band) = (&grey[rows.clone()], &core[rows.clone()], &band[rows]);
+    let pixels = BandPixels {
+        grey: &grey[rows.clone()],
+        core: &core[rows.clone()],
+        band: &band[rows],
+        ..*pixels
+    };
     let first_v = area.rows.0 as f32 - middle_v as f32;
     for word in 0..words {
         let first = area.columns.0.saturating_sub(word * WORD_PX);
@@ -151,7 +166,7 @@ pub(crate) fn moments<S: Simd>(
         for block in 0..blocks {
             let column = first + block * LANES;
             let u = (word * WORD_PX + column) as f32 - middle_u as f32;
-            let of_block = lanes(simd, grey, (core, band), (word, words, column), first_v, weights);
+            let of_block = lanes(simd, &pixels, word, column, first_v, weights);
             add(&mut sums, simd, of_block, u);
         }
     }
@@ -170,18 +185,19 @@ pub(crate) fn moments<S: Simd>(
 #[simd]
 fn lanes<S: Simd>(
     simd: S,
-    grey: &[[u8; WORD_PX]],
-    (core, band): (&[u64], &[u64]),
-    (word, words, column): (usize, usize, usize),
+    pixels: &BandPixels,
+    word: usize,
+    column: usize,
     first_v: f32,
     weights: BandWeights,
 ) -> [f32x16<S>; 3] {
     let zero = f32x16::splat(simd, 0.0);
     let (offset, gain) = (f32x16::splat(simd, weights.offset), f32x16::splat(simd, weights.gain));
     let whole = f32x16::splat(simd, weights.core);
+    let BandPixels { grey, core, band, words, .. } = *pixels;
     let (core, band) = (&core[..grey.len()], &band[..grey.len()]);
     let column = column.min(WORD_PX - LANES);
-    let pixels = Pixels { grey, core, band, column, offset, gain, whole };
+    let pixels = PixelColumns { grey, core, band, column, offset, gain, whole };
     // Even and odd rows have separate sums, which shortens the dependency chain.
     let [mut n, mut nv, mut nvv] = [zero; 3];
     let [mut odd_n, mut odd_nv, mut odd_nvv] = [zero; 3];
@@ -211,7 +227,7 @@ fn lanes<S: Simd>(
 
 /// Sixteen columns of rows, with their weights.
 #[derive(Clone, Copy)]
-struct Pixels<'a, S: Simd> {
+struct PixelColumns<'a, S: Simd> {
     grey: &'a [[u8; WORD_PX]],
     core: &'a [u64],
     band: &'a [u64],
@@ -221,7 +237,7 @@ struct Pixels<'a, S: Simd> {
     whole: f32x16<S>,
 }
 
-impl<S: Simd> Pixels<'_, S> {
+impl<S: Simd> PixelColumns<'_, S> {
     #[inline(always)]
     fn weight(&self, simd: S, at: usize) -> f32x16<S> {
         let pixels: &[u8; LANES] =
@@ -301,7 +317,8 @@ mod tests {
             let middle = (words * WORD_PX / 2, grey.len() / words / 2);
             let weights = BandWeights::between(200.0, 40.0);
             let ours = dispatch!(Level::new(), simd => {
-                moments(simd, &grey, (core, band), (words, &all), middle, weights)
+                let pixels = BandPixels { grey: &grey, core, band, words, area: all };
+                moments(simd, &pixels, middle, weights)
             });
             let only: Vec<u64> = core.iter().zip(band).map(|(core, band)| core & !band).collect();
             let of_core = pixels(words, &grey, &only).into_iter().map(|(u, v, _)| (u, v, 1.0));

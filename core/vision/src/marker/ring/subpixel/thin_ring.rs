@@ -10,7 +10,7 @@ use fearless_simd::Simd;
 use fearless_simd_macros::simd;
 
 use crate::{
-    marker::ring::pixels::{ellipse_mask, patch::WORD_PX},
+    marker::ring::pixels::{ellipse_mask::RimEllipse, patch::WORD_PX},
     scratch::reserve_total,
 };
 
@@ -35,6 +35,17 @@ struct RimDistances16 {
     weight: [f32; LANES],
 }
 
+/// Pixels of the whole roundel and of its white disc.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ThinPixels<'a> {
+    pub grey: &'a [[u8; WORD_PX]],
+    pub whole: &'a [u64],
+    pub white: &'a [u64],
+    pub words: usize,
+    /// Column and row of the first pixel in the frame.
+    pub first: (usize, usize),
+}
+
 /// The black pixels of a thin ring, with their distances from the rims.
 #[derive(Debug, Default)]
 pub(crate) struct RimDistances {
@@ -47,19 +58,18 @@ impl RimDistances {
         reserve_total(&mut self.distances, 2 * (width + height) * MAX_ACROSS / LANES);
     }
 
-    /// Collects the pixels of the whole roundel that are not in the white disc. The rows begin with
-    /// row `first.1` of the frame, at column `first.0`.
+    /// Collects the pixels of the whole roundel that are not in the white disc.
     #[simd]
     pub fn measure<S: Simd>(
         simd: S,
         Self { distances }: &mut Self,
-        (grey, whole, white): (&[[u8; WORD_PX]], &[u64], &[u64]),
-        words: usize,
-        first: (usize, usize),
-        (outer, inner): (&ellipse_mask::RimEllipse, &ellipse_mask::RimEllipse),
+        pixels: &ThinPixels,
+        outer: &RimEllipse,
+        inner: &RimEllipse,
     ) {
         let _ = simd;
         distances.clear();
+        let ThinPixels { grey, whole, white, words, first } = *pixels;
         let mut pixels = RimDistances16::default();
         let mut lane = 0;
         for (at, (grey, (whole, white))) in grey.iter().zip(whole.iter().zip(white)).enumerate() {
@@ -149,10 +159,7 @@ struct Rim {
 }
 
 impl Rim {
-    fn new(
-        ellipse_mask::RimEllipse { ellipse, matrix }: &ellipse_mask::RimEllipse,
-        first: (usize, usize),
-    ) -> Self {
+    fn new(RimEllipse { ellipse, matrix }: &RimEllipse, first: (usize, usize)) -> Self {
         let scale = 1.0 / matrix.determinant();
         Self {
             u: (ellipse.center.u - first.0 as f64) as f32,

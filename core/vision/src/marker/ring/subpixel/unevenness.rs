@@ -29,14 +29,14 @@ const MAX_UNEVENNESS: f64 = 0.25;
 
 /// The pixels around a rim.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Pixels<'a> {
+pub(crate) struct RimPixels<'a> {
     /// From the window's first pixel on.
     grey: &'a [u8],
     stride: usize,
     window: Window,
 }
 
-impl<'a> Pixels<'a> {
+impl<'a> RimPixels<'a> {
     /// The pixels of a patch.
     pub fn of(patch: &'a Patch) -> Self {
         // A row's words are contiguous.
@@ -60,7 +60,7 @@ impl<'a> Pixels<'a> {
 #[simd]
 pub(crate) fn unevenness<S: Simd>(
     simd: S,
-    pixels: &Pixels,
+    pixels: &RimPixels,
     center: PixelPoint,
     matrix: &Symmetric2,
     contrast: f64,
@@ -113,14 +113,14 @@ fn half<S: Simd>(simd: S, values: &[f32; POINTS], half: usize) -> f32x16<S> {
 #[simd]
 fn levels<S: Simd>(
     simd: S,
-    pixels: &Pixels,
+    pixels: &RimPixels,
     center: PixelPoint,
     matrix: &Symmetric2,
 ) -> [f32x16<S>; 2] {
     let along_u = matrix.uu.sqrt() as f32;
     let shear = matrix.uv as f32 / along_u;
     let along_v = (matrix.vv as f32 - shear * shear).max(0.0).sqrt();
-    let Pixels { grey, stride, window } = *pixels;
+    let RimPixels { grey, stride, window } = *pixels;
     let center_u = (center.u - window.left as f64) as f32;
     let center_v = (center.v - window.top as f64) as f32;
     let zero = f32x16::splat(simd, 0.0);

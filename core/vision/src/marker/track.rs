@@ -7,8 +7,6 @@
 //!
 //! A ring belongs to one track: rings taken by a track are claimed.
 
-mod occupied;
-
 use crate::{
     camera::PixelPoint,
     frame::{Frame, Window},
@@ -22,7 +20,6 @@ use crate::{
         reject::{Reject, RejectCounts, Rejected},
         ring::{pixels::predicted::PredictedRims, probe::Probe},
         search::{claim::Claim, row_edges::ROW_STEP},
-        track::occupied::OccupancyGrid,
     },
 };
 
@@ -54,7 +51,6 @@ pub struct Tracker {
     next_row: usize,
     /// Whether the newest frame has been searched for new roundels.
     has_searched: bool,
-    occupied: OccupancyGrid,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -67,7 +63,7 @@ struct Track {
     /// Frames since the last measurement; 0 if measured in the newest frame.
     missed: u32,
     /// Number of frames with a measurement.
-    seen: u32,
+    measured_frames: u32,
     vote: Vote,
 }
 
@@ -77,7 +73,7 @@ impl Track {
         let mut vote = Vote::default();
         ring.code.iter().for_each(|reading| vote.add(reading));
         let rims = PredictedRims::new(&ring.outer, &ring.inner);
-        Self { number, ring, rims, velocity: (0.0, 0.0), missed: 0, seen: 1, vote }
+        Self { number, ring, rims, velocity: (0.0, 0.0), missed: 0, measured_frames: 1, vote }
     }
 
     fn output(&self) -> TrackedRing {
@@ -102,9 +98,9 @@ impl Track {
         let (du, dv) = (ring.outer.center.u - at.u, ring.outer.center.v - at.v);
         let distance = (du * du + dv * dv).sqrt();
         let frames = f64::from(self.missed.max(1));
-        let known = self.ring.outer.mean_radius_px();
-        let change = (ring.outer.mean_radius_px() - known).abs();
-        let same_size = change <= frames * (GATE_RADIUS_PX + GATE_RADIUS_SHARE * known);
+        let radius_px = self.ring.outer.mean_radius_px();
+        let change = (ring.outer.mean_radius_px() - radius_px).abs();
+        let same_size = change <= frames * (GATE_RADIUS_PX + GATE_RADIUS_SHARE * radius_px);
         let same = same_size && ring.kind == self.ring.kind && distance <= self.gate_px();
         same.then_some(distance)
     }
@@ -113,14 +109,14 @@ impl Track {
         let frames = f64::from(self.missed.max(1));
         let (from, to) = (self.ring.outer.center, ring.outer.center);
         let disc_motion = ((to.u - from.u) / frames, (to.v - from.v) / frames);
-        let gain = if self.seen == 1 { 1.0 } else { VELOCITY_GAIN };
+        let gain = if self.measured_frames == 1 { 1.0 } else { VELOCITY_GAIN };
         self.velocity.0 += gain * (disc_motion.0 - self.velocity.0);
         self.velocity.1 += gain * (disc_motion.1 - self.velocity.1);
         ring.code.iter().for_each(|reading| self.vote.add(reading));
         self.ring = *ring;
         self.rims = rims;
         self.missed = 0;
-        self.seen = self.seen.saturating_add(1);
+        self.measured_frames = self.measured_frames.saturating_add(1);
     }
 }
 
@@ -137,7 +133,6 @@ impl Tracker {
             size: (0, 0),
             next_row: 0,
             has_searched: false,
-            occupied: OccupancyGrid::default(),
         }
     }
 
@@ -218,14 +213,13 @@ impl Tracker {
         self.tracks.retain(|track| track.missed <= coast);
 
         self.output.clear();
-        let seen = self.tracks.iter().filter(|track| track.missed == 0);
-        self.output.extend(seen.map(Track::output));
+        let measured = self.tracks.iter().filter(|track| track.missed == 0);
+        self.output.extend(measured.map(Track::output));
         &self.output
     }
 
     /// Measures every track's ring at its prediction.
     fn measure_tracks(&mut self, frame: &Frame) {
-        self.occupied.begin(frame);
         for tracks in self.tracks.chunks_mut(BATCH_SIZE) {
             let scratch = &mut self.scratch;
             scratch.batch.probes = [None; BATCH_SIZE];
@@ -235,8 +229,9 @@ impl Tracker {
             self.detector.measure_batch(frame, &mut scratch.batch);
             for (place, track) in tracks.iter_mut().enumerate() {
                 let alone;
-                let ring = match (&scratch.batch.rings[place], &scratch.batch.probes[place]) {
-                    (Some(ring), _) => Ok(ring),
+                let batched = scratch.batch.found[place].as_ref();
+                let ring = match (batched, &scratch.batch.probes[place]) {
+                    (Some(batched), _) => Ok(&batched.ring),
                     (None, None) => Err(Reject::FrameEdge),
                     (None, Some(probe)) => {
                         alone = self.detector.measure(frame, probe, &mut scratch.measure);
@@ -244,20 +239,19 @@ impl Tracker {
                     }
                 };
                 let measured = ring.and_then(|ring| {
-                    let near = self.occupied.is_occupied(ring.outer.center);
-                    if near && scratch.claims.iter().any(|claim| claim.covers(ring)) {
+                    if scratch.claims.iter().any(|claim| claim.covers(ring)) {
                         return Err(Reject::Claimed);
                     }
                     track.distance_px(ring).map(|_| ring).ok_or(Reject::Gate)
                 });
                 match measured {
                     Ok(ring) => {
-                        let rims = scratch.batch.rims(place);
-                        let rims =
-                            rims.unwrap_or_else(|| PredictedRims::new(&ring.outer, &ring.inner));
+                        let rims = match batched {
+                            Some(batched) => batched.rims,
+                            None => PredictedRims::new(&ring.outer, &ring.inner),
+                        };
                         track.update(ring, rims);
                         let half_box_px = track.rims.outer.half_box_px();
-                        self.occupied.add(ring.outer.center, half_box_px);
                         scratch.claims.push(Claim::with_box(ring, half_box_px));
                     }
                     Err(reject) => {
@@ -291,11 +285,11 @@ impl Tracker {
 
     /// Searches the next part of the frame for new roundels; all of it while none is tracked.
     fn search_part(&mut self, frame: &Frame) {
-        let seen = self.tracks.iter().filter(|track| track.missed == 0).count();
-        if seen >= self.detector.params().max_roundels {
+        let measured = self.tracks.iter().filter(|track| track.missed == 0).count();
+        if measured >= self.detector.params().max_roundels {
             return;
         }
-        let none = seen == 0;
+        let none = measured == 0;
         let parts = if none { 1 } else { self.detector.params().search_frames as usize };
         let rows = frame.height().div_ceil(parts).next_multiple_of(ROW_STEP);
         if none || self.next_row >= frame.height() {
