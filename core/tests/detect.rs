@@ -220,9 +220,9 @@ fn detections_are_limited() {
 fn a_roundel_that_was_moved_is_found_at_the_limit() {
     let params = Params { max_roundels: 2, search_frames: 1, ..Params::default() };
     let mut tracker = Tracker::new(Detector::new(Vec::new(), params).unwrap());
-    let stays = roundel((40.0, 40.0), 14.0, 0.5);
-    let mut frames = vec![vec![stays, roundel((40.0, 110.0), 14.0, 0.5)]; 3];
-    frames.extend(vec![vec![stays, roundel((150.0, 110.0), 14.0, 0.5)]; 3]);
+    let still = roundel((40.0, 40.0), 14.0, 0.5);
+    let mut frames = vec![vec![still, roundel((40.0, 110.0), 14.0, 0.5)]; 3];
+    frames.extend(vec![vec![still, roundel((150.0, 110.0), 14.0, 0.5)]; 3]);
     let tracked = follow(&mut tracker, &frames);
     assert_eq!(numbers(&tracked[2]), [1, 2]);
     assert_eq!(numbers(&tracked[3]), [1, 3]);

@@ -229,11 +229,11 @@ impl Axes {
         if unknowns.yaw {
             place(8, 3, self.about[2]);
         }
-        let of_pose = &into * covariance * into.transpose();
+        let pose_covariance = &into * covariance * into.transpose();
         let deviation = |index: usize| covariance[(index, index)].sqrt();
         let focal_px = scene.camera.focal_px[0];
         Bound {
-            covariance: Matrix6::from_fn(|row, column| of_pose[(row, column)]),
+            covariance: Matrix6::from_fn(|row, column| pose_covariance[(row, column)]),
             range_share: deviation(2),
             shift_px: [deviation(0) * focal_px, deviation(1) * focal_px],
             tilt_rad: [deviation(3), deviation(4)],
@@ -326,19 +326,19 @@ mod tests {
         Scene { camera, imaging: Imaging::default(), print, pose, motion_px: [0.0; 2] }
     }
 
-    fn of(scene: &Scene<'_>) -> Bound {
+    fn default_bound(scene: &Scene<'_>) -> Bound {
         bound(scene, Unknowns::default()).expect("a roundel in plain view")
     }
 
     #[test]
     fn the_depth_bound_at_30_px_face_on_is_a_seventieth_of_a_percent() {
         let print = Print::plain(0.16, 0.064, 0.25);
-        let share = of(&scene(&print, 30.5, 0.0)).range_share;
+        let share = default_bound(&scene(&print, 30.5, 0.0)).range_share;
         assert!((share - 1.42e-4).abs() < 0.02e-4, "{share}");
         // Thinner and thicker rings differ little: between 0.012 and 0.016 %.
         for ratio in [0.3, 0.5, 0.65] {
             let print = Print::plain(0.16, 0.16 * ratio, 0.25);
-            let share = of(&scene(&print, 30.5, 0.0)).range_share;
+            let share = default_bound(&scene(&print, 30.5, 0.0)).range_share;
             assert!((1.2e-4..1.6e-4).contains(&share), "{ratio}: {share}");
         }
     }
@@ -350,7 +350,7 @@ mod tests {
     fn the_bound_of_a_large_roundels_shift_follows_from_its_rims_length() {
         let print = Print::plain(0.16, 0.064, 0.25);
         let scene = scene(&print, 110.0, 40.0);
-        let bound = of(&scene);
+        let bound = default_bound(&scene);
         let axes = Axes::of(&scene.pose);
         let variances = nalgebra::Matrix2::from_fn(|i, j| {
             (axes.across[i].transpose() * bound.position() * axes.across[j])[0]
@@ -374,11 +374,11 @@ mod tests {
         let still = scene(&print, 25.0, 35.0);
         let mut noisy = still.clone();
         noisy.imaging.noise = 4.0;
-        let ratio = of(&noisy).range_share / of(&still).range_share;
+        let ratio = default_bound(&noisy).range_share / default_bound(&still).range_share;
         let expected = f64::sqrt((16.0 + 1.0 / 12.0) / (4.0 + 1.0 / 12.0));
         assert!((ratio - expected).abs() < 1e-6);
         let blooming = bound(&still, Unknowns { bloom: true, ..Unknowns::default() }).unwrap();
-        assert!(blooming.range_share > 1.05 * of(&still).range_share);
+        assert!(blooming.range_share > 1.05 * default_bound(&still).range_share);
     }
 
     #[test]
@@ -388,7 +388,7 @@ mod tests {
         let mut scene = scene(&print, 30.0, 35.0);
         assert_eq!(bound(&scene, with_motion), None);
         scene.motion_px = [1.2, 0.9];
-        let known = of(&scene).range_share;
+        let known = default_bound(&scene).range_share;
         let unknown = bound(&scene, with_motion).unwrap().range_share;
         assert!((1.0..1.2).contains(&(unknown / known)), "{unknown} {known}");
     }

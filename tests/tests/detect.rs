@@ -51,8 +51,8 @@ fn pictured() -> (tempfile::TempDir, Isometry3<f64>) {
 fn detect(folder: &Path, arguments: &[&str]) -> Vec<Value> {
     let mut command = Command::new(roundel().unwrap());
     let output = command.arg("detect").args(arguments).current_dir(folder).output().unwrap();
-    let explained = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{arguments:?}: {explained}");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{arguments:?}: {stderr}");
     let lines = String::from_utf8(output.stdout).unwrap();
     lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
 }

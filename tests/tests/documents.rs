@@ -163,8 +163,8 @@ impl Repository {
         for option in ["--bin", "--test", "--bench", "--example"] {
             for name in values(option) {
                 let targets = packages.iter().flat_map(|it| it["targets"].as_array().unwrap());
-                let is_it = |it: &&Value| it["kind"][0] == option[2..] && it["name"] == name;
-                let Some(target) = targets.clone().find(is_it) else {
+                let is_match = |it: &&Value| it["kind"][0] == option[2..] && it["name"] == name;
+                let Some(target) = targets.clone().find(is_match) else {
                     return Some(format!("no target {option} {name}: correct the name or -p"));
                 };
                 let mut needed = target["required-features"].as_array().into_iter().flatten();
@@ -203,6 +203,9 @@ impl Repository {
         }
         let mut options = words.iter().filter_map(|word| word.strip_prefix("--"));
         let unknown = options.find(|option| {
+            if *option == "help" {
+                return false;
+            }
             let field = format!(" {}: ", option.replace('-', "_"));
             !source.contains(&field) && !source.contains(&format!("\"{option}\""))
         });

@@ -132,8 +132,8 @@ fn every_kind_of_bad_view_is_rejected_by_name() {
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
     let why = |name: &str| {
         let file = format!("views/{name}");
-        let of_file = |it: &&Value| it["file"] == file.as_str();
-        let found = report["left_out"].as_array().unwrap().iter().find(of_file);
+        let has_name = |it: &&Value| it["file"] == file.as_str();
+        let found = report["left_out"].as_array().unwrap().iter().find(has_name);
         found.map(|it| it["why"].as_str().unwrap().to_owned())
     };
     for (name, expected) in [
@@ -177,9 +177,9 @@ fn a_pattern_of_photographs_is_a_folder_and_one_with_a_rate_is_a_stream() {
         assert!(output.status.success(), "{source}: {}", stderr(&output));
         serde_json::from_slice::<Value>(&output.stdout).unwrap()
     };
-    let of_pattern = report("images:views/*.png");
-    assert_eq!(of_pattern, report("views"));
-    assert_eq!(of_pattern["frames"], 8);
+    let by_pattern = report("images:views/*.png");
+    assert_eq!(by_pattern, report("views"));
+    assert_eq!(by_pattern["frames"], 8);
     // Consecutive views differ.
     let output = calibrate(folder.path(), &["images:views/*.png?fps=5"]);
     let text = stderr(&output);

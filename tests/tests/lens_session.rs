@@ -129,7 +129,7 @@ async fn a_served_camera_is_calibrated_while_the_board_moves() -> anyhow::Result
     let done = until(&server, |it| it["stage"] == "done").await?;
 
     let parameters = done["report"]["parameters"].as_array().context("parameters")?;
-    let of = |name: &str| {
+    let parameter = |name: &str| {
         let found = parameters.iter().find(|it| it["name"] == name).unwrap_or(&Value::Null);
         (
             found["value"].as_f64().unwrap_or(f64::NAN),
@@ -137,7 +137,7 @@ async fn a_served_camera_is_calibrated_while_the_board_moves() -> anyhow::Result
         )
     };
     for (name, focal_px) in [("fx", truth.focal_px[0]), ("fy", truth.focal_px[1])] {
-        let (value, deviation) = of(name);
+        let (value, deviation) = parameter(name);
         assert!((value / focal_px - 1.0).abs() < 1e-3, "{name}: {value} for {focal_px}");
         assert!((0.0..1.0).contains(&deviation), "{name} ± {deviation}");
     }
@@ -148,7 +148,7 @@ async fn a_served_camera_is_calibrated_while_the_board_moves() -> anyhow::Result
         yaml.contains("camera_name: \"north\"") && yaml.contains("parameter_covariance"),
         "{yaml}"
     );
-    assert_eq!(focal_px(&yaml), Some(of("fx").0));
+    assert_eq!(focal_px(&yaml), Some(parameter("fx").0));
 
     // Once applied, it is saved beside the configuration, which refers to it.
     assert_eq!(done["can_apply"], true);

@@ -43,7 +43,7 @@ async fn watch(arena: &Arena, installation: &Installation) -> anyhow::Result<Rec
         }
         if snapshot.sequence % 3 == 0 {
             moving_camera
-                .extend(client.cameras().await?.into_iter().find(|it| it.name == "moving_camera"));
+                .extend(client.cameras().await?.into_iter().find(|it| it.name == "aboard"));
         }
         snapshots.push(snapshot);
     }
@@ -59,7 +59,7 @@ impl Received {
     /// Rms errors of the camera's position, metres, and rotation, radians, while its pose was known.
     fn camera_errors(&self, arena: &Arena) -> anyhow::Result<(f64, f64)> {
         let site =
-            arena.sites.iter().find(|site| site.name == "moving_camera").context("no camera")?;
+            arena.sites.iter().find(|site| site.name == "aboard").context("no camera")?;
         let (mut squares, mut count) = ((0.0, 0.0), 0.0);
         for camera in &self.moving_camera {
             let after_s = (camera.pose_time_ns - arena.start_ns) as f64 * 1e-9;
@@ -108,7 +108,7 @@ impl Received {
             tokio::time::timeout(Duration::from_millis(500), events.next()).await
         {
             let event = event?;
-            if event.camera == "moving_camera" {
+            if event.camera == "aboard" {
                 kinds.push(event.kind());
             }
         }

@@ -83,9 +83,9 @@ fn times_have_all_their_rows() {
     let fifth = table("table5");
     assert_eq!(fifth.rows.len(), 3 * 2 + 4 * 3);
     for machine in ["Atom N270", "Pentium M", "Odroid U2", "Raspberry Pi"] {
-        let of_machine = fifth.rows.iter().filter(|row| row.case.contains(machine));
-        assert!(of_machine.clone().all(|row| row.here.is_none()));
-        assert_eq!(of_machine.count(), 3, "{machine}");
+        let machine_rows = fifth.rows.iter().filter(|row| row.case.contains(machine));
+        assert!(machine_rows.clone().all(|row| row.here.is_none()));
+        assert_eq!(machine_rows.count(), 3, "{machine}");
     }
 }
 

@@ -127,12 +127,12 @@ fn errors_are_near_the_bound_and_consistent_at_every_size() {
     const COUNT: u64 = 80;
     println!("diameter | depth: rms and bias over the bound | normal | inside 95 %");
     for (low, high) in [(12.0, 20.0), (20.0, 30.0), (30.0, 60.0), (60.0, 110.0)] {
-        let of = |seed: u64| {
+        let run = |seed: u64| {
             let place = (seed as f64 + 0.5) / COUNT as f64;
             let tilt_rad = (15.0 + 45.0 * (place * 7.0).fract()).to_radians();
             trial(low + (high - low) * place, tilt_rad, seed)
         };
-        let trials: Vec<Trial> = (0..COUNT).into_par_iter().map(of).collect();
+        let trials: Vec<Trial> = (0..COUNT).into_par_iter().map(run).collect();
         let count = COUNT as f64;
         let bias = trials.iter().map(|trial| trial.depth).sum::<f64>() / count;
         let (depth, normal) = (rms(&trials, |t| t.depth), rms(&trials, |t| t.normal));

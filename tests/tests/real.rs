@@ -151,15 +151,15 @@ fn the_whole_video_is_one_track() {
 /// elliptical discs.
 fn check_empty(paths: &[PathBuf]) {
     let kinds = elliptical::kinds(Polarity::BlackRing);
-    let of_kinds = |kinds: &[Kind]| Detector::new(kinds.to_vec(), Params::default()).unwrap();
+    let detector_of = |kinds: &[Kind]| Detector::new(kinds.to_vec(), Params::default()).unwrap();
     let beside_plain = [kinds[0].clone(), Kind::plain("small disc", 0.16, 0.064)];
     let detectors = [
         ("any", detector(None)),
         ("0.357", detector(Some(0.357))),
         ("0.5", detector(Some(0.5))),
         ("0.593", detector(Some(0.593))),
-        ("elliptical and plain", of_kinds(&beside_plain)),
-        ("all elliptical", of_kinds(&kinds)),
+        ("elliptical and plain", detector_of(&beside_plain)),
+        ("all elliptical", detector_of(&kinds)),
     ];
     let mut scratch = Scratch::default();
     let mut found = Vec::new();

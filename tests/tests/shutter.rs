@@ -59,22 +59,22 @@ fn check(name: &str, marker: MarkerType) {
     let (moving, still) =
         (sequences(&range(), &drive, COUNT, 3), sequences(&range(), &still, COUNT, 3));
     for mode in MODES {
-        let of = |all: &[[TrialFrame; FRAMES]], name: &str, from: usize, to: usize| {
+        let select = |all: &[[TrialFrame; FRAMES]], name: &str, from: usize, to: usize| {
             let frames = all.iter().flat_map(|frames| &frames[from..to]);
             summary(name, frames.collect::<Vec<_>>(), mode)
         };
-        let still = of(&still, &format!("{name}, global shutter"), SETTLED, FRAMES);
-        let first = of(&moving, &format!("{name}, first frame"), 0, 1);
-        let second = of(&moving, &format!("{name}, second frame"), 1, 2);
-        let known = of(&moving, &format!("{name}, later"), SETTLED, FRAMES);
-        let room = 2.0 * (0.95 * 0.05 / COUNT as f64).sqrt();
+        let still = select(&still, &format!("{name}, global shutter"), SETTLED, FRAMES);
+        let first = select(&moving, &format!("{name}, first frame"), 0, 1);
+        let second = select(&moving, &format!("{name}, second frame"), 1, 2);
+        let settled = select(&moving, &format!("{name}, later"), SETTLED, FRAMES);
+        let margin = 2.0 * (0.95 * 0.05 / COUNT as f64).sqrt();
         for early in [&first, &second] {
-            assert!(early.position_share() >= 0.92 - room, "{name}, {mode:?}");
+            assert!(early.position_share() >= 0.92 - margin, "{name}, {mode:?}");
         }
-        let rms = (known.depth_over_bound(), still.depth_over_bound());
+        let rms = (settled.depth_over_bound(), still.depth_over_bound());
         assert!(rms.0 < 1.15 * rms.1 + 0.1, "{name}, {mode:?}: {rms:?}");
-        assert!(known.position_share() >= still.position_share() - room, "{name}, {mode:?}");
-        assert!(known.pose_share() >= still.pose_share() - room, "{name}, {mode:?}");
+        assert!(settled.position_share() >= still.position_share() - margin, "{name}, {mode:?}");
+        assert!(settled.pose_share() >= still.pose_share() - margin, "{name}, {mode:?}");
     }
 }
 

@@ -82,7 +82,7 @@ pub fn plan(count: usize, field_m: [f64; 2], seconds: f64, random: &mut Random) 
     let rows = count.div_ceil(columns);
     let mut all: Vec<Trips> = (0..count)
         .map(|index| {
-            let part = |place: usize, of: usize| (place as f64 + 0.5) / of as f64 - 0.5;
+            let part = |place: usize, count: usize| (place as f64 + 0.5) / count as f64 - 0.5;
             let place = Vector2::new(
                 field_m[0] * part(index % columns, columns),
                 field_m[1] * part(index / columns, rows),

@@ -44,9 +44,10 @@ pub fn table(length: Length) -> anyhow::Result<Table> {
     let mut rows = Vec::new();
     let views = [View::Side, View::Top].map(|view| measure_view(view, length, others.as_ref()));
     let [side, top] = views;
-    let ((side, of_side), (top, of_top)) = (side?, top?);
+    let ((side, side_model), (top, top_model)) = (side?, top?);
     for (mode, view, paper_figures) in CASES {
-        let (methods, model) = if view == View::Side { (&side, &of_side) } else { (&top, &of_top) };
+        let (methods, model) =
+            if view == View::Side { (&side, &side_model) } else { (&top, &top_model) };
         let which = usize::from(mode == "3D");
         let model = model[which];
         let ours = methods[0][which];
@@ -64,8 +65,10 @@ pub fn table(length: Length) -> anyhow::Result<Table> {
                 }
             };
             let exact = 100.0 * errors.exact_share;
-            let found =
-                format!("{:.0} of {} found; {exact:.5} with exact tiles", errors.found, errors.of);
+            let found = format!(
+                "{:.0} of {} found; {exact:.5} with exact tiles",
+                errors.found, errors.expected
+            );
             let note = match ours {
                 Some(ours) if method > 0 => {
                     format!("{found}, {:.1} times ours", errors.exact_share / ours.exact_share)
@@ -141,7 +144,7 @@ fn other_detectors(
         images: vec![image],
     };
     let judged = others.judge(&[job(Detector::Refined, squares), job(Detector::Blob, discs)])?;
-    let of_job = |job: &Vec<super::opencv::SearchResult>| {
+    let read_job = |job: &Vec<super::opencv::SearchResult>| {
         let mut sights = vec![None; hall.true_m.len()];
         for found in job.iter().flat_map(|image| &image.found) {
             if let Some(index) = hall.at(Vector2::from(found.center_px)) {
@@ -150,7 +153,7 @@ fn other_detectors(
         }
         anyhow::Ok(sights)
     };
-    judged.iter().map(of_job).collect()
+    judged.iter().map(read_job).collect()
 }
 
 fn locate(lens: &Calibrated, found: &Found) -> anyhow::Result<Option<Sight>> {

@@ -47,13 +47,13 @@ pub fn shrinking(optics: &Pinhole, x: f64, y: f64) -> [f64; 2] {
 pub fn axis_error_px(imaging: &Imaging, semiaxes_px: [f64; 2]) -> f64 {
     let blur_px = (imaging.blur_px.powi(2) + 1.0 / 12.0).sqrt();
     let variance = imaging.noise.powi(2) + 1.0 / 12.0;
-    let of_length =
+    let variance_per_length =
         (imaging.white - imaging.black).powi(2) / (2.0 * PI.sqrt() * blur_px * variance);
     let [major, minor] = semiaxes_px;
     // The inner rim is shorter by the ratio, and moves less by the same ratio.
     let around_px =
         PI * (3.0 * (major + minor) - ((3.0 * major + minor) * (major + 3.0 * minor)).sqrt());
-    (3.0 / (of_length * around_px * (1.0 + RATIO.powi(3)))).sqrt()
+    (3.0 / (variance_per_length * around_px * (1.0 + RATIO.powi(3)))).sqrt()
 }
 
 /// Expected maximum of errors that vary about these means like distances on a plane (Rayleigh): the integral of 1 - Π

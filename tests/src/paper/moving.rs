@@ -244,7 +244,7 @@ pub fn table(length: Length) -> anyhow::Result<Table> {
         .into_par_iter()
         .map(|seed| sequence(&lens, frames, seed))
         .collect::<anyhow::Result<_>>()?;
-    let of: usize = sequences.iter().map(|(_, of)| of).sum();
+    let expected: usize = sequences.iter().map(|(_, expected)| expected).sum();
     let errors: Vec<TargetError> = sequences.into_iter().flat_map(|(errors, _)| errors).collect();
     let mean = |value: fn(&TargetError) -> f64| {
         errors.iter().map(value).sum::<f64>() / errors.len() as f64
@@ -253,7 +253,7 @@ pub fn table(length: Length) -> anyhow::Result<Table> {
     let PredictedErrors { still_plane_m, plane_m, space_m, by_lens, plane_by_lens } =
         predict_errors(&lens, distance_m)?;
     let found = format!(
-        "{} of {of} found; {:.5} from noise without motion, {:.1} times as much with smear",
+        "{} of {expected} found; {:.5} from noise without motion, {:.1} times as much with smear",
         errors.len(),
         100.0 * still_plane_m,
         plane_m / still_plane_m
@@ -282,11 +282,12 @@ pub fn table(length: Length) -> anyhow::Result<Table> {
     let mut rows = Vec::new();
     for (name, error_m, model_m, [paper_cm, paper_percent], (equation, alone, note)) in sides {
         let share = move |error: &TargetError| error_m(error) / error.distance_m;
-        let all = |of: &dyn Fn(&TargetError) -> f64| {
-            let mean = errors.iter().map(of).sum::<f64>() / errors.len() as f64;
-            (mean, errors.iter().map(of).fold(0.0, f64::max))
+        let mean_and_max = |value: &dyn Fn(&TargetError) -> f64| {
+            let mean = errors.iter().map(value).sum::<f64>() / errors.len() as f64;
+            (mean, errors.iter().map(value).fold(0.0, f64::max))
         };
-        let ((mean_m, max_m), (mean_share, max_share)) = (all(&error_m), all(&share));
+        let ((mean_m, max_m), (mean_share, max_share)) =
+            (mean_and_max(&error_m), mean_and_max(&share));
         let row = |what: &str, here: f64, model: f64, paper: f64| {
             Row::new(format!("{name}, {what}"), 100.0 * here)
                 .paper(paper, Aim::Less)

@@ -55,24 +55,24 @@ pub struct Errors {
     /// Number of measured roundels.
     pub found: f64,
     /// Number of roundels to measure.
-    pub of: f64,
+    pub expected: f64,
 }
 
 impl Errors {
     /// Means over pictures.
     pub fn mean(pictures: &[Self]) -> Self {
-        let of = |field: fn(&Self) -> f64| {
+        let mean = |field: fn(&Self) -> f64| {
             pictures.iter().map(field).sum::<f64>() / pictures.len() as f64
         };
         Self {
-            mean_m: of(|it| it.mean_m),
-            max_m: of(|it| it.max_m),
-            mean_share: of(|it| it.mean_share),
-            max_share: of(|it| it.max_share),
-            exact_m: of(|it| it.exact_m),
-            exact_share: of(|it| it.exact_share),
-            found: of(|it| it.found),
-            of: of(|it| it.of),
+            mean_m: mean(|it| it.mean_m),
+            max_m: mean(|it| it.max_m),
+            mean_share: mean(|it| it.mean_share),
+            max_share: mean(|it| it.max_share),
+            exact_m: mean(|it| it.exact_m),
+            exact_share: mean(|it| it.exact_share),
+            found: mean(|it| it.found),
+            expected: mean(|it| it.expected),
         }
     }
 
@@ -86,7 +86,7 @@ impl Errors {
         let mut errors = Self::default();
         let measured = |(index, _): &(usize, _)| !Hall::is_reference(*index);
         for (index, found_m) in found_m.iter().enumerate().filter(measured) {
-            errors.of += 1.0;
+            errors.expected += 1.0;
             let Some(found_m) = found_m else { continue };
             let error_m = (found_m - places_m[index]).norm();
             let share = error_m / hall.pose(index).translation.vector.norm();
@@ -260,7 +260,7 @@ fn repeated(picture: usize, length: Length) -> anyhow::Result<Measured> {
 }
 
 fn rows(length: Length, plane: bool) -> anyhow::Result<Vec<Row>> {
-    let of_picture = |(picture, measured): (usize, &Measured)| {
+    let picture_rows = |(picture, measured): (usize, &Measured)| {
         let (camera, view, space_figures, plane_figures) = PICTURES[picture];
         let paper_figures = if plane { plane_figures } else { space_figures };
         let (errors, model) = measured[usize::from(plane)];
@@ -269,19 +269,20 @@ fn rows(length: Length, plane: bool) -> anyhow::Result<Vec<Row>> {
                 .paper(paper, Aim::Less)
                 .model(predictions)
         };
-        let missed = match errors.of - errors.found {
+        let missed = match errors.expected - errors.found {
             0.0 => String::new(),
-            missed => format!("; {missed:.1} of {} not found", errors.of),
+            missed => format!("; {missed:.1} of {} not found", errors.expected),
         };
         let exactly = format!("{:.3} cm with exact tiles{missed}", 100.0 * errors.exact_m);
-        let of_mean = |max: f64, mean: f64, paper_max: f64, paper_mean: f64| {
+        let relative_to_mean = |max: f64, mean: f64, paper_max: f64, paper_mean: f64| {
             format!("{:.1} times the mean, in the paper {:.1}", max / mean, paper_max / paper_mean)
         };
         [
             row("mean: cm", [100.0 * errors.mean_m, 100.0 * model.mean_m, paper_figures[0]])
                 .note(exactly),
-            row("maximum: cm", [100.0 * errors.max_m, 100.0 * model.max_m, paper_figures[1]])
-                .note(of_mean(errors.max_m, errors.mean_m, paper_figures[1], paper_figures[0])),
+            row("maximum: cm", [100.0 * errors.max_m, 100.0 * model.max_m, paper_figures[1]]).note(
+                relative_to_mean(errors.max_m, errors.mean_m, paper_figures[1], paper_figures[0]),
+            ),
             row(
                 "mean: % of the distance",
                 [100.0 * errors.mean_share, 100.0 * model.mean_share, paper_figures[3]],
@@ -292,7 +293,7 @@ fn rows(length: Length, plane: bool) -> anyhow::Result<Vec<Row>> {
                 "maximum: %",
                 [100.0 * errors.max_share, 100.0 * model.max_share, paper_figures[4]],
             )
-            .note(of_mean(
+            .note(relative_to_mean(
                 errors.max_share,
                 errors.mean_share,
                 paper_figures[4],
@@ -300,7 +301,7 @@ fn rows(length: Length, plane: bool) -> anyhow::Result<Vec<Row>> {
             )),
         ]
     };
-    Ok(measured(length)?.iter().enumerate().flat_map(of_picture).collect())
+    Ok(measured(length)?.iter().enumerate().flat_map(picture_rows).collect())
 }
 
 fn method(length: Length) -> String {

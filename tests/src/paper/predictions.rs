@@ -38,19 +38,19 @@ pub struct Prediction {
 impl Prediction {
     /// Means over pictures.
     pub fn mean(pictures: &[Self]) -> Self {
-        let of = |field: fn(&Self) -> f64| {
+        let mean = |field: fn(&Self) -> f64| {
             pictures.iter().map(field).sum::<f64>() / pictures.len() as f64
         };
         Self {
-            mean_m: of(|it| it.mean_m),
-            max_m: of(|it| it.max_m),
-            mean_share: of(|it| it.mean_share),
-            max_share: of(|it| it.max_share),
-            tiles_share: of(|it| it.tiles_share),
-            lens_share: of(|it| it.lens_share),
-            axis_share: of(|it| it.axis_share),
-            papers_axis_share: of(|it| it.papers_axis_share),
-            focal_share: of(|it| it.focal_share),
+            mean_m: mean(|it| it.mean_m),
+            max_m: mean(|it| it.max_m),
+            mean_share: mean(|it| it.mean_share),
+            max_share: mean(|it| it.max_share),
+            tiles_share: mean(|it| it.tiles_share),
+            lens_share: mean(|it| it.lens_share),
+            axis_share: mean(|it| it.axis_share),
+            papers_axis_share: mean(|it| it.papers_axis_share),
+            focal_share: mean(|it| it.focal_share),
         }
     }
 
@@ -74,7 +74,7 @@ impl Prediction {
 pub fn predicted(hall: &Hall, lens: &Calibrated, plane: bool) -> Prediction {
     let measured: Vec<usize> =
         (0..hall.true_m.len()).filter(|&index| !Hall::is_reference(index)).collect();
-    let of_one = |&index: &usize| {
+    let predict = |&index: &usize| {
         let place = hall.pose(index).translation.vector;
         let lens_share = lens_share(lens.coefficients, [place.x / place.z, place.y / place.z]);
         let tiles_share = TILES_MEAN_M / place.norm();
@@ -98,7 +98,7 @@ pub fn predicted(hall: &Hall, lens: &Calibrated, plane: bool) -> Prediction {
             ..Prediction::default()
         }
     };
-    let each: Vec<Prediction> = measured.iter().map(of_one).collect();
+    let each: Vec<Prediction> = measured.iter().map(predict).collect();
     let max_m = model::expected_max(&each.iter().map(|it| it.mean_m).collect::<Vec<_>>());
     let max_share = model::expected_max(&each.iter().map(|it| it.mean_share).collect::<Vec<_>>());
     Prediction { max_m, max_share, ..Prediction::mean(&each) }

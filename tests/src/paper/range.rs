@@ -83,7 +83,7 @@ pub(super) fn found_down_to([here_px, paper_px]: [f64; 2]) -> String {
 /// The paper's table 1.
 pub fn table(length: Length) -> anyhow::Result<Table> {
     let pictures = length.pick(25, 100);
-    let of_case = |(index, &(which, outer_cm, tilt_deg, paper, paper_model)): (
+    let case_row = |(index, &(which, outer_cm, tilt_deg, paper, paper_model)): (
         usize,
         &(CameraName, f64, f64, f64, f64),
     )| {
@@ -107,7 +107,7 @@ pub fn table(length: Length) -> anyhow::Result<Table> {
             .model(model_m)
             .note(found_down_to([across_px(here), across_px(paper)]))
     };
-    let rows = CASES.par_iter().enumerate().map(of_case).collect();
+    let rows = CASES.par_iter().enumerate().map(case_row).collect();
     let remarks = vec![
         format!(
             "Largest distance at which at least {:.0} % of {pictures} independent pictures are searched \

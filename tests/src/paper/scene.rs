@@ -155,11 +155,11 @@ impl Finder {
         let frame = Frame::new(&image.pixels, image.width, image.height, image.width)
             .expect("a rendered frame");
         let diameter_px = self.studio.whole.focal_px[0] * self.outer_m / pose.translation.z;
-        let is_it = |ring: &Ring| {
+        let is_match = |ring: &Ring| {
             let off = Vector2::new(ring.outer.center.u, ring.outer.center.v) - at;
             let ratio = 2.0 * ring.outer.semi_major_px / diameter_px;
             off.norm() < 1.0 && (0.8..1.25).contains(&ratio)
         };
-        self.detector.detect(&frame, &mut self.scratch).iter().any(is_it)
+        self.detector.detect(&frame, &mut self.scratch).iter().any(is_match)
     }
 }

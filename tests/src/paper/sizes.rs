@@ -47,7 +47,7 @@ fn smallest(shares: &[(u32, f64)]) -> Option<u32> {
 }
 
 fn roundels(camera: &PaperCamera, pictures: usize) -> Vec<(u32, f64)> {
-    let of_size = |size_px: u32| {
+    let found_share = |size_px: u32| {
         let mut finder = Finder::new(camera, SIDE_M);
         let found = (0..pictures).filter(|&number| {
             let mut random = Random::new(u64::from(size_px), 1000 + number as u64);
@@ -55,7 +55,7 @@ fn roundels(camera: &PaperCamera, pictures: usize) -> Vec<(u32, f64)> {
         });
         (size_px, found.count() as f64 / pictures as f64)
     };
-    SIZES_PX.into_par_iter().map(of_size).collect()
+    SIZES_PX.into_par_iter().map(found_share).collect()
 }
 
 /// Shares found by one of OpenCV's detectors of its own prints.
@@ -73,20 +73,20 @@ fn found_by_opencv(
         let mut random = Random::new(u64::from(size_px), 1000 + number as u64);
         studio.picture(&print(number), &pose(camera, size_px, number), &mut random)
     };
-    let pictures_of: Vec<_> = shown.par_iter().map_init(|| studio.clone(), take).collect();
+    let rendered: Vec<_> = shown.par_iter().map_init(|| studio.clone(), take).collect();
     let write = |(sheet, pictures): (usize, &[(Image, Vector2<f64>)])| {
         others.write(&format!("{detector:?}-{sheet:03}"), &mosaic(pictures))
     };
-    let sheets = pictures_of.chunks(PER_MOSAIC).enumerate().map(write);
+    let sheets = rendered.chunks(PER_MOSAIC).enumerate().map(write);
     let images = sheets.collect::<anyhow::Result<_>>()?;
     let job = Job { detector, size_m: SIDE_M, camera: None, repetitions: 1, images };
     let judged = others.judge(&[job])?.remove(0);
     let mut shares: Vec<(u32, f64)> = SIZES_PX.map(|size_px| (size_px, 0.0)).collect();
-    for (index, ((size_px, _), (_, at))) in shown.iter().zip(&pictures_of).enumerate() {
+    for (index, ((size_px, _), (_, at))) in shown.iter().zip(&rendered).enumerate() {
         let (left, top) = corner(index % PER_MOSAIC);
         let at = at + Vector2::new(left as f64, top as f64);
-        let is_it = |found: &Found| (Vector2::from(found.center_px) - at).norm() < NEAR_PX;
-        if judged[index / PER_MOSAIC].found.iter().any(is_it) {
+        let is_near = |found: &Found| (Vector2::from(found.center_px) - at).norm() < NEAR_PX;
+        if judged[index / PER_MOSAIC].found.iter().any(is_near) {
             shares[(size_px - SIZES_PX.start()) as usize].1 += 1.0 / pictures as f64;
         }
     }

@@ -138,11 +138,11 @@ fn mean_s(
             locator.locate_all(&frame, tracker.process(&frame), &mut located);
             *min_s = min_s.min(started.elapsed().as_secs_f64());
             let (middle, diameter_px) = dataset.place(&optics, number);
-            let is_it = located.iter().flatten().any(|it| {
+            let is_match = located.iter().flatten().any(|it| {
                 let center = it.ring.outer.center;
                 (Vector2::new(center.u, center.v) - middle).norm() < 0.1 * diameter_px
             });
-            found += usize::from(is_it);
+            found += usize::from(is_match);
         }
     }
     let followed = &min_s[1..];

@@ -106,11 +106,11 @@ impl Row {
     pub fn why(&self) -> String {
         let ratio = self.model.zip(self.here).map(|(model, here)| here / model);
         let far = ratio.filter(|ratio| !(1.0 / NEAR..NEAR).contains(ratio));
-        let of_model = far.map(|ratio| format!("{ratio:.2} times our model"));
+        let deviation = far.map(|ratio| format!("{ratio:.2} times our model"));
         let is_worse = self.factor().is_some_and(|factor| factor < 1.0);
         let excuse = self.excuse.filter(|_| is_worse).map(|why| format!("worse: {why}"));
         let note = Some(self.note.clone()).filter(|note| !note.is_empty());
-        [of_model, excuse, note].into_iter().flatten().collect::<Vec<_>>().join("; ")
+        [deviation, excuse, note].into_iter().flatten().collect::<Vec<_>>().join("; ")
     }
 }
 

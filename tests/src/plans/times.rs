@@ -193,9 +193,9 @@ impl Shown {
     /// A lab's clutter, with the density of a 2-megapixel picture.
     fn clutter(&self) -> Clutter {
         let share = (self.width * self.height) as f64 / 2e6;
-        let of = |count: usize| (share * count as f64).round() as usize;
+        let scaled = |count: usize| (share * count as f64).round() as usize;
         let Clutter { boxes, lines, discs, words, .. } = Clutter::LAB;
-        let [boxes, lines, discs, words] = [boxes, lines, discs, words].map(of);
+        let [boxes, lines, discs, words] = [boxes, lines, discs, words].map(scaled);
         Clutter { boxes, lines, discs, words, ..Clutter::LAB }
     }
 

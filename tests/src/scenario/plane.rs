@@ -160,8 +160,8 @@ fn on_plane(
 fn robots(seed: u64, uneven_m: f64) -> Arena {
     let mut random = Random::new(seed, 2);
     let paths = (0..ROBOTS).map(|index| {
-        let place = |number: usize, of: usize, step_m: f64| {
-            (number as f64 - (of as f64 - 1.0) / 2.0) * step_m
+        let place = |number: usize, count: usize, step_m: f64| {
+            (number as f64 - (count as f64 - 1.0) / 2.0) * step_m
         };
         let height_m = HEIGHT_M + random.uniform(-uneven_m, uneven_m);
         let center_m = in_view(place(index % 4, 4, 1.2), place(index / 4, 3, 1.0), height_m);

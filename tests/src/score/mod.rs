@@ -61,14 +61,19 @@ impl Score {
 pub struct Judge {
     /// A state farther than this from every robot is a stray.
     pub gate_m: f64,
-    robot_of: HashMap<u64, usize>,
+    robot_by_id: HashMap<u64, usize>,
     ids: HashSet<u64>,
     score: Score,
 }
 
 impl Default for Judge {
     fn default() -> Self {
-        Self { gate_m: 0.3, robot_of: HashMap::new(), ids: HashSet::new(), score: Score::default() }
+        Self {
+            gate_m: 0.3,
+            robot_by_id: HashMap::new(),
+            ids: HashSet::new(),
+            score: Score::default(),
+        }
     }
 }
 
@@ -88,8 +93,8 @@ impl Judge {
 
     /// The score of all snapshots.
     pub fn finish(mut self) -> Score {
-        let robots: HashSet<_> = self.robot_of.values().collect();
-        self.score.extra_ids = self.robot_of.len() - robots.len();
+        let robots: HashSet<_> = self.robot_by_id.values().collect();
+        self.score.extra_ids = self.robot_by_id.len() - robots.len();
         self.score.ids = self.ids.len();
         self.score
     }
@@ -114,7 +119,7 @@ impl Judge {
 
     /// A predicted object may be anywhere within its covariance, so it is compared with its previous robot.
     fn take_predicted(&mut self, state: &v1::ObjectState, truth: &[Truth], found: &mut [bool]) {
-        let robot = self.robot_of.get(&state.object_id);
+        let robot = self.robot_by_id.get(&state.object_id);
         let (Some(&robot), Some(position)) = (robot, &state.position) else { return };
         found[robot] = true;
         let error = vector(position) - truth[robot].pose.translation.vector;
@@ -135,7 +140,7 @@ impl Judge {
         if apart_m > self.gate_m {
             return None;
         }
-        if self.robot_of.insert(id, robot).is_some_and(|before| before != robot) {
+        if self.robot_by_id.insert(id, robot).is_some_and(|before| before != robot) {
             self.score.swaps += 1;
         }
         Some(robot)

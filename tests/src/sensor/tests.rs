@@ -200,7 +200,7 @@ fn a_hidden_robot_returns_with_another_track_number() {
     numbers.sort_unstable();
     numbers.dedup();
     let cameras = numbers.chunk_by(|a, b| a.0 == b.0);
-    assert!(cameras.clone().count() >= 1 && cameras.clone().all(|of| of.len() == 2));
+    assert!(cameras.clone().count() >= 1 && cameras.clone().all(|track| track.len() == 2));
 }
 
 #[test]
