@@ -123,7 +123,9 @@ impl TrialCache {
     }
 }
 
-/// Minimum shorter diameter that is detected, pixels.
+/// Minimum shorter diameter of the outer rim that is detected in nineteen of twenty pictures, pixels: D of the
+/// paper's equation (14). Coded rings count as plain ones. The first call takes some tenths of a second for trials
+/// ([`super::TrialCache`]).
 pub(super) fn min_detected_px(sensor: &Sensor, kind: &Kind, tilt_rad: f64) -> f64 {
     sensor.trials.table(sensor, kind).min_detected_px(tilt_rad)
 }
@@ -329,7 +331,7 @@ impl TrialTable {
     fn run_errors(&self, geometry: ViewGeometry) -> ErrorFactors {
         let (mut planned, mut observed) = ([0.0; 2], [0.0; 2]);
         self.setup.run(geometry, ERROR_TRIALS, |trial, position| {
-            let predicted = predict_pose(trial.sensor, trial.kind, &trial.image);
+            let predicted = predict_pose(trial.sensor, &self.setup.kind, &trial.image);
             let (Some(position), Some(predicted)) = (position, predicted) else {
                 return true;
             };

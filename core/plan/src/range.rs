@@ -7,8 +7,9 @@ use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 use super::{
     PlanError, Sensor,
+    monte_carlo::min_detected_px,
     roundel_image::{EDGE_PX, image_roundel},
-    visibility::{is_detected, min_detected_px, min_readable_px, min_required_px, requirement},
+    visibility::{is_detected, min_readable_px, min_required_px, requirement},
     within,
 };
 use roundel_vision::{

@@ -58,7 +58,6 @@ pub(super) struct TrialSetup {
 
 pub(super) struct TrialFrame<'a> {
     pub sensor: &'a Sensor,
-    pub kind: &'a Kind,
     pub pose: Rigid,
     pub image: RoundelImage,
 }
@@ -118,7 +117,7 @@ impl TrialSetup {
                 locator.locate_all(&view, &tracked[..tracked.len().min(1)], &mut located);
                 let position = located.iter().flatten().next().map(|it| it.pose.position_m);
                 let counts = frame + counted >= frames;
-                if counts && !on_frame(&TrialFrame { sensor, kind, pose, image }, position) {
+                if counts && !on_frame(&TrialFrame { sensor, pose, image }, position) {
                     return;
                 }
             }

@@ -4,18 +4,15 @@
 //! wide enough for the blur and noise, which trials determine (`monte_carlo`). Codes are read at a fraction of the distance
 //! at which the ring is detected, so coverage of coded roundels requires that the code is read.
 
-use super::{Sensor, monte_carlo, roundel_image::RoundelImage};
+use super::{
+    Sensor,
+    monte_carlo::{is_wide_enough, min_detected_px},
+    roundel_image::RoundelImage,
+};
 use roundel_vision::marker::{Kind, Params, Pattern};
 
 /// Bits of a code and minimum outer diameter for reading it, pixels; other codes are interpolated linearly.
 const READ_PX: [(f64, f64); 4] = [(5.0, 30.0), (8.0, 36.0), (12.0, 60.0), (16.0, 90.0)];
-
-/// Minimum shorter diameter of the outer rim that is detected in nineteen of twenty pictures, pixels: D of the
-/// paper's equation (14). Coded rings count as plain ones. The first call takes some tenths of a second for trials
-/// ([`super::TrialCache`]).
-pub fn min_detected_px(sensor: &Sensor, kind: &Kind, tilt_rad: f64) -> f64 {
-    monte_carlo::min_detected_px(sensor, kind, tilt_rad)
-}
 
 /// Minimum shorter diameter of the outer rim at which the code is read, pixels; `None` for uncoded kinds. Measured
 /// on rendered roundels up to 50° of tilt (`--bin codes` of the tests' crate). Applied to the shorter diameter,
@@ -39,7 +36,7 @@ pub fn is_detected(sensor: &Sensor, kind: &Kind, image: &RoundelImage) -> bool {
     let params = Params::default();
     image.is_complete
         && outer.semi_minor_px >= params.min_axis_ratio * outer.semi_major_px
-        && monte_carlo::is_wide_enough(sensor, kind, image)
+        && is_wide_enough(sensor, kind, image)
 }
 
 /// Whether it is detected and, if it is coded, its code read.
