@@ -18,7 +18,7 @@
 //! rendered rings (`monte_carlo`, `ring_trial`, `ring_image`) and cached in [`TrialCache`]. The renderer shares no code
 //! with the demo's or with the one that judges the predictions.
 //!
-//! Accuracy: `cargo run --release -p roundel-tests --bin plans` compares predictions with a hundred rendered set-ups.
+//! Accuracy: `cargo run --release -p roundel-tests -- plans` compares predictions with a hundred rendered set-ups.
 
 pub mod map;
 mod monte_carlo;

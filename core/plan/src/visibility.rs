@@ -15,7 +15,7 @@ use roundel_vision::marker::{Kind, Params, Pattern};
 const READ_PX: [(f64, f64); 4] = [(5.0, 30.0), (8.0, 36.0), (12.0, 60.0), (16.0, 90.0)];
 
 /// Minimum shorter diameter of the outer rim at which the code is read, pixels; `None` for uncoded kinds. Measured
-/// on rendered roundels up to 50° of tilt (`--bin codes` of the tests' crate). Applied to the shorter diameter,
+/// on rendered roundels up to 50° of tilt (`-- codes` of the tests' crate). Applied to the shorter diameter,
 /// since teeth at the ends of the longer one are as narrow as that.
 pub fn min_readable_px(kind: &Kind) -> Option<f64> {
     let Pattern::Coded(layout) = kind.pattern else { return None };

@@ -19,7 +19,7 @@
 //! observation. Errors that covariances do not state (lenses, clocks) appear as disagreement that no motion explains, and
 //! raise all thresholds.
 //!
-//! Accuracy: `tests/tests/healing.rs`; the table of `cargo run --release -p roundel-tests --bin healing` for R4. Lens
+//! Accuracy: `tests/tests/healing.rs`; the table of `cargo run --release -p roundel-tests -- healing` for R4. Lens
 //! errors of 0.05 % and 0.5 px are absorbed by the poses within minutes without further drift. Displacements of 1 mm or
 //! 0.01° are corrected as drift within 80 s; 2 to 6 mm, 0.03° and 0.06° are detected within 0.91 s and recovered within
 //! 18 s. In the first minute after a start, 2 and 3 mm are treated as drift too, with track errors of up to 9 mm.

@@ -28,7 +28,7 @@
 //! The velocity's lag is the effect of accelerations within the last √2/ω. Lag and prediction err in the same
 //! direction, so over t the variance of the velocity grows by A t (t + √2/ω).
 //!
-//! Effect on R4's robots under four cameras (`--bin scenarios -- r4`): rms error of velocity 32 → 18 mm/s, of position
+//! Effect on R4's robots under four cameras (`-- scenarios r4`): rms error of velocity 32 → 18 mm/s, of position
 //! 1.18 → 1.07 mm.
 
 use std::f64::consts::{FRAC_1_SQRT_2, SQRT_2};

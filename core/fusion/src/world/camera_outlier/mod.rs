@@ -18,7 +18,7 @@
 //! A held camera is used again when it agrees, or after a time if the camera monitor has not removed it: its present
 //! pose is then the new baseline.
 //!
-//! Results (`cargo run --release -p roundel-tests --bin healing`, `tests/tests/healing.rs`): R4, cameras bumped by 2 cm
+//! Results (`cargo run --release -p roundel-tests -- healing`, `tests/tests/healing.rs`): R4, cameras bumped by 2 cm
 //! or 1° within 0.1 s: no track off by more than 4.4 mm; 18 mm without. 2 cm within 0.1 or 0.3 s at five times of 30
 //! seeds: no wrong camera held back, and no track off by more than 5 mm except one, 0.75 s later, that is left to one
 //! other camera at the edge of its image (6.0 mm, stated 1.5).

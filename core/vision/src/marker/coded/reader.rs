@@ -27,7 +27,7 @@ use crate::{
 /// Deviation of a template's blur, pixels: a typical value, since a ring does not include its own.
 const USUAL_BLUR_PX: f64 = 0.8;
 /// Correlated error of samples that share pixels, radians: from 20,000 readings each of 8 to 16
-/// bits, beyond the error of each sample (`cargo run -p roundel-tests --bin codes`).
+/// bits, beyond the error of each sample (`cargo run -p roundel-tests -- codes`).
 const SHARED_RAD: f64 = 8e-4;
 /// Smallest ρ² of a reading …
 const MIN_FIT: f32 = 0.7;

@@ -5,7 +5,7 @@
 //! sharpening brightens its rim. So the centre is compared with the means along ellipses between it and the rim.
 //!
 //! Among 4,000 rendered roundels, none is darker at the centre by more than 0.04 of the contrast; sharpened photographs reach
-//! 0.2. Of 87 targets that passed every other test, all but two exceed 0.34 (`cargo run -p roundel-tests --bin recall`,
+//! 0.2. Of 87 targets that passed every other test, all but two exceed 0.34 (`cargo run -p roundel-tests -- recall`,
 //! `cargo test -p roundel-core --test main photo::`).
 //!
 //! Tracked rings are not tested, so that a passing reflection does not end a track.

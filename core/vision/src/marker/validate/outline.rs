@@ -14,7 +14,7 @@
 //! roundels have at most 0.021 in h₃ … h₆ and 0.027 beyond, to which perspective adds up to 0.056 for large
 //! ones; photographed prints reach 0.04 and 0.02 when small, 0.062 and 0.034 at 50 px on uneven
 //! paper. Of 240 rings found on other objects in rendered scenes, all but two exceed the limits
-//! (`cargo run -p roundel-tests --bin recall`).
+//! (`cargo run -p roundel-tests -- recall`).
 //!
 //! Tracked rings are not tested, so that a passing shadow does not end a track.
 
