@@ -195,10 +195,9 @@ fn finish<S: Simd, T: Lane>(
         let pixels = RimPixels::within(frame, *window);
         let contrast = rims.contrast.lane(lane);
         let Ok(unevenness) = unevenness(simd, &pixels, center, &matrix, contrast) else { continue };
-        let [outer, inner] = rims.compensated.each_ref().map(
-            #[inline(always)]
-            |rim| RimEllipse { ellipse: rim.at(lane), matrix: rim.matrix_at(lane) },
-        );
+        let [outer, inner] = &rims.compensated;
+        let outer = RimEllipse { ellipse: outer.at(lane), matrix: outer.matrix_at(lane) };
+        let inner = RimEllipse { ellipse: inner.at(lane), matrix: inner.matrix_at(lane) };
         let ring = Ring {
             kind: Some(KindId(rims.kind.lane(lane) as u16)),
             threshold,

@@ -99,27 +99,36 @@ impl PartSums<f64> {
         let sets = [bands.disc_core, bands.black, bands.near, bands.far];
         let upper = levels(simd, top, sets, words, middle.0);
         let lower = levels(simd, bottom, sets.map(|set| &set[top.len()..]), words, middle.0);
-        let [disc, black, near, far] = [0, 1, 2, 3].map(|set| upper.all[set] + lower.all[set]);
-        let [black_left, near_left, far_left] =
-            [1, 2, 3].map(|set| total(upper.left[set] + lower.left[set]));
-        // Pixels of a set: all, those in the left half, those in the upper half.
-        let pixels = [bands.black, bands.near, bands.far].map(|set| {
-            let (all, left) = count(set, words, middle.0);
-            [all, left, pixels_in(&set[..top.len()])]
-        });
-        let [of_black, of_near, of_far] = pixels;
+        // Neither vectors nor bit counts may pass through `array::map`, which is compiled for the
+        // baseline processor.
+        let disc = total(upper.all[0] + lower.all[0]);
+        let black = total(upper.all[1] + lower.all[1]);
+        let near = total(upper.all[2] + lower.all[2]);
+        let far = total(upper.all[3] + lower.all[3]);
+        let black_left = total(upper.left[1] + lower.left[1]);
+        let margin_left = total((upper.left[2] + lower.left[2]) + (upper.left[3] + lower.left[3]));
+        let of_black = pixels(bands.black, words, middle.0, top.len());
+        let of_near = pixels(bands.near, words, middle.0, top.len());
+        let of_far = pixels(bands.far, words, middle.0, top.len());
         Self {
-            disc: PartSum::of(total(disc), pixels_in(bands.disc_core)),
-            black: PartSum::of(total(black), of_black[0]),
+            disc: PartSum::of(disc, pixels_in(bands.disc_core)),
+            black: PartSum::of(black, of_black[0]),
             black_left: PartSum::of(black_left, of_black[1]),
             black_top: PartSum::of(total(upper.all[1]), of_black[2]),
-            near: PartSum::of(total(near), of_near[0]),
-            far: PartSum::of(total(far), of_far[0]),
+            near: PartSum::of(near, of_near[0]),
+            far: PartSum::of(far, of_far[0]),
             far_square: total(upper.square + lower.square) as f64,
-            margin_left: PartSum::of(near_left + far_left, of_near[1] + of_far[1]),
+            margin_left: PartSum::of(margin_left, of_near[1] + of_far[1]),
             margin_top: PartSum::of(total(upper.all[2] + upper.all[3]), of_near[2] + of_far[2]),
         }
     }
+}
+
+/// Pixels of a set: all, those before a column, and those in the first words.
+#[inline(always)]
+fn pixels(set: &[u64], words: usize, column: usize, first: usize) -> [u32; 3] {
+    let (all, left) = count(set, words, column);
+    [all, left, pixels_in(&set[..first])]
 }
 
 /// A level, and its distance from a rim.
