@@ -110,7 +110,7 @@ pub fn estimate(
         };
     }
     let leans = tilt_posterior::leans(&evidence);
-    let middle = Middle::of([&plus, &minus], noise2);
+    let middle = Middle::between([&plus, &minus], noise2);
     let make = |lean: &Lean| middle.at_lean(solution, &frame, lean);
     let other = leans.other.map(|lean| make(&lean));
     FrontalResult::Facing(make(&leans.first), other, leans.likelihood)
@@ -213,7 +213,7 @@ struct Middle {
 }
 
 impl Middle {
-    fn of([plus, minus]: [&Marginal; 2], noise2: f64) -> Self {
+    fn between([plus, minus]: [&Marginal; 2], noise2: f64) -> Self {
         let mean = |one: &[f64; MAX_UNKNOWNS], other: &[f64; MAX_UNKNOWNS]| {
             std::array::from_fn(|i| 0.5 * (one[i] + other[i]))
         };

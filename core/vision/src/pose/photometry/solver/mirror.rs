@@ -24,7 +24,7 @@ use crate::pose::photometry::model::{projection::PrintPose, scratch::ModelScratc
 /// Displacement of the outer rim up to which the image is linear in it, in standard deviations of
 /// its edges.
 const LINEAR_BLURS: f64 = 0.6;
-/// A pose with a misfit larger by so many variances is excluded.
+/// A pose with a misfit larger by this number of variances is excluded.
 const EXCLUDED: f64 = 200.0;
 
 /// Estimate of the mirrored pose.
@@ -81,7 +81,7 @@ fn step(
         Some(factor) => equations.step_beside(mirrored, noise2, factor)?,
         None => equations.step(mirrored, noise2, 0.0)?,
     };
-    let gain: f64 = change.iter().zip(&equations.gradient).map(|(x, g)| x * g).sum();
+    let gain = equations.gain(&change);
     negate_turns(&mut change);
     let other_offset_m = Vector3::new(change[SHIFT], change[SHIFT + 1], 0.0) * equations.unit_m
         + mirrored.pose.position_m * change[RANGE];
