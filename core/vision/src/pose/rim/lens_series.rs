@@ -12,8 +12,8 @@
 //!
 //! m = ā + b      h₀ = Re e + |a|² - ¾ |c|²      h = d̄ + f - ā² - b̄ c - 2 a c
 //!
-//! (a moves points along the rim, which shifts the ellipse as b does). The inner rim, z = z₀ + α w
-//! + β w̄ with w on the unit circle, has the same Z, and by substitution coefficients of its own.
+//! (a moves points along the rim, which shifts the ellipse as b does). The inner rim, z = z₀ + α w + β
+//! w̄ with w on the unit circle, has the same Z, and by substitution coefficients of its own.
 //!
 //! The omitted third order is limited by [`MAX_BEND`] and [`MAX_CUBIC`]: less than 1e-5 of the rim
 //! (`tests::the_series_agrees_with_the_iteration`, against [`super::lens_iteration`]).

@@ -1,8 +1,8 @@
 //! Rims taken through the lens.
 //!
 //! A rim is sampled at points c + a cos t + b sin t, t evenly spaced, with the semiaxes a and b as
-//! vectors. A slightly different ellipse crosses the line from the centre through such a point at 1
-//! + q(t) times its distance. To first order q = ψ·h with five harmonics, ψ = (1, √2 cos t, √2 sin
+//! vectors. A slightly different ellipse crosses the line from the centre through such a point at 1 + q(t)
+//! times its distance. To first order q = ψ·h with five harmonics, ψ = (1, √2 cos t, √2 sin
 //! t, √2 cos 2t, √2 sin 2t): size, shift along either axis, elongation and turn. The five numbers h
 //! therefore describe a rim completely, and h = mean(ψ q), the mean over evenly spaced t, is what
 //! the moments of a rim's area measure. (The change of an area is ½∮q r×dr = ½ab∮q dt, and those of

@@ -101,14 +101,14 @@ impl Nodes {
             let (x, y) = (&self.x[from..], &self.y[from..]);
             let forward = (x[1] - x[0]) * self.dx[from] + (y[1] - y[0]) * self.dy[from];
             let along_px = by_px * forward.signum();
-            for i in 0..count {
+            for (i, own) in normals.iter().enumerate() {
                 let (next, before) = (normal(i + 1), normal(i + count - 1));
                 let (second, second_before) = (normal(i + 2), normal(i + count - 2));
                 // Change of the normal from node to node, to fourth order.
                 let change = [0, 1]
                     .map(|k| (8.0 * (next[k] - before[k]) - (second[k] - second_before[k])) / 12.0);
-                self.x[from + i] += by_px * normals[i][0];
-                self.y[from + i] += by_px * normals[i][1];
+                self.x[from + i] += by_px * own[0];
+                self.y[from + i] += by_px * own[1];
                 self.dx[from + i] += along_px * change[0];
                 self.dy[from + i] += along_px * change[1];
             }

@@ -2,10 +2,10 @@
 //!
 //! A point of the plane with relative inverse depth q (1 in the middle) has 2 - 1/q over q in the
 //! mirrored pose, so its ray t becomes t/(2 q - 1). This displacement times -∇d changes the image
-//! by m, one more column besides those of the unknowns (J, residual r): the mirrored pose leaves r
-//! - m. Where this pose rotates by τ, the mirrored one rotates by -τ, and m grows by the share κ·τ,
-//! as the tangent of the tilt does: in rotations of this pose the columns of the mirrored one are J
-//! + m κᵀ. With the products of m, the result of a step from the mirrored pose is known without
+//! by m, one more column besides those of the unknowns (J, residual r): the mirrored pose leaves r - m.
+//! Where this pose rotates by τ, the mirrored one rotates by -τ, and m grows by the share κ·τ,
+//! as the tangent of the tilt does: in rotations of this pose the columns of the mirrored one are J + m
+//! κᵀ. With the products of m, the result of a step from the mirrored pose is known without
 //! another pass over the pixels. This is linear in the displacement and holds up to
 //! [`LINEAR_BLURS`]. Beyond that the pixels decide, unless the mirrored pose is worse by
 //! [`EXCLUDED`] variances anyway.
