@@ -1,9 +1,8 @@
 //! The standard normal distribution: density φ, distribution function Φ, the logarithm of its tail, and how much of a
 //! blurred edge lies beyond a cut.
 //!
-//! Φ is the rational approximation of Abramowitz and Stegun, 26.2.17, with an absolute error below 7.5e-8. [`Table`]
-//! interpolates it for inner loops, to 2e-6; [`normal_each`] and [`Beyond`] use 26.2.16, to 1e-5, for code that runs in
-//! vector lanes.
+//! Φ is the rational approximation of Abramowitz and Stegun, 26.2.17, with an absolute error below 7.5e-8;
+//! [`normal_each`] and [`Beyond`] use 26.2.16, to 1e-5, for code that runs in vector lanes.
 
 use std::f64::consts::TAU;
 
@@ -33,15 +32,6 @@ pub fn cumulative_with_density(z: f64, density: f64) -> f64 {
     if z < 0.0 { above } else { 1.0 - above }
 }
 
-/// Entries of the table per unit …
-const STEPS: f64 = 256.0;
-/// … and its range.
-const END: f64 = 6.0;
-
-/// Φ and φ by linear interpolation.
-#[derive(Clone, Debug)]
-pub(crate) struct Table(Vec<[f32; 2]>);
-
 /// φ(z)/Φ(-z) and -2 ln Φ(-z).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Tail {
@@ -49,40 +39,16 @@ pub(crate) struct Tail {
     pub minus_two_ln: f64,
 }
 
-impl Default for Table {
-    fn default() -> Self {
-        let count = (2.0 * END * STEPS) as usize + 2;
-        let entry = |i: usize| {
-            let z = i as f64 / STEPS - END;
-            let density = density(z);
-            [cumulative_with_density(z, density) as f32, density as f32]
-        };
-        Self((0..count).map(entry).collect())
+/// The tail beyond z, to 0.1 %.
+pub(crate) fn tail(z: f64) -> Tail {
+    if z > 3.5 {
+        // Laplace's continued fraction.
+        let hazard = z + 1.0 / (z + 2.0 / (z + 3.0 / (z + 4.0 / z)));
+        return Tail { hazard, minus_two_ln: z * z + 2.0 * (hazard * TAU.sqrt()).ln() };
     }
-}
-
-impl Table {
-    /// Φ(z) and φ(z), to 2e-6.
-    #[inline(always)]
-    pub fn at(&self, z: f64) -> [f64; 2] {
-        let place = ((z + END) * STEPS).clamp(0.0, 2.0 * END * STEPS);
-        let index = place as usize;
-        let rest = place - index as f64;
-        let (low, high) = (self.0[index], self.0[index + 1]);
-        [0, 1].map(|k| f64::from(low[k]) + rest * f64::from(high[k] - low[k]))
-    }
-
-    /// The tail beyond z, to 1 %.
-    #[inline(always)]
-    pub fn tail(&self, z: f64) -> Tail {
-        if z > 3.5 {
-            // Laplace's continued fraction.
-            let hazard = z + 1.0 / (z + 2.0 / (z + 3.0 / (z + 4.0 / z)));
-            return Tail { hazard, minus_two_ln: z * z + 2.0 * (hazard * TAU.sqrt()).ln() };
-        }
-        let [above, density] = self.at(-z);
-        Tail { hazard: density / above, minus_two_ln: -2.0 * above.ln() }
-    }
+    let density = density(z);
+    let above = cumulative_with_density(-z, density);
+    Tail { hazard: density / above, minus_two_ln: -2.0 * above.ln() }
 }
 
 /// The part of a blurred edge beyond a cut parallel to it.
@@ -148,15 +114,12 @@ mod tests {
 
     #[test]
     fn the_distribution_function_is_the_integral_of_the_density() {
-        let table = Table::default();
         let step = 1e-3;
         let mut integral = 0.5;
         for i in 0..5_000 {
             let z = f64::from(i) * step;
             assert!((cumulative(z) - integral).abs() < 1e-7, "{z}");
             assert!((cumulative(-z) - (1.0 - integral)).abs() < 1e-7, "{z}");
-            let [below, density_there] = table.at(z);
-            assert!((below - integral).abs() < 2e-6 && (density_there - density(z)).abs() < 2e-6);
             // Simpson's rule.
             let middle = density(z + 0.5 * step);
             integral += step / 6.0 * (density(z) + 4.0 * middle + density(z + step));
@@ -165,15 +128,14 @@ mod tests {
 
     #[test]
     fn tails_are_continuous_and_approach_their_limits() {
-        let table = Table::default();
-        let far = table.tail(8.0).hazard;
+        let far = tail(8.0).hazard;
         assert!((far - 8.12).abs() < 0.02, "{far}");
-        let (below, above) = (table.tail(3.4999).hazard, table.tail(3.5001).hazard);
+        let (below, above) = (tail(3.4999).hazard, tail(3.5001).hazard);
         assert!((below / above - 1.0).abs() < 0.01, "{below} {above}");
-        let middle = table.tail(0.0);
+        let middle = tail(0.0);
         assert!((middle.hazard - 0.7979).abs() < 1e-3);
         assert!((middle.minus_two_ln - 2.0 * 2f64.ln()).abs() < 1e-3);
-        assert!(table.tail(-4.0).hazard < 1e-3);
+        assert!(tail(-4.0).hazard < 1e-3);
     }
 
     fn normal_density(z: f64) -> f64 {

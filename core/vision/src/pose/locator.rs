@@ -395,7 +395,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn rings_side_by_side_are_each_as_alone(
+        fn batched_rings_equal_single_ones(
             drawn in prop::collection::vec(drawn(), 1..20), lens in 0..4usize,
         ) {
             let lens = [

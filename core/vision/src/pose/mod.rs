@@ -17,7 +17,7 @@
 //! Accuracy on exact rims (`tests/golden.rs`, against OpenCV's projection): position to 1e-9 of the
 //! distance without distortion. Under strong distortion the image of a circle is no ellipse, and
 //! what the ellipse omits remains as an error. On rims with errors
-//! (`tests::covariance_is_that_of_the_errors`): 95 ± 3 % of position and rotation inside their 95 %
+//! (`tests::covariance_matches_the_errors`): 95 ± 3 % of position and rotation inside their 95 %
 //! ellipsoid from 12 to 120 px and from 0 to 60°, depth bias below a third of its rms. Time: `cargo
 //! bench -p roundel-core --bench pose`, alone and in a batch ([`circle::closed_form`]).
 //!
@@ -153,6 +153,7 @@ pub enum PoseError {
 
 /// Rims with a smaller semiaxis, pixels, have no usable shape.
 const MIN_SEMIAXIS_PX: f64 = 0.5;
+
 /// Pose of a roundel from its rims, with covariance.
 ///
 /// `kind` gives the diameters of the rims, `noise` their errors. The pose is that of a plain
@@ -164,8 +165,8 @@ pub fn locate(
     ring: &Ring,
     noise: &RimNoise,
 ) -> Result<RoundelPose, PoseError> {
-    match found(kind, ring, noise)? {
-        Some(found) => closed_form::locate(camera, &found),
+    match measure(kind, ring, noise)? {
+        Some(measured) => closed_form::locate(camera, &measured),
         None => elliptical_disc::locate(camera, kind, ring, noise),
     }
 }
@@ -178,8 +179,8 @@ pub fn other_offset_m(
     ring: &Ring,
     noise: &RimNoise,
 ) -> Result<Vector3<f64>, PoseError> {
-    match found(kind, ring, noise)? {
-        Some(found) => closed_form::other_offset_m(camera, &found),
+    match measure(kind, ring, noise)? {
+        Some(measured) => closed_form::other_offset_m(camera, &measured),
         None => Ok(Vector3::zeros()),
     }
 }
@@ -191,19 +192,23 @@ fn locate_each<'a>(
     noise: &RimNoise,
     poses: &mut [Result<RoundelPose, PoseError>; closed_form::LANES],
 ) {
-    let mut lanes = [None; closed_form::LANES];
-    for ((ring, lanes), pose) in rings.zip(&mut lanes).zip(&mut *poses) {
-        match ring.and_then(|(kind, ring)| Ok((found(kind, ring, noise)?, kind, ring))) {
-            Ok((Some(found), ..)) => *lanes = Some(found),
+    let mut measured = [None; closed_form::LANES];
+    for ((ring, measured), pose) in rings.zip(&mut measured).zip(&mut *poses) {
+        match ring.and_then(|(kind, ring)| Ok((measure(kind, ring, noise)?, kind, ring))) {
+            Ok((Some(own), ..)) => *measured = Some(own),
             Ok((None, kind, ring)) => *pose = elliptical_disc::locate(camera, kind, ring, noise),
             Err(error) => *pose = Err(error),
         }
     }
-    closed_form::locate_each(camera, &lanes, poses);
+    closed_form::locate_each(camera, &measured, poses);
 }
 
 /// Input of the closed form; `None` for an elliptical disc.
-fn found(kind: &Kind, ring: &Ring, noise: &RimNoise) -> Result<Option<RingMeasurement>, PoseError> {
+fn measure(
+    kind: &Kind,
+    ring: &Ring,
+    noise: &RimNoise,
+) -> Result<Option<RingMeasurement>, PoseError> {
     check(kind, ring, noise)?;
     if let Pattern::Elliptical { .. } = kind.pattern {
         return Ok(None);

@@ -269,7 +269,7 @@ fn statistics(
 /// Realistic covariances from small to large and from face-on to steep, at the detector's noise and
 /// several times that, where errors are not linear.
 #[test]
-fn covariance_is_that_of_the_errors() {
+fn covariance_matches_the_errors() {
     let degrees = |range: std::ops::Range<f64>| range.start.to_radians()..range.end.to_radians();
     let loud = RimNoise { edge_px: 0.15, floor_px: 0.02, ..RimNoise::default() };
     let cases = [
@@ -311,7 +311,7 @@ fn covariance_is_that_of_the_errors() {
 }
 
 #[test]
-fn a_plain_small_ring_does_not_pretend_to_know_its_normal() {
+fn small_plain_rings_have_ambiguous_normals() {
     let camera = camera(Lens::PlumbBob([0.0; 5]));
     let likelihood = |radius_px: f64| {
         let pixel = PixelPoint { u: 900.0, v: 500.0 };

@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn the_yaw_of_a_drawn_code_comes_back() {
+    fn the_yaw_of_a_drawn_code_is_recovered() {
         let camera = camera();
         let normal = Vector3::new(0.5, -0.3, -0.8).normalize();
         let pose = plain(Vector3::new(0.4, 0.2, 1.5), normal);
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn the_turn_that_a_wrong_normal_makes_is_in_the_covariance() {
+    fn covariance_contains_the_rotation_by_a_wrong_normal() {
         let camera = camera();
         let normal = Vector3::new(0.5, -0.3, -0.8).normalize();
         let truth = plain(Vector3::new(0.4, 0.2, 1.5), normal);

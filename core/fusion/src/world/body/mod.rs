@@ -49,13 +49,17 @@ pub struct Body {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum BodyError {
     /// A number is not finite.
-    #[error("expected finite poses of roundels on the object, found one that is not at roundel {mount}")]
+    #[error(
+        "expected finite poses of roundels on the object, found one that is not at roundel {mount}"
+    )]
     NotFinite {
         /// Index of the roundel.
         mount: usize,
     },
     /// The roundel belongs to another object, or occurs twice.
-    #[error("roundel {mount} of the object belongs to another object already, or its whole kind does")]
+    #[error(
+        "roundel {mount} of the object belongs to another object already, or its whole kind does"
+    )]
     Taken {
         /// Index of the roundel.
         mount: usize,

@@ -7,7 +7,7 @@
 //! ([`rim::lens_series`](super::super::rim)), when it nearly faces the camera ([`super::frontal`]),
 //! when one Gauss-Newton step is not enough, or when one of the two circles is invalid
 //! ([`super::refine`]). Its result equals that of [`locate`] to the last bit
-//! (`locator::tests::rings_side_by_side_are_each_as_alone`).
+//! (`locator::tests::batched_rings_equal_single_ones`).
 //!
 //! PERF: `--bench pose`, 30 px, `plumb_bob`: 0.70 µs alone; one of 64 0.18 µs with AVX-512 and 0.26
 //! µs with AVX2 (0.23 µs there in lanes of four, which are slower with AVX-512).
@@ -52,35 +52,35 @@ pub struct PoseLanes<T> {
     covariance: [[T; 6]; 6],
 }
 
-pub fn locate(camera: &Camera, found: &RingMeasurement) -> Result<RoundelPose, PoseError> {
-    dispatch!(Level::new(), simd => locate_with(simd, camera, found))
+pub fn locate(camera: &Camera, measured: &RingMeasurement) -> Result<RoundelPose, PoseError> {
+    dispatch!(Level::new(), simd => locate_with(simd, camera, measured))
 }
 
 #[simd]
 fn locate_with<S: Simd>(
     simd: S,
     camera: &Camera,
-    found: &RingMeasurement,
+    measured: &RingMeasurement,
 ) -> Result<RoundelPose, PoseError> {
     let _ = simd;
-    fit(&projection::project(camera, &found.rim_pair())?)
+    fit(&projection::project(camera, &measured.rim_pair())?)
 }
 
 /// As [`locate`] for each ring that is present; the other entries of `poses` keep their values.
 pub fn locate_each(
     camera: &Camera,
-    found: &[Option<RingMeasurement>; LANES],
+    measured: &[Option<RingMeasurement>; LANES],
     poses: &mut [Result<RoundelPose, PoseError>; LANES],
 ) {
     let mut rings =
-        found.iter().enumerate().filter_map(|(place, one)| Some((place, one.as_ref()?)));
+        measured.iter().enumerate().filter_map(|(place, one)| Some((place, one.as_ref()?)));
     match (rings.next(), rings.next()) {
         (None, _) => {}
         // Eight lanes take longer than one ring, and less than two.
         (Some((place, one)), None) => poses[place] = locate(camera, one),
         (Some((_, one)), Some(_)) => {
-            let all = found.each_ref().map(|ring| ring.as_ref().unwrap_or(one));
-            let requested = found.each_ref().map(Option::is_some);
+            let all = measured.each_ref().map(|ring| ring.as_ref().unwrap_or(one));
+            let requested = measured.each_ref().map(Option::is_some);
             dispatch!(Level::new(), simd => {
                 locate_each_with(simd, camera, &all, &requested, poses)
             });
@@ -92,11 +92,11 @@ pub fn locate_each(
 fn locate_each_with<S: Simd>(
     simd: S,
     camera: &Camera,
-    found: &[&RingMeasurement; LANES],
+    measured: &[&RingMeasurement; LANES],
     requested: &[bool; LANES],
     poses: &mut [Result<RoundelPose, PoseError>; LANES],
 ) {
-    let pair = RimPair::gather(f64x8::simd_from(simd, 0.0), found);
+    let pair = RimPair::gather(f64x8::simd_from(simd, 0.0), measured);
     let projected = projection::flatten_by_series(camera, &pair.rims).project(&pair);
     let (circles, is_circle) = Circle::both(&projected.rims[0]);
     let is_upright = frontal::applies(&circles[0], &projected.rims);
@@ -109,7 +109,7 @@ fn locate_each_with<S: Simd>(
         } else if projected.valid.is_set(lane) {
             fit_alone(&projected.lane(lane))
         } else {
-            locate(camera, found[lane])
+            locate(camera, measured[lane])
         };
     }
 }
@@ -126,8 +126,11 @@ fn fit_with<S: Simd>(simd: S, projected: &ConeFrameRims<f64>) -> Result<RoundelP
 
 /// Vector from the position with the more likely normal to that with the other one, camera frame,
 /// metres.
-pub fn other_offset_m(camera: &Camera, found: &RingMeasurement) -> Result<Vector3<f64>, PoseError> {
-    let projected = projection::project(camera, &found.rim_pair())?;
+pub fn other_offset_m(
+    camera: &Camera,
+    measured: &RingMeasurement,
+) -> Result<Vector3<f64>, PoseError> {
+    let projected = projection::project(camera, &measured.rim_pair())?;
     let Estimates { first, other, .. } = estimate(&projected.rims)?;
     let apart = other.circle.position_m() - first.circle.position_m();
     Ok((projected.local_from_camera.transpose() * apart).into())
@@ -279,13 +282,13 @@ mod tests {
         ] {
             let camera = camera(lens);
             let rings = rings();
-            let found = rings.map(|ring| pose::found(&kind, &ring, &noise).unwrap().unwrap());
+            let measured = rings.map(|ring| pose::measure(&kind, &ring, &noise).unwrap().unwrap());
             let alone = rings.map(|ring| pose::locate(&camera, &kind, &ring, &noise));
             assert!(alone.iter().all(|pose| pose.is_ok()));
             for level in [Level::new(), Level::baseline()] {
                 let mut poses = [const { Err(PoseError::NoCircle) }; LANES];
                 dispatch!(level, simd => {
-                    locate_each_with(simd, &camera, &found.each_ref(), &[true; LANES], &mut poses)
+                    locate_each_with(simd, &camera, &measured.each_ref(), &[true; LANES], &mut poses)
                 });
                 assert_eq!(poses, alone, "{level:?}");
             }

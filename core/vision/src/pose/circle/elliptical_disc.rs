@@ -179,7 +179,7 @@ impl DiscRays {
 impl DiscHeading {
     /// Variance from the errors of the disc's rim alone.
     fn variance_rad2(&self, kind: &Kind, inner: &Ellipse, noise: &RimErrors<f64>) -> Option<f64> {
-        let (information, true) = Information::of(&RimEllipse::of(inner), noise) else {
+        let (information, true) = Information::new(&RimEllipse::new(inner), noise) else {
             return None;
         };
         let turn = 1.0 / information.turn;

@@ -33,7 +33,7 @@ struct Weights<T> {
 
 impl<T: Lane> Weights<T> {
     #[inline(always)]
-    fn of(about: &Circle<T>, rims: &[Rim<T>; 2]) -> Self {
+    fn new(about: &Circle<T>, rims: &[Rim<T>; 2]) -> Self {
         let [outer, inner] = rims;
         let per_depth = about.depth_m.under(1.0);
         let r2 = [(outer.radius_m * per_depth).squared(), (inner.radius_m * per_depth).squared()];
@@ -57,13 +57,13 @@ impl<T: Lane> Weights<T> {
 /// of the outer rim alone.
 #[inline(always)]
 pub fn applies<T: Lane>(about: &Circle<T>, rims: &[Rim<T>; 2]) -> T::Mask {
-    let weights = Weights::of(about, rims);
+    let weights = Weights::new(about, rims);
     tilt_posterior::applies(about.lean.square(), weights.squared_sigma, weights.linear)
 }
 
 /// One or two circles, where [`applies`].
 pub fn estimate(about: &Circle<f64>, rims: &[Rim<f64>; 2]) -> Estimates<f64> {
-    let weights = Weights::of(about, rims);
+    let weights = Weights::new(about, rims);
     let Weights { r2, linear: linear_information, .. } = weights;
     let mean = |values: [f64; 2], weights: &[f64; 2]| {
         (values[0] * weights[0] + values[1] * weights[1]) / (weights[0] + weights[1])
@@ -75,7 +75,7 @@ pub fn estimate(about: &Circle<f64>, rims: &[Rim<f64>; 2]) -> Estimates<f64> {
     let squares = shapes.map(|m| Vector2::new(m.m22 - m.m11, -2.0 * m.m12));
     let outer = &rims[0];
     let lens_part = outer.residual_shape * Matrix2::from(outer.shape).determinant();
-    let elongation = ElongationWeights::of(&squares, &weights, lens_part);
+    let elongation = ElongationWeights::new(&squares, &weights, lens_part);
     let squared = mean2(squares, &elongation.weights);
     let squared_sigma = elongation.sigma;
     let size_weight = rims.map(|rim| rim.information.size);
@@ -124,7 +124,7 @@ struct ElongationWeights {
 
 impl ElongationWeights {
     /// `lens_part` is the share of |ν̂|² that lens distortion explains.
-    fn of(squares: &[Vector2<f64>; 2], weights: &Weights<f64>, lens_part: f64) -> Self {
+    fn new(squares: &[Vector2<f64>; 2], weights: &Weights<f64>, lens_part: f64) -> Self {
         let sigma = weights.squared_sigma;
         // The rim of an elliptical disc has no information.
         if weights.squared[1] <= 0.0 {

@@ -40,19 +40,19 @@ struct NormalMatrix<T> {
 
 #[derive(Clone, Copy)]
 pub struct RimJacobian<T: Lane> {
-    /// Of the centre by ln d.
+    /// Derivative of the centre by ln d.
     by_depth: Vec2<T>,
-    /// Of the centre by w.
+    /// Derivative of the centre by w.
     by_lean: Mat2<T>,
-    /// Of (size, elongation, turn) by either component of w.
+    /// Derivatives of (size, elongation, turn) by either component of w.
     shape_by_lean: [Vec3<T>; 2],
     blur: (MotionBlur<T>, motion_blur::Weighted<T>),
 }
 
 impl<T: Lane> Linearization<T> {
     #[inline(always)]
-    pub fn of(circle: &Circle<T>, rims: &[Rim<T>; 2]) -> Self {
-        let linear = [RimJacobian::of(circle, &rims[0]), RimJacobian::of(circle, &rims[1])];
+    pub fn new(circle: &Circle<T>, rims: &[Rim<T>; 2]) -> Self {
+        let linear = [RimJacobian::new(circle, &rims[0]), RimJacobian::new(circle, &rims[1])];
         let normal = linear[0].normal(&rims[0]).plus(&linear[1].normal(&rims[1]));
         let blur = linear[0].blur.0.plus(&linear[1].blur.0);
         Self { rims: linear, normal, blur }
@@ -116,7 +116,7 @@ impl<T: Lane> NormalMatrix<T> {
 
 impl<T: Lane> RimJacobian<T> {
     #[inline(always)]
-    fn of(circle: &Circle<T>, rim: &Rim<T>) -> Self {
+    fn new(circle: &Circle<T>, rim: &Rim<T>) -> Self {
         let r2 = (rim.radius_m / circle.depth_m).squared();
         let (w, normal_z, i) = (circle.lean, circle.normal_z(), &rim.inverse);
         let bend = -r2 / normal_z;
@@ -134,7 +134,7 @@ impl<T: Lane> RimJacobian<T> {
                 n12 * (0.5 * PER_ROOT),
             );
         }
-        let blur = MotionBlur::of(rim, &shape_by_lean);
+        let blur = MotionBlur::new(rim, &shape_by_lean);
         Self { by_depth: w * (level * -2.0), by_lean, shape_by_lean, blur }
     }
 

@@ -84,7 +84,7 @@ impl<T: Lane> MotionBlur<T> {
     /// `by_lean` are the derivatives of size, elongation and turn by the lean. The outer rim comes
     /// first in sums.
     #[inline(always)]
-    pub fn of(rim: &Rim<T>, by_lean: &[Vec3<T>; 2]) -> (Self, Weighted<T>) {
+    pub fn new(rim: &Rim<T>, by_lean: &[Vec3<T>; 2]) -> (Self, Weighted<T>) {
         let w = &rim.information;
         let shape = shape(&rim.inverse);
         let mut weighted = shape;
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn motion_turns_no_normal() {
+    fn motion_does_not_tilt_the_normal() {
         let camera = camera(Lens::PlumbBob([0.0; 5]));
         let kind = Kind::plain("", 0.16, 0.064);
         for i in 0..12 {

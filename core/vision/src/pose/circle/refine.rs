@@ -48,7 +48,7 @@ const LAST_STEP: f64 = 0.02;
 pub fn refine(starts: &[Circle<f64>; 2], rims: &[Rim<f64>; 2]) -> Option<Estimates<f64>> {
     let [first, second] = GaussNewtonStep::both(starts, rims);
     match [first.finish(rims), second.finish(rims)] {
-        [Some(a), Some(b)] => Some(Estimates::of(&a, &b)),
+        [Some(a), Some(b)] => Some(Estimates::ordered(&a, &b)),
         // The other one has left the space of circles in front of the camera.
         [Some(only), None] | [None, Some(only)] => Some(Estimates::alone(only)),
         [None, None] => None,
@@ -63,7 +63,7 @@ pub fn refine_once<T: Lane>(
 ) -> (Estimates<T>, T::Mask) {
     let [a, b] = GaussNewtonStep::both(starts, rims);
     let is_single_step = a.valid & b.valid & a.is_last & b.is_last;
-    (Estimates::of(&a.estimate, &b.estimate), is_single_step)
+    (Estimates::ordered(&a.estimate, &b.estimate), is_single_step)
 }
 
 impl<T: Lane> Estimates<T> {
@@ -74,7 +74,7 @@ impl<T: Lane> Estimates<T> {
 
     /// The two may coincide.
     #[inline(always)]
-    fn of(a: &Estimate<T>, b: &Estimate<T>) -> Self {
+    fn ordered(a: &Estimate<T>, b: &Estimate<T>) -> Self {
         let swapped = b.misfit.below(a.misfit);
         let first = Estimate::choose(swapped, b, a);
         let other = Estimate::choose(swapped, a, b);
@@ -109,7 +109,7 @@ impl GaussNewtonStep<f64> {
                 break;
             }
             let circle = &step.estimate.circle;
-            let linear = Linearization::of(circle, rims);
+            let linear = Linearization::new(circle, rims);
             let (covariance, valid) = linear.covariance();
             step = GaussNewtonStep::from(circle, rims, &linear, &covariance, 1.0);
             step.valid &= valid;
@@ -121,7 +121,7 @@ impl GaussNewtonStep<f64> {
 impl<T: Lane> GaussNewtonStep<T> {
     #[inline(always)]
     fn both(starts: &[Circle<T>; 2], rims: &[Rim<T>; 2]) -> [Self; 2] {
-        let linear = Linearization::of(&starts[0], rims);
+        let linear = Linearization::new(&starts[0], rims);
         let (covariance, valid) = linear.covariance();
         let mirrored = mirrored(&covariance);
         let mut first = Self::from(&starts[0], rims, &linear, &covariance, 1.0);

@@ -25,7 +25,7 @@
 //! many images of one face-on roundel it averages 1.2 σ instead of zero. Used instead is the
 //! function of the data whose mean over images is closest to |w|² at every tilt; it may be
 //! negative: the posterior mean less a share that decays with s ([`BIAS_CORRECTION`]). The depth's
-//! bias is then within a third of its rms everywhere (`tests::covariance_is_that_of_the_errors`),
+//! bias is then within a third of its rms everywhere (`tests::covariance_matches_the_errors`),
 //! and the stated variance is about that value.
 
 use nalgebra::{Matrix2, Vector2};
@@ -99,7 +99,7 @@ struct Half {
     xx: f64,
     xy: f64,
     yy: f64,
-    /// Of |z|² x, |z|² y and |z|⁴.
+    /// Sums of |z|² x, |z|² y and, below, |z|⁴.
     cubic: (f64, f64),
     quartic: f64,
 }

@@ -185,7 +185,7 @@ mod tests {
     /// A ring that moves by 2 px from frame to frame, with motion within the exposure from some
     /// frame on.
     #[test]
-    fn motion_is_looked_for_seldom_where_there_is_none_and_always_where_there_is() {
+    fn motion_is_held_while_absent_and_free_once_present() {
         let (mut motion_test, variance_px4) = (MotionTest::default(), 0.04);
         let mut free_at = Vec::new();
         for frame in 0..60 {
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn what_moves_faster_than_before_is_free() {
+    fn faster_rings_have_free_motion() {
         let mut motion_test = MotionTest::default();
         assert!(!motion_test.may_hold_still(0.0));
         motion_test.update(0.0, Some(0.04), f64::INFINITY);

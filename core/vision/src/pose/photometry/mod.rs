@@ -165,16 +165,16 @@ pub enum FitError {
     )]
     Pattern,
     /// The lens model gives no pixels there.
-    #[error("round the start: {0}")]
+    #[error("near the start: {0}")]
     Lens(#[from] LensError),
     /// The rims left the window.
     #[error("expected rims near those that were found, the fit went elsewhere")]
     OutOfWindow,
     /// The steps did not converge.
-    #[error("expected a start from which the fit settles, found one from which it does not")]
+    #[error("expected a start from which the fit converges, found one from which it does not")]
     NotConverged,
     /// The pixels do not determine the pose.
-    #[error("expected pixels that tell a pose, found too few or too flat ones")]
+    #[error("expected pixels that determine a pose, found too few or too uniform ones")]
     Uninformative,
     /// Too much of the rims is occluded or otherwise not as printed.
     #[error("expected rims that agree with each other, found too many stretches that do not")]
@@ -186,7 +186,7 @@ const REACH: (f64, f64) = (3.0, 3.5);
 /// Half of the motion adds to the reach, up to this.
 const MAX_MOTION_PX: f64 = 8.0;
 /// Limit of the reach by the white margin, which may be as narrow as this share of the outer
-/// semiaxis, less so many pixels for the blur of its own edge. The model ends there …
+/// semiaxis, less this number of pixels for the blur of its own edge. The model ends there …
 const MARGIN: (f64, f64) = (0.3, 0.8);
 /// … but never closer than this.
 const MIN_REACH_PX: f64 = 0.6;
@@ -251,14 +251,11 @@ fn fit_with_cache(
     let chords = Chords::new(&counted);
     model.window.set_region(model.level, frame, &Region::around(&counted), &chords);
     let problem = Problem {
-        frame,
         kind,
         teeth,
         teeth_are_predicted,
         radius_m,
         lens: &lens,
-        counted,
-        chords,
         motion_prior: motion::prior(start.moved_px),
         is_still: start.is_still,
         cache,

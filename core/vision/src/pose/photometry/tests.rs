@@ -142,7 +142,7 @@ fn the_fit_finds_the_motion_and_the_pose_of_the_exposures_middle() {
 }
 
 #[test]
-fn a_fit_leaves_its_scratch_as_it_was() {
+fn fits_leave_the_scratch_reusable() {
     let (camera, kind, ring) = (camera(), Kind::plain("", 0.16, 0.064), ring());
     let start = start(&camera, &kind, &ring);
     let pixels = picture(&camera, &kind, &start.pose.position_m, &start.pose.normal);
@@ -153,7 +153,7 @@ fn a_fit_leaves_its_scratch_as_it_was() {
 }
 
 #[test]
-fn what_is_no_roundel_is_an_error() {
+fn a_uniform_image_is_an_error() {
     let (camera, kind, ring) = (camera(), Kind::plain("", 0.16, 0.064), ring());
     let mut start = start(&camera, &kind, &ring);
     let pixels = vec![120; SIDE * SIDE];
@@ -167,7 +167,7 @@ fn what_is_no_roundel_is_an_error() {
 
 /// Prediction of a fit at the mirrored pose from the products of the first one.
 #[test]
-fn the_mirrored_place_is_as_bad_as_it_promises() {
+fn the_mirrored_pose_is_predicted() {
     // A wide lens, for which the columns of the two poses differ.
     let (camera, kind, ring) = (camera_of(200.0), Kind::plain("", 0.16, 0.064), ring_of(14.7));
     let start = start(&camera, &kind, &ring);
@@ -192,14 +192,11 @@ fn the_mirrored_place_is_as_bad_as_it_promises() {
     let chords = Chords::new(&counted);
     model.window.set_region(model.level, &frame, &Region::around(&counted), &chords);
     let problem = Problem {
-        frame: &frame,
         kind: &kind,
         teeth: None,
         cache: None,
         radius_m,
         lens: &lens,
-        counted,
-        chords,
         motion_prior: 1.0,
         is_still: false,
         teeth_are_predicted: false,
@@ -259,7 +256,7 @@ fn a_coded_roundel_is_fitted_with_its_yaw() {
 
 /// The cache changes nothing where a ring hardly changes, and is not used where it does.
 #[test]
-fn products_are_recalled_where_they_serve() {
+fn the_cache_is_used_where_it_is_valid() {
     let (camera, kind) = (camera(), Kind::plain("", 0.16, 0.064));
     let ring = Ring { black: 45.0, white: 205.0, ..ring() };
     let start = Start { is_still: true, moved_px: 0.0, ..start(&camera, &kind, &ring) };

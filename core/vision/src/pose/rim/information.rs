@@ -33,7 +33,7 @@ pub struct Information<T> {
 impl<T: Lane> Information<T> {
     /// Also returns where the rim is valid.
     #[inline(always)]
-    pub fn of(rim: &RimEllipse<T>, noise: &RimErrors<T>) -> (Self, T::Mask) {
+    pub fn new(rim: &RimEllipse<T>, noise: &RimErrors<T>) -> (Self, T::Mask) {
         let (a, b) = (rim.semi_major_px, rim.semi_minor_px);
         let between = ((a * a + b * b) * 0.5).root();
         let (g0, g2, g4) =

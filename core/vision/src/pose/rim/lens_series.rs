@@ -12,11 +12,11 @@
 //!
 //! m = ā + b      h₀ = Re e + |a|² - ¾ |c|²      h = d̄ + f - ā² - b̄ c - 2 a c
 //!
-//! (a moves points along the rim, which shifts the ellipse as b does). The inner rim, z = z₀ + α w
-//! + β w̄ with w on the unit circle, has the same Z, and by substitution coefficients of its own.
+//! (a moves points along the rim, which shifts the ellipse as b does). The inner rim, z = z₀ + α w + β
+//! w̄ with w on the unit circle, has the same Z, and by substitution coefficients of its own.
 //!
 //! The omitted third order is limited by [`MAX_BEND`] and [`MAX_CUBIC`]: less than 1e-5 of the rim
-//! (`tests::bends_are_those_of_the_turns`, against [`super::lens_iteration`]).
+//! (`tests::the_series_agrees_with_the_iteration`, against [`super::lens_iteration`]).
 
 use std::ops::{Add, Mul, Sub};
 
@@ -77,7 +77,7 @@ impl<T: Lane> Complex<T> {
     }
 
     #[inline(always)]
-    fn of(v: Vec2<T>) -> Self {
+    fn from_vec(v: Vec2<T>) -> Self {
         Self { re: v.x, im: v.y }
     }
 
@@ -142,14 +142,14 @@ impl<T: Lane> LensSeries<T> {
     /// From the images of the rim's eight points, of its centre, and of its semiaxes by the
     /// derivative there; and where the distortion is small enough for the series.
     #[inline(always)]
-    pub fn of(points: &[[T; POINTS]; 2], middle: Vec2<T>, semiaxes: Mat2<T>) -> (Self, T::Mask) {
+    pub fn new(points: &[[T; POINTS]; 2], middle: Vec2<T>, semiaxes: Mat2<T>) -> (Self, T::Mask) {
         let (inverse, regular) = semiaxes.inverse();
         let [mut x, mut y] = *points;
         for i in 0..POINTS {
             let v = inverse * (Vec2::new(x[i], y[i]) - middle);
             (x[i], y[i]) = (v.x, v.y);
         }
-        let terms = Terms::of(&x, &y);
+        let terms = Terms::new(&x, &y);
         let bend = terms.a.size() + terms.b.size() + terms.c.size();
         let cubic = terms.d.size() + terms.e.size() + terms.f.size();
         let little = bend.at_most(bend.splat(MAX_BEND)) & cubic.at_most(bend.splat(MAX_CUBIC));
@@ -187,8 +187,8 @@ fn place<T: Lane>(outer: &RimEllipse<T>, inner: &RimEllipse<T>) -> HarmonicEllip
     let unit =
         Mat2::new(outer.cos * per_a, outer.sin * per_a, -(outer.sin * per_b), outer.cos * per_b);
     let [major, minor] = inner.semiaxes();
-    let m = Complex::of(unit * (inner.center - outer.center));
-    let (major, minor) = (Complex::of(unit * major), Complex::of(unit * minor));
+    let m = Complex::from_vec(unit * (inner.center - outer.center));
+    let (major, minor) = (Complex::from_vec(unit * major), Complex::from_vec(unit * minor));
     let turned = Complex::new(-minor.im, minor.re);
     HarmonicEllipse { m, p: (major - turned).times(0.5), r: (major + turned).times(0.5) }
 }
@@ -205,7 +205,7 @@ impl<T: Lane> Terms<T> {
     /// Harmonics of eight points: even orders from the sums of opposite ones, odd orders from their
     /// differences.
     #[inline(always)]
-    fn of(x: &[T; POINTS], y: &[T; POINTS]) -> Self {
+    fn new(x: &[T; POINTS], y: &[T; POINTS]) -> Self {
         let zero = x[0].splat(0.0);
         let (mut sum_x, mut sum_y, mut odd_x, mut odd_y) =
             ([zero; 4], [zero; 4], [zero; 4], [zero; 4]);
@@ -309,7 +309,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn bends_are_those_of_the_turns(
+        fn the_series_agrees_with_the_iteration(
             u in 100.0..1800.0f64, v in 100.0..980.0f64, radius_px in 4.0..60.0f64,
             share in 0.3..1.0f64, angle_rad in -1.5..1.5f64, apart in -0.05..0.05f64,
             turned_rad in -0.05..0.05f64,
@@ -330,7 +330,7 @@ mod tests {
                 };
                 let inner = rim(0.4, apart * radius_px * share, turned_rad * (1.0 - share));
                 let ring = Ring::of_rims(rim(1.0, 0.0, 0.0), inner);
-                let rims = [&ring.outer, &ring.inner].map(RimEllipse::of);
+                let rims = [&ring.outer, &ring.inner].map(RimEllipse::new);
                 let series = flatten_by_series(&camera, &rims);
                 if !series.valid {
                     continue;

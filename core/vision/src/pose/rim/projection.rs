@@ -1,8 +1,8 @@
 //! Rims taken through the lens.
 //!
 //! A rim is sampled at points c + a cos t + b sin t, t evenly spaced, with the semiaxes a and b as
-//! vectors. A slightly different ellipse crosses the line from the centre through such a point at 1
-//! + q(t) times its distance. To first order q = ψ·h with five harmonics, ψ = (1, √2 cos t, √2 sin
+//! vectors. A slightly different ellipse crosses the line from the centre through such a point at 1 + q(t)
+//! times its distance. To first order q = ψ·h with five harmonics, ψ = (1, √2 cos t, √2 sin
 //! t, √2 cos 2t, √2 sin 2t): size, shift along either axis, elongation and turn. The five numbers h
 //! therefore describe a rim completely, and h = mean(ψ q), the mean over evenly spaced t, is what
 //! the moments of a rim's area measure. (The change of an area is ½∮q r×dr = ½ab∮q dt, and those of
@@ -43,7 +43,7 @@ pub struct Rim<T> {
     pub area_px2: T,
     /// Squared relative error of the shape by lens distortion.
     pub residual_shape: T,
-    /// Of the five harmonics.
+    /// Information about the five harmonics.
     pub information: Information<T>,
 }
 
@@ -86,7 +86,7 @@ pub fn flatten_by_series<T: Lane>(camera: &Camera, rims: &[RimEllipse<T>; 2]) ->
     let base_from_camera = base(camera, near.middle);
     let (middle, semiaxes) = linearized_lens(&near, outer.center, outer, &base_from_camera);
     let (points, ahead) = plane_points(&near.rays, &base_from_camera);
-    let (bend, bent_little) = LensSeries::of(&points, middle, semiaxes);
+    let (bend, bent_little) = LensSeries::new(&points, middle, semiaxes);
     let mut valid = near.settled & bent_little;
     if base_from_camera.is_some() {
         valid = valid & ahead;
@@ -193,7 +193,7 @@ impl<T: Lane> PlaneEllipse<T> {
     ) -> (Rim<T>, T::Mask) {
         let (center, shape, semiaxes, is_ellipse) = self.in_frame(local_from_base);
         let (mut information, is_informed) =
-            Information::of(&pair.rims[number], &pair.noise.rims[number]);
+            Information::new(&pair.rims[number], &pair.noise.rims[number]);
         if number == 1 {
             information = information.weighted_by(&pair.noise.disc);
         }

@@ -15,7 +15,7 @@ pub struct RimEllipse<T> {
     pub center: Vec2<T>,
     pub semi_major_px: T,
     pub semi_minor_px: T,
-    /// Of the angle of the major axis.
+    /// Cosine of the major axis' angle.
     pub cos: T,
     pub sin: T,
 }
@@ -24,7 +24,7 @@ pub struct RimEllipse<T> {
 #[derive(Clone, Copy, Debug)]
 pub struct RimPair<T> {
     pub rims: [RimEllipse<T>; 2],
-    /// Of the print.
+    /// Radii of the print's rims.
     pub radii_m: [T; 2],
     pub noise: RingNoise<T>,
 }
@@ -74,11 +74,11 @@ impl<T: Lane> RimPair<T> {
                 RimErrors { edge_px, floor_px, uneven_px }
             },
         );
-        let outer = RimEllipse::of_numbers(like.each(
+        let outer = RimEllipse::from_numbers(like.each(
             #[inline(always)]
             |lane| numbers(&rings[lane].outer),
         ));
-        let inner = RimEllipse::of_numbers(like.each(
+        let inner = RimEllipse::from_numbers(like.each(
             #[inline(always)]
             |lane| numbers(&rings[lane].inner),
         ));
@@ -102,14 +102,14 @@ fn numbers(ellipse: &Ellipse) -> [f64; 5] {
 
 impl RimEllipse<f64> {
     #[inline(always)]
-    pub fn of(ellipse: &Ellipse) -> Self {
-        Self::of_numbers(numbers(ellipse))
+    pub fn new(ellipse: &Ellipse) -> Self {
+        Self::from_numbers(numbers(ellipse))
     }
 }
 
 impl<T: Lane> RimEllipse<T> {
     #[inline(always)]
-    fn of_numbers([u, v, semi_major_px, semi_minor_px, angle_rad]: [T; 5]) -> Self {
+    fn from_numbers([u, v, semi_major_px, semi_minor_px, angle_rad]: [T; 5]) -> Self {
         let (sin, cos) = angle_rad.sine_and_cosine();
         Self { center: Vec2::new(u, v), semi_major_px, semi_minor_px, cos, sin }
     }

@@ -39,7 +39,7 @@ pub struct CenterMeasurement {
     /// When its row was exposed.
     pub time: Timestamp,
     pub center: PixelPoint,
-    /// Of either coordinate.
+    /// Variance of either coordinate.
     pub variance_px2: f64,
     pub px_per_m: f64,
 }
@@ -49,14 +49,14 @@ pub struct ImageMotion {
     time: Timestamp,
     /// Position, velocity and acceleration along u and along v, in px and s.
     axes: [Vector3<f64>; 2],
-    /// Of either axis.
+    /// Covariance of either axis.
     covariance: Matrix3<f64>,
     /// Mean square of the innovations over their expected variance.
     normalized_innovation: f64,
 }
 
 impl ImageMotion {
-    /// Of a ring detected for the first time.
+    /// The prior, for a ring detected for the first time.
     pub fn new(measured: &CenterMeasurement) -> Self {
         let axis = |place: f64| Vector3::new(place, 0.0, 0.0);
         let variance = |by_metre: f64| (by_metre * measured.px_per_m).powi(2);
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_velocity_is_as_exact_as_it_says() {
+    fn velocity_errors_match_the_stated_variance() {
         let mut motion = ImageMotion::new(&circling(0.0).0);
         let mut shares = Vec::new();
         for frame in 1..200 {
@@ -179,14 +179,14 @@ mod tests {
     }
 
     #[test]
-    fn what_is_known_of_nothing_is_how_things_move() {
+    fn an_unknown_velocity_has_the_prior_variance() {
         let (velocity, variance) = ImageMotion::new(&circling(0.0).0).velocity();
         assert_eq!(velocity, Vector2::zeros());
         assert_eq!(variance.sqrt(), SPEED_M_S * PX_PER_M);
     }
 
     #[test]
-    fn a_course_that_breaks_off_begins_anew() {
+    fn gaps_and_jumps_restart_the_filter() {
         let (first, second) = (circling(0.0).0, circling(1.0 / RATE_HZ).0);
         let mut motion = ImageMotion::new(&first);
         motion.update(&second);
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn a_jittering_clock_widens_what_is_known() {
+    fn a_jittering_clock_widens_the_variance() {
         let mut variances = [0.0, 1e-3].map(|jitter_s| {
             let mut motion = ImageMotion::new(&circling(0.0).0);
             let mut worst: f64 = 0.0;

@@ -129,7 +129,7 @@ impl Skew {
 pub struct Shutter {
     line_time_s: f64,
     motions: RecentTracks<ImageMotion>,
-    /// Of the rings of the current frame, in their order.
+    /// Skews of the rings of the current frame, in their order.
     skews: Vec<Skew>,
 }
 
@@ -208,7 +208,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn rims_come_back_to_where_they_were() {
+    fn deskewing_inverts_the_skew() {
         let center = PixelPoint { u: 1200.0, v: 300.0 };
         let rim = |scale: f64| Ellipse {
             center,

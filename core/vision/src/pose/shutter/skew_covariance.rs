@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pose_follows_the_skew_as_it_says() {
+    fn the_pose_follows_the_skew_to_first_order() {
         let kind = Kind::plain("", 0.16, 0.064);
         for lens in [Lens::PlumbBob([0.0; 5]), Lens::Equidistant([0.0; 4])] {
             let camera = camera(lens);

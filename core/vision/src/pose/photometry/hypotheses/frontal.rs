@@ -1,8 +1,8 @@
 //! A roundel that nearly faces the camera, from grey levels: the posterior of
 //! [`tilt_posterior`](crate::pose::circle) on photometric information.
 //!
-//! With the lean w (the normal's component across the line of sight, a complex number) and ρ = ln d
-//! + ¼ |w|², which the sizes of the rims give, the image depends on w through the elongation,
+//! With the lean w (the normal's component across the line of sight, a complex number) and ρ = ln d + ¼
+//! |w|², which the sizes of the rims give, the image depends on w through the elongation,
 //! squared, and through perspective, linearly: its derivative by w at constant ρ is 2 w Jₑ + Jₗ.
 //! The residual is projected at two leans, w₀ and -w₀; w₀ is that of the solution, or one standard
 //! deviation from upright if that is larger. With all other unknowns θ eliminated (Schur's
@@ -110,7 +110,7 @@ pub fn estimate(
         };
     }
     let leans = tilt_posterior::leans(&evidence);
-    let middle = Middle::of([&plus, &minus], noise2);
+    let middle = Middle::between([&plus, &minus], noise2);
     let make = |lean: &Lean| middle.at_lean(solution, &frame, lean);
     let other = leans.other.map(|lean| make(&lean));
     FrontalResult::Facing(make(&leans.first), other, leans.likelihood)
@@ -213,7 +213,7 @@ struct Middle {
 }
 
 impl Middle {
-    fn of([plus, minus]: [&Marginal; 2], noise2: f64) -> Self {
+    fn between([plus, minus]: [&Marginal; 2], noise2: f64) -> Self {
         let mean = |one: &[f64; MAX_UNKNOWNS], other: &[f64; MAX_UNKNOWNS]| {
             std::array::from_fn(|i| 0.5 * (one[i] + other[i]))
         };

@@ -53,7 +53,7 @@ pub fn solve(
         let solution = gauss_newton::solve(problem, start, scratch)?;
         let radius_px = problem.kind.ratio() * linearize::radius_px(problem, &solution.state);
         let offset_rad = OFFSET_PX / radius_px;
-        let turn = YawStep::of(problem, &solution, offset_rad, scratch)?;
+        let turn = YawStep::new(problem, &solution, offset_rad, scratch)?;
         if turn.by_rad.abs() <= LAST_STEP * offset_rad {
             let (mut solution, heading) = turn.applied(solution).ok_or(FitError::OutOfWindow)?;
             // A wrong yaw leaves correlated residuals, too.
@@ -115,7 +115,7 @@ struct YawStep {
     by_rad: f64,
     /// Variance of the yaw over that of a pixel, 1/grey levels².
     variance: f64,
-    /// Of all other unknowns.
+    /// Step of all other unknowns.
     change: [f64; MAX_UNKNOWNS],
     /// Derivatives of all other unknowns by the yaw.
     follow: [f64; MAX_UNKNOWNS],
@@ -126,7 +126,7 @@ struct YawStep {
 }
 
 impl YawStep {
-    fn of(
+    fn new(
         problem: &Problem,
         solution: &Solution,
         offset_rad: f64,

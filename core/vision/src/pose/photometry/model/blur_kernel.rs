@@ -135,7 +135,7 @@ const TAPS: [(f64, [f64; 6]); 8] = [
 ];
 
 impl DifferenceWeights {
-    pub fn of(blur_px: f64) -> Self {
+    pub fn new(blur_px: f64) -> Self {
         let above = TAPS.iter().position(|(blur, _)| *blur > blur_px).unwrap_or(TAPS.len() - 1);
         let ((b0, low), (b1, high)) = (TAPS[above.max(1) - 1], TAPS[above.max(1)]);
         let share = ((blur_px - b0) / (b1 - b0)).clamp(0.0, 1.0);
@@ -176,7 +176,7 @@ mod tests {
     #[test]
     fn differences_are_the_derivatives_of_blurred_edges() {
         for (blur_px, miss) in [(0.5, 0.16), (0.72, 0.07), (0.9, 0.04), (1.4, 0.01)] {
-            let taps = DifferenceWeights::of(blur_px);
+            let taps = DifferenceWeights::new(blur_px);
             let (mut wrong, mut whole) = ([0.0; 2], [0.0; 2]);
             for i in 0..400 {
                 let (sin, cos) = (f64::from(i) * 0.618).sin_cos();

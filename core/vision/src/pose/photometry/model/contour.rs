@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn contours_are_the_same_once_there_was_no_room_for_them() {
+    fn contours_survive_eviction() {
         let mut contours = Contours::default();
         let kind = Kind::plain("", 0.2, 0.08);
         let first = |contours: &mut Contours| {

@@ -38,8 +38,8 @@ const LINEAR_PX2: f64 = 0.35;
 /// Limit of |μ|, px².
 const MAX_PX2: f64 = 64.0;
 
-/// Points and weights of Gauss-Legendre quadrature over a unit length, for motion up to so many
-/// blurs.
+/// Points and weights of Gauss-Legendre quadrature over a unit length, for motion up to this
+/// number of blurs.
 const QUADRATURES: [(f64, &[(f32, f32)]); 4] = [
     (1.0, &[(-0.288_675_13, 0.5), (0.288_675_13, 0.5)]),
     (2.2, &[(-0.387_298_33, 0.277_777_8), (0.0, 0.444_444_45), (0.387_298_33, 0.277_777_8)]),
@@ -116,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn places_have_a_boxs_moments() {
+    fn quadratures_have_the_moments_of_a_box() {
         for (_, quadrature) in QUADRATURES {
             let moment = |power: i32| -> f64 {
                 quadrature.iter().map(|(s, w)| f64::from(*w) * f64::from(*s).powi(power)).sum()
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn a_square_is_that_of_its_motion() {
+    fn motion_and_square_are_inverse() {
         for i in 0..24 {
             let (sin, cos) = (f64::from(i) * 0.4).sin_cos();
             let motion_px = Vector2::new(cos, sin) * 1.7;

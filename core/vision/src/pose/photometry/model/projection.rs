@@ -48,6 +48,8 @@ pub struct Nodes {
     pub rest: [Vec<f32>; 2],
     /// Number of nodes of the outer rim, which come first.
     pub outer: usize,
+    /// Normals of the contour, while rims are moved.
+    normals: Vec<[f32; 2]>,
 }
 
 impl Default for Nodes {
@@ -56,7 +58,8 @@ impl Default for Nodes {
         let list = || Vec::with_capacity(MAX_NODES);
         let steps = [(); 2].map(|()| Vec::with_capacity(MAX_NODES));
         let rest = [(); 2].map(|()| list());
-        Self { x: list(), y: list(), dx: list(), dy: list(), steps, rest, outer: 0 }
+        let normals = Vec::with_capacity(MAX_NODES);
+        Self { x: list(), y: list(), dx: list(), dy: list(), steps, rest, outer: 0, normals }
     }
 }
 
@@ -80,6 +83,38 @@ impl Nodes {
                 dispatch!(level, simd => smear_all(simd, self, &copy, by));
             }
         }
+    }
+
+    /// Moves both rims into the black.
+    pub fn move_rims(&mut self, level: Level, by_px: f64) {
+        let by_px = by_px as f32;
+        self.normals.clear();
+        self.normals.extend(self.dx.iter().zip(&self.dy).map(|(dx, dy)| {
+            let per_length = 1.0 / (dx * dx + dy * dy).sqrt();
+            [-dy * per_length, dx * per_length]
+        }));
+        for (from, to) in [(0, self.outer), (self.outer, self.x.len())] {
+            let normals = &self.normals[from..to];
+            let count = normals.len();
+            let normal = |i: usize| normals[i % count];
+            // The contour may run against the order of the nodes.
+            let (x, y) = (&self.x[from..], &self.y[from..]);
+            let forward = (x[1] - x[0]) * self.dx[from] + (y[1] - y[0]) * self.dy[from];
+            let along_px = by_px * forward.signum();
+            for (i, own) in normals.iter().enumerate() {
+                let (next, before) = (normal(i + 1), normal(i + count - 1));
+                let (second, second_before) = (normal(i + 2), normal(i + count - 2));
+                // Change of the normal from node to node, to fourth order.
+                let change = [0, 1]
+                    .map(|k| (8.0 * (next[k] - before[k]) - (second[k] - second_before[k])) / 12.0);
+                self.x[from + i] += by_px * own[0];
+                self.y[from + i] += by_px * own[1];
+                self.dx[from + i] += along_px * change[0];
+                self.dy[from + i] += along_px * change[1];
+            }
+        }
+        let all = NodeCopy { from: 0, to: 0, length: self.x.len(), share: 1.0 };
+        dispatch!(level, simd => smear_all(simd, self, &all, [0.0; 2]));
     }
 
     fn resize(&mut self, count: usize) {
@@ -227,4 +262,44 @@ fn polynomial<S: Simd>(
         by_t2 = by_t2.mul_add(t1, slope);
     }
     (value, by_t1, by_t2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A ring of radii 12 and 5 px; `turn` is the direction of its nodes.
+    fn ring(turn: f64) -> Nodes {
+        let mut nodes = Nodes::default();
+        nodes.resize(128);
+        for (rim, (radius, sign)) in [(12.0, 1.0), (5.0, -1.0)].into_iter().enumerate() {
+            for i in 0..64 {
+                let step = std::f64::consts::TAU / 64.0;
+                let (sin, cos) = (turn * step * i as f64).sin_cos();
+                let node = 64 * rim + i;
+                nodes.x[node] = (24.3 + radius * cos) as f32;
+                nodes.y[node] = (23.8 + radius * sin) as f32;
+                nodes.dx[node] = (-sign * step * radius * sin) as f32;
+                nodes.dy[node] = (sign * step * radius * cos) as f32;
+            }
+        }
+        nodes.outer = 64;
+        nodes
+    }
+
+    #[test]
+    fn a_bloom_takes_black_from_both_rims() {
+        let bloom_px = 0.4;
+        for turn in [1.0, -1.0] {
+            let mut nodes = ring(turn);
+            nodes.move_rims(Level::new(), bloom_px);
+            let area: f32 = nodes.x.iter().zip(&nodes.dy).map(|(x, dy)| x * dy).sum();
+            let expected =
+                std::f64::consts::PI * ((12.0 - bloom_px).powi(2) - (5.0 + bloom_px).powi(2));
+            assert!((f64::from(area) / expected - 1.0).abs() < 1e-3, "{turn}: {area} {expected}");
+            let node = 70;
+            let phase = nodes.steps[0][node] as f32 + nodes.rest[0][node];
+            assert!((phase / PHASES as f32 - nodes.x[node]).abs() < 1e-4);
+        }
+    }
 }

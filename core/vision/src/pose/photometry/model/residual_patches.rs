@@ -6,7 +6,7 @@
 //!
 //! is 1 on average where the residuals r of pixels are independent, and up to 16 where neighbours
 //! agree, as at an occlusion, a shadow, bloom or clipped levels. With n pixels its standard
-//! deviation is about 5 / √n. Test `noise_is_even_and_a_cover_is_not`.
+//! deviation is about 5 / √n. Test `noise_is_uncorrelated_and_an_occlusion_is_not`.
 
 use fearless_simd::prelude::*;
 
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_even_and_a_cover_is_not() {
+    fn noise_is_uncorrelated_and_an_occlusion_is_not() {
         for (offset, low, high) in [(0.0, 0.7, 1.3), (1.0, 2.5, 16.0)] {
             let rows = rows(offset);
             let (fast, plain) = (fast(&rows), plain(&rows));

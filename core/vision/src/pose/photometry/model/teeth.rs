@@ -153,8 +153,8 @@ mod tests {
 
     /// Error of the usual spacing, in units of the contrast, for a Gaussian anywhere.
     #[test]
-    fn usual_nodes_see_what_dense_ones_see() {
-        // Of an edge that blur and pixels have rounded.
+    fn the_usual_spacing_is_accurate() {
+        // An edge that blur and pixels have rounded.
         let deviation = 0.06;
         let image = |spacing: f64, [u, v]: [f64; 2]| -> f64 {
             let nodes = Teeth { bits: 8, word: 0b0010_1101 }.nodes(RATIO, spacing);

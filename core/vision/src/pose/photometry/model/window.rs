@@ -196,6 +196,65 @@ impl Window {
     }
 }
 
+/// Counted pixels of one row.
+#[derive(Clone, Copy)]
+pub struct CountedRow<'a> {
+    pub row: usize,
+    pub first_column: usize,
+    pub grey: &'a [u8],
+}
+
+impl Window {
+    /// The rows that have counted pixels.
+    pub fn counted_rows(&self) -> impl Iterator<Item = CountedRow<'_>> {
+        let spans = (self.first..).zip(&self.spans).filter(|(_, (from, to))| from < to);
+        spans.map(|(row, &(from, to))| {
+            let start = row * self.width;
+            CountedRow { row, first_column: from, grey: &self.pixels[start + from..start + to] }
+        })
+    }
+
+    /// d of a row and the rows around it, after [`Self::draw`].
+    #[inline(always)]
+    pub fn image_rows(&self, row: usize) -> ImageRows<'_> {
+        ImageRows { image: &self.image[around(row, self.width)], width: self.width }
+    }
+
+    /// Sums the contributions of the scattered nodes to d.
+    #[inline(always)]
+    pub fn draw<S: Simd>(&mut self, simd: S) {
+        let rows = self.rows_in_use();
+        let image = &mut self.image[rows.start * self.width..rows.end * self.width];
+        add_up(simd, image, self.width, self.touched[1].clone());
+    }
+
+    /// Clears the image.
+    #[inline(always)]
+    pub fn clear<S: Simd>(&mut self, simd: S) {
+        let zero = S::f32s::splat(simd, 0.0);
+        for row in self.rows_in_use() {
+            let pixels = &mut self.image[row * self.width..][self.touched[1].clone()];
+            for pixels in pixels.chunks_exact_mut(S::f32s::LEN) {
+                zero.store_slice(pixels);
+            }
+        }
+    }
+
+    /// Rows that the nodes reach or that differences read.
+    #[inline(always)]
+    fn rows_in_use(&self) -> Range<usize> {
+        let last = self.first + self.spans.len() - 1;
+        let nodes = &self.touched[0];
+        nodes.start.min(self.first - DIFFERENCE)..nodes.end.max(last + DIFFERENCE + 1)
+    }
+}
+
+/// Pixels of a row and of those around it in the image.
+#[inline(always)]
+fn around(row: usize, width: usize) -> Range<usize> {
+    (row - DIFFERENCE) * width..(row + DIFFERENCE + 1) * width + LANES
+}
+
 /// Spans of the rows up to `last`, within the chords and the frame.
 #[simd]
 fn spans<S: Simd>(simd: S, window: &mut Window, last: usize, frame: &Frame, chords: &Chords) {
@@ -265,11 +324,7 @@ fn gather_all<S: Simd, const PRODUCTS: bool, const MOTION: bool>(
     sums: &mut ProductSums,
 ) {
     let width = window.width;
-    let last = window.first + window.spans.len() - 1;
-    let [touched, columns] = window.touched.clone();
-    let rows = touched.start.min(window.first - DIFFERENCE)..touched.end.max(last + DIFFERENCE + 1);
-    let image = &mut window.image[rows.start * width..rows.end * width];
-    add_up(simd, image, width, columns.clone());
+    window.draw(simd);
     let mut gradient = [S::f32s::splat(simd, 0.0); COLUMNS];
     for (row, &(from, to)) in (window.first..).zip(&window.spans) {
         if from == to {
@@ -282,7 +337,7 @@ fn gather_all<S: Simd, const PRODUCTS: bool, const MOTION: bool>(
                 *grey = f32::from(pixel);
             }
         }
-        let around = (row - DIFFERENCE) * width..(row + DIFFERENCE + 1) * width + LANES;
+        let around = around(row, width);
         let mut line = RowSpan {
             row,
             span: (from, to),
@@ -304,13 +359,7 @@ fn gather_all<S: Simd, const PRODUCTS: bool, const MOTION: bool>(
     if !PRODUCTS {
         sums.take_gradient::<S, MOTION>(&gradient);
     }
-    let zero = S::f32s::splat(simd, 0.0);
-    for row in rows {
-        let pixels = &mut window.image[row * width..][columns.clone()];
-        for pixels in pixels.chunks_exact_mut(S::f32s::LEN) {
-            zero.store_slice(pixels);
-        }
-    }
+    window.clear(simd);
     sums.patches = window.patches.finish(simd);
 }
 

@@ -1,7 +1,7 @@
 //! The robust fit, for rings whose residual contradicts the plain model.
 //!
 //! In: the state where the plain fit ended. Out: a solution with a realistic covariance, or a
-//! rejection. The image is the same (`image`), with these extensions:
+//! rejection. The image is the same, with these extensions:
 //!
 //! * **Clipped levels.** A pixel at an end of the scale states only that its level m, with noise ε
 //!   of standard deviation s, lies beyond. With z = (254.5 - m)/s its likelihood is Φ(-z), so its
@@ -26,7 +26,6 @@
 
 mod cell_outliers;
 mod cells;
-mod image;
 mod pixels;
 
 use nalgebra::{SVector, Vector3};
@@ -36,21 +35,19 @@ use super::{
     model::{
         column_products::{STILL, column},
         scratch::ModelScratch,
-        window::Region,
     },
     solver::{
+        gauss_newton::{Damping, SETTLED},
         linearize,
         mirror::MirrorEstimate,
         normal_equations::NormalEquations,
         problem::Problem,
         solution::{Covariance5, PoseEstimate, Solution},
-        state::{BLUR, State, UNKNOWNS, WHITE},
+        state::{State, UNKNOWNS, WHITE},
     },
 };
-use crate::{normal_distribution::Table, scratch::reserve_total};
+use crate::scratch::reserve_total;
 use cells::{Cell, Products, Reference, SPREAD};
-use image::RimImages;
-use pixels::Pixel;
 
 /// Standard deviation of the bloom where levels are clipped.
 const BLOOM_PRIOR_PX: f64 = 0.3;
@@ -66,22 +63,19 @@ const STEPS: usize = 8;
 const MAX_LINEARIZATIONS: usize = 28;
 /// A step that decreases the misfit by fewer variances is the last one.
 const LAST_STEP: f64 = 0.3;
-/// A step that promises fewer variances, and does not deliver them, is ignored.
-const SETTLED: f64 = 4.0;
 /// Lower limit of the standard deviation of a pixel.
 const MIN_NOISE: f64 = 0.5;
 /// Growth of the variance up to which one set of levels serves the whole ring.
 const UNIFORM_GROWTH: f64 = 3.0;
 /// Variance that face-on poses add to the tilt, in units of the elongation's standard deviation …
 const FACE_ON: f64 = 1.5;
-/// … up to an elongation of about so many standard deviations.
+/// … up to about this elongation, in standard deviations.
 const FACE_ON_END: f64 = 2.5;
 
 #[derive(Clone, Debug, Default)]
 pub struct RobustScratch {
-    normal: Table,
-    images: RimImages,
-    pixels: Vec<Pixel>,
+    /// Cell of each counted pixel, in the window's order.
+    assignment: Vec<u16>,
     cells: Vec<Cell>,
     /// Cells before a step, to restore them if it fails.
     saved: Vec<Cell>,
@@ -91,8 +85,7 @@ pub struct RobustScratch {
 impl RobustScratch {
     /// Reserves memory for windows of this size.
     pub fn reserve(&mut self, pixels: usize) {
-        self.images.reserve(pixels);
-        reserve_total(&mut self.pixels, pixels);
+        reserve_total(&mut self.assignment, pixels);
         reserve_total(&mut self.cells, cells::MAX_CELLS);
         reserve_total(&mut self.saved, cells::MAX_CELLS);
         reserve_total(&mut self.list, cells::MAX_CELLS);
@@ -134,7 +127,6 @@ pub fn solve(
     scratch: &mut FitScratch,
 ) -> Result<PoseEstimate, FitError> {
     let FitScratch { model, robust: scratch, .. } = scratch;
-    scratch.images.set_region(&Region::around(&problem.counted));
     let reference = Reference { levels: [start.white, start.step], noise2: 4.0 };
     let mut fitter = RobustFit {
         problem,
@@ -186,53 +178,34 @@ fn estimate(
 impl RobustFit<'_> {
     /// Assigns pixels to cells.
     fn assign_cells(&mut self, state: &State) {
-        let robust = &mut *self.scratch;
-        let (origin, width, height) =
-            (robust.images.origin(), robust.images.width(), robust.images.height());
-        let pixel_model = linearize::pixel_model(self.problem, state, state.blur2.sqrt(), origin);
+        let RobustScratch { assignment, cells, .. } = &mut *self.scratch;
+        let window = &self.model.window;
+        let blur_px = state.blur2.sqrt();
+        let model = linearize::pixel_model(self.problem, state, blur_px, window.origin);
         let ratio = self.problem.kind.mean_ratio();
         let radius_px = linearize::radius_px(self.problem, state);
         let counts =
             [1.0, ratio].map(|share| cells::count(std::f64::consts::TAU * share * radius_px));
-        robust.cells.clear();
+        cells.clear();
         for (rim, &count) in counts.iter().enumerate() {
-            robust.cells.extend((0..count).map(|_| Cell::new(rim, self.reference.levels)));
+            cells.extend((0..count).map(|_| Cell::new(rim, self.reference.levels)));
         }
-        robust.pixels.clear();
-        let frame = self.problem.frame;
-        let mut ends = 0usize;
-        for row in 0..height {
-            let v = origin.1 + row as i64;
-            if !(0..frame.height() as i64).contains(&v) {
-                continue;
-            }
-            let (from, to) = self.problem.chords.span(v as f64);
-            let from = (from.ceil() as i64).max(origin.0).max(0);
-            let to = (to.ceil() as i64).min(frame.width() as i64).min(origin.0 + width as i64);
-            for u in from..to {
-                let column = (u - origin.0) as usize;
-                let (p, q) = (column as f32, row as f32);
-                let t = pixel_model.t.map(|[c, by_p, by_q]| c + by_p * p + by_q * q);
+        assignment.clear();
+        let mut clipped = 0usize;
+        for row in window.counted_rows() {
+            for (column, &grey) in (row.first_column..).zip(row.grey) {
+                let (u, v) = (column as f32, row.row as f32);
+                let t = model.t.map(|[c, by_u, by_v]| c + by_u * u + by_v * v);
                 let of = |terms: &[f32; 3]| terms[0] + terms[1] * t[0] + terms[2] * t[1];
-                let (near, x, y) = (
-                    of(&pixel_model.nearness),
-                    of(&pixel_model.plane[0]),
-                    of(&pixel_model.plane[1]),
-                );
+                let (near, x, y) = (of(&model.nearness), of(&model.plane[0]), of(&model.plane[1]));
                 let rim = usize::from(x.hypot(y) < 0.5 * (1.0 + ratio as f32) * near);
                 let turn = f64::from(y.atan2(x)) / std::f64::consts::TAU + 0.5;
-                let estimate = ((turn * counts[rim] as f64) as usize).min(counts[rim] - 1);
-                let grey = frame.row(v as usize)[u as usize];
-                ends += usize::from(grey == 0 || grey == 255);
-                robust.pixels.push(Pixel {
-                    column: column as u16,
-                    row: row as u16,
-                    cell: (rim * counts[0] + estimate) as u16,
-                    grey: f32::from(grey),
-                });
+                let cell = ((turn * counts[rim] as f64) as usize).min(counts[rim] - 1);
+                clipped += usize::from(grey == 0 || grey == 255);
+                assignment.push((rim * counts[0] + cell) as u16);
             }
         }
-        self.cut_off = ends as f64 > CUT_OFF * robust.pixels.len() as f64;
+        self.cut_off = clipped as f64 > CUT_OFF * assignment.len() as f64;
     }
 
     fn run(&mut self, start: &State) -> Result<(Solution, Option<MirrorEstimate>), FitError> {
@@ -300,24 +273,17 @@ impl RobustFit<'_> {
         let mut state = start;
         let mut equations = self.assemble(&state)?;
         let mut misfit = self.misfit;
-        let mut damping = 0.0;
+        let mut damping = Damping::default();
         for _ in 0..STEPS {
             if self.iterations >= MAX_LINEARIZATIONS {
                 break;
             }
             let noise2 = equations.noise2();
             self.reference.noise2 = noise2;
-            let flat = || FitError::Uninformative;
-            let (factor, right) = equations.factor(&state, noise2, damping).ok_or_else(flat)?;
-            let mut change = factor.solve(&right);
-            if state.blur_at_limit(change[BLUR]) {
-                equations.hold(BLUR);
-                let (factor, right) = equations.factor(&state, noise2, damping).ok_or_else(flat)?;
-                change = factor.solve(&right);
-            }
-            let gain: f64 = change.iter().zip(&equations.gradient).map(|(x, g)| x * g).sum();
-            let gain = gain + misfit - equations.misfit;
-            if damping < 1e-3 && gain < LAST_STEP * noise2 {
+            let change =
+                equations.bounded_step(&state, noise2, damping.0).ok_or(FitError::Uninformative)?;
+            let gain = equations.gain(&change) + misfit - equations.misfit;
+            if damping.is_none() && gain < LAST_STEP * noise2 {
                 return Ok((state, equations, true));
             }
             let next = state.moved(equations.unit_m, &change).ok_or(FitError::OutOfWindow)?;
@@ -328,7 +294,7 @@ impl RobustFit<'_> {
             match self.assemble(&next) {
                 Ok(found) if self.misfit <= misfit + noise2 => {
                     (state, equations, misfit) = (next, found, self.misfit);
-                    damping *= 0.1;
+                    damping.relax();
                 }
                 found => {
                     let RobustScratch { cells, saved, .. } = &mut *self.scratch;
@@ -338,7 +304,7 @@ impl RobustFit<'_> {
                     if found.is_ok() && gain < SETTLED * noise2 {
                         return Ok((state, equations, true));
                     }
-                    damping = (10.0 * damping).max(0.01);
+                    damping.tighten();
                 }
             }
         }
@@ -369,27 +335,17 @@ impl RobustFit<'_> {
     /// The linear problem at a state.
     fn assemble(&mut self, state: &State) -> Result<NormalEquations, FitError> {
         self.iterations += 1;
-        let blur_px = state.blur2.sqrt();
-        let RobustScratch { normal, images, cells, .. } = &mut *self.scratch;
-        let origin = images.origin();
-        linearize::project(self.problem, state, blur_px, origin, self.model);
-        let ModelScratch { level, nodes, .. } = &mut *self.model;
-        if self.bloom_px != 0.0 {
-            images.move_rims(nodes, self.bloom_px);
-        }
-        if !images.draw(*level, nodes, blur_px, normal) {
-            return Err(FitError::OutOfWindow);
-        }
+        let model = linearize::draw(self.problem, state, self.bloom_px, self.model)?;
         if self.levels == LevelScope::Ring {
             self.reference.levels = [state.white, state.step];
-            for cell in cells {
+            for cell in &mut self.scratch.cells {
                 cell.levels = self.reference.levels;
             }
         }
         let deviation = self.reference.noise2.sqrt().max(MIN_NOISE);
-        pixels::add_all(*level, self.problem, state, self.scratch, deviation);
+        let ModelScratch { level, window, .. } = &mut *self.model;
+        pixels::add_all(*level, &model, deviation, window, self.scratch);
         let products = self.summed_products();
-        let model = linearize::pixel_model(self.problem, state, blur_px, origin);
         let scale = linearize::scale(self.problem, state, &model);
         Ok(NormalEquations::new(state, &products, &scale))
     }

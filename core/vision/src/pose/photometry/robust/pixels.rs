@@ -1,68 +1,120 @@
 //! Columns of each counted pixel, summed over the cells.
+//!
+//! Image and derivatives are those of the plain fit ([`window`](super::super::model::window)). Here
+//! each cell has its own levels, clipped pixels have their own likelihood, and two columns are the
+//! derivatives by a motion of either rim into black. Across an edge that is much longer than its
+//! blur, this is the gradient's length.
 
-use fearless_simd::{Level, Simd, dispatch};
+use fearless_simd::{Level, dispatch, prelude::*};
 use fearless_simd_macros::simd;
 
-use super::{RobustScratch, image::IMAGES};
+use super::{
+    RobustScratch,
+    cells::{Cell, WIDTH},
+};
 use crate::{
-    normal_distribution::{Table, Tail},
-    pose::photometry::solver::{linearize, problem::Problem, state::State},
+    normal_distribution,
+    pose::photometry::model::{
+        columns::{LANES, PixelModel},
+        differences::{Differences, differences},
+        window::Window,
+    },
 };
 
-#[derive(Clone, Copy, Debug)]
-pub struct Pixel {
-    /// In the window.
-    pub column: u16,
-    pub row: u16,
-    pub cell: u16,
-    pub grey: f32,
-}
-
+/// Sums the counted pixels of a window, whose image is scattered, over the cells, with noise of
+/// this standard deviation.
 pub fn add_all(
     level: Level,
-    problem: &Problem,
-    state: &State,
-    robust: &mut RobustScratch,
+    model: &PixelModel,
     deviation: f64,
+    window: &mut Window,
+    robust: &mut RobustScratch,
 ) {
-    dispatch!(level, simd => add_each(simd, problem, state, robust, deviation));
+    dispatch!(level, simd => add_each(simd, model, deviation, window, robust));
 }
 
 #[simd]
 fn add_each<S: Simd>(
     simd: S,
-    problem: &Problem,
-    state: &State,
-    robust: &mut RobustScratch,
+    model: &PixelModel,
     deviation: f64,
+    window: &mut Window,
+    robust: &mut RobustScratch,
 ) {
-    let RobustScratch { normal: table, images, pixels, cells, .. } = robust;
-    let pixel_model = linearize::pixel_model(problem, state, state.blur2.sqrt(), images.origin());
+    let RobustScratch { assignment, cells, .. } = robust;
     for cell in cells.iter_mut() {
         cell.sums = Default::default();
     }
-    let planes: [&[f32]; IMAGES] = std::array::from_fn(|index| images.plane(index));
-    for pixel in pixels.iter() {
-        let cell = &mut cells[usize::from(pixel.cell)];
-        let index = usize::from(pixel.row) * images.width() + usize::from(pixel.column);
-        let [share, right, down, curvature, outer, inner] = planes.map(|plane| plane[index]);
-        let (p, q) = (f32::from(pixel.column), f32::from(pixel.row));
-        let [t1, t2] = pixel_model.t.map(|[c, by_p, by_q]| c + by_p * p + by_q * q);
-        let slope = &problem.lens.slope;
-        let g1 = right * slope.m11 as f32 + down * slope.m21 as f32;
-        let g2 = right * slope.m12 as f32 + down * slope.m22 as f32;
-        let light = 1.0 + pixel_model.light[0] * t1 + pixel_model.light[1] * t2;
+    window.draw(simd);
+    let lanes = S::f32s::LEN;
+    let mut assignment = assignment.iter();
+    for row in window.counted_rows() {
+        let around = window.image_rows(row.row);
+        for (pack, grey) in row.grey.chunks(lanes).enumerate() {
+            let start = row.first_column + pack * lanes;
+            let Differences { share, slope, curvature, .. } =
+                differences::<S, false>(simd, &around, start, &model.taps);
+            let share = curvature.mul_add(S::f32s::splat(simd, model.blur), share);
+            let mut image = [[0.0; LANES]; 4];
+            for (list, values) in image.iter_mut().zip([share, slope[0], slope[1], curvature]) {
+                values.store_slice(&mut list[..lanes]);
+            }
+            for ((lane, &grey), &cell) in grey.iter().enumerate().zip(&mut assignment) {
+                let pixel = Pixel {
+                    column: (start + lane) as f32,
+                    row: row.row as f32,
+                    share: image[0][lane],
+                    slope: [image[1][lane], image[2][lane]],
+                    curvature: image[3][lane],
+                };
+                let cell = &mut cells[usize::from(cell)];
+                let (columns, level) = pixel.columns(model, cell);
+                let term = pixel_term(f64::from(grey), f64::from(level), deviation);
+                let mut weighted = columns.map(|column| column * term.root as f32);
+                weighted[0] = term.residual as f32;
+                cell.add(simd, &weighted);
+                cell.sums[0][0] += (term.misfit - term.residual * term.residual) as f32;
+            }
+        }
+    }
+    window.clear(simd);
+}
+
+/// The image at a pixel.
+struct Pixel {
+    /// In the window.
+    column: f32,
+    row: f32,
+    /// d.
+    share: f32,
+    /// ∇d.
+    slope: [f32; 2],
+    /// ∇²d.
+    curvature: f32,
+}
+
+impl Pixel {
+    /// Columns, and the level of the model.
+    #[inline(always)]
+    fn columns(&self, model: &PixelModel, cell: &Cell) -> ([f32; WIDTH], f32) {
+        let Self { share, curvature, .. } = *self;
+        // d changes by -v·∇d where the contour moves by v.
+        let [right, down] = self.slope.map(|part| -part);
+        let [t1, t2] = model.t.map(|[c, by_u, by_v]| c + by_u * self.column + by_v * self.row);
+        let [m11, m12, m21, m22] = model.slope;
+        let (g1, g2) = (right * m11 + down * m21, right * m12 + down * m22);
+        let light = 1.0 + model.light[0] * t1 + model.light[1] * t2;
         let [white, step] = cell.levels.map(|level| level as f32);
         let level = (white + step * share) * light;
-        let pixel_term = pixel_term(table, f64::from(pixel.grey), f64::from(level), deviation);
         let of = |terms: &[f32; 3]| terms[0] + terms[1] * t1 + terms[2] * t2;
-        let (near, x, y) =
-            (of(&pixel_model.nearness), of(&pixel_model.plane[0]), of(&pixel_model.plane[1]));
+        let (near, x, y) = (of(&model.nearness), of(&model.plane[0]), of(&model.plane[1]));
         let radial = t1 * g1 + t2 * g2;
         let along = |v: &[f32; 3]| v[0] * g1 + v[1] * g2 - v[2] * radial;
-        let lift = along(&pixel_model.lift);
-        let to_middle = along(&[pixel_model.middle[0], pixel_model.middle[1], 1.0]);
-        let mut columns = [
+        let lift = along(&model.lift);
+        let to_middle = along(&[model.middle[0], model.middle[1], 1.0]);
+        let mut spread = [0.0; 2];
+        spread[cell.rim] = -(right * right + down * down).sqrt() * light;
+        let columns = [
             0.0,
             light,
             share * light,
@@ -74,18 +126,13 @@ fn add_each<S: Simd>(
             near * to_middle * light,
             y * lift * light,
             -x * lift * light,
-            outer * light,
-            inner * light,
+            spread[0],
+            spread[1],
             0.0,
             0.0,
             0.0,
         ];
-        for column in &mut columns {
-            *column *= pixel_term.root as f32;
-        }
-        columns[0] = pixel_term.residual as f32;
-        cell.add(simd, &columns);
-        cell.sums[0][0] += (pixel_term.misfit - pixel_term.residual * pixel_term.residual) as f32;
+        (columns, level)
     }
 }
 
@@ -99,9 +146,9 @@ struct PixelTerm {
     misfit: f64,
 }
 
-/// Of a grey value against a level, with noise of this standard deviation.
+/// Term of a grey value against a level, with noise of this standard deviation.
 #[inline]
-fn pixel_term(table: &Table, grey: f64, level: f64, deviation: f64) -> PixelTerm {
+fn pixel_term(grey: f64, level: f64, deviation: f64) -> PixelTerm {
     let (sign, z) = if grey >= 255.0 {
         (1.0, (254.5 - level) / deviation)
     } else if grey <= 0.0 {
@@ -113,8 +160,12 @@ fn pixel_term(table: &Table, grey: f64, level: f64, deviation: f64) -> PixelTerm
     if z < -5.0 {
         return PixelTerm { residual: 0.0, root: 0.0, misfit: 0.0 };
     }
-    let Tail { hazard: pull, minus_two_ln: misfit } = table.tail(z);
-    let root = (pull * (pull - z)).max(0.0).sqrt();
+    let tail = normal_distribution::tail(z);
+    let root = (tail.hazard * (tail.hazard - z)).max(0.0).sqrt();
     let variance = deviation * deviation;
-    PixelTerm { residual: sign * deviation * pull / root, root, misfit: variance * misfit }
+    PixelTerm {
+        residual: sign * deviation * tail.hazard / root,
+        root,
+        misfit: variance * tail.minus_two_ln,
+    }
 }

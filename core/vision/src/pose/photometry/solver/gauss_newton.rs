@@ -9,7 +9,7 @@ use super::{
     mirror::{evaluate_mirrored, is_linear},
     problem::Problem,
     solution::Solution,
-    state::{BLUR, State},
+    state::State,
 };
 use crate::pose::photometry::{FitError, model::scratch::ModelScratch};
 
@@ -21,11 +21,31 @@ const SMALL_STEP: f64 = 100.0;
 /// Smallest damping other than zero.
 const MIN_DAMPING: f64 = 0.01;
 /// A step that promises fewer variances, and does not deliver them, is ignored.
-const SETTLED: f64 = 4.0;
+pub const SETTLED: f64 = 4.0;
 /// Decrease of the misfit, in variances, for which the fit continues from the mirrored pose.
 const MIRRORED: f64 = 10.0;
 /// Minimum contrast, grey levels.
 const MIN_STEP: f64 = 5.0;
+
+/// Levenberg-Marquardt damping of the information's diagonal.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Damping(pub f64);
+
+impl Damping {
+    pub fn is_none(self) -> bool {
+        self.0 == 0.0
+    }
+
+    /// After a step that decreased the misfit.
+    pub fn relax(&mut self) {
+        self.0 = if self.0 > MIN_DAMPING { 0.1 * self.0 } else { 0.0 };
+    }
+
+    /// After a step that failed.
+    pub fn tighten(&mut self) {
+        self.0 = (10.0 * self.0).max(MIN_DAMPING);
+    }
+}
 
 /// Finds the unknowns from a start.
 pub fn solve(
@@ -35,19 +55,16 @@ pub fn solve(
 ) -> Result<Solution, FitError> {
     let mut state = start;
     let mut equations = linearize_start(problem, &state, scratch)?;
-    let mut damping = 0.0;
+    let mut damping = Damping::default();
     for step in 1..=MAX_STEPS {
         let noise2 = equations.noise2();
-        let mut change = equations.step(&state, noise2, damping).ok_or(FitError::Uninformative)?;
-        if state.blur_at_limit(change[BLUR]) {
-            equations.hold(BLUR);
-            change = equations.step(&state, noise2, damping).ok_or(FitError::Uninformative)?;
-        }
-        let gain: f64 = change.iter().zip(&equations.gradient).map(|(x, g)| x * g).sum();
+        let change =
+            equations.bounded_step(&state, noise2, damping.0).ok_or(FitError::Uninformative)?;
+        let gain = equations.gain(&change);
         let next = state.moved(equations.unit_m, &change).ok_or(FitError::OutOfWindow)?;
         let left = (equations.misfit - gain).max(0.0);
         let settled = gain < LAST_STEP * equations.noise2_for(left);
-        let last = damping == 0.0 && (settled || equations.is_converged_by(&state, &change));
+        let last = damping.is_none() && (settled || equations.is_converged_by(&state, &change));
         if last && next.step.abs() < MIN_STEP {
             return Err(FitError::Uninformative);
         }
@@ -74,7 +91,7 @@ pub fn solve(
             }
         }
         // The information hardly changes over a small step; the residual does.
-        let small = gain < SMALL_STEP * noise2 && damping == 0.0 && state.is_small_turn(&change);
+        let small = gain < SMALL_STEP * noise2 && damping.is_none() && state.is_small_turn(&change);
         // Cached information is as good at the second linearization as at the first.
         let is_fresh = !equations.reused || (equations.cached && step == 1);
         let reused = (small && is_fresh).then_some(&equations);
@@ -82,7 +99,7 @@ pub fn solve(
             // A change of the kernel table moves the misfit by less than a variance.
             Ok(found) if found.misfit <= equations.misfit + noise2 => {
                 (state, equations) = (next, found);
-                damping = if damping > MIN_DAMPING { 0.1 * damping } else { 0.0 };
+                damping.relax();
             }
             Err(FitError::Uninformative) => return Err(FitError::Uninformative),
             // Rounding, not the model, prevents so small a decrease.
@@ -90,7 +107,7 @@ pub fn solve(
                 let misfit = equations.misfit;
                 return Ok(Solution { state, misfit, noise2, iterations: step, equations });
             }
-            _ => damping = (10.0 * damping).max(MIN_DAMPING),
+            _ => damping.tighten(),
         }
     }
     Err(FitError::NotConverged)

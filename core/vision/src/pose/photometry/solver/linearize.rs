@@ -61,19 +61,7 @@ fn assemble(
     reuse: Option<Reuse>,
     scratch: &mut ModelScratch,
 ) -> Result<NormalEquations, FitError> {
-    let window = scratch.window.origin;
-    let blur_px = scratch.kernels.nearest(state.blur2.sqrt()).blur_px;
-    project(problem, state, blur_px, window, scratch);
-    if !motion::is_linear(&state.motion2) {
-        let motion_px = motion::from_square(&state.motion2);
-        let quadrature = motion::quadrature(&state.motion2, blur_px);
-        scratch.nodes.smear(scratch.level, &motion_px, quadrature);
-    }
-    let kernel = scratch.kernels.nearest(blur_px);
-    if !scratch.window.scatter(scratch.level, &scratch.nodes, kernel) {
-        return Err(FitError::OutOfWindow);
-    }
-    let model = pixel_model(problem, state, blur_px, window);
+    let model = draw(problem, state, 0.0, scratch)?;
     let sums = &mut scratch.sums;
     scratch.window.gather(scratch.level, &model, sums, reuse.is_none());
     let mut equations = match reuse {
@@ -91,6 +79,32 @@ fn assemble(
     equations.patch_ratio =
         residual_patches::correlation_ratio(f64::from(sums.patches), equations.misfit);
     if equations.pixels < MIN_PIXELS { Err(FitError::Uninformative) } else { Ok(equations) }
+}
+
+/// Scatters the contour, with both rims moved into the black by a bloom, and returns the model for
+/// the columns.
+pub fn draw(
+    problem: &Problem,
+    state: &State,
+    bloom_px: f64,
+    scratch: &mut ModelScratch,
+) -> Result<PixelModel, FitError> {
+    let window = scratch.window.origin;
+    let blur_px = scratch.kernels.nearest(state.blur2.sqrt()).blur_px;
+    project(problem, state, blur_px, window, scratch);
+    if bloom_px != 0.0 {
+        scratch.nodes.move_rims(scratch.level, bloom_px);
+    }
+    if !motion::is_linear(&state.motion2) {
+        let motion_px = motion::from_square(&state.motion2);
+        let quadrature = motion::quadrature(&state.motion2, blur_px);
+        scratch.nodes.smear(scratch.level, &motion_px, quadrature);
+    }
+    let kernel = scratch.kernels.nearest(blur_px);
+    if !scratch.window.scatter(scratch.level, &scratch.nodes, kernel) {
+        return Err(FitError::OutOfWindow);
+    }
+    Ok(pixel_model(problem, state, blur_px, window))
 }
 
 /// Radius of the outer rim.
@@ -157,7 +171,7 @@ pub fn pixel_model(
         blur: (0.5 * (state.blur2 - table_px * table_px + linear_part.norm() / 24.0)) as f32,
         motion: (!problem.is_still)
             .then(|| [linear_part.x, linear_part.y].map(|part| (part / 48.0) as f32)),
-        taps: DifferenceWeights::of(table_px),
+        taps: DifferenceWeights::new(table_px),
         slope: [lens.slope.m11, lens.slope.m12, lens.slope.m21, lens.slope.m22].map(|m| m as f32),
         light: [state.light.x as f32, state.light.y as f32],
         t: [0, 1].map(|i| [constant[i] as f32, inverse[(i, 0)] as f32, inverse[(i, 1)] as f32]),

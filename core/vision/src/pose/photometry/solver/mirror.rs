@@ -2,10 +2,10 @@
 //!
 //! A point of the plane with relative inverse depth q (1 in the middle) has 2 - 1/q over q in the
 //! mirrored pose, so its ray t becomes t/(2 q - 1). This displacement times -∇d changes the image
-//! by m, one more column besides those of the unknowns (J, residual r): the mirrored pose leaves r
-//! - m. Where this pose rotates by τ, the mirrored one rotates by -τ, and m grows by the share κ·τ,
-//! as the tangent of the tilt does: in rotations of this pose the columns of the mirrored one are J
-//! + m κᵀ. With the products of m, the result of a step from the mirrored pose is known without
+//! by m, one more column besides those of the unknowns (J, residual r): the mirrored pose leaves r - m.
+//! Where this pose rotates by τ, the mirrored one rotates by -τ, and m grows by the share κ·τ,
+//! as the tangent of the tilt does: in rotations of this pose the columns of the mirrored one are J + m
+//! κᵀ. With the products of m, the result of a step from the mirrored pose is known without
 //! another pass over the pixels. This is linear in the displacement and holds up to
 //! [`LINEAR_BLURS`]. Beyond that the pixels decide, unless the mirrored pose is worse by
 //! [`EXCLUDED`] variances anyway.
@@ -24,7 +24,7 @@ use crate::pose::photometry::model::{projection::PrintPose, scratch::ModelScratc
 /// Displacement of the outer rim up to which the image is linear in it, in standard deviations of
 /// its edges.
 const LINEAR_BLURS: f64 = 0.6;
-/// A pose with a misfit larger by so many variances is excluded.
+/// A pose with a misfit larger by this number of variances is excluded.
 const EXCLUDED: f64 = 200.0;
 
 /// Estimate of the mirrored pose.
@@ -81,7 +81,7 @@ fn step(
         Some(factor) => equations.step_beside(mirrored, noise2, factor)?,
         None => equations.step(mirrored, noise2, 0.0)?,
     };
-    let gain: f64 = change.iter().zip(&equations.gradient).map(|(x, g)| x * g).sum();
+    let gain = equations.gain(&change);
     negate_turns(&mut change);
     let other_offset_m = Vector3::new(change[SHIFT], change[SHIFT + 1], 0.0) * equations.unit_m
         + mirrored.pose.position_m * change[RANGE];

@@ -272,6 +272,26 @@ impl NormalEquations {
         Some(factor.solve(&gradient))
     }
 
+    /// A step that keeps the blur within its limits, by holding it there if necessary.
+    pub fn bounded_step(
+        &mut self,
+        state: &State,
+        noise2: f64,
+        damping: f64,
+    ) -> Option<[f64; MAX_UNKNOWNS]> {
+        let change = self.step(state, noise2, damping)?;
+        if !state.blur_at_limit(change[BLUR]) {
+            return Some(change);
+        }
+        self.hold(BLUR);
+        self.step(state, noise2, damping)
+    }
+
+    /// Decrease of the misfit that a step promises.
+    pub fn gain(&self, change: &[f64; MAX_UNKNOWNS]) -> f64 {
+        change.iter().zip(&self.gradient).map(|(x, g)| x * g).sum()
+    }
+
     /// A step, from the factor of information that differs in the tilts only.
     pub fn step_beside(
         &self,

@@ -2,8 +2,6 @@
 
 use super::normal_equation_cache::NormalEquationCache;
 use crate::{
-    ellipse::{Chords, Ellipse},
-    frame::Frame,
     marker::{Kind, Pattern},
     pose::photometry::model::{local_lens::LocalLens, teeth::Teeth},
 };
@@ -11,18 +9,13 @@ use crate::{
 /// Constants of one fit.
 #[derive(Clone, Copy)]
 pub struct Problem<'a> {
-    pub frame: &'a Frame<'a>,
     pub kind: &'a Kind,
-    /// Of a coded print.
+    /// Teeth of a coded print.
     pub teeth: Option<Teeth>,
     /// Whether the teeth are those of earlier frames.
     pub teeth_are_predicted: bool,
     pub radius_m: f64,
     pub lens: &'a LocalLens,
-    /// Boundary of the counted pixels …
-    pub counted: Ellipse,
-    /// … and their rows.
-    pub chords: Chords,
     /// Variance of μ besides its own size, px⁴.
     pub motion_prior: f64,
     /// Whether the motion is held at zero.

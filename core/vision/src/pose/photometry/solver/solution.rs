@@ -66,7 +66,7 @@ impl Solution {
         Cholesky::new(&information, self.equations.free_unknowns())
     }
 
-    /// Of (position, rotation) in the camera frame, from [`Self::factor`].
+    /// Covariance of (position, rotation) in the camera frame, from [`Self::factor`].
     pub fn covariance(&self, problem: &Problem, factor: &Cholesky) -> Covariance6 {
         let own: Covariance5 = factor.inverse_of_last() * self.noise2;
         let axes = &self.state.pose.axes;

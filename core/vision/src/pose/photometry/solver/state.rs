@@ -39,7 +39,7 @@ pub const SHIFT: usize = unknown_of(column::SHIFT);
 pub const RANGE: usize = unknown_of(column::RANGE);
 pub const TILT: usize = unknown_of(column::TILT);
 
-/// Of a column other than those of the motion.
+/// The unknown of a column other than those of the motion.
 pub const fn unknown_of(column: usize) -> usize {
     column - column::WHITE + WHITE
 }
