@@ -58,8 +58,7 @@ fn isometry(pose: &Pose) -> Isometry3<f64> {
 impl Received {
     /// Rms errors of the camera's position, metres, and rotation, radians, while its pose was known.
     fn camera_errors(&self, arena: &Arena) -> anyhow::Result<(f64, f64)> {
-        let site =
-            arena.sites.iter().find(|site| site.name == "aboard").context("no camera")?;
+        let site = arena.sites.iter().find(|site| site.name == "aboard").context("no camera")?;
         let (mut squares, mut count) = ((0.0, 0.0), 0.0);
         for camera in &self.moving_camera {
             let after_s = (camera.pose_time_ns - arena.start_ns) as f64 * 1e-9;

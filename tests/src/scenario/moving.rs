@@ -76,10 +76,7 @@ pub fn drone(length: Length) -> Vec<Row> {
     });
     let (drone, robots) = (drone.finish(), robots.finish());
     let mm = robots.position.rms() * 1e3;
-    let ground = Row::new(
-        "10 robots that only a drone's camera sees",
-        "rms ≤ 40 mm",
-    );
+    let ground = Row::new("10 robots that only a drone's camera sees", "rms ≤ 40 mm");
     let states = robots.position.count();
     let ground = ground
         .check(format!("{} ids for 10", robots.ids), robots.ids == 10)
