@@ -61,3 +61,15 @@ fn main() -> anyhow::Result<ExitCode> {
         Command::DashboardLoad(options) => run::dashboard_load::run(&options),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn arguments_are_consistent() {
+        Arguments::command().debug_assert();
+    }
+}

@@ -94,7 +94,7 @@ fn track(
     let mut round = |with_poses: bool| {
         for frame in frames {
             let tracked = tracker.process(frame);
-            assert_eq!(tracked.len(), case.count, "all roundels are followed");
+            assert_eq!(tracked.len(), case.count, "all roundels are tracked");
             if with_poses {
                 locator.locate_all(frame, tracked, &mut located);
                 let posed = located.iter().filter(|one| one.is_ok());

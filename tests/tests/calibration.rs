@@ -128,7 +128,7 @@ async fn calibrate(
         anyhow::bail!("the stream ended at {stages:?}")
     };
     let (_, end) = tokio::join!(drive(survey, server), tokio::time::timeout(HANG, follow));
-    end.context("the calibration takes for ever")?
+    end.context("the calibration does not end")?
 }
 
 async fn camera(

@@ -42,7 +42,7 @@ pub struct Cell {
     pub minor: Errors,
     pub inner_major: Errors,
     pub inner_minor: Errors,
-    /// Of the geometric mean of the semiaxes, relative: the error of the depth.
+    /// Relative error of the geometric mean of the semiaxes, which is that of the depth.
     pub size: Errors,
 }
 

@@ -229,7 +229,7 @@ pub fn plane(length: Length) -> Vec<Row> {
     let row = |(what, uneven_m, sensing): (&str, f64, Sensing)| {
         let row = Row::new(
             format!("2D mode: 12 plain robots under one camera of R4, {what}"),
-            "the plane in the filter as good as a homography, give or take 5 %",
+            "the plane in the filter as good as a homography, within 5 %",
         );
         match errors_m(uneven_m, sensing, seconds) {
             Ok([homography_m, floor_m, free_m]) => row
