@@ -145,10 +145,10 @@ proptest! {
         }
     }
 
-    /// Any order of noise from 10 µm to 100 m.
+    /// Any order of noise from 0.1 mm to 100 m. Double precision does not suffice for a much wider range.
     #[test]
     fn stays_positive_definite(
-        steps in prop::collection::vec((step(), -5.0..2.0f64, -5.0..2.0f64), 1..60),
+        steps in prop::collection::vec((step(), -4.0..2.0f64, -4.0..2.0f64), 1..60),
         share in 0.0..1.0f64,
     ) {
         let first = noise(1.0, 1.0, &Vector3::z(), share);
