@@ -2,7 +2,7 @@
 //!
 //! A function over [`Lane`] computes the same for `f64` and, per lane, for a vector of them. It does not branch on
 //! values but selects by masks, so every lane performs exactly the operations of the scalar case. Nothing is fused, hence
-//! the results are identical to the last bit (`pose::closed::tests::every_simd_level_gives_the_same_poses`).
+//! the results are identical to the last bit (`pose::circle::closed_form::tests::every_simd_level_gives_the_same_poses`).
 //!
 //! Everything here is `inline(always)`, and callers must be too: the instruction set is that of the enclosing function
 //! marked with `#[simd]`. A plain closure or `array::map` in between is compiled for the baseline processor and called.
