@@ -31,3 +31,8 @@ pub mod rigid;
 mod scratch;
 mod simd;
 pub mod time;
+
+/// Runs the example of the crate's README.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
