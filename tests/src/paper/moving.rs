@@ -182,7 +182,6 @@ struct PredictedErrors {
     still_plane_m: f64,
     /// On the plane.
     plane_m: f64,
-    /// In space.
     space_m: f64,
     /// Equation 19, relative to the distance, and equation 18.
     by_lens: f64,

@@ -329,7 +329,6 @@ impl Normal {
     }
 }
 
-/// Unknowns per camera.
 pub(crate) fn unknowns_per_camera(blocks: &[CameraBlock]) -> usize {
     if blocks.iter().any(CameraBlock::refines_lens) { UNKNOWNS } else { POSE_AND_CLOCK }
 }

@@ -60,7 +60,6 @@ const BLURS_PX: (f64, f64) = (0.5, 3.0);
 /// Initial deviation.
 const FIRST_BLUR_PX: f64 = 1.0;
 
-/// The outer rim.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct OuterRim {
     pub ellipse: Ellipse,

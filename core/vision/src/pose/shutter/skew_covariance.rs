@@ -51,9 +51,7 @@ struct TiltGeometry {
     cosine: f64,
     /// 1/|w|, limited near face-on.
     per_sine: f64,
-    /// r².
     r2: f64,
-    /// k.
     k: f64,
 }
 

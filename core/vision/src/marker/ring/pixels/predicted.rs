@@ -32,7 +32,6 @@ const MIN_RING_PX: f64 = 2.0 * WIDE_PX + 0.75;
 /// Smallest shorter semiaxis of the disc.
 const MIN_DISC_PX: f64 = WIDE_PX + 1.0;
 
-/// Predicted rims.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PredictedRims {
     pub outer: RimEllipse,
