@@ -12,4 +12,6 @@ pub mod checkerboard;
 mod least_squares;
 pub mod lens;
 mod robust;
+#[cfg(test)]
+mod test_world;
 pub mod watch;

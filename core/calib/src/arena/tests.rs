@@ -1,18 +1,10 @@
-use nalgebra::{Matrix6, Point3, UnitQuaternion, Vector3};
+use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use super::*;
+use crate::test_world::{KIND, Random, SIGMA_M, at, camera, detection, frame};
 use roundel_fusion::world::FrameObservations;
-use roundel_vision::{
-    camera::{Intrinsics, Lens, PixelPoint},
-    ellipse::Ellipse,
-    id::{KindId, TrackNumber},
-    marker::{Code, CodeReading, Ring},
-    pose::{Detection, RoundelPose},
-    time::Timestamp,
-};
+use roundel_vision::{camera::Lens, marker::Code};
 
-const KIND: KindId = KindId(0);
-const SIGMA_M: f64 = 3e-4;
 const SECONDS: f64 = 15.0;
 const RATE_HZ: f64 = 25.0;
 /// Delays of the cameras' clocks.
@@ -31,16 +23,8 @@ fn camera_poses() -> [Rigid; 3] {
 }
 
 fn lens() -> Camera {
-    Camera::new(Intrinsics {
-        width: 1920,
-        height: 1080,
-        fx_px: 1100.0,
-        fy_px: 1100.0,
-        cx_px: 959.5,
-        cy_px: 539.5,
-        lens: Lens::PlumbBob([-0.08, 0.02, 0.0, 0.0, 0.0]),
-    })
-    .unwrap()
+    let lens = Lens::PlumbBob([-0.08, 0.02, 0.0, 0.0, 0.0]);
+    camera((1920, 1080), [1100.0, 1100.0, 959.5, 539.5], lens)
 }
 
 fn landmarks() -> Vec<Landmark> {
@@ -60,65 +44,31 @@ fn robot(index: usize, t: f64) -> Vector3<f64> {
 }
 
 fn recording() -> Recording {
-    let mut seed = 7u64;
-    let mut random = || {
-        seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-        ((seed >> 32) as f64 / f64::from(1u32 << 31) - 1.0) * 3f64.sqrt()
-    };
-    let epoch = Timestamp::from_ns(1_800_000_000_000_000_000);
+    let mut random = Random(7);
     let mut recording = Recording::new(100.0);
-    for frame in 0..(SECONDS * RATE_HZ) as u64 {
+    for number in 0..(SECONDS * RATE_HZ) as u64 {
         for (camera, pose) in camera_poses().iter().enumerate() {
-            let t = (frame as f64 + 0.3 * camera as f64) / RATE_HZ;
+            let t = (number as f64 + 0.3 * camera as f64) / RATE_HZ;
             let references = landmarks().into_iter().filter(|_| camera == 0);
             let points = references
                 .map(|landmark| (landmark.code.unwrap().number, landmark.position_m))
                 .chain((0..6).map(|index| (index as u16 + 1, robot(index, t))));
+            let capture_time = at(t + OFFSETS_S[camera]);
             let detections = points
                 .map(|(number, world_m)| {
-                    let noise = Vector3::from_fn(|_, _| random() * SIGMA_M);
+                    let noise = Vector3::from_fn(|_, _| random.next() * 3f64.sqrt() * SIGMA_M);
                     let position_m = (pose.inverse() * Point3::from(world_m)).coords + noise;
-                    detection(number, position_m, epoch.plus_seconds(t + OFFSETS_S[camera]))
+                    let code = Some(Code { bits: 8, number });
+                    detection(u64::from(number), code, position_m, capture_time)
                 })
                 .collect();
-            let capture_time = epoch.plus_seconds(t + OFFSETS_S[camera]);
             recording.add(&FrameObservations {
-                camera: CameraId(camera as u32),
-                frame,
-                capture_time,
-                received_time: epoch.plus_seconds(t + 0.05),
-                calibration_version: 1,
-                detections,
+                received_time: at(t + 0.05),
+                ..frame(camera, number, capture_time, detections)
             });
         }
     }
     recording
-}
-
-fn detection(number: u16, position_m: Vector3<f64>, capture_time: Timestamp) -> Detection {
-    let center = PixelPoint { u: 0.0, v: 0.0 };
-    let rim = |semi_px| Ellipse {
-        center,
-        semi_major_px: semi_px,
-        semi_minor_px: semi_px,
-        angle_rad: 0.0,
-    };
-    let code = Some(CodeReading::certain(Code { bits: 8, number }, center));
-    let normal = Vector3::new(0.0, 0.0, -1.0);
-    Detection {
-        track: TrackNumber(u64::from(number)),
-        ring: Ring { kind: Some(KIND), code, ..Ring::of_rims(rim(15.0), rim(6.0)) },
-        capture_time,
-        pose: Some(RoundelPose {
-            position_m,
-            normal,
-            normal_likelihood: 1.0,
-            other_normal: normal,
-            yaw_rad: None,
-            yaw_symmetry: 1,
-            covariance: Matrix6::from_diagonal_element(SIGMA_M * SIGMA_M),
-        }),
-    }
 }
 
 fn cameras(lens_deviation: Option<LensDeviation>) -> Vec<ArenaCamera> {

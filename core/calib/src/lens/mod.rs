@@ -241,9 +241,9 @@ mod tests {
     use rand_distr::{Distribution, Normal};
 
     use super::*;
-    use crate::checkerboard::Checkerboard;
+    use crate::{checkerboard::Checkerboard, test_world};
     use roundel_vision::{
-        camera::{Intrinsics, Lens, PixelPoint},
+        camera::{Lens, PixelPoint},
         marker::CodeLayout,
     };
 
@@ -255,16 +255,7 @@ mod tests {
     }
 
     fn camera(lens: Lens) -> Camera {
-        Camera::new(Intrinsics {
-            width: SIZE.0,
-            height: SIZE.1,
-            fx_px: 905.0,
-            fy_px: 902.0,
-            cx_px: 652.0,
-            cy_px: 351.0,
-            lens,
-        })
-        .unwrap()
+        test_world::camera(SIZE, [905.0, 902.0, 652.0, 351.0], lens)
     }
 
     /// Views from all directions that show at least 20 whole roundels.

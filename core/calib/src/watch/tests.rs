@@ -1,24 +1,17 @@
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::*;
-use roundel_vision::{
-    camera::PixelPoint,
-    ellipse::Ellipse,
-    id::KindId,
-    marker::{Code, CodeReading, Ring},
-    pose::{Detection, RoundelPose},
-};
+use crate::test_world::{KIND, Random, SIGMA_M, at, detection, frame};
+use roundel_vision::{marker::Code, pose::Detection};
 
-const KIND: KindId = KindId(0);
 const FRAME_S: f64 = 1.0 / 30.0;
-const SIGMA_M: f64 = 3e-4;
 
 /// Cameras side by side, 4 m up and looking down, and robots that circle below all of them.
 struct World {
     truth: Vec<Rigid>,
     robots: usize,
     is_coded: bool,
-    seed: u64,
+    random: Random,
 }
 
 impl World {
@@ -27,7 +20,12 @@ impl World {
         let pose = |index: usize| {
             Rigid::from_parts(Vector3::new(0.8 * index as f64, 0.0, 4.0).into(), down)
         };
-        Self { truth: (0..cameras).map(pose).collect(), robots: 6, is_coded: true, seed: 1 }
+        Self {
+            truth: (0..cameras).map(pose).collect(),
+            robots: 6,
+            is_coded: true,
+            random: Random(1),
+        }
     }
 
     fn watch(&self) -> Watch {
@@ -36,12 +34,6 @@ impl World {
             watch.set_camera(CameraId(index as u32), placement(pose));
         }
         watch
-    }
-
-    /// Between -1 and 1.
-    fn random(&mut self) -> f64 {
-        self.seed = self.seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-        (self.seed >> 32) as f64 / f64::from(1u32 << 31) - 1.0
     }
 
     fn robot(index: usize, t: f64) -> Vector3<f64> {
@@ -56,10 +48,10 @@ impl World {
         for robot in 0..self.robots {
             let place_m =
                 self.truth[camera].inverse() * nalgebra::Point3::from(Self::robot(robot, t));
-            let error = Vector3::from_fn(|_, _| self.random() * SIGMA_M);
+            let error = Vector3::from_fn(|_, _| self.random.next() * SIGMA_M);
             let number = robot as u16 + 1;
             let code = self.is_coded.then_some(Code { bits: 8, number });
-            seen.push(detection(robot as u64 + 1, code, place_m.coords + error, t));
+            seen.push(detection(robot as u64 + 1, code, place_m.coords + error, at(t)));
         }
         seen
     }
@@ -73,26 +65,15 @@ impl World {
     ) -> Vec<WatchEvent> {
         let mut events = Vec::new();
         let (first, last) = ((from_s / FRAME_S) as usize, (to_s / FRAME_S) as usize);
-        for frame in first..last {
+        for number in first..last {
             for camera in 0..self.truth.len() {
                 // Frames of different cameras are not simultaneous.
-                let t = (frame as f64 + 0.37 * camera as f64) * FRAME_S;
+                let t = (number as f64 + 0.37 * camera as f64) * FRAME_S;
                 let mut detections = self.world_view(camera, t);
                 change(camera, &mut detections);
-                let time = at(t);
-                watch.observe(
-                    &FrameObservations {
-                        camera: CameraId(camera as u32),
-                        frame: frame as u64,
-                        capture_time: time,
-                        received_time: time,
-                        calibration_version: 1,
-                        detections,
-                    },
-                    0.0,
-                );
+                watch.observe(&frame(camera, number as u64, at(t), detections), 0.0);
             }
-            events.extend(watch.advance(at((frame + 1) as f64 * FRAME_S)));
+            events.extend(watch.advance(at((number + 1) as f64 * FRAME_S)));
         }
         events
     }
@@ -103,38 +84,8 @@ impl World {
     }
 }
 
-fn at(t: f64) -> Timestamp {
-    Timestamp::from_ns(1_800_000_000_000_000_000).plus_seconds(t)
-}
-
 fn placement(pose: &Rigid) -> CameraPlacement {
     CameraPlacement { world_from_camera: *pose, covariance: Matrix6::zeros() }
-}
-
-fn detection(number: u64, code: Option<Code>, position_m: Vector3<f64>, t: f64) -> Detection {
-    let center = PixelPoint { u: 0.0, v: 0.0 };
-    let rim = |semi_px| Ellipse {
-        center,
-        semi_major_px: semi_px,
-        semi_minor_px: semi_px,
-        angle_rad: 0.0,
-    };
-    let code = code.map(|code| CodeReading::certain(code, center));
-    let normal = Vector3::new(0.0, 0.0, -1.0);
-    Detection {
-        track: TrackNumber(number),
-        ring: Ring { kind: Some(KIND), code, ..Ring::of_rims(rim(15.0), rim(6.0)) },
-        capture_time: at(t),
-        pose: Some(RoundelPose {
-            position_m,
-            normal,
-            normal_likelihood: 1.0,
-            other_normal: normal,
-            yaw_rad: None,
-            yaw_symmetry: 1,
-            covariance: Matrix6::from_diagonal_element(SIGMA_M * SIGMA_M),
-        }),
-    }
 }
 
 fn assert_healed(world: &mut World) {
@@ -196,8 +147,8 @@ fn a_reference_identifies_which_of_two_moved() {
     let with_reference = |truth: Vec<Rigid>| {
         move |camera: usize, seen: &mut Vec<Detection>| {
             let place_m = truth[camera].inverse() * nalgebra::Point3::from(reference_m);
-            let t = seen[0].capture_time.seconds_since(at(0.0));
-            seen.push(detection(99, Some(code), place_m.coords, t));
+            let time = seen[0].capture_time;
+            seen.push(detection(99, Some(code), place_m.coords, time));
         }
     };
     assert_eq!(world.run(&mut watch, (0.0, 4.0), with_reference(poses)), []);

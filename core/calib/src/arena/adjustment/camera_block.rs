@@ -177,18 +177,11 @@ fn changed(given: &Camera, change: &[f64; LENS]) -> Result<Camera, CameraError> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::test_world::camera;
 
     fn block(with_lens: bool) -> CameraBlock {
-        let lens = Camera::new(Intrinsics {
-            width: 1920,
-            height: 1080,
-            fx_px: 1100.0,
-            fy_px: 1100.0,
-            cx_px: 955.0,
-            cy_px: 545.0,
-            lens: Lens::PlumbBob([-0.08, 0.02, 1e-4, -2e-4, 0.0]),
-        })
-        .unwrap();
+        let lens = Lens::PlumbBob([-0.08, 0.02, 1e-4, -2e-4, 0.0]);
+        let lens = camera((1920, 1080), [1100.0, 1100.0, 955.0, 545.0], lens);
         let turn = UnitQuaternion::from_euler_angles(3.0, 0.1, -0.4);
         let place = Rigid::from_parts(Vector3::new(0.3, -0.2, 5.0).into(), turn);
         let mut block = CameraBlock::new(place, 0.01, with_lens.then_some(&lens));

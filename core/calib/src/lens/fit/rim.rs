@@ -49,20 +49,13 @@ mod tests {
     use nalgebra::{Translation3, UnitQuaternion};
 
     use super::*;
-    use roundel_vision::camera::{Intrinsics, Lens};
+    use crate::test_world;
+    use roundel_vision::camera::Lens;
 
     #[test]
     fn the_centroid_of_a_tilted_circle_is_its_ellipses_centre() {
-        let camera = Camera::new(Intrinsics {
-            width: 1280,
-            height: 720,
-            fx_px: 1000.0,
-            fy_px: 1000.0,
-            cx_px: 640.0,
-            cy_px: 360.0,
-            lens: Lens::PlumbBob([0.0; 5]),
-        })
-        .unwrap();
+        let lens = Lens::PlumbBob([0.0; 5]);
+        let camera = test_world::camera((1280, 720), [1000.0, 1000.0, 640.0, 360.0], lens);
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), 0.7);
         let pose = Isometry3::from_parts(Translation3::new(0.0, 0.0, 0.5), rotation);
         let radius_m = 0.05;

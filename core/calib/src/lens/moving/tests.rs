@@ -4,7 +4,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::{super::fit::rim, *};
-use roundel_vision::camera::{Camera, Intrinsics, Lens};
+use crate::test_world;
+use roundel_vision::camera::{Camera, Lens};
 
 const SIZE: (usize, usize) = (1920, 1080);
 const RADIUS_M: f64 = 0.08;
@@ -26,16 +27,8 @@ struct Scene {
 
 impl Scene {
     fn new(heights_m: &[f64], seconds: f64) -> Self {
-        let camera = Camera::new(Intrinsics {
-            width: SIZE.0,
-            height: SIZE.1,
-            fx_px: 1103.0,
-            fy_px: 1100.0,
-            cx_px: 952.0,
-            cy_px: 547.0,
-            lens: Lens::PlumbBob([-0.08, 0.02, 2e-4, -3e-4, 0.0]),
-        })
-        .unwrap();
+        let lens = Lens::PlumbBob([-0.08, 0.02, 2e-4, -3e-4, 0.0]);
+        let camera = test_world::camera(SIZE, [1103.0, 1100.0, 952.0, 547.0], lens);
         // Looks down obliquely from 5 m.
         let turn = UnitQuaternion::from_euler_angles(std::f64::consts::PI - 0.32, 0.05, 0.3);
         let place = Point3::new(0.4, -1.6, 5.0);
