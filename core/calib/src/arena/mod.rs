@@ -31,7 +31,7 @@ use std::collections::BTreeMap;
 use nalgebra::Matrix3;
 
 use adjustment::{
-    bundle::{AdjustError, Bundle, Prior},
+    bundle::Bundle,
     camera_block::CameraBlock,
     spline::Spline,
     track_block::{Observation, TrackBlock},
@@ -134,26 +134,18 @@ pub fn calibrate(
     let relative_poses = initial_poses::relative_poses(&observations);
     let initial = initial_poses::propagate(&reference_set.camera_poses, &relative_poses);
     let kept: Vec<usize> = (0..cameras.len()).filter(|&index| initial[index].is_some()).collect();
+    let base = reference_set.camera_poses.iter().position(Option::is_some);
     let blocks = kept.iter().filter_map(|&index| {
         let (pose, offset_s) = initial[index]?;
-        let lens = cameras[index].lens_deviation.map(|_| &cameras[index].lens);
-        Some(CameraBlock::new(pose, offset_s, lens))
+        let ArenaCamera { lens, lens_deviation, .. } = &cameras[index];
+        let [offset_deviation_s, skew] = if Some(index) == base { BASE_CLOCK } else { CLOCK };
+        let LensDeviation { focal, center_px, radial } = lens_deviation.unwrap_or_default();
+        let priors = [offset_deviation_s, skew, focal, center_px, center_px, radial];
+        Some(CameraBlock::new(pose, offset_s, priors, lens_deviation.map(|_| lens)))
     });
-    let blocks: Vec<CameraBlock> = blocks.collect();
     let tracks = tracks(&reference_set, &roundels, &kept, params);
-    let base = reference_set.camera_poses.iter().position(Option::is_some);
-    let priors = kept
-        .iter()
-        .map(|&index| prior(Some(index) == base, cameras[index].lens_deviation))
-        .collect();
-    let mut bundle = Bundle::new(blocks, tracks, priors);
-    let outcome =
-        bundle.adjust(|step, length| go_on(Progress { step, length })).map_err(|failed| {
-            match failed {
-                AdjustError::Undetermined => ArenaError::Undetermined,
-                AdjustError::Cancelled => ArenaError::Cancelled,
-            }
-        })?;
+    let mut bundle = Bundle::new(blocks.collect(), tracks);
+    let outcome = bundle.adjust(|step, length| go_on(Progress { step, length }))?;
     let survey = Survey { recording, cameras, reference_set, relative_poses, duplicates, kept };
     Ok(report::report(&survey, &bundle, &outcome))
 }
@@ -187,12 +179,6 @@ fn seen_by(roundels: &[Roundel], camera: usize) -> initial_poses::CameraSamples<
         }
     }
     observations
-}
-
-fn prior(is_base: bool, lens: Option<LensDeviation>) -> Prior {
-    let [offset_s, skew] = if is_base { BASE_CLOCK } else { CLOCK };
-    let LensDeviation { focal, center_px, radial } = lens.unwrap_or_default();
-    Prior { deviations: [offset_s, skew, focal, center_px, center_px, radial] }
 }
 
 /// References first, then robots; cameras are numbered among `kept`.

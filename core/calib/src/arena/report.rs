@@ -8,7 +8,7 @@ use super::{
     adjustment::{
         bundle::{Bundle, Outcome, excess_squared, is_outlier},
         camera_block::POSE_AND_CLOCK,
-        track_block::{Observation, TrackBlock},
+        track_block::{Observation, TrackBlock, unknowns_per_camera},
     },
     finding::{Advice, Finding},
     image_coverage::ImageCoverage,
@@ -269,7 +269,7 @@ fn calibrated(
     let (cameras, relative_poses, index) =
         (survey.cameras, &survey.relative_poses, survey.kept[at]);
     let block = &bundle.blocks[at];
-    let first = at * outcome.unknowns;
+    let first = at * unknowns_per_camera(&bundle.blocks);
     let deviation = |number: usize| {
         let at = first + number;
         outcome.covariance[(at, at)].max(0.0).sqrt()

@@ -17,6 +17,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use super::{
+    super::error::ArenaError,
     camera_block::{CameraBlock, UNKNOWNS},
     track_block::{Reduced, TrackBlock, loss, unknowns_per_camera},
 };
@@ -38,18 +39,10 @@ const MAX_STEPS: usize = 60;
 const CONVERGED: f64 = 1e-3;
 const MAX_DAMPING: f64 = 1e6;
 
-/// Prior deviations of a camera's clock and lens; its pose is free.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Prior {
-    /// Offset s, skew, ln f, principal point px, coefficient.
-    pub(crate) deviations: [f64; UNKNOWNS - 6],
-}
-
 /// State of the adjustment.
 pub(crate) struct Bundle {
     pub(crate) blocks: Vec<CameraBlock>,
     pub(crate) tracks: Vec<TrackBlock>,
-    pub(crate) priors: Vec<Prior>,
     /// Largest change of an unknown in the last step, in its conditional standard deviation.
     step_length: f64,
 }
@@ -57,20 +50,9 @@ pub(crate) struct Bundle {
 pub(crate) struct Outcome {
     /// Over the unknowns of all cameras.
     pub(crate) covariance: DMatrix<f64>,
-    /// Unknowns per camera.
-    pub(crate) unknowns: usize,
     pub(crate) steps: usize,
     /// Median ratio of errors to stated deviations.
     pub(crate) excess: f64,
-}
-
-/// Why the adjustment has no result.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum AdjustError {
-    /// An unknown is undetermined or not finite.
-    Undetermined,
-    /// Cancelled by the caller.
-    Cancelled,
 }
 
 /// Reduced camera equations.
@@ -84,82 +66,15 @@ impl LeastSquares for Bundle {
     type Normal = Equations;
 
     fn cost(&self, scale: f64) -> Option<f64> {
-        Some(self.total_cost(scale))
+        let parts: Vec<f64> =
+            self.tracks.par_iter().map(|track| track.cost(&self.blocks, scale)).collect();
+        let dims = unknowns_per_camera(&self.blocks);
+        let priors = self.blocks.iter().flat_map(|block| block.priors(dims));
+        let priors = priors.map(|(_, value, weight)| value * value * weight);
+        Some(parts.iter().sum::<f64>() + priors.sum::<f64>())
     }
 
     fn normal(&self, scale: f64) -> Option<Equations> {
-        self.equations(scale)
-    }
-
-    fn stepped(&self, equations: &Equations, damping: f64) -> Option<Self> {
-        let information = damped(equations.information.clone(), damping);
-        let change = information.cholesky()?.solve(&equations.gradient);
-        change.iter().all(|value| value.is_finite()).then(|| self.moved(equations, &change))
-    }
-}
-
-impl Bundle {
-    pub(crate) fn new(
-        blocks: Vec<CameraBlock>,
-        tracks: Vec<TrackBlock>,
-        priors: Vec<Prior>,
-    ) -> Self {
-        Self { blocks, tracks, priors, step_length: f64::INFINITY }
-    }
-
-    /// Adjusts everything. Calls `go_on` before each step with the number of steps and the length of the last one
-    /// in standard deviations.
-    pub(crate) fn adjust(
-        &mut self,
-        mut go_on: impl FnMut(usize, f64) -> bool,
-    ) -> Result<Outcome, AdjustError> {
-        self.solve_splines()?;
-        let mut damping = Damping { value: 1e-6, min: 1e-9, max: MAX_DAMPING };
-        for step in 0..MAX_STEPS {
-            if !go_on(step, self.step_length) {
-                return Err(AdjustError::Cancelled);
-            }
-            let scale = self.scale();
-            let cost = self.total_cost(scale);
-            let lower = damping.step(self, scale, cost).ok_or(AdjustError::Undetermined)?;
-            if lower.is_none() || self.step_length < CONVERGED {
-                return self.outcome(step + 1);
-            }
-        }
-        self.outcome(MAX_STEPS)
-    }
-
-    /// Fits the splines to the current cameras: unweighted first, then robustly.
-    fn solve_splines(&mut self) -> Result<(), AdjustError> {
-        for is_first in [true, false] {
-            let scale = if is_first { UNWEIGHTED } else { self.scale() };
-            let blocks = &self.blocks;
-            let splines: Vec<_> = self
-                .tracks
-                .par_iter()
-                .map(|track| track.solved_spline(blocks, scale))
-                .collect::<Option<_>>()
-                .ok_or(AdjustError::Undetermined)?;
-            for (track, spline) in self.tracks.iter_mut().zip(splines) {
-                track.spline = spline;
-            }
-        }
-        Ok(())
-    }
-
-    /// Scale of the robust loss: squares of this size have a quarter of their weight.
-    fn scale(&self) -> f64 {
-        SCALE * self.excess_squared().max(1.0)
-    }
-
-    /// Median square over its expectation.
-    fn excess_squared(&self) -> f64 {
-        let mut squares: Vec<f64> =
-            self.tracks.par_iter().flat_map_iter(|track| track.squares(&self.blocks)).collect();
-        excess_squared(&mut squares)
-    }
-
-    fn equations(&self, scale: f64) -> Option<Equations> {
         let dims = unknowns_per_camera(&self.blocks);
         let size = dims * self.blocks.len();
         let reduced: Vec<Reduced> = self
@@ -179,7 +94,7 @@ impl Bundle {
             }
         }
         for (camera, block) in self.blocks.iter().enumerate() {
-            for (number, value, weight) in self.camera_priors(camera, block, dims) {
+            for (number, value, weight) in block.priors(dims) {
                 let at = camera * dims + number;
                 information[(at, at)] += weight;
                 gradient[at] -= weight * value;
@@ -188,17 +103,67 @@ impl Bundle {
         Some(Equations { information, gradient, reduced })
     }
 
-    /// Index, value and weight of each prior of a camera.
-    fn camera_priors(
-        &self,
-        camera: usize,
-        block: &CameraBlock,
-        dims: usize,
-    ) -> impl Iterator<Item = (usize, f64, f64)> {
-        let lens = block.lens_change();
-        let values = [block.offset_s, block.skew, lens[0], lens[1], lens[2], lens[3]];
-        let deviations = self.priors[camera].deviations;
-        (0..dims - 6).map(move |i| (6 + i, values[i], deviations[i].powi(-2)))
+    fn stepped(&self, equations: &Equations, damping: f64) -> Option<Self> {
+        let information = damped(equations.information.clone(), damping);
+        let change = information.cholesky()?.solve(&equations.gradient);
+        change.iter().all(|value| value.is_finite()).then(|| self.moved(equations, &change))
+    }
+}
+
+impl Bundle {
+    pub(crate) fn new(blocks: Vec<CameraBlock>, tracks: Vec<TrackBlock>) -> Self {
+        Self { blocks, tracks, step_length: f64::INFINITY }
+    }
+
+    /// Adjusts everything. Calls `go_on` before each step with the number of steps and the length of the last one
+    /// in standard deviations.
+    pub(crate) fn adjust(
+        &mut self,
+        mut go_on: impl FnMut(usize, f64) -> bool,
+    ) -> Result<Outcome, ArenaError> {
+        self.solve_splines().ok_or(ArenaError::Undetermined)?;
+        let mut damping = Damping { value: 1e-6, min: 1e-9, max: MAX_DAMPING };
+        for step in 0..MAX_STEPS {
+            if !go_on(step, self.step_length) {
+                return Err(ArenaError::Cancelled);
+            }
+            let scale = self.scale();
+            let lower = self.cost(scale).and_then(|cost| damping.step(self, scale, cost));
+            let lower = lower.ok_or(ArenaError::Undetermined)?;
+            if lower.is_none() || self.step_length < CONVERGED {
+                return self.outcome(step + 1).ok_or(ArenaError::Undetermined);
+            }
+        }
+        self.outcome(MAX_STEPS).ok_or(ArenaError::Undetermined)
+    }
+
+    /// Fits the splines to the current cameras: unweighted first, then robustly.
+    fn solve_splines(&mut self) -> Option<()> {
+        for is_first in [true, false] {
+            let scale = if is_first { UNWEIGHTED } else { self.scale() };
+            let blocks = &self.blocks;
+            let splines: Vec<_> = self
+                .tracks
+                .par_iter()
+                .map(|track| track.solved_spline(blocks, scale))
+                .collect::<Option<_>>()?;
+            for (track, spline) in self.tracks.iter_mut().zip(splines) {
+                track.spline = spline;
+            }
+        }
+        Some(())
+    }
+
+    /// Scale of the robust loss: squares of this size have a quarter of their weight.
+    fn scale(&self) -> f64 {
+        SCALE * self.excess_squared().max(1.0)
+    }
+
+    /// Median square over its expectation.
+    fn excess_squared(&self) -> f64 {
+        let mut squares: Vec<f64> =
+            self.tracks.par_iter().flat_map_iter(|track| track.squares(&self.blocks)).collect();
+        excess_squared(&mut squares)
     }
 
     fn moved(&self, equations: &Equations, change: &DVector<f64>) -> Bundle {
@@ -226,25 +191,13 @@ impl Bundle {
                 TrackBlock { spline: track.stepped(reduced, &step), ..track.clone() }
             })
             .collect();
-        Bundle { blocks, tracks, priors: self.priors.clone(), step_length }
+        Bundle { blocks, tracks, step_length }
     }
 
-    fn total_cost(&self, scale: f64) -> f64 {
-        let parts: Vec<f64> =
-            self.tracks.par_iter().map(|track| track.cost(&self.blocks, scale)).collect();
-        let dims = unknowns_per_camera(&self.blocks);
-        let camera_priors = self.blocks.iter().enumerate().flat_map(|(camera, block)| {
-            self.camera_priors(camera, block, dims).map(|(_, value, weight)| value * value * weight)
-        });
-        parts.iter().sum::<f64>() + camera_priors.sum::<f64>()
-    }
-
-    fn outcome(&self, steps: usize) -> Result<Outcome, AdjustError> {
+    fn outcome(&self, steps: usize) -> Option<Outcome> {
         let scale = self.scale();
-        let equations = self.equations(scale).ok_or(AdjustError::Undetermined)?;
-        let covariance = self.covariance(&equations, scale).ok_or(AdjustError::Undetermined)?;
-        let excess = self.excess_squared().sqrt();
-        Ok(Outcome { covariance, unknowns: unknowns_per_camera(&self.blocks), steps, excess })
+        let covariance = self.covariance(&self.normal(scale)?, scale)?;
+        Some(Outcome { covariance, steps, excess: self.excess_squared().sqrt() })
     }
 
     fn covariance(&self, equations: &Equations, scale: f64) -> Option<DMatrix<f64>> {
@@ -278,7 +231,7 @@ impl Bundle {
             block_count += scores.len();
         }
         for (camera, block) in self.blocks.iter().enumerate() {
-            for (number, _, weight) in self.camera_priors(camera, block, dims) {
+            for (number, _, weight) in block.priors(dims) {
                 stated[(camera * dims + number, camera * dims + number)] += weight;
             }
         }

@@ -29,6 +29,8 @@ pub(crate) struct CameraBlock {
     pub(crate) world_from_camera: Rigid,
     pub(crate) offset_s: f64,
     pub(crate) skew: f64,
+    /// Prior deviations of clock and lens; the pose is free.
+    prior_deviations: [f64; UNKNOWNS - 6],
     /// The given lens and its current estimate, if it is refined.
     lens: Option<LensEstimate>,
 }
@@ -43,10 +45,16 @@ struct LensEstimate {
 }
 
 impl CameraBlock {
-    /// `lens` is given only if it must be refined.
-    pub(crate) fn new(world_from_camera: Rigid, offset_s: f64, lens: Option<&Camera>) -> Self {
+    /// `lens` is given only if it must be refined. Prior deviations of offset s, skew, ln f, principal point px and
+    /// coefficient.
+    pub(crate) fn new(
+        world_from_camera: Rigid,
+        offset_s: f64,
+        prior_deviations: [f64; UNKNOWNS - 6],
+        lens: Option<&Camera>,
+    ) -> Self {
         let lens = lens.and_then(|given| LensEstimate::new(given, [0.0; LENS]).ok());
-        Self { world_from_camera, offset_s, skew: 0.0, lens }
+        Self { world_from_camera, offset_s, skew: 0.0, prior_deviations, lens }
     }
 
     /// Whether the lens is among the unknowns.
@@ -54,9 +62,12 @@ impl CameraBlock {
         self.lens.is_some()
     }
 
-    /// Change from the given lens: ln f, principal point, coefficient.
-    pub(crate) fn lens_change(&self) -> [f64; LENS] {
-        self.lens.as_ref().map_or([0.0; LENS], |lens| lens.change)
+    /// Index, value and weight of each prior, for the first `dims` unknowns.
+    pub(crate) fn priors(&self, dims: usize) -> impl Iterator<Item = (usize, f64, f64)> {
+        let lens = self.lens.as_ref().map_or([0.0; LENS], |lens| lens.change);
+        let values = [self.offset_s, self.skew, lens[0], lens[1], lens[2], lens[3]];
+        let weights = self.prior_deviations.map(|deviation| deviation.powi(-2));
+        (6..dims).map(move |number| (number, values[number - 6], weights[number - 6]))
     }
 
     /// Current estimate of the lens.
@@ -121,6 +132,7 @@ impl CameraBlock {
             world_from_camera: Rigid::from_parts(origin_m.into(), turn * place.rotation),
             offset_s: self.offset_s + step[6],
             skew: self.skew + step[7],
+            prior_deviations: self.prior_deviations,
             lens,
         }
     }
@@ -184,7 +196,7 @@ mod tests {
         let lens = camera((1920, 1080), [1100.0, 1100.0, 955.0, 545.0], lens);
         let turn = UnitQuaternion::from_euler_angles(3.0, 0.1, -0.4);
         let place = Rigid::from_parts(Vector3::new(0.3, -0.2, 5.0).into(), turn);
-        let mut block = CameraBlock::new(place, 0.01, with_lens.then_some(&lens));
+        let mut block = CameraBlock::new(place, 0.01, [1.0; 6], with_lens.then_some(&lens));
         block.skew = 2e-5;
         block
     }
