@@ -222,16 +222,11 @@ fn residuals(
 
 /// Median offset across the line of sight between a camera's sightings and the adjusted track, metres.
 fn distance_m(track: &TrackBlock, camera: usize, bundle: &Bundle) -> f64 {
-    let block = &bundle.blocks[camera];
     let own = track.observations.iter().filter(|observation| observation.camera == camera);
     let mut distance_m: Vec<f64> = own
         .filter_map(|observation| {
-            let point_m = track.spline.at(block.time_s(observation.stamp_s)).position_m;
-            let sine = observation
-                .position_m
-                .normalize()
-                .cross(&block.predict(&point_m)?.normalize())
-                .norm();
+            let predicted_m = track.predict(observation, &bundle.blocks)?;
+            let sine = observation.position_m.normalize().cross(&predicted_m.normalize()).norm();
             Some(sine * observation.position_m.norm())
         })
         .collect();
@@ -248,11 +243,9 @@ impl CameraResiduals {
         track: &TrackBlock,
     ) {
         self.squares.push(square);
-        let block = &bundle.blocks[observation.camera];
-        let point_m = track.spline.at(block.time_s(observation.stamp_s)).position_m;
-        let Some(explained_m) = block.predict(&point_m) else { return };
+        let Some(predicted_m) = track.predict(observation, &bundle.blocks) else { return };
         let pixels =
-            [observation.position_m, explained_m].map(|position_m| lens.project(&position_m));
+            [observation.position_m, predicted_m].map(|position_m| lens.project(&position_m));
         let [Ok(one), Ok(other)] = pixels else { return };
         self.square_px += (one.u - other.u).powi(2) + (one.v - other.v).powi(2);
         self.coverage.add(lens, one);

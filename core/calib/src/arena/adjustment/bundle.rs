@@ -18,7 +18,7 @@ use rayon::prelude::*;
 
 use super::{
     super::error::ArenaError,
-    camera_block::{CameraBlock, UNKNOWNS},
+    camera_block::CameraBlock,
     track_block::{Reduced, TrackBlock, loss, unknowns_per_camera},
 };
 use crate::{
@@ -88,10 +88,8 @@ impl LeastSquares for Bundle {
             let columns = columns_of(&track.cameras, dims);
             for (i, &row) in columns.iter().enumerate() {
                 gradient[row] += part.gradient[i];
-                for (j, &column) in columns.iter().enumerate() {
-                    information[(row, column)] += part.information[i * columns.len() + j];
-                }
             }
+            add_block(&mut information, &columns, |i, j| part.information[i * columns.len() + j]);
         }
         for (camera, block) in self.blocks.iter().enumerate() {
             for (number, value, weight) in block.priors(dims) {
@@ -170,16 +168,8 @@ impl Bundle {
         let along = |i: usize| change[i].abs() * equations.information[(i, i)].sqrt();
         let step_length = (0..change.len()).map(along).fold(0.0, f64::max);
         let dims = unknowns_per_camera(&self.blocks);
-        let blocks = self
-            .blocks
-            .iter()
-            .enumerate()
-            .map(|(camera, block)| {
-                let mut step = [0.0; UNKNOWNS];
-                step[..dims]
-                    .copy_from_slice(&change.as_slice()[camera * dims..(camera + 1) * dims]);
-                block.moved(&step)
-            })
+        let blocks = std::iter::zip(&self.blocks, change.as_slice().chunks_exact(dims))
+            .map(|(block, step)| block.moved(step))
             .collect();
         let tracks = self
             .tracks
@@ -220,13 +210,9 @@ impl Bundle {
         for ((track, reduced), scores) in self.tracks.iter().zip(&equations.reduced).zip(&scores) {
             let columns = columns_of(&track.cameras, dims);
             let target = if track.stated.is_some() { &mut stated } else { &mut moving };
-            for (i, &row) in columns.iter().enumerate() {
-                for (j, &column) in columns.iter().enumerate() {
-                    target[(row, column)] += reduced.information[i * columns.len() + j];
-                    for score in scores {
-                        spread_of[(row, column)] += score[i] * score[j];
-                    }
-                }
+            add_block(target, &columns, |i, j| reduced.information[i * columns.len() + j]);
+            for score in scores {
+                add_block(&mut spread_of, &columns, |i, j| score[i] * score[j]);
             }
             block_count += scores.len();
         }
@@ -254,6 +240,15 @@ pub(crate) fn excess_squared(squares: &mut [f64]) -> f64 {
 /// Columns of the unknowns of these cameras.
 fn columns_of(cameras: &[usize], dims: usize) -> Vec<usize> {
     cameras.iter().flat_map(|camera| camera * dims..(camera + 1) * dims).collect()
+}
+
+/// Adds the entries of a block to these rows and columns of a sum.
+fn add_block(sum: &mut DMatrix<f64>, columns: &[usize], entry: impl Fn(usize, usize) -> f64) {
+    for (i, &row) in columns.iter().enumerate() {
+        for (j, &column) in columns.iter().enumerate() {
+            sum[(row, column)] += entry(i, j);
+        }
+    }
 }
 
 /// Whether a sighting with this square has less than a quarter of its weight.

@@ -118,7 +118,7 @@ impl CameraBlock {
         Some((apparent_m, back, by))
     }
 
-    /// Applies a step of the unknowns; the lens stays the same if the step makes it invalid.
+    /// Applies a step of the first or all unknowns; the lens stays the same if the step makes it invalid.
     pub(crate) fn moved(&self, step: &[f64]) -> Self {
         let part = |first: usize| SVector::<f64, 3>::from_column_slice(&step[first..first + 3]);
         let place = &self.world_from_camera;

@@ -11,7 +11,7 @@ const MARGIN_S: f64 = 0.25;
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Spline {
     start_s: f64,
-    knot_s: f64,
+    pub(crate) knot_s: f64,
     /// One for a stationary roundel, else at least four.
     pub(crate) points_m: Vec<Vector3<f64>>,
 }
@@ -41,23 +41,13 @@ impl Spline {
         Self { start_s, knot_s, points_m: vec![Vector3::zeros(); spans + 3] }
     }
 
-    pub(crate) fn is_constant(&self) -> bool {
-        self.points_m.len() == 1
-    }
-
-    pub(crate) fn knot_s(&self) -> f64 {
-        self.knot_s
-    }
-
     /// The outermost spans extrapolate beyond both ends.
     pub(crate) fn at(&self, time_s: f64) -> Instant {
-        if self.is_constant() {
-            let weights = [1.0, 0.0, 0.0, 0.0];
-            let position_m = self.points_m[0];
+        if let [position_m] = self.points_m[..] {
             return Instant {
                 first: 0,
                 count: 1,
-                weights,
+                weights: [1.0, 0.0, 0.0, 0.0],
                 position_m,
                 velocity_m_s: Vector3::zeros(),
             };

@@ -93,12 +93,20 @@ impl TrackBlock {
         }
     }
 
+    /// Predicted position of a sighting in its camera; `None` if it has no image.
+    pub(crate) fn predict(
+        &self,
+        observation: &Observation,
+        blocks: &[CameraBlock],
+    ) -> Option<Vector3<f64>> {
+        let block = &blocks[observation.camera];
+        block.predict(&self.spline.at(block.time_s(observation.stamp_s)).position_m)
+    }
+
     /// Squared whitened residuals; infinite for points without image.
     pub(crate) fn squares(&self, blocks: &[CameraBlock]) -> impl Iterator<Item = f64> {
         self.observations.iter().map(|observation| {
-            let block = &blocks[observation.camera];
-            let point_m = self.spline.at(block.time_s(observation.stamp_s)).position_m;
-            block.predict(&point_m).map_or(f64::INFINITY, |local_m| {
+            self.predict(observation, blocks).map_or(f64::INFINITY, |local_m| {
                 (observation.whitener * (observation.position_m - local_m)).norm_squared()
             })
         })
@@ -262,7 +270,7 @@ impl TrackBlock {
 
     /// Third differences of control points are h³ times the jerk.
     fn jerk_weight(&self) -> f64 {
-        (JERK_M_S3 * self.spline.knot_s().powi(3)).powi(-2)
+        (JERK_M_S3 * self.spline.knot_s.powi(3)).powi(-2)
     }
 
     fn linearized(
