@@ -15,7 +15,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::{
-    initial_poses::{Alignment, MIN_SPREAD_M, align, interpolate},
+    initial_poses::{Alignment, align, interpolate},
     recording::{RoundelKey, RoundelSamples, Sample, SamplesByRoundel, overlap},
 };
 use roundel_vision::id::{CameraId, KindId};
@@ -164,8 +164,7 @@ fn links_between(tracks: &[UncodedTrack], one: CameraId, other: CameraId) -> Vec
         .take(MAX_CANDIDATES)
         .filter_map(|&(pair, _)| {
             let aligned = align(&[shared(pair)])?;
-            let fits = aligned.fit.spread_m >= MIN_SPREAD_M
-                && aligned.fit.median_residual_m < SAME_M / 2.0;
+            let fits = aligned.is_determined() && aligned.median_residual_m < SAME_M / 2.0;
             let samples = &tracks[pair[1]].samples;
             let sum: Vector3<f64> = samples.iter().map(|sample| sample.position_m).sum();
             let center_m = sum / samples.len() as f64;
@@ -206,15 +205,14 @@ fn chord_difference_m(one: &UncodedTrack, other: &UncodedTrack) -> Option<f64> {
 fn consensus(candidates: &[Candidate]) -> Option<Vec<&Candidate>> {
     let is_consistent = |one: &Candidate, other: &Candidate| {
         let (mine, theirs) = (&one.aligned, &other.aligned);
-        let at = |aligned: &Alignment| {
-            aligned.fit.one_from_other.transform_point(&other.center_m.into())
-        };
-        let turn = mine.fit.one_from_other.rotation.angle_to(&theirs.fit.one_from_other.rotation);
+        let at =
+            |aligned: &Alignment| aligned.one_from_other.transform_point(&other.center_m.into());
+        let turn = mine.one_from_other.rotation.angle_to(&theirs.one_from_other.rotation);
         (at(mine) - at(theirs)).norm() < SAME_M
             && turn < CONSISTENT_RAD
             && (mine.ahead_s - theirs.ahead_s).abs() < CONSISTENT_S
     };
-    let weight = |of: &[&Candidate]| of.iter().map(|it| it.aligned.fit.pairs).sum::<usize>();
+    let weight = |of: &[&Candidate]| of.iter().map(|it| it.aligned.pairs).sum::<usize>();
     let with = |one: &Candidate| -> Vec<&Candidate> {
         candidates.iter().filter(|other| is_consistent(one, other)).collect()
     };

@@ -32,25 +32,21 @@ pub(super) const MIN_SPREAD_M: f64 = 0.15;
 /// Pose of one camera relative to another.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RelativePose {
-    pub(super) one: usize,
-    pub(super) other: usize,
-    pub(super) one_from_other: Rigid,
-    /// Clock of the other camera minus the clock of the one.
-    pub(super) ahead_s: f64,
-    pub(super) pairs: usize,
-    /// Spread in two directions; below [`MIN_SPREAD_M`] the rotation is undetermined.
-    pub(super) spread_m: f64,
-    /// Median distance of the aligned pairs.
-    pub(super) median_residual_m: f64,
+    one: usize,
+    other: usize,
+    pub(super) alignment: Alignment,
 }
 
 impl RelativePose {
-    pub(super) fn is_determined(&self) -> bool {
-        self.spread_m >= MIN_SPREAD_M
+    /// The other camera, if this is one of both.
+    pub(super) fn partner(&self, camera: usize) -> Option<usize> {
+        let Self { one, other, .. } = *self;
+        if camera == one { Some(other) } else { (camera == other).then_some(one) }
     }
 
     fn strength(&self) -> f64 {
-        (self.pairs as f64).sqrt() * self.spread_m / self.median_residual_m.max(1e-4)
+        let Alignment { pairs, spread_m, median_residual_m, .. } = self.alignment;
+        (pairs as f64).sqrt() * spread_m / median_residual_m.max(1e-4)
     }
 }
 
@@ -81,16 +77,12 @@ pub(super) fn propagate(
     {
         is_timed[root] = true;
         while let Some(relative_pose) = strongest(relative_poses, &is_timed) {
-            let is_forth = is_timed[relative_pose.one];
-            let (from, to) = if is_forth {
-                (relative_pose.one, relative_pose.other)
+            let RelativePose { one, other, alignment } = relative_pose;
+            let Alignment { one_from_other, ahead_s, .. } = *alignment;
+            let (from, to, from_to, ahead_s) = if is_timed[*one] {
+                (*one, *other, one_from_other, ahead_s)
             } else {
-                (relative_pose.other, relative_pose.one)
-            };
-            let (from_to, ahead_s) = if is_forth {
-                (relative_pose.one_from_other, relative_pose.ahead_s)
-            } else {
-                (relative_pose.one_from_other.inverse(), -relative_pose.ahead_s)
+                (*other, *one, one_from_other.inverse(), -ahead_s)
             };
             is_timed[to] = true;
             let Some((place, before_s)) = found_poses[from] else { continue };
@@ -108,7 +100,7 @@ fn strongest<'a>(
     relative_poses
         .iter()
         .filter(|relative_pose| {
-            relative_pose.is_determined()
+            relative_pose.alignment.is_determined()
                 && is_known[relative_pose.one] != is_known[relative_pose.other]
         })
         .max_by(|a, b| a.strength().total_cmp(&b.strength()))
@@ -119,25 +111,34 @@ fn relative_pose(cameras: &[CameraSamples<'_>], one: usize, other: usize) -> Opt
         .iter()
         .filter_map(|(track_block, samples)| Some((*samples, *cameras[other].get(track_block)?)))
         .collect();
-    let Alignment { fit: Fit { one_from_other, spread_m, median_residual_m, pairs }, ahead_s } =
-        align(&shared)?;
-    Some(RelativePose { one, other, one_from_other, ahead_s, pairs, spread_m, median_residual_m })
+    Some(RelativePose { one, other, alignment: align(&shared)? })
 }
 
 /// Alignment of the tracks of two cameras.
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Alignment {
-    pub(super) fit: Fit,
+    pub(super) one_from_other: Rigid,
     /// Clock of the other camera minus the clock of the one.
     pub(super) ahead_s: f64,
+    /// Number of aligned pairs of positions.
+    pub(super) pairs: usize,
+    /// Their rms spread in two directions, metres; below [`MIN_SPREAD_M`] the rotation is undetermined.
+    pub(super) spread_m: f64,
+    /// Median distance of the aligned pairs, metres.
+    pub(super) median_residual_m: f64,
 }
 
 impl Alignment {
+    pub(super) fn is_determined(&self) -> bool {
+        self.spread_m >= MIN_SPREAD_M
+    }
+
     /// Median distance of two aligned tracks, metres; `None` if they have too little in common.
     pub(super) fn distance_m(&self, tracks: &SharedTracks<'_>) -> Option<f64> {
         let stride = (tracks.0.len() / MAX_PAIRS).max(1);
         let pairs = pairs(std::slice::from_ref(tracks), stride, self.ahead_s);
         let mut distances: Vec<f64> =
-            pairs.iter().map(|pair| distance_m(&self.fit.one_from_other, pair)).collect();
+            pairs.iter().map(|pair| distance_m(&self.one_from_other, pair)).collect();
         if distances.len() < MIN_PAIRS { None } else { median(&mut distances) }
     }
 }
@@ -149,10 +150,10 @@ pub(super) type SharedTracks<'a> = (&'a [Sample], &'a [Sample]);
 pub(super) fn align(shared: &[SharedTracks<'_>]) -> Option<Alignment> {
     let total: usize = shared.iter().map(|(samples, _)| samples.len()).sum();
     let stride = (total / MAX_PAIRS).max(1);
-    let left = |ahead_s: f64| fit(&pairs(shared, stride, ahead_s));
+    let aligned = |ahead_s: f64| fit(&pairs(shared, stride, ahead_s), ahead_s);
     let steps = (MAX_OFFSET_S / GRID_S).round() as i32;
     let grid = (-steps..=steps).map(|step| f64::from(step) * GRID_S);
-    let score = |ahead_s: f64| left(ahead_s).map_or(f64::INFINITY, |fit| fit.median_residual_m);
+    let score = |ahead_s: f64| aligned(ahead_s).map_or(f64::INFINITY, |it| it.median_residual_m);
     let mut best_s = grid.min_by(|a, b| score(*a).total_cmp(&score(*b)))?;
     let mut step_s = GRID_S / 2.0;
     while step_s > FINE_S {
@@ -161,7 +162,7 @@ pub(super) fn align(shared: &[SharedTracks<'_>]) -> Option<Alignment> {
             .min_by(|a, b| score(*a).total_cmp(&score(*b)))?;
         step_s /= 2.0;
     }
-    Some(Alignment { fit: left(best_s)?, ahead_s: best_s })
+    aligned(best_s)
 }
 
 /// Simultaneous positions for this clock offset.
@@ -186,22 +187,12 @@ pub(super) fn interpolate(samples: &[Sample], stamp_s: f64) -> Option<Vector3<f6
     (gap_s < GAP_S).then(|| before.position_m.lerp(&after.position_m, share))
 }
 
-/// A rigid motion and its support.
-pub(super) struct Fit {
-    pub(super) one_from_other: Rigid,
-    /// Rms in two directions, metres.
-    pub(super) spread_m: f64,
-    /// Median distance of the aligned pairs, metres.
-    pub(super) median_residual_m: f64,
-    pub(super) pairs: usize,
-}
-
 fn distance_m(one_from_other: &Rigid, [one, other]: &[Vector3<f64>; 2]) -> f64 {
     (one - one_from_other.transform_point(&(*other).into()).coords).norm()
 }
 
 /// Rigid motion by iteratively reweighted least squares.
-fn fit(pairs: &[[Vector3<f64>; 2]]) -> Option<Fit> {
+fn fit(pairs: &[[Vector3<f64>; 2]], ahead_s: f64) -> Option<Alignment> {
     if pairs.len() < MIN_PAIRS {
         return None;
     }
@@ -219,7 +210,8 @@ fn fit(pairs: &[[Vector3<f64>; 2]]) -> Option<Fit> {
         for (weight, distance_m) in weights.iter_mut().zip(&distances) {
             *weight = (1.0 + (distance_m / wide).powi(2)).powi(-2);
         }
-        found = Some(Fit { one_from_other, spread_m, median_residual_m, pairs: pairs.len() });
+        let pairs = pairs.len();
+        found = Some(Alignment { one_from_other, ahead_s, pairs, spread_m, median_residual_m });
     }
     found
 }

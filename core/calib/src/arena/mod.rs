@@ -45,11 +45,7 @@ use references::ReferenceSet;
 use report::Survey;
 pub use report::{ArenaCalibration, CalibratedCamera, Neighbour, RefinedLens};
 use roundel_fusion::world::Landmark;
-use roundel_vision::{
-    camera::Camera,
-    id::CameraId,
-    rigid::{Covariance6, Rigid},
-};
+use roundel_vision::{camera::Camera, id::CameraId, rigid::Rigid};
 
 /// Minimum number of samples of a roundel in a camera.
 const MIN_SIGHTS: usize = 12;
@@ -228,11 +224,6 @@ fn tracks(
 /// W of Σ⁻¹ = Wᵀ W.
 fn whitener(covariance: &Matrix3<f64>) -> Option<Matrix3<f64>> {
     covariance.cholesky()?.l().try_inverse()
-}
-
-/// Block over (position, rotation) of a camera.
-fn pose_covariance(covariance: &nalgebra::DMatrix<f64>, first: usize) -> Covariance6 {
-    covariance.fixed_view::<6, 6>(first, first).into_owned()
 }
 
 /// Poses of all cameras; `None` if unknown.

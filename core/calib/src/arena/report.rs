@@ -12,8 +12,7 @@ use super::{
     },
     finding::{Advice, Finding},
     image_coverage::ImageCoverage,
-    initial_poses::{MIN_SPREAD_M, RelativePose},
-    pose_covariance,
+    initial_poses::{Alignment, MIN_SPREAD_M, RelativePose},
     recording::{Recording, RoundelKey},
     references::ReferenceSet,
 };
@@ -113,6 +112,16 @@ pub(super) struct Survey<'a> {
     pub(super) kept: Vec<usize>,
 }
 
+impl Survey<'_> {
+    /// Cameras that share roundels with one, and the alignments of their tracks.
+    fn neighbours(&self, index: usize) -> impl Iterator<Item = (CameraId, &Alignment)> {
+        self.relative_poses.iter().filter_map(move |relative_pose| {
+            let partner = relative_pose.partner(index)?;
+            Some((self.cameras[partner].id, &relative_pose.alignment))
+        })
+    }
+}
+
 pub(super) fn report(survey: &Survey<'_>, bundle: &Bundle, outcome: &Outcome) -> ArenaCalibration {
     let mut findings = findings_before(survey);
     let (residuals, elsewhere) = residuals(survey, bundle, outcome);
@@ -136,7 +145,7 @@ pub(super) fn report(survey: &Survey<'_>, bundle: &Bundle, outcome: &Outcome) ->
 
 /// Findings that do not depend on the adjustment.
 fn findings_before(survey: &Survey<'_>) -> Vec<Finding> {
-    let Survey { recording, cameras, reference_set, relative_poses, duplicates, kept } = survey;
+    let Survey { recording, cameras, reference_set, duplicates, kept, .. } = survey;
     let id = |index: usize| cameras[index].id;
     let misplaced = reference_set.misplaced.iter().map(|&(reference, camera, off_m)| {
         Finding::Misplaced { reference, camera: id(camera), off_m }
@@ -154,19 +163,11 @@ fn findings_before(survey: &Survey<'_>) -> Vec<Finding> {
         misplaced.chain(moved).chain(unseen).chain(duplicates).collect();
     for index in (0..cameras.len()).filter(|index| !kept.contains(index)) {
         let camera = id(index);
-        let of = |relative_pose: &&RelativePose| {
-            relative_pose.one == index || relative_pose.other == index
-        };
         let best =
-            relative_poses.iter().filter(of).max_by(|a, b| a.spread_m.total_cmp(&b.spread_m));
+            survey.neighbours(index).max_by(|(_, a), (_, b)| a.spread_m.total_cmp(&b.spread_m));
         findings.push(match best {
-            Some(relative_pose) if !relative_pose.is_determined() => {
-                let other = id(if relative_pose.one == index {
-                    relative_pose.other
-                } else {
-                    relative_pose.one
-                });
-                Finding::TooLittleMotion { camera, other, spread_m: relative_pose.spread_m }
+            Some((other, alignment)) if !alignment.is_determined() => {
+                Finding::TooLittleMotion { camera, other, spread_m: alignment.spread_m }
             }
             None if !recording.has_seen(camera) => {
                 Finding::Unseen { camera, frames: recording.frames(camera) }
@@ -259,8 +260,7 @@ fn calibrated(
     bundle: &Bundle,
     outcome: &Outcome,
 ) -> CalibratedCamera {
-    let (cameras, relative_poses, index) =
-        (survey.cameras, &survey.relative_poses, survey.kept[at]);
+    let index = survey.kept[at];
     let block = &bundle.blocks[at];
     let first = at * unknowns_per_camera(&bundle.blocks);
     let deviation = |number: usize| {
@@ -271,13 +271,10 @@ fn calibrated(
         camera: lens.clone(),
         deviations: std::array::from_fn(|number| deviation(POSE_AND_CLOCK + number)),
     });
-    let neighbours = relative_poses
-        .iter()
-        .filter(|relative_pose| relative_pose.one == index || relative_pose.other == index);
     CalibratedCamera {
-        camera: cameras[index].id,
+        camera: survey.cameras[index].id,
         world_from_camera: block.world_from_camera,
-        covariance: pose_covariance(&outcome.covariance, first),
+        covariance: outcome.covariance.fixed_view::<6, 6>(first, first).into_owned(),
         clock_offset_s: block.offset_s,
         clock_offset_deviation_s: deviation(6),
         clock_skew: block.skew,
@@ -287,17 +284,9 @@ fn calibrated(
         reprojection_rms_px: (residuals.square_px / residuals.squares.len().max(1) as f64).sqrt(),
         error_ratio: excess_squared(&mut residuals.squares).sqrt(),
         coverage: residuals.coverage.share(),
-        neighbours: neighbours
-            .map(|relative_pose| Neighbour {
-                camera: cameras[if relative_pose.one == index {
-                    relative_pose.other
-                } else {
-                    relative_pose.one
-                }]
-                .id,
-                shared: relative_pose.pairs,
-                spread_m: relative_pose.spread_m,
-            })
+        neighbours: survey
+            .neighbours(index)
+            .map(|(camera, it)| Neighbour { camera, shared: it.pairs, spread_m: it.spread_m })
             .collect(),
     }
 }
