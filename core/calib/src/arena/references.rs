@@ -224,30 +224,29 @@ fn locate_camera(
             return Ok(());
         }
         let pose = fit(&view).map_err(|source| ArenaError::Placing { camera: id, source })?;
-        let outlier = worst(&view, &pose);
-        if outlier.is_none() {
+        if is_consistent(&view, &pose) {
             reference_set.camera_poses[camera] = Some(pose);
             return Ok(());
         }
         // Unambiguous if leaving out exactly one reference makes the others consistent.
         let without = |index: usize| {
-            let rest: Vec<_> = view.iter().filter(|one| one.0 != index).copied().collect();
+            let rest: Vec<_> = view.iter().filter(|one| one.index != index).copied().collect();
             let pose = fit(&rest).ok()?;
-            worst(&rest, &pose).is_none().then_some((index, pose))
+            is_consistent(&rest, &pose).then_some((index, pose))
         };
         let remedies: Vec<(usize, Rigid)> = if view.len() > 3 {
-            view.iter().filter_map(|one| without(one.0)).collect()
+            view.iter().filter_map(|one| without(one.index)).collect()
         } else {
             Vec::new()
         };
         let [(index, pose)] = remedies[..] else {
-            let offset = |one: &(usize, Stated, Sighting)| (one.0, offset(one, &pose).0);
+            let offset = |one: &SeenReference| (one.index, offset(one, &pose).0);
             return Err(ArenaError::Misplaced {
                 camera: id,
                 offs_m: view.iter().map(offset).collect(),
             });
         };
-        if let Some(one) = view.iter().find(|one| one.0 == index) {
+        if let Some(one) = view.iter().find(|one| one.index == index) {
             reference_set.misplaced.push((index, camera, offset(one, &pose).0));
         }
         // Drop it for all cameras.
@@ -257,18 +256,25 @@ fn locate_camera(
     }
 }
 
-/// Stated position and its standard deviation.
-type Stated = (Vector3<f64>, f64);
+/// A reference in the view of one camera.
+#[derive(Clone, Copy)]
+struct SeenReference {
+    index: usize,
+    /// Stated position and its standard deviation.
+    stated: (Vector3<f64>, f64),
+    sighting: Sighting,
+}
 
 /// References that a camera sees.
 fn view(
     reference_set: &ReferenceSet,
     camera: usize,
     widened: impl Fn(&Sample) -> Sighting,
-) -> Vec<(usize, Stated, Sighting)> {
+) -> Vec<SeenReference> {
     let seen = reference_set.references.iter().filter_map(|one| {
         let (_, mean) = one.seen.iter().find(|(other, _)| *other == camera)?;
-        Some((one.index, (one.position_m, one.deviation_m), widened(mean)))
+        let stated = (one.position_m, one.deviation_m);
+        Some(SeenReference { index: one.index, stated, sighting: widened(mean) })
     });
     seen.collect()
 }
@@ -290,35 +296,24 @@ fn with_lens_uncertainty(
     Sighting { position_m: seen.position_m, covariance }
 }
 
-fn fit(view: &[(usize, Stated, Sighting)]) -> Result<Rigid, reference::ReferenceError> {
-    let (stated, seen): (Vec<Stated>, Vec<Sighting>) =
-        view.iter().map(|(_, stated, sighting)| (*stated, *sighting)).unzip();
+fn fit(view: &[SeenReference]) -> Result<Rigid, reference::ReferenceError> {
+    let (stated, seen): (Vec<_>, Vec<_>) =
+        view.iter().map(|one| (one.stated, one.sighting)).unzip();
     Ok(align_stated(&stated, &seen)?.world_from_camera)
 }
 
 /// Distance from the stated position, metres, and squared Mahalanobis distance.
-fn offset(one: &(usize, Stated, Sighting), pose: &Rigid) -> (f64, f64) {
-    let (error, covariance) = error(one, pose);
+fn offset(one: &SeenReference, pose: &Rigid) -> (f64, f64) {
+    let (position_m, deviation_m) = one.stated;
+    let turn = pose.rotation.to_rotation_matrix().into_inner();
+    let error = pose.transform_point(&one.sighting.position_m.into()).coords - position_m;
+    let covariance = turn * one.sighting.covariance * turn.transpose()
+        + Matrix3::from_diagonal_element(deviation_m * deviation_m);
     (error.norm(), mahalanobis_squared(&error, &covariance).unwrap_or(f64::INFINITY))
 }
 
-/// Offset from the stated position, and its covariance.
-fn error(
-    (_, stated, sighting): &(usize, Stated, Sighting),
-    pose: &Rigid,
-) -> (Vector3<f64>, Matrix3<f64>) {
-    let turn = pose.rotation.to_rotation_matrix().into_inner();
-    let local_m = pose.transform_point(&sighting.position_m.into()).coords;
-    let covariance = turn * sighting.covariance * turn.transpose()
-        + Matrix3::from_diagonal_element(stated.1 * stated.1);
-    (local_m - stated.0, covariance)
-}
-
-/// Index of the worst outlier, if there is one.
-fn worst(view: &[(usize, Stated, Sighting)], pose: &Rigid) -> Option<usize> {
-    view.iter()
-        .map(|one| (one.0, offset(one, pose)))
-        .filter(|(_, (off_m, square))| *square > OUTLIER_SQUARED && *off_m > MIN_OUTLIER_M)
-        .max_by(|one, other| one.1.1.total_cmp(&other.1.1))
-        .map(|(index, _)| index)
+/// Whether no reference is far from its stated position.
+fn is_consistent(view: &[SeenReference], pose: &Rigid) -> bool {
+    let is_outlier = |(off_m, square)| square > OUTLIER_SQUARED && off_m > MIN_OUTLIER_M;
+    !view.iter().map(|one| offset(one, pose)).any(is_outlier)
 }
