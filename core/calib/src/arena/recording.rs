@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::Finding;
 use roundel_fusion::world::FrameObservations;
 use roundel_vision::{
     id::{CameraId, KindId, TrackNumber},
@@ -145,7 +146,7 @@ impl Recording {
 
     /// Samples by roundel and camera, sorted by time, with stamps relative to the middle of the recording on the
     /// server's epoch; and the codes that a camera saw at two positions at once, which are left out.
-    pub(super) fn by_roundel(&self) -> (SamplesByRoundel, Vec<(CameraId, KindId, Code)>) {
+    pub(super) fn by_roundel(&self) -> (SamplesByRoundel, Vec<Finding>) {
         let middle_s = self.length_s() / 2.0;
         let mut by_roundel = SamplesByRoundel::new();
         let mut duplicates: BTreeMap<RoundelKey, CameraId> = BTreeMap::new();
@@ -165,19 +166,19 @@ impl Recording {
             seen.samples.extend(samples);
             seen.samples.sort_by(|one, other| one.stamp_s.total_cmp(&other.stamp_s));
         }
-        let coded = duplicates.into_iter().filter_map(|(name, camera)| match name {
+        let twice = duplicates.into_iter().filter_map(|(name, camera)| match name {
             RoundelKey::Coded(kind, code) => {
                 by_roundel.remove(&name);
-                Some((camera, kind, code))
+                Some(Finding::Twice { camera, kind, code })
             }
             RoundelKey::Uncoded(..) => None,
         });
-        let coded = coded.collect();
-        (by_roundel, coded)
+        let twice = twice.collect();
+        (by_roundel, twice)
     }
 
     /// Shift of a camera's stamps to the server's epoch; 0 if they have it.
-    pub(super) fn epoch_shift_s(&self, camera: CameraId) -> f64 {
+    fn epoch_shift_s(&self, camera: CameraId) -> f64 {
         let lateness_s = self.cameras.get(&camera).map_or(0.0, |timing| timing.min_lateness_s);
         if lateness_s.abs() > ANOTHER_EPOCH_S { lateness_s } else { 0.0 }
     }

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
-    ArenaCamera, ArenaError, ArenaParams, CameraPoses, LensDeviation,
+    ArenaCamera, ArenaError, ArenaParams, CameraPoses, Finding, LensDeviation,
     recording::{RoundelKey, RoundelSamples, Sample, SamplesByRoundel},
 };
 use roundel_fusion::world::{
@@ -53,11 +53,10 @@ pub(super) struct ReferenceSet {
     pub(super) references: Vec<ObservedReference>,
     /// Pose of each camera from the references alone.
     pub(super) camera_poses: CameraPoses,
-    /// Reference, camera, distance moved.
-    pub(super) moved: Vec<(usize, usize, f64)>,
-    /// Reference, camera, distance from the stated position.
-    pub(super) misplaced: Vec<(usize, usize, f64)>,
-    pub(super) unseen: Vec<usize>,
+    /// Findings by kind, most important first.
+    pub(super) misplaced: Vec<Finding>,
+    pub(super) moved: Vec<Finding>,
+    pub(super) unseen: Vec<Finding>,
 }
 
 /// Removes the references from the samples and locates the cameras that see three or more.
@@ -76,17 +75,21 @@ pub(super) fn take(
     }
     for (index, landmark) in landmarks.iter().enumerate() {
         let mut means = Vec::new();
-        for (camera, seen) in seen.remove(&index).unwrap_or_default() {
-            let Some(camera) = index_of(camera) else { continue };
+        let moved_before = reference_set.moved.len();
+        for (id, seen) in seen.remove(&index).unwrap_or_default() {
+            let Some(camera) = index_of(id) else { continue };
             let (mean, moved_m) = mean(&seen.samples, params);
             match (mean, moved_m) {
-                (_, Some(moved_m)) => reference_set.moved.push((index, camera, moved_m)),
+                (_, Some(moved_m)) => {
+                    let moved = Finding::Moved { reference: index, camera: id, moved_m };
+                    reference_set.moved.push(moved);
+                }
                 (Some(mean), None) => means.push((camera, mean)),
                 (None, None) => {}
             }
         }
-        if means.is_empty() && !reference_set.moved.iter().any(|moved| moved.0 == index) {
-            reference_set.unseen.push(index);
+        if means.is_empty() && reference_set.moved.len() == moved_before {
+            reference_set.unseen.push(Finding::ReferenceUnseen { reference: index });
         }
         reference_set.references.push(ObservedReference {
             index,
@@ -247,7 +250,12 @@ fn locate_camera(
             });
         };
         if let Some(one) = view.iter().find(|one| one.index == index) {
-            reference_set.misplaced.push((index, camera, offset(one, &pose).0));
+            let (off_m, _) = offset(one, &pose);
+            reference_set.misplaced.push(Finding::Misplaced {
+                reference: index,
+                camera: id,
+                off_m,
+            });
         }
         // Drop it for all cameras.
         for reference in reference_set.references.iter_mut().filter(|one| one.index == index) {

@@ -19,8 +19,7 @@ use super::{
 use crate::robust::median;
 use roundel_vision::{
     camera::Camera,
-    id::{CameraId, KindId},
-    marker::Code,
+    id::CameraId,
     rigid::{Covariance6, Rigid},
 };
 
@@ -107,7 +106,7 @@ pub(super) struct Survey<'a> {
     pub(super) reference_set: ReferenceSet,
     pub(super) relative_poses: Vec<RelativePose>,
     /// Codes that a camera saw at two positions at once.
-    pub(super) duplicates: Vec<(CameraId, KindId, Code)>,
+    pub(super) duplicates: Vec<Finding>,
     /// Cameras that were adjusted.
     pub(super) kept: Vec<usize>,
 }
@@ -146,23 +145,11 @@ pub(super) fn report(survey: &Survey<'_>, bundle: &Bundle, outcome: &Outcome) ->
 /// Findings that do not depend on the adjustment.
 fn findings_before(survey: &Survey<'_>) -> Vec<Finding> {
     let Survey { recording, cameras, reference_set, duplicates, kept, .. } = survey;
-    let id = |index: usize| cameras[index].id;
-    let misplaced = reference_set.misplaced.iter().map(|&(reference, camera, off_m)| {
-        Finding::Misplaced { reference, camera: id(camera), off_m }
-    });
-    let moved = reference_set.moved.iter().map(|&(reference, camera, moved_m)| Finding::Moved {
-        reference,
-        camera: id(camera),
-        moved_m,
-    });
-    let unseen =
-        reference_set.unseen.iter().map(|&reference| Finding::ReferenceUnseen { reference });
-    let duplicates =
-        duplicates.iter().map(|&(camera, kind, code)| Finding::Twice { camera, kind, code });
+    let ReferenceSet { misplaced, moved, unseen, .. } = reference_set;
     let mut findings: Vec<Finding> =
-        misplaced.chain(moved).chain(unseen).chain(duplicates).collect();
+        [misplaced, moved, unseen, duplicates].into_iter().flatten().cloned().collect();
     for index in (0..cameras.len()).filter(|index| !kept.contains(index)) {
-        let camera = id(index);
+        let camera = cameras[index].id;
         let best =
             survey.neighbours(index).max_by(|(_, a), (_, b)| a.spread_m.total_cmp(&b.spread_m));
         findings.push(match best {
