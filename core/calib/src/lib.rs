@@ -9,6 +9,7 @@
 pub mod arena;
 pub mod board;
 pub mod checkerboard;
+mod image_cells;
 mod least_squares;
 pub mod lens;
 mod robust;

@@ -18,7 +18,6 @@ mod adjustment;
 mod association;
 mod error;
 mod finding;
-mod image_coverage;
 mod initial_poses;
 mod recording;
 mod references;
@@ -30,6 +29,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::Matrix3;
 
+pub use crate::image_cells::ImageCoverage;
 use adjustment::{
     bundle::Bundle,
     camera_block::CameraBlock,
@@ -38,7 +38,6 @@ use adjustment::{
 };
 pub use error::ArenaError;
 pub use finding::{Advice, Finding, Names, Numbers};
-pub use image_coverage::ImageCoverage;
 pub use recording::Recording;
 use recording::{RoundelKey, Sample};
 use references::ReferenceSet;

@@ -11,12 +11,11 @@ use super::{
         track_block::{Observation, TrackBlock, unknowns_per_camera},
     },
     finding::{Advice, Finding},
-    image_coverage::ImageCoverage,
     initial_poses::{Alignment, MIN_SPREAD_M, RelativePose},
     recording::{Recording, RoundelKey},
     references::ReferenceSet,
 };
-use crate::robust::median;
+use crate::{image_cells::ImageCoverage, robust::median};
 use roundel_vision::{
     camera::Camera,
     id::CameraId,

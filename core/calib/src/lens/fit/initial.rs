@@ -41,7 +41,7 @@ pub(crate) fn estimate(
         .collect();
     let mut coverage = Coverage::new(size);
     for (index, homography) in &homographies {
-        coverage.add(&views[*index], homography, size);
+        coverage.add(&views[*index], homography);
     }
     let (found, missing) = (homographies.len(), coverage.missing_views());
     if found < MIN_VIEWS {

@@ -33,12 +33,13 @@ pub use self::{
     trajectory::{Trajectory, Waypoint},
 };
 use super::{
-    DistortionModel, LensCalibration,
+    DistortionModel, LensCalibration, ZONES,
     fit::{
         model_selection::{Evidence, ScoredFit, select_fit},
         parameters::CameraParameters,
     },
 };
+use crate::image_cells::cell_of;
 use roundel_fusion::world::ClockPrior;
 use roundel_vision::{
     camera::PixelPoint,
@@ -61,8 +62,7 @@ const MAX_DEVIATION: f64 = 0.01;
 const MIN_AGREEING: f64 = 0.5;
 /// Maximum noise of rim centres, pixels; more indicates a wrong result.
 const MAX_PIXEL_PX: f64 = 3.0;
-/// Zones of the picture across and down, and observations in a visited zone.
-const ZONES: usize = 3;
+/// Minimum number of observations in a visited zone.
 const MIN_ZONE_SIGHTINGS: usize = 20;
 /// Quantiles reported as nearest and farthest depth.
 const DEPTH_SHARES: [f64; 2] = [0.02, 0.98];
@@ -190,22 +190,17 @@ fn places(observations: &[Observation], (width, height): (usize, usize)) -> usiz
     places.len()
 }
 
-fn zones(observations: &[Observation], (width, height): (usize, usize)) -> Vec<usize> {
-    let mut zones = vec![0; ZONES * ZONES];
-    for observation in observations {
-        let zone = |place_px: f64, side_px: usize| {
-            ((place_px / side_px as f64 * ZONES as f64).max(0.0) as usize).min(ZONES - 1)
-        };
-        zones
-            [zone(observation.observed.y, height) * ZONES + zone(observation.observed.x, width)] +=
-            1;
+fn zones(observations: &[Observation], size: (usize, usize)) -> Vec<usize> {
+    let mut zones = vec![0; ZONES.0 * ZONES.1];
+    for Observation { observed, .. } in observations {
+        zones[cell_of(PixelPoint { u: observed.x, v: observed.y }, size, ZONES)] += 1;
     }
     zones
 }
 
 fn unvisited(zones: &[usize]) -> Vec<Missing> {
     let zones = zones.iter().enumerate().filter(|(_, count)| **count < MIN_ZONE_SIGHTINGS);
-    zones.map(|(index, _)| Missing::Zone(index % ZONES, index / ZONES)).collect()
+    zones.map(|(index, _)| Missing::Zone(index % ZONES.0, index / ZONES.0)).collect()
 }
 
 /// The initial camera: the candidate for which a simple model fits a part of the observations best.

@@ -3,6 +3,7 @@
 use std::fmt;
 
 use super::{homography::BoardHomography, view::View};
+use crate::image_cells::cell_of;
 
 /// Zones of the picture across and down.
 pub const ZONES: (usize, usize) = (3, 3);
@@ -89,18 +90,12 @@ impl Coverage {
         Self { zones: [0; ZONES.0 * ZONES.1], tilted: [0; 4], views: 0, size }
     }
 
-    pub(crate) fn add(&mut self, view: &View, homography: &BoardHomography, size: (usize, usize)) {
+    pub(crate) fn add(&mut self, view: &View, homography: &BoardHomography) {
         self.views += 1;
-        let (width, height) = (size.0 as f64, size.1 as f64);
         for sighting in &view.sightings {
-            let zone = |place_px: f64, side_px: f64, count: usize| {
-                ((place_px / side_px * count as f64).max(0.0) as usize).min(count - 1)
-            };
-            let column = zone(sighting.center.u, width, ZONES.0);
-            let row = zone(sighting.center.v, height, ZONES.1);
-            self.zones[row * ZONES.0 + column] += 1;
+            self.zones[cell_of(sighting.center, self.size, ZONES)] += 1;
         }
-        let (right_rad, down_rad) = homography.tilt_rad(size);
+        let (right_rad, down_rad) = homography.tilt_rad(self.size);
         let sides = [right_rad, -right_rad, down_rad, -down_rad];
         for (count, tilt_rad) in self.tilted.iter_mut().zip(sides) {
             *count += usize::from(tilt_rad > TILT_RAD);

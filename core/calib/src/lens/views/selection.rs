@@ -67,7 +67,7 @@ impl ViewSelector {
         let verdict = self.judge(&view);
         if verdict == ViewVerdict::Taken {
             if let Some(homography) = BoardHomography::fit(&self.target, &view) {
-                self.coverage.add(&view, &homography, self.size);
+                self.coverage.add(&view, &homography);
             }
             self.taken.push(view.clone());
         }

@@ -1,6 +1,14 @@
-//! Share of a camera's image in which roundels were observed.
+//! Cells of an image, to tell which parts of it were observed.
 
 use roundel_vision::camera::{Camera, PixelPoint};
+
+/// Index of a pixel's cell among `cells` = (across, down), row by row; that of the nearest one outside of the image.
+pub(crate) fn cell_of(at: PixelPoint, size: (usize, usize), cells: (usize, usize)) -> usize {
+    let cell = |value: f64, size: usize, count: usize| {
+        ((value / size as f64 * count as f64).max(0.0) as usize).min(count - 1)
+    };
+    cell(at.v, size.1, cells.1) * cells.0 + cell(at.u, size.0, cells.0)
+}
 
 /// Cells of an image across and down.
 const CELLS: (usize, usize) = (8, 6);
@@ -10,13 +18,9 @@ const CELLS: (usize, usize) = (8, 6);
 pub struct ImageCoverage([bool; CELLS.0 * CELLS.1]);
 
 impl ImageCoverage {
-    /// Marks the cell of a pixel, or the nearest one if it is outside of the image.
+    /// Marks the cell of a pixel.
     pub fn add(&mut self, lens: &Camera, at: PixelPoint) {
-        let cell = |value: f64, size: usize, count: usize| {
-            ((value / size as f64 * count as f64).max(0.0) as usize).min(count - 1)
-        };
-        let column = cell(at.u, lens.width(), CELLS.0);
-        self.0[cell(at.v, lens.height(), CELLS.1) * CELLS.0 + column] = true;
+        self.0[cell_of(at, (lens.width(), lens.height()), CELLS)] = true;
     }
 
     /// Share of covered cells, 0 to 1.
