@@ -33,15 +33,13 @@ pub(super) struct Recovery {
     pub(super) pose: Rigid,
     /// Co-observations with cameras in use by bin, the newest last.
     bins: VecDeque<Vec<CoObservation>>,
-    /// Consecutive bins without any.
-    pub(super) idle_bins: usize,
     candidate: Option<PoseFit>,
     checked: usize,
 }
 
 impl Recovery {
     pub(super) fn new(pose: Rigid) -> Self {
-        Self { pose, bins: VecDeque::new(), idle_bins: 0, candidate: None, checked: 0 }
+        Self { pose, bins: VecDeque::new(), candidate: None, checked: 0 }
     }
 
     /// Drops the views of another camera.
@@ -84,10 +82,8 @@ impl Recovery {
         };
         let usable: Vec<CoObservation> = groups.iter().filter(is_usable).cloned().collect();
         if usable.is_empty() {
-            self.idle_bins += 1;
             return None;
         }
-        self.idle_bins = 0;
         self.bins.push_back(usable);
         if self.bins.len() > MAX_BINS {
             self.bins.pop_front();
@@ -155,7 +151,7 @@ impl Recovery {
 }
 
 /// Standard deviations of position, metres, and rotation, radians: square roots of the traces.
-pub(super) fn deviations(fit: &PoseFit) -> [f64; 2] {
+fn deviations(fit: &PoseFit) -> [f64; 2] {
     [0, 3].map(|corner| fit.covariance.fixed_view::<3, 3>(corner, corner).trace().sqrt())
 }
 

@@ -21,7 +21,6 @@ pub struct Coverage {
     zones: [usize; ZONES.0 * ZONES.1],
     /// Number of views with the right, left, lower and upper side nearer.
     tilted: [usize; 4],
-    views: usize,
     size: (usize, usize),
 }
 
@@ -87,11 +86,10 @@ pub(crate) fn zone_name(column: usize, row: usize) -> String {
 impl Coverage {
     /// Without views.
     pub fn new(size: (usize, usize)) -> Self {
-        Self { zones: [0; ZONES.0 * ZONES.1], tilted: [0; 4], views: 0, size }
+        Self { zones: [0; ZONES.0 * ZONES.1], tilted: [0; 4], size }
     }
 
     pub(crate) fn add(&mut self, view: &View, homography: &BoardHomography) {
-        self.views += 1;
         for sighting in &view.sightings {
             self.zones[cell_of(sighting.center, self.size, ZONES)] += 1;
         }

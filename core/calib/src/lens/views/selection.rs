@@ -37,7 +37,6 @@ pub enum ViewVerdict {
 #[derive(Clone, Debug)]
 pub struct ViewSelector {
     target: Target,
-    size: (usize, usize),
     still: bool,
     last: Option<View>,
     taken: Vec<View>,
@@ -50,14 +49,12 @@ impl ViewSelector {
     /// For a camera of `size` = (columns, rows). `still`: views are consecutive frames, so motion of the board can
     /// be detected; otherwise each picture is judged alone.
     pub fn new(target: Target, size: (usize, usize), still: bool) -> Self {
-        let coverage = Coverage::new(size);
         Self {
             target,
-            size,
             still,
             last: None,
             taken: Vec::new(),
-            coverage,
+            coverage: Coverage::new(size),
             other_boards: (0, None),
         }
     }
@@ -99,7 +96,7 @@ impl ViewSelector {
         {
             return ViewVerdict::Moving;
         }
-        let (width, height) = self.size;
+        let (width, height) = self.coverage.size();
         let same_px = SAME_SHARE * (width as f64).hypot(height as f64);
         let is_duplicate = |taken: &View| taken.distance_px(view).is_some_and(|px| px < same_px);
         self.taken.iter().position(is_duplicate).map_or(ViewVerdict::Taken, ViewVerdict::Duplicate)
