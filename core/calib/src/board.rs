@@ -11,11 +11,30 @@ use roundel_vision::marker::{Code, CodeError, CodeLayout, Kind, Pattern};
 /// A printed board.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Board {
-    columns: usize,
-    rows: usize,
-    pitch_m: f64,
+    pub(crate) grid: Grid,
     outer_diameter_m: f64,
     layout: CodeLayout,
+}
+
+/// Points in columns and rows, numbered row by row from 1 at the top left. The origin is in the middle, y up.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Grid {
+    pub(crate) columns: usize,
+    pub(crate) rows: usize,
+    /// Distance of adjacent points, metres.
+    pub(crate) pitch_m: f64,
+}
+
+impl Grid {
+    /// Position of a point, metres; `None` if the grid does not have it.
+    pub(crate) fn point_m(&self, number: u16) -> Option<Point2<f64>> {
+        let index = usize::from(number).checked_sub(1)?;
+        let (column, row) = (index % self.columns, index / self.columns);
+        let from_center =
+            |index: usize, count: usize| (index as f64 - (count - 1) as f64 / 2.0) * self.pitch_m;
+        (row < self.rows)
+            .then(|| Point2::new(from_center(column, self.columns), -from_center(row, self.rows)))
+    }
 }
 
 /// Invalid description of a board.
@@ -103,12 +122,12 @@ impl Board {
             let CodeLayout { bits, min_distance } = layout;
             return Err(BoardError::Codes { columns, rows, count, bits, min_distance });
         }
-        Ok(Self { columns, rows, pitch_m, outer_diameter_m, layout })
+        Ok(Self { grid: Grid { columns, rows, pitch_m }, outer_diameter_m, layout })
     }
 
     /// The same board with another number of columns and rows; `None` if invalid.
     pub(crate) fn with_sides(&self, sides: (usize, usize)) -> Option<Self> {
-        Self::new(sides, self.pitch_m, self.outer_diameter_m, self.layout).ok()
+        Self::new(sides, self.grid.pitch_m, self.outer_diameter_m, self.layout).ok()
     }
 
     /// Whether the code belongs to this board's family, whatever its number.
@@ -127,44 +146,33 @@ impl Board {
 
     /// Roundels per row.
     pub fn columns(&self) -> usize {
-        self.columns
+        self.grid.columns
     }
 
     /// Roundels per column.
     pub fn rows(&self) -> usize {
-        self.rows
+        self.grid.rows
     }
 
     /// Number of roundels.
     pub fn count(&self) -> usize {
-        self.columns * self.rows
+        self.grid.columns * self.grid.rows
     }
 
     /// Distance of adjacent centres, metres.
     pub fn pitch_m(&self) -> f64 {
-        self.pitch_m
+        self.grid.pitch_m
     }
 
     /// Numbers and centres of all roundels in the board's frame, metres.
     pub fn centers(&self) -> impl Iterator<Item = (u16, Point2<f64>)> + '_ {
-        (1..=self.count() as u16).filter_map(|number| Some((number, self.center_on_print(number)?)))
+        (1..=self.count() as u16).filter_map(|number| Some((number, self.grid.point_m(number)?)))
     }
 
     /// Centre of the roundel with this code in the board's frame, metres; `None` if the board does not have it.
     pub fn center(&self, code: Code) -> Option<Point3<f64>> {
-        let center = self.center_on_print(code.number).filter(|_| code.bits == self.layout.bits)?;
+        let center = self.grid.point_m(code.number).filter(|_| self.has_bits_of(code))?;
         Some(Point3::new(center.x, center.y, 0.0))
-    }
-
-    /// Centre of the roundel with this number on the print, metres.
-    pub(crate) fn center_on_print(&self, number: u16) -> Option<Point2<f64>> {
-        let index = usize::from(number).checked_sub(1).filter(|&index| index < self.count())?;
-        let (column, row) = (index % self.columns, index / self.columns);
-        let from_center = |index: usize, count: usize| index as f64 - (count - 1) as f64 / 2.0;
-        Some(Point2::new(
-            from_center(column, self.columns) * self.pitch_m,
-            -from_center(row, self.rows) * self.pitch_m,
-        ))
     }
 }
 

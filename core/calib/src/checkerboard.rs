@@ -6,12 +6,12 @@
 use nalgebra::Point2;
 use thiserror::Error;
 
+use crate::board::Grid;
+
 /// A printed chessboard.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Checkerboard {
-    columns: usize,
-    rows: usize,
-    square_m: f64,
+    pub(crate) grid: Grid,
 }
 
 /// Invalid description of a chessboard.
@@ -49,41 +49,33 @@ impl Checkerboard {
         if !(square_m.is_finite() && square_m > 0.0) {
             return Err(CheckerboardError::Square { found_mm: square_m * 1e3 });
         }
-        Ok(Self { columns, rows, square_m })
+        Ok(Self { grid: Grid { columns, rows, pitch_m: square_m } })
     }
 
     /// Inner corners per row.
     pub fn columns(&self) -> usize {
-        self.columns
+        self.grid.columns
     }
 
     /// Inner corners per column.
     pub fn rows(&self) -> usize {
-        self.rows
+        self.grid.rows
     }
 
     /// Side of a square, metres.
     pub fn square_m(&self) -> f64 {
-        self.square_m
+        self.grid.pitch_m
     }
 
     /// Number of the corner in this column and row, which count from 0 at the top left.
     pub fn number(&self, column: usize, row: usize) -> Option<u16> {
-        let exists = column < self.columns && row < self.rows;
-        exists.then_some((row * self.columns + column + 1) as u16)
+        let exists = column < self.columns() && row < self.rows();
+        exists.then_some((row * self.columns() + column + 1) as u16)
     }
 
     /// Position of the corner with this number in the board's frame, metres; `None` if the board does not have it.
     pub fn corner(&self, number: u16) -> Option<Point2<f64>> {
-        let index = usize::from(number).checked_sub(1)?;
-        let (column, row) = (index % self.columns, index / self.columns);
-        let from_center = |index: usize, count: usize| index as f64 - (count - 1) as f64 / 2.0;
-        (row < self.rows).then(|| {
-            Point2::new(
-                from_center(column, self.columns) * self.square_m,
-                -from_center(row, self.rows) * self.square_m,
-            )
-        })
+        self.grid.point_m(number)
     }
 }
 

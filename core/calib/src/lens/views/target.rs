@@ -2,7 +2,10 @@
 
 use nalgebra::Point2;
 
-use crate::{board::Board, checkerboard::Checkerboard};
+use crate::{
+    board::{Board, Grid},
+    checkerboard::Checkerboard,
+};
 
 /// A calibration target.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,28 +29,26 @@ impl From<Checkerboard> for Target {
 }
 
 impl Target {
+    fn grid(&self) -> &Grid {
+        match self {
+            Self::Roundels(board) => &board.grid,
+            Self::Corners(board) => &board.grid,
+        }
+    }
+
     /// Points per row.
     pub fn columns(&self) -> usize {
-        match self {
-            Self::Roundels(board) => board.columns(),
-            Self::Corners(board) => board.columns(),
-        }
+        self.grid().columns
     }
 
     /// Points per column.
     pub fn rows(&self) -> usize {
-        match self {
-            Self::Roundels(board) => board.rows(),
-            Self::Corners(board) => board.rows(),
-        }
+        self.grid().rows
     }
 
     /// Distance of adjacent points, metres.
     pub fn pitch_m(&self) -> f64 {
-        match self {
-            Self::Roundels(board) => board.pitch_m(),
-            Self::Corners(board) => board.square_m(),
-        }
+        self.grid().pitch_m
     }
 
     /// Plural name of the points.
@@ -60,18 +61,12 @@ impl Target {
 
     /// Position of a point in the target's frame, metres.
     pub(crate) fn point_m(&self, number: u16) -> Option<Point2<f64>> {
-        match self {
-            Self::Roundels(board) => board.center_on_print(number),
-            Self::Corners(board) => board.corner(number),
-        }
+        self.grid().point_m(number)
     }
 
     /// Radius of the circles whose centroids are observed, metres; `None` if the points themselves are observed.
     pub(crate) fn rim_m(&self) -> Option<f64> {
-        match self {
-            Self::Roundels(board) => Some(board.kind().outer_diameter_m / 2.0),
-            Self::Corners(_) => None,
-        }
+        self.board().map(|board| board.kind().outer_diameter_m / 2.0)
     }
 
     /// The board of roundels, whose numbers identify the print.
