@@ -42,7 +42,7 @@ pub use self::{
     },
 };
 use super::board::Board;
-use roundel_vision::camera::Camera;
+use roundel_vision::camera::{Camera, MAX_SIDE_PX};
 
 /// Minimum number of views.
 pub const MIN_VIEWS: usize = 5;
@@ -200,6 +200,11 @@ fn other_board(board: &Board, views: &[View]) -> Option<LensCalibrationError> {
     Some(LensCalibrationError::OtherBoard { columns, rows, found_columns, found_rows })
 }
 
+fn is_picture_size((width, height): (usize, usize)) -> bool {
+    let is_side = |side: usize| (16..=MAX_SIDE_PX).contains(&side);
+    is_side(width) && is_side(height)
+}
+
 /// Calibrates a camera of `size` = (columns, rows) from views of a board, with the given `model` or the one
 /// selected by evidence.
 pub fn calibrate(
@@ -208,9 +213,8 @@ pub fn calibrate(
     views: &[View],
     model: Option<DistortionModel>,
 ) -> Result<LensCalibration, LensCalibrationError> {
-    let (width, height) = size;
-    let is_side = |side: usize| (16..=roundel_vision::camera::MAX_SIDE_PX).contains(&side);
-    if !(is_side(width) && is_side(height)) {
+    if !is_picture_size(size) {
+        let (width, height) = size;
         return Err(LensCalibrationError::Size { width, height });
     }
     if let Some(other) = target.board().and_then(|board| other_board(board, views)) {
@@ -220,15 +224,12 @@ pub fn calibrate(
     let blurred = blur::blurred(&blurs_px);
     let initial = initial::estimate(target, size, views, &blurred)?;
     let models = model.map_or_else(|| DistortionModel::ALL.to_vec(), |model| vec![model]);
-    let selected =
-        model_selection::select_model(target, size, &initial, &models).ok_or_else(|| {
-            LensCalibrationError::Unexplained {
-                columns: target.columns(),
-                rows: target.rows(),
-                pitch_mm: target.pitch_m() * 1e3,
-            }
-        })?;
-    let found = selected.into_calibration(&blurred, &initial);
+    let found = model_selection::select_model(target, size, &initial, &models, &blurred);
+    let found = found.ok_or_else(|| LensCalibrationError::Unexplained {
+        columns: target.columns(),
+        rows: target.rows(),
+        pitch_mm: target.pitch_m() * 1e3,
+    })?;
     let diameter_check = diameter_check::check(target, views, &found)?;
     Ok(LensCalibration { diameter_check, ..found })
 }

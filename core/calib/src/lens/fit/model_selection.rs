@@ -6,9 +6,7 @@
 //! 150 lenses, and with strong evidence for 1 of 5,000.
 
 use super::{
-    bundle::{Bundle, Fit},
-    distortion_model::DistortionModel,
-    initial::InitialEstimate,
+    bundle::Bundle, distortion_model::DistortionModel, initial::InitialEstimate,
     parameters::PINHOLE_COUNT,
 };
 use crate::lens::{LensCalibration, Target, ViewFit, ViewRejection};
@@ -28,19 +26,14 @@ pub struct Evidence {
     pub against: f64,
 }
 
-pub(crate) struct SelectedModel {
-    model: DistortionModel,
-    fit: Fit,
-    evidence: Vec<Evidence>,
-}
-
-/// Returns `None` if no model converges.
+/// Fits all `models` and selects one; returns `None` if none converges. `blurred` views are not in `initial`.
 pub(crate) fn select_model(
     target: &Target,
     size: (usize, usize),
     initial: &InitialEstimate,
     models: &[DistortionModel],
-) -> Option<SelectedModel> {
+    blurred: &[bool],
+) -> Option<LensCalibration> {
     let scored = |&model: &DistortionModel| {
         let fit = Bundle::new(size, target.rim_m(), initial, model).fit()?;
         let (count, parameters) = (fit.count as f64, (PINHOLE_COUNT + model.free().len()) as f64);
@@ -48,7 +41,30 @@ pub(crate) fn select_model(
         Some(ScoredFit { model, rms_px: fit.rms_px, criterion, count, fit })
     };
     let (model, fit, evidence) = select_fit(models.iter().filter_map(scored).collect())?;
-    Some(SelectedModel { model, fit, evidence })
+    let why = |&blurred: &bool| {
+        if blurred { ViewRejection::Blurred } else { ViewRejection::Contradicts }
+    };
+    let mut views: Vec<_> = blurred.iter().map(|blurred| Err(why(blurred))).collect();
+    let mut outliers = 0;
+    for board_view in &fit.board_views {
+        let initial_view = initial.views.iter().find(|view| view.index == board_view.index);
+        outliers += initial_view.map_or(0, |view| view.sightings.len()) - board_view.points.len();
+        views[board_view.index] = Ok(ViewFit {
+            pose: board_view.pose,
+            rms_px: board_view.rms_px(&fit.camera),
+            roundels: board_view.points.len(),
+        });
+    }
+    Some(LensCalibration {
+        camera: fit.camera,
+        model,
+        covariance: fit.covariance,
+        rms_px: fit.rms_px,
+        views,
+        outliers,
+        evidence,
+        diameter_check: None,
+    })
 }
 
 pub(crate) struct ScoredFit<T> {
@@ -90,41 +106,6 @@ fn simplest(evidence: &[Evidence]) -> Option<usize> {
         let (one, other) = (key(one), key(other));
         one.0.cmp(&other.0).then(one.1.total_cmp(&other.1))
     })
-}
-
-impl SelectedModel {
-    pub(crate) fn into_calibration(
-        self,
-        blurred: &[bool],
-        initial: &InitialEstimate,
-    ) -> LensCalibration {
-        let Self { model, fit, evidence } = self;
-        let why = |&blurred: &bool| {
-            if blurred { ViewRejection::Blurred } else { ViewRejection::Contradicts }
-        };
-        let mut views: Vec<_> = blurred.iter().map(|blurred| Err(why(blurred))).collect();
-        let mut outliers = 0;
-        for board_view in &fit.board_views {
-            let initial_view = initial.views.iter().find(|view| view.index == board_view.index);
-            outliers +=
-                initial_view.map_or(0, |view| view.sightings.len()) - board_view.points.len();
-            views[board_view.index] = Ok(ViewFit {
-                pose: board_view.pose,
-                rms_px: board_view.rms_px(&fit.camera),
-                roundels: board_view.points.len(),
-            });
-        }
-        LensCalibration {
-            camera: fit.camera,
-            model,
-            covariance: fit.covariance,
-            rms_px: fit.rms_px,
-            views,
-            outliers,
-            evidence,
-            diameter_check: None,
-        }
-    }
 }
 
 #[cfg(test)]

@@ -38,6 +38,7 @@ use super::{
         model_selection::{Evidence, ScoredFit, select_fit},
         parameters::CameraParameters,
     },
+    is_picture_size,
 };
 use crate::image_cells::cell_of;
 use roundel_fusion::world::ClockPrior;
@@ -133,9 +134,8 @@ pub fn calibrate(
     input: &MovingInput<'_>,
     model: Option<DistortionModel>,
 ) -> Result<MovingLens, MovingLensError> {
-    let (width, height) = input.size;
-    let is_side = |side: usize| (16..=roundel_vision::camera::MAX_SIDE_PX).contains(&side);
-    if !(is_side(width) && is_side(height)) {
+    if !is_picture_size(input.size) {
+        let (width, height) = input.size;
         return Err(MovingLensError::Size { width, height });
     }
     let observations = observations(input);
