@@ -3,7 +3,9 @@
 //! A problem provides its cost, its normal equations and the state after a step that solves them with the diagonal
 //! multiplied by 1 + damping. The damping falls by ten after each accepted step and rises by ten after each rejected one.
 
-use nalgebra::DMatrix;
+use nalgebra::{
+    DMatrix, DVector, DefaultAllocator, Dim, Matrix2xX, OMatrix, Vector2, allocator::Allocator,
+};
 
 /// A state of unknowns with residuals.
 pub(crate) trait LeastSquares: Sized {
@@ -71,8 +73,39 @@ pub(crate) fn minimize<T: LeastSquares>(
     Some(())
 }
 
+/// Information matrix and negative gradient over all unknowns.
+#[derive(Clone, Debug)]
+pub(crate) struct NormalEquations {
+    pub(crate) information: DMatrix<f64>,
+    pub(crate) gradient: DVector<f64>,
+}
+
+impl NormalEquations {
+    pub(crate) fn zeros(size: usize) -> Self {
+        Self { information: DMatrix::zeros(size, size), gradient: DVector::zeros(size) }
+    }
+
+    /// Adds a weighted residual with its derivatives.
+    pub(crate) fn add(&mut self, slopes: &Matrix2xX<f64>, error: &Vector2<f64>) {
+        self.information += slopes.transpose() * slopes;
+        self.gradient -= slopes.transpose() * error;
+    }
+
+    /// Damped step; `None` if an unknown is undetermined.
+    pub(crate) fn step(&self, damping: f64) -> Option<DVector<f64>> {
+        let step = damped(self.information.clone(), damping).cholesky()?.solve(&self.gradient);
+        step.iter().all(|value| value.is_finite()).then_some(step)
+    }
+}
+
 /// Multiplies the diagonal by 1 + damping.
-pub(crate) fn damped(mut information: DMatrix<f64>, damping: f64) -> DMatrix<f64> {
+pub(crate) fn damped<D: Dim>(
+    mut information: OMatrix<f64, D, D>,
+    damping: f64,
+) -> OMatrix<f64, D, D>
+where
+    DefaultAllocator: Allocator<D, D>,
+{
     for index in 0..information.nrows() {
         information[(index, index)] *= 1.0 + damping;
     }

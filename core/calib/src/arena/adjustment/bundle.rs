@@ -22,7 +22,7 @@ use super::{
     track_block::{Reduced, TrackBlock, loss, unknowns_per_camera},
 };
 use crate::{
-    least_squares::{Damping, LeastSquares, damped},
+    least_squares::{Damping, LeastSquares, NormalEquations},
     robust::median,
 };
 
@@ -57,8 +57,7 @@ pub(crate) struct Outcome {
 
 /// Reduced camera equations.
 pub(crate) struct Equations {
-    information: DMatrix<f64>,
-    gradient: DVector<f64>,
+    normal: NormalEquations,
     reduced: Vec<Reduced>,
 }
 
@@ -82,14 +81,14 @@ impl LeastSquares for Bundle {
             .par_iter()
             .map(|track| track.reduce(&self.blocks, scale))
             .collect::<Option<_>>()?;
-        let mut information = DMatrix::zeros(size, size);
-        let mut gradient = DVector::zeros(size);
+        let mut normal = NormalEquations::zeros(size);
+        let NormalEquations { information, gradient } = &mut normal;
         for (track, part) in self.tracks.iter().zip(&reduced) {
             let columns = columns_of(&track.cameras, dims);
             for (i, &row) in columns.iter().enumerate() {
                 gradient[row] += part.gradient[i];
             }
-            add_block(&mut information, &columns, |i, j| part.information[i * columns.len() + j]);
+            add_block(information, &columns, |i, j| part.information[i * columns.len() + j]);
         }
         for (camera, block) in self.blocks.iter().enumerate() {
             for (number, value, weight) in block.priors(dims) {
@@ -98,13 +97,11 @@ impl LeastSquares for Bundle {
                 gradient[at] -= weight * value;
             }
         }
-        Some(Equations { information, gradient, reduced })
+        Some(Equations { normal, reduced })
     }
 
     fn stepped(&self, equations: &Equations, damping: f64) -> Option<Self> {
-        let information = damped(equations.information.clone(), damping);
-        let change = information.cholesky()?.solve(&equations.gradient);
-        change.iter().all(|value| value.is_finite()).then(|| self.moved(equations, &change))
+        Some(self.moved(equations, &equations.normal.step(damping)?))
     }
 }
 
@@ -165,7 +162,7 @@ impl Bundle {
     }
 
     fn moved(&self, equations: &Equations, change: &DVector<f64>) -> Bundle {
-        let along = |i: usize| change[i].abs() * equations.information[(i, i)].sqrt();
+        let along = |i: usize| change[i].abs() * equations.normal.information[(i, i)].sqrt();
         let step_length = (0..change.len()).map(along).fold(0.0, f64::max);
         let dims = unknowns_per_camera(&self.blocks);
         let blocks = std::iter::zip(&self.blocks, change.as_slice().chunks_exact(dims))
@@ -192,8 +189,8 @@ impl Bundle {
 
     fn covariance(&self, equations: &Equations, scale: f64) -> Option<DMatrix<f64>> {
         let dims = unknowns_per_camera(&self.blocks);
-        let size = equations.gradient.len();
-        let inverse = equations.information.clone().cholesky()?.inverse();
+        let size = equations.normal.gradient.len();
+        let inverse = equations.normal.information.clone().cholesky()?.inverse();
         let scores: Vec<Vec<Vec<f64>>> = self
             .tracks
             .par_iter()

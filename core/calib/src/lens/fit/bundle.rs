@@ -20,7 +20,7 @@ use super::{
     rim,
 };
 use crate::{
-    least_squares::{self, LeastSquares, minimize},
+    least_squares::{LeastSquares, damped, minimize},
     lens::{
         MIN_VIEWS,
         views::view::{MIN_ROUNDELS, Sighting},
@@ -220,14 +220,11 @@ impl Bundle {
         }
         let variance = squares / count.saturating_sub(unknowns).max(1) as f64;
         let covariance = information.cholesky()?.inverse() * variance;
-        let rms_px = {
-            let distances = self.board_views.iter().flat_map(|board_view| {
-                board_view.points.iter().map(|point| {
-                    point.error(&camera, &board_view.pose).map_or(0.0, |error| error.norm_squared())
-                })
-            });
-            (distances.sum::<f64>() / (count / 2).max(1) as f64).sqrt()
-        };
+        let errors_px = self.board_views.iter().flat_map(|board_view| {
+            board_view.points.iter().filter_map(|point| point.error(&camera, &board_view.pose))
+        });
+        let squares_px: f64 = errors_px.map(|error| error.norm_squared()).sum();
+        let rms_px = (squares_px / (count / 2).max(1) as f64).sqrt();
         Some(Fit { camera, board_views: self.board_views, covariance, squares, count, rms_px })
     }
 }
@@ -266,17 +263,11 @@ impl LeastSquares for Bundle {
     }
 
     fn stepped(&self, normal: &Normal, damping: f64) -> Option<Self> {
-        let damped = |mut matrix: Matrix6<f64>| {
-            for index in 0..6 {
-                matrix[(index, index)] *= 1.0 + damping;
-            }
-            matrix.cholesky()
-        };
-        let mut camera = least_squares::damped(normal.camera.clone(), damping);
+        let mut camera = damped(normal.camera.clone(), damping);
         let mut gradient = normal.gradient.clone();
         let mut views = Vec::with_capacity(normal.views.len());
         for (pose_block, cross_block, pose_gradient) in &normal.views {
-            let factor = damped(*pose_block)?;
+            let factor = damped(*pose_block, damping).cholesky()?;
             let carried = factor.solve(cross_block);
             let moved = factor.solve(pose_gradient);
             camera -= cross_block.transpose() * &carried;

@@ -22,7 +22,7 @@ use super::{
     trajectory::{Trajectory, Waypoint},
 };
 use crate::{
-    least_squares::{LeastSquares, damped, minimize},
+    least_squares::{LeastSquares, NormalEquations, minimize},
     robust::{HUBER, OUTLIER, deviation, huber},
 };
 use roundel_vision::{camera::Camera, rigid::Rigid};
@@ -103,11 +103,6 @@ struct Residual {
     jacobian: Matrix2x3<f64>,
     /// Position relative to the camera's origin before the translation, camera axes.
     rotated_m: Vector3<f64>,
-}
-
-pub(super) struct Normal {
-    information: DMatrix<f64>,
-    gradient: DVector<f64>,
 }
 
 impl<'a> Bundle<'a> {
@@ -328,7 +323,7 @@ impl<'a> Bundle<'a> {
 }
 
 impl LeastSquares for Bundle<'_> {
-    type Normal = Normal;
+    type Normal = NormalEquations;
 
     fn cost(&self, limit: f64) -> Option<f64> {
         // In the last rounds, a roundel whose trajectory ends here must not prevent a step.
@@ -340,27 +335,23 @@ impl LeastSquares for Bundle<'_> {
         Some(observed.sum::<f64>() + clock.sum::<f64>())
     }
 
-    fn normal(&self, limit: f64) -> Option<Normal> {
+    fn normal(&self, limit: f64) -> Option<NormalEquations> {
         let (linearized, _) = self.linearized(limit)?;
         let size = self.unknowns();
-        let mut normal = Normal { information: self.prior(), gradient: DVector::zeros(size) };
+        let gradient = DVector::zeros(size);
+        let mut normal = NormalEquations { information: self.prior(), gradient };
         for i in 0..CLOCK {
             let at = size - CLOCK + i;
             normal.gradient[at] -= self.clock[i] / self.clock_prior[i].powi(2);
         }
         for Linearized { slopes, error, .. } in &linearized {
-            normal.information += slopes.transpose() * slopes;
-            normal.gradient -= slopes.transpose() * error;
+            normal.add(slopes, error);
         }
         Some(normal)
     }
 
-    fn stepped(&self, normal: &Normal, damping: f64) -> Option<Self> {
-        let damped = damped(normal.information.clone(), damping);
-        let step = damped.cholesky()?.solve(&normal.gradient);
-        if !step.iter().all(|it| it.is_finite()) {
-            return None;
-        }
+    fn stepped(&self, normal: &NormalEquations, damping: f64) -> Option<Self> {
+        let step = normal.step(damping)?;
         let mut stepped = self.clone();
         stepped.parameters.step(step.as_slice());
         let place = self.parameters.unknowns();

@@ -7,7 +7,9 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{DMatrix, DVector, Matrix2xX, Vector2};
+use nalgebra::{DMatrix, Matrix2xX, Vector2};
+
+use crate::least_squares::NormalEquations;
 
 /// Duration of a block, seconds. Errors of one roundel this far apart are independent.
 const BLOCK_S: f64 = 4.0;
@@ -28,26 +30,15 @@ pub(super) struct Jackknife {
     pub(super) plain: DMatrix<f64>,
 }
 
-struct TimeBlock {
-    information: DMatrix<f64>,
-    gradient: DVector<f64>,
-}
-
 /// Adds the prior information; returns `None` if an unknown is undetermined.
 pub(super) fn jackknife(linearized: &[Linearized], prior: &DMatrix<f64>) -> Option<Jackknife> {
     let size = prior.nrows();
     let mut information = prior.clone();
-    let mut blocks = BTreeMap::<(usize, i64), TimeBlock>::new();
+    let mut blocks = BTreeMap::<(usize, i64), NormalEquations>::new();
     for Linearized { trajectory, stamp_s, slopes, error } in linearized {
-        let own = slopes.transpose() * slopes;
-        information += &own;
+        information += slopes.transpose() * slopes;
         let block = (*trajectory, (stamp_s / BLOCK_S).floor() as i64);
-        let block = blocks.entry(block).or_insert_with(|| TimeBlock {
-            information: DMatrix::zeros(size, size),
-            gradient: DVector::zeros(size),
-        });
-        block.information += own;
-        block.gradient += slopes.transpose() * error;
+        blocks.entry(block).or_insert_with(|| NormalEquations::zeros(size)).add(slopes, error);
     }
     let plain = information.clone().cholesky()?.inverse();
     let mut covariance = DMatrix::zeros(size, size);
