@@ -236,7 +236,7 @@ pub fn calibrate(
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
+    use nalgebra::{Point3, Translation3, UnitQuaternion, Vector2, Vector3};
     use rand::{RngExt as _, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, Normal};
@@ -289,14 +289,14 @@ mod tests {
                 let imaged =
                     target.rim_m().map(|it| fit::rim::project_rim(camera, &pose, &center, it));
                 let Ok(imaged) = imaged.transpose() else { continue };
-                let (u, v) = imaged.as_ref().map_or((0.0, 0.0), |image| image.offset_px);
+                let offset_px = imaged.as_ref().map_or_else(Vector2::zeros, |it| it.offset_px);
                 let radius_px = 0.015 * 900.0 / at.z;
                 let inside =
                     |place: f64, side: usize| place > radius_px && place < side as f64 - radius_px;
                 if inside(pixel.u, SIZE.0) && inside(pixel.v, SIZE.1) {
                     let center = PixelPoint {
-                        u: pixel.u + u + noise.sample(rng),
-                        v: pixel.v + v + noise.sample(rng),
+                        u: pixel.u + offset_px.x + noise.sample(rng),
+                        v: pixel.v + offset_px.y + noise.sample(rng),
                     };
                     let radius_px = imaged.map_or(radius_px, |image| image.radius_px);
                     sightings.push(Sighting { number, center, radius_px });

@@ -8,15 +8,15 @@
 //! beyond five deviations and views much worse than the others are rejected.
 
 use nalgebra::{
-    DMatrix, DVector, Isometry3, Matrix2x6, Matrix2xX, Matrix6, Point2, Point3, Translation3,
-    UnitQuaternion, Vector2, Vector3, Vector6,
+    DMatrix, DVector, Isometry3, Matrix2x6, Matrix2xX, Matrix6, Point2, Point3, Vector2, Vector3,
+    Vector6,
 };
 
 use super::{
     center_noise::CenterNoise,
     distortion_model::DistortionModel,
     initial::InitialEstimate,
-    parameters::{CameraJacobian, CameraParameters},
+    parameters::{CameraJacobian, CameraParameters, pose_jacobian, stepped_pose},
     rim,
 };
 use crate::{
@@ -138,10 +138,9 @@ impl Bundle {
         let mut moved_px: f64 = 0.0;
         for board_view in &mut self.board_views {
             for point in &mut board_view.points {
-                let (u, v) = rim::project_rim(&camera, &board_view.pose, &point.board_m, rim_m)
-                    .ok()?
-                    .offset_px;
-                let offset = Vector2::new(u, v);
+                let image =
+                    rim::project_rim(&camera, &board_view.pose, &point.board_m, rim_m).ok()?;
+                let offset = image.offset_px;
                 moved_px = moved_px.max((offset - point.offset).norm());
                 point.offset = offset;
             }
@@ -278,12 +277,7 @@ impl LeastSquares for Bundle {
         let mut stepped = self.clone();
         stepped.parameters.step(step.as_slice());
         for (board_view, (carried, moved)) in stepped.board_views.iter_mut().zip(views) {
-            let step: Vector6<f64> = moved - carried * &step;
-            let turn = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned());
-            let shift: Vector3<f64> = step.fixed_rows::<3>(3).into_owned();
-            board_view.pose.rotation = turn * board_view.pose.rotation;
-            board_view.pose.translation =
-                Translation3::from(board_view.pose.translation.vector + shift);
+            board_view.pose = stepped_pose(&board_view.pose, &(moved - carried * &step));
         }
         Some(stepped)
     }
@@ -316,10 +310,7 @@ impl Point {
         let rotated = pose.rotation * Vector3::new(self.board_m.x, self.board_m.y, 0.0);
         let place = rotated + pose.translation.vector;
         let (_, jacobian) = by_camera.camera.project_with_jacobian(&place).ok()?;
-        let mut by_pose = Matrix2x6::zeros();
-        by_pose.fixed_view_mut::<2, 3>(0, 0).copy_from(&(-jacobian * rotated.cross_matrix()));
-        by_pose.fixed_view_mut::<2, 3>(0, 3).copy_from(&jacobian);
-        Some((by_pose, by_camera.at(&place)?))
+        Some((pose_jacobian(&jacobian, &rotated), by_camera.at(&place)?))
     }
 }
 

@@ -1,9 +1,12 @@
 //! Camera parameters during optimization, and the derivatives of projections by them.
 
-use nalgebra::{Matrix2xX, Vector3};
+use nalgebra::{Matrix2x3, Matrix2x6, Matrix2xX, UnitQuaternion, Vector3, Vector6};
 
 use super::distortion_model::DistortionModel;
-use roundel_vision::camera::{Camera, Intrinsics};
+use roundel_vision::{
+    camera::{Camera, Intrinsics},
+    rigid::Rigid,
+};
 
 /// Parameters besides the distortion coefficients: fx, fy, cx, cy.
 pub(crate) const PINHOLE_COUNT: usize = 4;
@@ -111,6 +114,22 @@ impl CameraJacobian {
         }
         Some(jacobian)
     }
+}
+
+/// Derivatives of an image by the pose that carries a point into the camera: rotation (left perturbation), then
+/// translation. `jacobian` is that by the point, and `rotated_m` the point before the translation.
+pub(crate) fn pose_jacobian(jacobian: &Matrix2x3<f64>, rotated_m: &Vector3<f64>) -> Matrix2x6<f64> {
+    let mut by_pose = Matrix2x6::zeros();
+    by_pose.fixed_view_mut::<2, 3>(0, 0).copy_from(&(-jacobian * rotated_m.cross_matrix()));
+    by_pose.fixed_view_mut::<2, 3>(0, 3).copy_from(jacobian);
+    by_pose
+}
+
+/// The pose after a step of its rotation and translation.
+pub(crate) fn stepped_pose(pose: &Rigid, step: &Vector6<f64>) -> Rigid {
+    let turn = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned());
+    let translation = pose.translation.vector + step.fixed_rows::<3>(3);
+    Rigid::from_parts(translation.into(), turn * pose.rotation)
 }
 
 #[cfg(test)]

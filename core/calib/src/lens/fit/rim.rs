@@ -4,7 +4,7 @@
 //! integrands are smooth and periodic, so sums over equal steps of φ converge faster than any power; [`SAMPLES`] steps
 //! reach a thousandth of a pixel.
 
-use nalgebra::{Isometry3, Point2, Point3, Vector3};
+use nalgebra::{Isometry3, Point2, Point3, Vector2, Vector3};
 
 use roundel_vision::camera::{Camera, LensError};
 
@@ -12,7 +12,7 @@ const SAMPLES: usize = 16;
 
 pub(crate) struct RimImage {
     /// Centroid minus the image of the circle's centre, pixels.
-    pub offset_px: (f64, f64),
+    pub offset_px: Vector2<f64>,
     /// Radius of the circle with the same area, pixels.
     pub radius_px: f64,
 }
@@ -41,7 +41,7 @@ pub(crate) fn project_rim(
     }
     let step_rad = std::f64::consts::TAU / SAMPLES as f64;
     let radius_px = (area.abs() * step_rad / std::f64::consts::PI).sqrt();
-    Ok(RimImage { offset_px: (moment_u / area, moment_v / area), radius_px })
+    Ok(RimImage { offset_px: Vector2::new(moment_u, moment_v) / area, radius_px })
 }
 
 #[cfg(test)]
@@ -60,7 +60,7 @@ mod tests {
         let pose = Isometry3::from_parts(Translation3::new(0.0, 0.0, 0.5), rotation);
         let radius_m = 0.05;
         let found = project_rim(&camera, &pose, &Point2::origin(), radius_m).unwrap();
-        let (u, v) = found.offset_px;
+        let (u, v) = (found.offset_px.x, found.offset_px.y);
         // The ends of the axis along u are images of the circle's own ends.
         let end = |x: f64| camera.project(&(pose * Point3::new(x, 0.0, 0.0)).coords).unwrap().u;
         let expected = 0.5 * (end(radius_m) + end(-radius_m)) - end(0.0);

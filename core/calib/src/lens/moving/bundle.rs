@@ -7,14 +7,11 @@
 //! residuals ([`super::noise_model`]). The first rounds use Huber's loss (1964), so that swapped roundels get little
 //! weight; then residuals beyond five deviations are rejected.
 
-use nalgebra::{
-    DMatrix, DVector, Isometry3, Matrix2, Matrix2x3, Matrix2xX, Point2, UnitQuaternion, Vector2,
-    Vector3,
-};
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix2x3, Matrix2xX, Point2, Vector2, Vector3};
 
 use super::{
     super::fit::{
-        parameters::{CameraJacobian, CameraParameters},
+        parameters::{CameraJacobian, CameraParameters, pose_jacobian, stepped_pose},
         rim,
     },
     jackknife::{Jackknife, Linearized, jackknife},
@@ -49,21 +46,9 @@ pub(super) struct Observation {
     pub(super) observed: Vector2<f64>,
     pub(super) radius_px: f64,
     /// Centroid minus image of the centre, pixels.
-    offset: Vector2<f64>,
+    pub(super) offset: Vector2<f64>,
     /// W, with Wᵀ W the inverse covariance.
-    whitener: Matrix2<f64>,
-}
-
-impl Observation {
-    pub(super) fn new(
-        trajectory: usize,
-        stamp_s: f64,
-        observed: Vector2<f64>,
-        radius_px: f64,
-    ) -> Self {
-        let (offset, whitener) = (Vector2::zeros(), Matrix2::identity());
-        Self { trajectory, stamp_s, observed, radius_px, offset, whitener }
-    }
+    pub(super) whitener: Matrix2<f64>,
 }
 
 #[derive(Clone)]
@@ -101,8 +86,9 @@ struct Residual {
     error: Vector2<f64>,
     /// Derivative of the pixel by the position in the camera.
     jacobian: Matrix2x3<f64>,
-    /// Position relative to the camera's origin before the translation, camera axes.
+    /// Position before and after the translation of camera_from_world, camera axes.
     rotated_m: Vector3<f64>,
+    position_m: Vector3<f64>,
 }
 
 impl<'a> Bundle<'a> {
@@ -152,7 +138,7 @@ impl<'a> Bundle<'a> {
         let position_m = rotated_m + self.camera_from_world.translation.vector;
         let (pixel, jacobian) = camera.project_with_jacobian(&position_m).ok()?;
         let error = Vector2::new(pixel.u, pixel.v) + observation.offset - observation.observed;
-        Some(Residual { at, error, jacobian, rotated_m })
+        Some(Residual { at, error, jacobian, rotated_m, position_m })
     }
 
     /// Updates the centroids' offsets and the weights.
@@ -164,12 +150,10 @@ impl<'a> Bundle<'a> {
         for observation in &mut observations {
             let Some(residual) = self.residual(&camera, observation) else { continue };
             let orientation = self.camera_from_world.rotation * residual.at.orientation;
-            let position_m = residual.rotated_m + self.camera_from_world.translation.vector;
-            let pose = Isometry3::from_parts(position_m.into(), orientation);
+            let pose = Rigid::from_parts(residual.position_m.into(), orientation);
             let radius_m = self.trajectories[observation.trajectory].radius_m();
             if let Ok(image) = rim::project_rim(&camera, &pose, &Point2::origin(), radius_m) {
-                let (u, v) = image.offset_px;
-                observation.offset = Vector2::new(u, v);
+                observation.offset = image.offset_px;
             }
             let size = mean_px / observation.radius_px;
             let covariance = self.position_covariance_px2(&residual)
@@ -289,18 +273,14 @@ impl<'a> Bundle<'a> {
         observation: &Observation,
         residual: &Residual,
     ) -> Option<Matrix2xX<f64>> {
-        let position_m = residual.rotated_m + self.camera_from_world.translation.vector;
-        let mut slopes = camera_jacobian.at(&position_m)?;
-        let first = slopes.ncols();
-        slopes = slopes.resize_horizontally(self.unknowns(), 0.0);
-        let by_turn = -residual.jacobian * residual.rotated_m.cross_matrix();
-        slopes.fixed_view_mut::<2, 3>(0, first).copy_from(&by_turn);
-        slopes.fixed_view_mut::<2, 3>(0, first + 3).copy_from(&residual.jacobian);
+        let by_lens = camera_jacobian.at(&residual.position_m)?;
+        let first = by_lens.ncols();
+        let mut slopes = by_lens.resize_horizontally(self.unknowns(), 0.0);
+        let by_pose = pose_jacobian(&residual.jacobian, &residual.rotated_m);
+        slopes.fixed_columns_mut::<POSE_COUNT>(first).copy_from(&by_pose);
         let image_velocity = -self.image_velocity(residual);
-        slopes.fixed_view_mut::<2, 1>(0, first + POSE_COUNT).copy_from(&image_velocity);
-        slopes
-            .fixed_view_mut::<2, 1>(0, first + POSE_COUNT + 1)
-            .copy_from(&(image_velocity * observation.stamp_s));
+        slopes.set_column(first + POSE_COUNT, &image_velocity);
+        slopes.set_column(first + POSE_COUNT + 1, &(image_velocity * observation.stamp_s));
         Some(observation.whitener * slopes)
     }
 
@@ -355,11 +335,8 @@ impl LeastSquares for Bundle<'_> {
         let mut stepped = self.clone();
         stepped.parameters.step(step.as_slice());
         let place = self.parameters.unknowns();
-        let part = |first: usize| Vector3::new(step[first], step[first + 1], step[first + 2]);
-        let turn = UnitQuaternion::from_scaled_axis(part(place));
-        let position_m = self.camera_from_world.translation.vector + part(place + 3);
-        stepped.camera_from_world =
-            Rigid::from_parts(position_m.into(), turn * self.camera_from_world.rotation);
+        let pose_step = step.fixed_rows::<POSE_COUNT>(place).into_owned();
+        stepped.camera_from_world = stepped_pose(&self.camera_from_world, &pose_step);
         for i in 0..CLOCK {
             stepped.clock[i] += step[place + POSE_COUNT + i];
         }
@@ -375,8 +352,6 @@ impl Fit<'_> {
             .observations
             .iter()
             .filter_map(|observation| self.bundle.residual(&self.camera, observation));
-        residuals
-            .map(|residual| residual.rotated_m.z + self.bundle.camera_from_world.translation.z)
-            .collect()
+        residuals.map(|residual| residual.position_m.z).collect()
     }
 }

@@ -22,7 +22,7 @@ mod noise_model;
 mod radial_alignment;
 mod trajectory;
 
-use nalgebra::{DMatrix, Vector2};
+use nalgebra::{DMatrix, Matrix2, Vector2};
 
 use self::{
     bundle::{Bundle, Fit, Observation},
@@ -165,9 +165,13 @@ fn observations(input: &MovingInput<'_>) -> Vec<Observation> {
             && trajectory.is_some_and(|trajectory| trajectory.at(rim.stamp_s).is_some())
     };
     let sound: Vec<&RimObservation> = input.observations.iter().filter(is_sound).collect();
-    let observation = |rim: &&RimObservation| {
-        let center = Vector2::new(rim.center.u, rim.center.v);
-        Observation::new(rim.trajectory, rim.stamp_s, center, rim.radius_px)
+    let observation = |rim: &&RimObservation| Observation {
+        trajectory: rim.trajectory,
+        stamp_s: rim.stamp_s,
+        observed: Vector2::new(rim.center.u, rim.center.v),
+        radius_px: rim.radius_px,
+        offset: Vector2::zeros(),
+        whitener: Matrix2::identity(),
     };
     thinned(&sound, MAX_SIGHTINGS).map(observation).collect()
 }

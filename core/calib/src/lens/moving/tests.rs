@@ -81,12 +81,11 @@ impl Scene {
                 let (pose, _) = self.pose(robot, time_s);
                 let pose = self.camera_from_world * pose;
                 let Ok(pixel) = self.camera.project(&pose.translation.vector) else { continue };
-                let (u, v) = rim::project_rim(&self.camera, &pose, &Point2::origin(), RADIUS_M)
-                    .unwrap()
-                    .offset_px;
+                let image =
+                    rim::project_rim(&self.camera, &pose, &Point2::origin(), RADIUS_M).unwrap();
                 let center = PixelPoint {
-                    u: pixel.u + u + normal() * PIXEL_PX,
-                    v: pixel.v + v + normal() * PIXEL_PX,
+                    u: pixel.u + image.offset_px.x + normal() * PIXEL_PX,
+                    v: pixel.v + image.offset_px.y + normal() * PIXEL_PX,
                 };
                 let inside =
                     |place_px: f64, side: usize| (20.0..side as f64 - 20.0).contains(&place_px);
