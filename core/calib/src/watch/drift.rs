@@ -78,7 +78,7 @@ impl Drift {
             *count *= kept;
         }
         for comparison in comparisons {
-            let (cost, trust) = huber(comparison.energy());
+            let (cost, trust) = huber(comparison.energy);
             self.energy += cost;
             self.degrees_of_freedom += comparison.degrees_of_freedom();
             comparison.accumulate(poses, |slot, score, blocks, lever| {

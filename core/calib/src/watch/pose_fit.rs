@@ -46,7 +46,7 @@ pub(super) struct Comparison {
     pub(super) roundel: Roundel,
     world_views: Vec<WorldView>,
     /// Disagreement e of the current views.
-    energy: f64,
+    pub(super) energy: f64,
 }
 
 /// The best pose of a camera.
@@ -133,19 +133,12 @@ impl Comparison {
     /// Position and covariance from all views except those of `without`.
     fn mean_without(&self, without: Option<usize>) -> Option<(Vector3<f64>, Matrix3<f64>)> {
         let (mut weight, mut pull) = (Matrix3::zeros(), Vector3::zeros());
-        for world_view in
-            self.world_views.iter().filter(|world_view| Some(world_view.slot) != without)
-        {
-            weight += world_view.weight;
-            pull += world_view.weight * world_view.world_m;
+        for view in self.world_views.iter().filter(|view| Some(view.slot) != without) {
+            weight += view.weight;
+            pull += view.weight * view.world_m;
         }
         let (covariance, _) = invert_positive(&weight)?;
         Some((covariance * pull, covariance))
-    }
-
-    /// The disagreement e.
-    pub(super) fn energy(&self) -> f64 {
-        self.energy
     }
 
     fn disagreement(&self) -> f64 {
@@ -169,37 +162,24 @@ impl Comparison {
         mut add: impl FnMut(usize, &Vector6<f64>, &[(usize, Matrix6<f64>)], &Matrix6<f64>),
     ) {
         let Some((middle_m, covariance)) = self.mean_without(None) else { return };
-        let seeing = || {
-            self.world_views
-                .iter()
-                .filter_map(|world_view| Some((world_view, (*poses.get(world_view.slot)?)?)))
+        let with_jacobian = |view: &WorldView| {
+            let pose = (*poses.get(view.slot)?)?;
+            Some((*view, jacobian(&(pose.rotation * view.position_m))))
         };
-        let jacobians: Vec<(usize, Matrix3<f64>, SMatrix<f64, 3, 6>)> = seeing()
-            .map(|(world_view, pose)| {
-                (
-                    world_view.slot,
-                    world_view.weight,
-                    jacobian(&(pose.rotation * world_view.position_m)),
-                )
-            })
-            .collect();
-        for (own, (world_view, _)) in seeing().enumerate() {
-            let (slot, weight, jacobian) = &jacobians[own];
-            let score = -(jacobian.transpose() * (weight * (world_view.world_m - middle_m)));
-            let row = jacobian.transpose() * weight;
-            let cross = |(other, (to, weight, far)): (
-                usize,
-                &(usize, Matrix3<f64>, SMatrix<f64, 3, 6>),
-            )| {
-                let mut block = -(row * covariance * weight * far);
-                if other == own {
+        let views: Vec<(WorldView, SMatrix<f64, 3, 6>)> =
+            self.world_views.iter().filter_map(with_jacobian).collect();
+        for (own, jacobian) in &views {
+            let score = -(jacobian.transpose() * (own.weight * (own.world_m - middle_m)));
+            let row = jacobian.transpose() * own.weight;
+            let block = |(other, far): &(WorldView, SMatrix<f64, 3, 6>)| {
+                let mut block = -(row * covariance * other.weight * far);
+                if other.slot == own.slot {
                     block += row * far;
                 }
-                (*to, block)
+                (other.slot, block)
             };
-            let blocks: Vec<(usize, Matrix6<f64>)> =
-                jacobians.iter().enumerate().map(cross).collect();
-            add(*slot, &score, &blocks, &(jacobian.transpose() * jacobian));
+            let blocks: Vec<(usize, Matrix6<f64>)> = views.iter().map(block).collect();
+            add(own.slot, &score, &blocks, &(jacobian.transpose() * jacobian));
         }
     }
 }
@@ -216,14 +196,14 @@ fn world_view(
 
 /// Robust cost of all comparisons.
 pub(super) fn cost(comparisons: &[Comparison]) -> f64 {
-    comparisons.iter().map(|comparison| huber(comparison.energy()).0).sum()
+    comparisons.iter().map(|comparison| huber(comparison.energy).0).sum()
 }
 
 /// Median ratio of disagreements to their expectation, at least 1. Covers errors that covariances do not state.
 pub(super) fn excess(comparisons: &[Comparison]) -> f64 {
     let mut ratios: Vec<f64> = comparisons
         .iter()
-        .map(|comparison| comparison.energy() / comparison.degrees_of_freedom())
+        .map(|comparison| comparison.energy / comparison.degrees_of_freedom())
         .collect();
     median(&mut ratios).map_or(1.0, |median| (median / MEDIAN_SHARE).max(1.0))
 }
@@ -232,16 +212,13 @@ pub(super) fn excess(comparisons: &[Comparison]) -> f64 {
 fn normal(comparisons: &[Comparison], slot: usize, pose: &Rigid) -> (Matrix6<f64>, Vector6<f64>) {
     let (mut information, mut score) = (prior(), Vector6::zeros());
     for comparison in comparisons {
-        let Some(world_view) =
-            comparison.world_views.iter().find(|world_view| world_view.slot == slot)
-        else {
-            continue;
-        };
+        let own = comparison.world_views.iter().find(|view| view.slot == slot);
+        let Some(world_view) = own else { continue };
         let Some((middle_m, spread)) = comparison.mean_without(Some(slot)) else { continue };
         let Some((weight, _)) = invert_positive(&(world_view.covariance + spread)) else {
             continue;
         };
-        let (_, trust) = huber(comparison.energy());
+        let (_, trust) = huber(comparison.energy);
         let jacobian = jacobian(&(pose.rotation * world_view.position_m));
         let weighted = weight * jacobian * trust;
         information += jacobian.transpose() * weighted;
@@ -271,9 +248,8 @@ pub(super) fn fit_pose(
         let change = factor.solve(&score);
         place_now = moved(&place_now, &change);
         for comparison in comparisons.iter_mut() {
-            if let Some(world_view) =
-                comparison.world_views.iter_mut().find(|world_view| world_view.slot == slot)
-            {
+            let world_view = comparison.world_views.iter_mut().find(|view| view.slot == slot);
+            if let Some(world_view) = world_view {
                 world_view.world_m = to_world(&place_now, &world_view.position_m);
                 comparison.energy = comparison.disagreement();
             }
@@ -283,12 +259,9 @@ pub(super) fn fit_pose(
         }
     }
     let (mut sum, mut count) = (0.0, 0.0);
-    for world_view in comparisons
-        .iter()
-        .flat_map(|comparison| &comparison.world_views)
-        .filter(|world_view| world_view.slot == slot)
-    {
-        sum += (world_view.world_m - to_world(from, &world_view.position_m)).norm_squared();
+    let views = comparisons.iter().flat_map(|comparison| &comparison.world_views);
+    for view in views.filter(|view| view.slot == slot) {
+        sum += (view.world_m - to_world(from, &view.position_m)).norm_squared();
         count += 1.0;
     }
     (count > 0.0).then(|| PoseFit { pose: place_now, covariance, moved_m: f64::sqrt(sum / count) })
