@@ -8,8 +8,7 @@
 //! selects among them.
 
 use nalgebra::{
-    DMatrix, Matrix2, Matrix3, Rotation3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3,
-    linalg::SVD,
+    DMatrix, Matrix2, Matrix3, Rotation3, SMatrix, SVector, Vector2, Vector3, linalg::SVD,
 };
 
 use crate::robust::median;
@@ -54,25 +53,21 @@ pub(super) fn initial_cameras(
         .map(|(world_m, image_px)| (frame.transpose() * (world_m - center_m), *image_px))
         .collect();
     let mut found = Vec::new();
-    let each = [from_volume as Method, from_plane]
-        .into_iter()
-        .filter_map(|method| trimmed_fit(&local, method));
-    for (rows, kept) in
-        each.flat_map(|(all, kept)| all.into_iter().map(move |it| (it, kept.clone())))
-    {
-        for (focal_px, depth_m) in depths(&kept, &rows, side_px) {
+    for method in [from_volume as Method, from_plane] {
+        let Some((all, kept)) = trimmed_fit(&local, method) else { continue };
+        for rows in all {
             let turn = Matrix3::from_rows(&[
                 rows.right.transpose(),
                 rows.down.transpose(),
                 rows.right.cross(&rows.down).transpose(),
             ]) * frame.transpose();
-            let position_m =
-                Vector3::new(rows.shift_m.x, rows.shift_m.y, depth_m) - turn * center_m;
-            let turn = Rotation3::from_matrix_unchecked(turn);
-            let turn = UnitQuaternion::from_rotation_matrix(&turn);
-            let camera_from_world = Rigid::from_parts(position_m.into(), turn);
-            if camera_from_world.translation.vector.iter().all(|it| it.is_finite()) {
-                found.push(InitialCamera { focal_px, camera_from_world });
+            let rotation = Rotation3::from_matrix_unchecked(turn).into();
+            for (focal_px, depth_m) in depths(&kept, &rows, side_px) {
+                let position_m = rows.shift_m.push(depth_m) - turn * center_m;
+                if position_m.iter().all(|it| it.is_finite()) {
+                    let camera_from_world = Rigid::from_parts(position_m.into(), rotation);
+                    found.push(InitialCamera { focal_px, camera_from_world });
+                }
             }
         }
     }
@@ -236,6 +231,7 @@ fn smallest<const N: usize>(
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::UnitQuaternion;
     use rand::{RngExt as _, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
