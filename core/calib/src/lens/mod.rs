@@ -189,12 +189,11 @@ fn missing_views(missing: &[MissingView]) -> String {
 fn other_board(board: &Board, views: &[View]) -> Option<LensCalibrationError> {
     let others: Vec<_> =
         views.iter().filter_map(|view| layout_check::other_sides(board, view)).collect();
-    let fewer = || Some((board.columns(), layout_check::fewer_rows(board, views.iter())?));
     let (found_columns, found_rows) = if others.len() > views.len() / 2 {
         // From the view that shows most of the board.
         others.into_iter().max_by_key(|&(_, rows)| rows)?
     } else {
-        fewer()?
+        (board.columns(), layout_check::fewer_rows(board, views)?)
     };
     let (columns, rows) = (board.columns(), board.rows());
     Some(LensCalibrationError::OtherBoard { columns, rows, found_columns, found_rows })

@@ -22,9 +22,7 @@ pub enum Missing {
 impl fmt::Display for Missing {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
-            Self::Zone(column, row) => {
-                write!(out, "roundels {}", zone_name(column, row))
-            }
+            Self::Zone(column, row) => write!(out, "roundels {}", zone_name(column, row)),
             Self::Depth { ratio } => write!(
                 out,
                 "roundels nearer to the camera or farther from it: their distances differ by {:.0} %, and a longer \

@@ -9,8 +9,6 @@ use crate::image_cells::cell_of;
 pub const ZONES: (usize, usize) = (3, 3);
 /// Minimum tilt of a tilted view, radians (15°).
 const TILT_RAD: f64 = 0.26;
-/// Required views tilted to each side.
-const TILTED: usize = 1;
 /// Minimum number of sightings in a visited zone, over all views.
 pub const MIN_ZONE_SIGHTINGS: usize = 4;
 
@@ -19,8 +17,8 @@ pub const MIN_ZONE_SIGHTINGS: usize = 4;
 pub struct Coverage {
     /// Sightings by zone of the picture, row by row.
     zones: [usize; ZONES.0 * ZONES.1],
-    /// Number of views with the right, left, lower and upper side nearer.
-    tilted: [usize; 4],
+    /// Whether there is a view with the right, left, lower or upper side nearer.
+    tilted: [bool; 4],
     size: (usize, usize),
 }
 
@@ -65,9 +63,7 @@ impl fmt::Display for MissingView {
             Self::Tilted(side) => {
                 write!(out, "a view tilted by 20° to 45° with the {side} side nearer to the camera")
             }
-            Self::Zone(column, row) => {
-                write!(out, "the board {}", zone_name(column, row))
-            }
+            Self::Zone(column, row) => write!(out, "the board {}", zone_name(column, row)),
         }
     }
 }
@@ -86,7 +82,7 @@ pub(crate) fn zone_name(column: usize, row: usize) -> String {
 impl Coverage {
     /// Without views.
     pub fn new(size: (usize, usize)) -> Self {
-        Self { zones: [0; ZONES.0 * ZONES.1], tilted: [0; 4], size }
+        Self { zones: [0; ZONES.0 * ZONES.1], tilted: [false; 4], size }
     }
 
     pub(crate) fn add(&mut self, view: &View, homography: &BoardHomography) {
@@ -95,8 +91,8 @@ impl Coverage {
         }
         let (right_rad, down_rad) = homography.tilt_rad(self.size);
         let sides = [right_rad, -right_rad, down_rad, -down_rad];
-        for (count, tilt_rad) in self.tilted.iter_mut().zip(sides) {
-            *count += usize::from(tilt_rad > TILT_RAD);
+        for (is_tilted, tilt_rad) in self.tilted.iter_mut().zip(sides) {
+            *is_tilted |= tilt_rad > TILT_RAD;
         }
     }
 
@@ -113,7 +109,7 @@ impl Coverage {
 
     /// Sides, and whether there is a view with that side of the board nearer to the camera.
     pub fn sides(&self) -> [(Side, bool); 4] {
-        [0, 1, 2, 3].map(|index| (SIDES[index], self.tilted[index] >= TILTED))
+        std::array::from_fn(|index| (SIDES[index], self.tilted[index]))
     }
 
     /// Width and height of the picture.
@@ -123,20 +119,17 @@ impl Coverage {
 
     /// Whether there are views tilted to at least two sides.
     pub(crate) fn is_tilted(&self) -> bool {
-        self.tilted.iter().filter(|&&count| count > 0).count() >= 2
+        self.tilted.iter().filter(|&&is_tilted| is_tilted).count() >= 2
     }
 
     /// Missing views, most important first; empty if the views suffice.
     pub fn missing_views(&self) -> Vec<MissingView> {
-        let tilts = SIDES.iter().zip(self.tilted).filter(|(_, count)| *count < TILTED);
-        let mut missing_views: Vec<MissingView> =
-            tilts.map(|(side, _)| MissingView::Tilted(*side)).collect();
-        for (index, count) in self.zones.iter().enumerate() {
-            if *count < MIN_ZONE_SIGHTINGS {
-                missing_views.push(MissingView::Zone(index % ZONES.0, index / ZONES.0));
-            }
-        }
-        missing_views
+        let tilts = self.sides().into_iter().filter(|(_, is_done)| !is_done);
+        let zones = self.zones.iter().enumerate().filter(|(_, count)| **count < MIN_ZONE_SIGHTINGS);
+        tilts
+            .map(|(side, _)| MissingView::Tilted(side))
+            .chain(zones.map(|(index, _)| MissingView::Zone(index % ZONES.0, index / ZONES.0)))
+            .collect()
     }
 }
 

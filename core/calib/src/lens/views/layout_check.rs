@@ -42,11 +42,7 @@ pub(crate) fn other_sides(board: &Board, view: &View) -> Option<(usize, usize)> 
 }
 
 /// Number of rows if all complete views lack the board's last rows.
-pub(crate) fn fewer_rows<'a>(
-    board: &Board,
-    views: impl Iterator<Item = &'a View>,
-) -> Option<usize> {
-    let views: Vec<&View> = views.collect();
+pub(crate) fn fewer_rows(board: &Board, views: &[View]) -> Option<usize> {
     let last =
         views.iter().flat_map(|view| &view.sightings).map(|it| usize::from(it.number)).max()?;
     let rows = last.div_ceil(board.columns());
@@ -100,11 +96,11 @@ mod tests {
     #[test]
     fn missing_rows_are_detected_in_complete_views() {
         let views = vec![view((7, 5), 1); 6];
-        assert_eq!(fewer_rows(&board((7, 5)), views.iter()), None);
-        assert_eq!(fewer_rows(&board((7, 6)), views.iter()), Some(5));
-        assert_eq!(fewer_rows(&board((7, 6)), views[..3].iter()), None);
+        assert_eq!(fewer_rows(&board((7, 5)), &views), None);
+        assert_eq!(fewer_rows(&board((7, 6)), &views), Some(5));
+        assert_eq!(fewer_rows(&board((7, 6)), &views[..3]), None);
         // Parts of a board that is always cut off.
         let parts = vec![view((7, 5), 20); 6];
-        assert_eq!(fewer_rows(&board((7, 6)), parts.iter()), None);
+        assert_eq!(fewer_rows(&board((7, 6)), &parts), None);
     }
 }

@@ -2,11 +2,7 @@
 
 use super::blur::blur_px;
 use crate::board::Board;
-use roundel_vision::{
-    camera::PixelPoint,
-    frame::Frame,
-    marker::{Code, Ring},
-};
+use roundel_vision::{camera::PixelPoint, frame::Frame, marker::Ring};
 
 /// Minimum number of roundels in a view: four determine a homography, more reveal outliers.
 pub const MIN_ROUNDELS: usize = 8;
@@ -34,28 +30,21 @@ pub struct View {
 impl View {
     /// View of the rings that may belong to the board. A number that was read twice is left out.
     pub fn of_rings(board: &Board, frame: &Frame<'_>, rings: &[Ring]) -> Self {
-        let is_candidate =
-            |ring: &&Ring| ring.code.is_some_and(|read| board.has_bits_of(read.code));
-        let blur_px = blur_px(frame, rings.iter().filter(is_candidate));
-        let mut sightings: Vec<Sighting> = rings
-            .iter()
-            .filter_map(|ring| {
-                let code: Code = ring.code?.code;
-                if !board.has_bits_of(code) {
-                    return None;
-                }
-                let (center, radius_px) = (ring.outer.center, ring.outer.mean_radius_px());
-                Some(Sighting { number: code.number, center, radius_px })
-            })
-            .collect();
+        let candidates = rings.iter().filter_map(|ring| {
+            let code = ring.code?.code;
+            board.has_bits_of(code).then_some((code.number, ring))
+        });
+        let blur_px = blur_px(frame, candidates.clone().map(|(_, ring)| ring));
+        let sighting = |(number, Ring { outer, .. }): (u16, &Ring)| Sighting {
+            number,
+            center: outer.center,
+            radius_px: outer.mean_radius_px(),
+        };
+        let mut sightings: Vec<Sighting> = candidates.map(sighting).collect();
         sightings.sort_by_key(|sighting| sighting.number);
-        let duplicates: Vec<u16> = sightings
-            .windows(2)
-            .filter(|pair| pair[0].number == pair[1].number)
-            .map(|pair| pair[0].number)
-            .collect();
-        sightings.retain(|sighting| !duplicates.contains(&sighting.number));
-        Self { sightings, blur_px }
+        let by_number = sightings.chunk_by(|one, other| one.number == other.number);
+        let once = by_number.filter(|same| same.len() == 1);
+        Self { sightings: once.flatten().copied().collect(), blur_px }
     }
 
     /// Convex hull of the centres, raw pixels; empty for fewer than three.
@@ -88,19 +77,14 @@ impl View {
 
     /// Rms distance of the common roundels, pixels; `None` if there are too few.
     pub(crate) fn distance_px(&self, other: &View) -> Option<f64> {
-        let mut squares = 0.0;
-        let mut count = 0;
-        for point in &self.sightings {
-            let Ok(index) = other.sightings.binary_search_by_key(&point.number, |it| it.number)
-            else {
-                continue;
-            };
-            let twin = &other.sightings[index];
-            squares +=
-                (point.center.u - twin.center.u).powi(2) + (point.center.v - twin.center.v).powi(2);
-            count += 1;
-        }
-        (count >= MIN_ROUNDELS).then(|| (squares / count as f64).sqrt())
+        let square = |sighting: &Sighting| {
+            let index = other.sightings.binary_search_by_key(&sighting.number, |it| it.number);
+            let (one, other) = (sighting.center, other.sightings[index.ok()?].center);
+            Some((one.u - other.u).powi(2) + (one.v - other.v).powi(2))
+        };
+        let squares: Vec<f64> = self.sightings.iter().filter_map(square).collect();
+        let mean = squares.iter().sum::<f64>() / squares.len() as f64;
+        (squares.len() >= MIN_ROUNDELS).then(|| mean.sqrt())
     }
 
     pub(crate) fn mean_radius_px(&self) -> f64 {
