@@ -5,12 +5,10 @@
 //! with the smallest residual is searched on a grid and refined by bisection. Starting with the cameras that see the
 //! references, the strongest relative poses locate all others (Prim 1957).
 
-use std::collections::BTreeMap;
-
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use super::recording::Sample;
+use super::{Roundel, recording::Sample};
 use crate::robust::median;
 use roundel_fusion::world::reference::{kabsch, spread};
 use roundel_vision::rigid::Rigid;
@@ -50,17 +48,18 @@ impl RelativePose {
     }
 }
 
-/// Samples of one camera by roundel.
-pub(super) type CameraSamples<'a> = BTreeMap<usize, &'a [Sample]>;
-
 /// Relative poses of all cameras with common roundels, in the order of cameras.
-pub(super) fn relative_poses(cameras: &[CameraSamples<'_>]) -> Vec<RelativePose> {
+pub(super) fn relative_poses(roundels: &[Roundel], cameras: usize) -> Vec<RelativePose> {
     let camera_pairs: Vec<(usize, usize)> =
-        (0..cameras.len()).flat_map(|one| (0..one).map(move |other| (other, one))).collect();
-    camera_pairs
-        .into_par_iter()
-        .filter_map(|(one, other)| relative_pose(cameras, one, other))
-        .collect()
+        (0..cameras).flat_map(|one| (0..one).map(move |other| (other, one))).collect();
+    let relative_pose = |(one, other): (usize, usize)| {
+        let shared: Vec<SharedTracks<'_>> = roundels
+            .iter()
+            .filter_map(|roundel| Some((roundel.samples(one)?, roundel.samples(other)?)))
+            .collect();
+        Some(RelativePose { one, other, alignment: align(&shared)? })
+    };
+    camera_pairs.into_par_iter().filter_map(relative_pose).collect()
 }
 
 /// Poses and clock offsets of cameras, from the known `camera_poses`; `None` if no relative pose leads there.
@@ -104,14 +103,6 @@ fn strongest<'a>(
                 && is_known[relative_pose.one] != is_known[relative_pose.other]
         })
         .max_by(|a, b| a.strength().total_cmp(&b.strength()))
-}
-
-fn relative_pose(cameras: &[CameraSamples<'_>], one: usize, other: usize) -> Option<RelativePose> {
-    let shared: Vec<SharedTracks<'_>> = cameras[one]
-        .iter()
-        .filter_map(|(track_block, samples)| Some((*samples, *cameras[other].get(track_block)?)))
-        .collect();
-    Some(RelativePose { one, other, alignment: align(&shared)? })
 }
 
 /// Alignment of the tracks of two cameras.

@@ -27,8 +27,6 @@ mod tests;
 
 use std::collections::BTreeMap;
 
-use nalgebra::Matrix3;
-
 pub use crate::image_cells::ImageCoverage;
 use adjustment::{
     bundle::Bundle,
@@ -39,7 +37,7 @@ use adjustment::{
 pub use error::ArenaError;
 pub use finding::{Advice, Finding, Names, Numbers};
 pub use recording::Recording;
-use recording::{RoundelKey, Sample};
+use recording::{RoundelKey, Sample, SamplesByRoundel};
 use references::ReferenceSet;
 use report::Survey;
 pub use report::{ArenaCalibration, CalibratedCamera, Neighbour, RefinedLens};
@@ -124,9 +122,7 @@ pub fn calibrate(
     let reference_set = references::take(&mut by_roundel, cameras, references, params)?;
     association::associate(&mut by_roundel);
     let roundels = moving(by_roundel, &ids);
-    let observations: Vec<initial_poses::CameraSamples<'_>> =
-        (0..cameras.len()).map(|camera| seen_by(&roundels, camera)).collect();
-    let relative_poses = initial_poses::relative_poses(&observations);
+    let relative_poses = initial_poses::relative_poses(&roundels, cameras.len());
     let initial = initial_poses::propagate(&reference_set.camera_poses, &relative_poses);
     let kept: Vec<usize> = (0..cameras.len()).filter(|&index| initial[index].is_some()).collect();
     let base = reference_set.camera_poses.iter().position(Option::is_some);
@@ -151,29 +147,25 @@ struct Roundel {
     seen: Vec<(usize, Vec<Sample>)>,
 }
 
-/// Roundels that at least two cameras saw.
-fn moving(
-    by_roundel: recording::SamplesByRoundel,
-    ids: &BTreeMap<CameraId, usize>,
-) -> Vec<Roundel> {
-    let roundel = |(name, seen): (RoundelKey, BTreeMap<CameraId, recording::RoundelSamples>)| {
-        let seen = seen
-            .into_iter()
-            .filter(|(_, seen)| seen.samples.len() >= MIN_SIGHTS)
-            .filter_map(|(camera, seen)| Some((*ids.get(&camera)?, seen.samples)));
-        Roundel { name, seen: seen.collect() }
-    };
-    by_roundel.into_iter().map(roundel).filter(|roundel| roundel.seen.len() > 1).collect()
+impl Roundel {
+    fn samples(&self, camera: usize) -> Option<&[Sample]> {
+        let (_, samples) = self.seen.iter().find(|(other, _)| *other == camera)?;
+        Some(samples)
+    }
 }
 
-fn seen_by(roundels: &[Roundel], camera: usize) -> initial_poses::CameraSamples<'_> {
-    let mut observations = initial_poses::CameraSamples::new();
-    for (track, roundel) in roundels.iter().enumerate() {
-        if let Some((_, samples)) = roundel.seen.iter().find(|(other, _)| *other == camera) {
-            observations.insert(track, samples);
+/// Roundels that at least two cameras saw.
+fn moving(by_roundel: SamplesByRoundel, ids: &BTreeMap<CameraId, usize>) -> Vec<Roundel> {
+    let mut roundels = Vec::new();
+    for (name, cameras) in by_roundel {
+        let cameras = cameras.into_iter().filter(|(_, seen)| seen.samples.len() >= MIN_SIGHTS);
+        let seen: Vec<_> =
+            cameras.filter_map(|(id, seen)| Some((*ids.get(&id)?, seen.samples))).collect();
+        if seen.len() > 1 {
+            roundels.push(Roundel { name, seen });
         }
     }
-    observations
+    roundels
 }
 
 /// References first, then robots; cameras are numbered among `kept`.
@@ -185,44 +177,31 @@ fn tracks(
 ) -> Vec<TrackBlock> {
     let observation = |camera: usize, sample: &Sample| {
         let camera = kept.iter().position(|&index| index == camera)?;
-        let whitener = whitener(&sample.covariance)?;
-        Some(Observation {
-            camera,
-            stamp_s: sample.stamp_s,
-            position_m: sample.position_m,
-            whitener,
-        })
+        let Sample { stamp_s, position_m, covariance } = sample;
+        // W of Σ⁻¹ = Wᵀ W.
+        let whitener = covariance.cholesky()?.l().try_inverse()?;
+        Some(Observation { camera, stamp_s: *stamp_s, position_m: *position_m, whitener })
     };
     let references = reference_set.references.iter().filter_map(|reference| {
-        let observations =
-            reference.seen.iter().filter_map(|(camera, sample)| observation(*camera, sample));
-        let observations: Vec<Observation> = observations.collect();
+        let seen = reference.seen.iter();
+        let observations: Vec<Observation> =
+            seen.filter_map(|(camera, sample)| observation(*camera, sample)).collect();
         let stated = (reference.position_m, reference.deviation_m);
         let spline = Spline::constant(stated.0);
-        (!observations.is_empty()).then(|| TrackBlock::new(spline, Some(stated), observations))
+        (!observations.is_empty())
+            .then(|| TrackBlock::new(None, spline, Some(stated), observations))
     });
     let robots = roundels.iter().filter_map(|roundel| {
-        let observations: Vec<Observation> = roundel
-            .seen
-            .iter()
-            .flat_map(|(camera, samples)| {
-                samples.iter().filter_map(|sample| observation(*camera, sample))
-            })
-            .collect();
-        let name = Some(roundel.name);
+        let seen = roundel.seen.iter();
+        let samples = seen.flat_map(|(camera, samples)| samples.iter().map(|it| (*camera, it)));
+        let observations: Vec<Observation> =
+            samples.filter_map(|(camera, sample)| observation(camera, sample)).collect();
         let stamps = observations.iter().map(|observation| observation.stamp_s);
         let (first_s, last_s) = (stamps.clone().reduce(f64::min)?, stamps.reduce(f64::max)?);
-        Some(TrackBlock {
-            name,
-            ..TrackBlock::new(Spline::over(first_s, last_s, params.knot_s), None, observations)
-        })
+        let spline = Spline::over(first_s, last_s, params.knot_s);
+        Some(TrackBlock::new(Some(roundel.name), spline, None, observations))
     });
     references.chain(robots).collect()
-}
-
-/// W of Σ⁻¹ = Wᵀ W.
-fn whitener(covariance: &Matrix3<f64>) -> Option<Matrix3<f64>> {
-    covariance.cholesky()?.l().try_inverse()
 }
 
 /// Poses of all cameras; `None` if unknown.

@@ -76,6 +76,7 @@ struct Linearized {
 
 impl TrackBlock {
     pub(crate) fn new(
+        name: Option<RoundelKey>,
         spline: Spline,
         stated: Option<(Vector3<f64>, f64)>,
         observations: Vec<Observation>,
@@ -84,13 +85,8 @@ impl TrackBlock {
             observations.iter().map(|observation| observation.camera).collect();
         cameras.sort_unstable();
         cameras.dedup();
-        Self {
-            name: None,
-            spline,
-            stated,
-            observations: observations.into(),
-            cameras: cameras.into(),
-        }
+        let observations = observations.into();
+        Self { name, spline, stated, observations, cameras: cameras.into() }
     }
 
     /// Predicted position of a sighting in its camera; `None` if it has no image.
