@@ -9,7 +9,7 @@ use super::{
     Renderer, Scenario, ScenarioParams,
     canvas::Canvas,
     noise::STEPS_PER_LEVEL,
-    patch::{Patch, Setting, Shape, Sheet},
+    patch::{Inside, Patch, Setting, Shape, Sheet},
     ray::RayGrid,
 };
 use roundel_vision::{camera::Camera, rigid::Rigid};
@@ -148,8 +148,8 @@ fn painted(camera: &Camera, camera_from_roundel: Rigid, sheet: Sheet) -> Canvas 
         per_row_m: Vector3::from(PER_ROW_M),
         blur_px: BLUR_PX,
     };
-    let (outer_radius_m, inner_radius_m) = (OUTER_M as f32, INNER_M as f32);
-    let shape = Shape::Roundel { outer_radius_m, inner_radius_m, sheet };
+    let inside = Inside::Disc(INNER_M as f32);
+    let shape = Shape::Roundel { outer_radius_m: OUTER_M as f32, inside, sheet };
     let patch = Patch::new(camera, camera_from_roundel, &setting).expect("seen from the front");
     let page = vec![150 * STEPS_PER_LEVEL; camera.width() * camera.height()];
     let mut canvas = Canvas::new(camera.width(), page);

@@ -32,12 +32,19 @@ pub(super) enum Shape<'a> {
     Shadow { radius_m: f32, opacity: f32 },
     /// Rectangle of constant albedo.
     Bar { half_m: [f32; 2], albedo: f32 },
-    /// Black ring and white disc on a white sheet.
-    Roundel { outer_radius_m: f32, inner_radius_m: f32, sheet: Sheet },
-    /// The same with an elliptical disc, semiaxes along x and y.
-    Elliptical { outer_radius_m: f32, semiaxes_m: [f32; 2], sheet: Sheet },
-    /// The same with the teeth of a code.
-    Coded { outer_radius_m: f32, teeth: &'a Teeth, sheet: Sheet },
+    /// Black ring around a white disc on a white sheet.
+    Roundel { outer_radius_m: f32, inside: Inside<'a>, sheet: Sheet },
+}
+
+/// White disc of a roundel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Inside<'a> {
+    /// Radius.
+    Disc(f32),
+    /// Semiaxes along x and y.
+    Ellipse([f32; 2]),
+    /// With the teeth of a code.
+    Teeth(&'a Teeth),
 }
 
 /// White sheet of a roundel.
@@ -171,16 +178,11 @@ impl Patch {
         let reach_m = self.reach_m();
         match *shape {
             Shape::Shadow { radius_m, .. } => circle(f64::from(radius_m)),
-            Shape::Disc { radius_m, .. }
-            | Shape::Roundel { sheet: Sheet::Disc(radius_m), .. }
-            | Shape::Elliptical { sheet: Sheet::Disc(radius_m), .. }
-            | Shape::Coded { sheet: Sheet::Disc(radius_m), .. } => {
+            Shape::Disc { radius_m, .. } | Shape::Roundel { sheet: Sheet::Disc(radius_m), .. } => {
                 circle(f64::from(radius_m) + reach_m)
             }
             Shape::Bar { half_m, .. } => rectangle(half_m.map(|half| f64::from(half) + reach_m)),
-            Shape::Roundel { sheet: Sheet::Square(half_m), .. }
-            | Shape::Elliptical { sheet: Sheet::Square(half_m), .. }
-            | Shape::Coded { sheet: Sheet::Square(half_m), .. } => {
+            Shape::Roundel { sheet: Sheet::Square(half_m), .. } => {
                 rectangle([f64::from(half_m) + reach_m; 2])
             }
         }
@@ -214,40 +216,34 @@ impl Patch {
             Shape::Bar { half_m, albedo } => {
                 self.paint_with(rays, row, |at| (at.within(half_m), albedo));
             }
-            Shape::Roundel { outer_radius_m, inner_radius_m, sheet: Sheet::Square(half_m) } => {
-                self.paint_with(rays, row, |at| {
-                    let albedo = at.radial().ring_albedo(outer_radius_m, inner_radius_m);
-                    (at.within([half_m; 2]), albedo)
-                });
+            Shape::Roundel { outer_radius_m, inside, sheet } => match inside {
+                Inside::Disc(inner_radius_m) => self.paint_sheet(sheet, rays, row, |at| {
+                    at.radial().ring_albedo(outer_radius_m, inner_radius_m)
+                }),
+                Inside::Ellipse(semiaxes_m) => self.paint_sheet(sheet, rays, row, |at| {
+                    at.elliptical_albedo(outer_radius_m, semiaxes_m)
+                }),
+                Inside::Teeth(teeth) => {
+                    self.paint_sheet(sheet, rays, row, |at| at.coded_albedo(outer_radius_m, teeth))
+                }
+            },
+        }
+    }
+
+    #[inline(always)]
+    fn paint_sheet(
+        &self,
+        sheet: Sheet,
+        rays: &RayRow,
+        row: &mut [i16],
+        albedo: impl Fn(&PlanePoint) -> f32,
+    ) {
+        match sheet {
+            Sheet::Square(half_m) => {
+                self.paint_with(rays, row, |at| (at.within([half_m; 2]), albedo(at)));
             }
-            Shape::Roundel { outer_radius_m, inner_radius_m, sheet: Sheet::Disc(radius_m) } => {
-                self.paint_with(rays, row, |at| {
-                    let edge = at.radial();
-                    let albedo = edge.ring_albedo(outer_radius_m, inner_radius_m);
-                    (edge.inside(radius_m), albedo)
-                });
-            }
-            Shape::Elliptical { outer_radius_m, semiaxes_m, sheet: Sheet::Square(half_m) } => {
-                self.paint_with(rays, row, |at| {
-                    let albedo = at.elliptical_albedo(outer_radius_m, semiaxes_m);
-                    (at.within([half_m; 2]), albedo)
-                });
-            }
-            Shape::Elliptical { outer_radius_m, semiaxes_m, sheet: Sheet::Disc(radius_m) } => {
-                self.paint_with(rays, row, |at| {
-                    let albedo = at.elliptical_albedo(outer_radius_m, semiaxes_m);
-                    (at.radial().inside(radius_m), albedo)
-                });
-            }
-            Shape::Coded { outer_radius_m, teeth, sheet: Sheet::Square(half_m) } => {
-                self.paint_with(rays, row, |at| {
-                    (at.within([half_m; 2]), at.coded_albedo(outer_radius_m, teeth))
-                });
-            }
-            Shape::Coded { outer_radius_m, teeth, sheet: Sheet::Disc(radius_m) } => {
-                self.paint_with(rays, row, |at| {
-                    (at.radial().inside(radius_m), at.coded_albedo(outer_radius_m, teeth))
-                });
+            Sheet::Disc(radius_m) => {
+                self.paint_with(rays, row, |at| (at.radial().inside(radius_m), albedo(at)));
             }
         }
     }

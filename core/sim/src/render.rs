@@ -13,7 +13,7 @@ use super::{
     light::Light,
     noise::{SensorNoise, mix},
     params::ScenarioError,
-    patch::{Patch, Setting, Shape, Sheet},
+    patch::{Inside, Patch, Setting, Shape, Sheet},
     ray::RayGrid,
     scenario::{RobotTruth, Scenario},
     sim_camera::SimCamera,
@@ -181,16 +181,14 @@ impl Renderer {
             (Pattern::Coded(layout), Some(word)) => Some(Teeth::new(layout, word, inner_radius_m)),
             _ => None,
         };
-        let shape = match &teeth {
-            Some(teeth) => Shape::Coded { outer_radius_m, teeth, sheet },
-            None => match kind.pattern {
-                Pattern::Elliptical { minor_diameter_m } => {
-                    let semiaxes_m = [inner_radius_m, (minor_diameter_m / 2.0) as f32];
-                    Shape::Elliptical { outer_radius_m, semiaxes_m, sheet }
-                }
-                _ => Shape::Roundel { outer_radius_m, inner_radius_m, sheet },
-            },
+        let inside = match (&teeth, kind.pattern) {
+            (Some(teeth), _) => Inside::Teeth(teeth),
+            (None, Pattern::Elliptical { minor_diameter_m }) => {
+                Inside::Ellipse([inner_radius_m, (minor_diameter_m / 2.0) as f32])
+            }
+            (None, _) => Inside::Disc(inner_radius_m),
         };
+        let shape = Shape::Roundel { outer_radius_m, inside, sheet };
         self.paint_on(&robot.world_from_roundel, &robot.velocity_m_s, &[shape]);
     }
 
