@@ -1,4 +1,4 @@
-//! Path of a driven robot: a sequence of legs with smooth velocity changes.
+//! Path of a robot that commands may drive: a sequence of legs with smooth velocity changes.
 //!
 //! Input: commanded velocities with start and end times, and additional pushes. Output: the robot's motion at any time in
 //! closed form, so that cameras with different exposure times see the same world. On a leg, the velocity approaches its
@@ -48,14 +48,16 @@ pub(super) struct Walls {
     pub max_m: Vector3<f64>,
 }
 
-/// A driven robot.
+/// The path of a robot, and the legs that replace it.
 #[derive(Clone, Debug)]
 pub(super) struct DrivenPath {
+    /// The original path.
+    pub path: Path,
     legs: VecDeque<Leg>,
     /// Whether old legs were dropped.
     is_truncated: bool,
-    /// Orientation of a ground robot when it was taken over; it may drive sideways.
-    orientation: UnitQuaternion<f64>,
+    /// Orientation of a ground robot when it was first commanded; it may drive sideways.
+    orientation: Option<UnitQuaternion<f64>>,
     walls: Walls,
     command: Option<Drive>,
     push: Option<Drive>,
@@ -91,15 +93,28 @@ impl Leg {
 }
 
 impl DrivenPath {
-    /// Leaves the original path at `time_s`.
-    pub fn leaving(path: &Path, time_s: f64, walls: Walls) -> Self {
-        let orientation = path.attitude(time_s, &path.motion(time_s)).orientation;
+    pub fn new(path: Path, walls: Walls) -> Self {
         let legs = VecDeque::new();
-        Self { legs, is_truncated: false, orientation, walls, command: None, push: None }
+        Self {
+            path,
+            legs,
+            is_truncated: false,
+            orientation: None,
+            walls,
+            command: None,
+            push: None,
+        }
+    }
+
+    fn take_over(&mut self, time_s: f64) {
+        let path = &self.path;
+        let orientation = || path.attitude(time_s, &path.motion(time_s)).orientation;
+        self.orientation.get_or_insert_with(orientation);
     }
 
     /// Starts at `position_m` with constant velocity at time 0, and discards earlier commands.
     pub fn start_at(&mut self, position_m: Vector3<f64>, velocity_m_s: Vector3<f64>) {
+        self.take_over(0.0);
         self.legs = VecDeque::from([Leg {
             start_s: 0.0,
             position_m,
@@ -110,15 +125,15 @@ impl DrivenPath {
     }
 
     /// Replaces the current command.
-    pub fn command(&mut self, path: &Path, drive: Drive) {
+    pub fn command(&mut self, drive: Drive) {
         self.command = Some(drive);
-        self.plan_legs(path, drive.span_s[0]);
+        self.plan_legs(drive.span_s[0]);
     }
 
     /// Replaces the current push.
-    pub fn push(&mut self, path: &Path, push: Drive) {
+    pub fn push(&mut self, push: Drive) {
         self.push = Some(push);
-        self.plan_legs(path, push.span_s[0]);
+        self.plan_legs(push.span_s[0]);
     }
 
     /// Whether the robot has left its original path.
@@ -127,35 +142,37 @@ impl DrivenPath {
     }
 
     /// Motion at an instant.
-    pub fn motion(&self, path: &Path, time_s: f64) -> Motion {
+    pub fn motion(&self, time_s: f64) -> Motion {
         let free = match self.legs.iter().rev().find(|leg| leg.start_s <= time_s) {
             Some(leg) => leg.motion(time_s),
             None => match self.legs.front() {
                 Some(oldest) if self.is_truncated => oldest.motion(oldest.start_s),
-                _ => return path.motion(time_s),
+                _ => return self.path.motion(time_s),
             },
         };
         self.within_walls(free)
     }
 
     /// Orientation at an instant.
-    pub fn attitude(&self, path: &Path, time_s: f64, motion: &Motion) -> Attitude {
-        if path.is_flying() || !self.has_begun(time_s) {
-            return path.attitude(time_s, motion);
+    pub fn attitude(&self, time_s: f64, motion: &Motion) -> Attitude {
+        match self.orientation {
+            Some(orientation) if self.has_begun(time_s) && !self.path.is_flying() => {
+                Attitude { orientation, angular_velocity_rad_s: Vector3::zeros() }
+            }
+            _ => self.path.attitude(time_s, motion),
         }
-        Attitude { orientation: self.orientation, angular_velocity_rad_s: Vector3::zeros() }
     }
 
     /// Recomputes the legs from `from_s` on.
-    fn plan_legs(&mut self, path: &Path, from_s: f64) {
-        let initial = self.motion(path, from_s);
+    fn plan_legs(&mut self, from_s: f64) {
+        self.take_over(from_s);
+        let mut state = self.motion(from_s);
         self.legs.retain(|leg| leg.start_s < from_s);
         let spans =
             [&self.command, &self.push].into_iter().flatten().flat_map(|drive| drive.span_s);
         let mut change_times_s: Vec<f64> = spans.filter(|&time_s| time_s > from_s).collect();
         change_times_s.push(from_s);
         change_times_s.sort_by(f64::total_cmp);
-        let mut state = initial;
         for start_s in change_times_s {
             if let Some(leg) = self.legs.back().filter(|leg| leg.start_s >= from_s) {
                 state = self.within_walls(leg.motion(start_s));
@@ -207,22 +224,21 @@ mod tests {
     }
 
     /// Commands at 1 s and 2 s, a push at 1.6 s, and no command afterwards.
-    fn driven_path(path: &Path) -> DrivenPath {
-        let mut driven_path = DrivenPath::leaving(path, 1.0, WALLS);
-        driven_path.command(path, drive([1.0, 0.0, 0.0], [1.0, 2.5]));
-        driven_path.push(path, drive([0.0, 1.5, 0.0], [1.6, 2.2]));
-        driven_path.command(path, drive([-0.5, 0.5, 0.0], [2.0, 2.5]));
+    fn driven_path() -> DrivenPath {
+        let mut driven_path = DrivenPath::new(parked(), WALLS);
+        driven_path.command(drive([1.0, 0.0, 0.0], [1.0, 2.5]));
+        driven_path.push(drive([0.0, 1.5, 0.0], [1.6, 2.2]));
+        driven_path.command(drive([-0.5, 0.5, 0.0], [2.0, 2.5]));
         driven_path
     }
 
     #[test]
     fn motion_is_smooth_and_consistent() {
-        let (path, step_s) = (parked(), 1e-5);
-        let driven_path = driven_path(&path);
+        let (driven_path, step_s) = (driven_path(), 1e-5);
         // Includes the starts of legs.
         for time_s in (0..600).map(|i| f64::from(i) * 0.01) {
             let [before, here, after] =
-                [-step_s, 0.0, step_s].map(|off_s| driven_path.motion(&path, time_s + off_s));
+                [-step_s, 0.0, step_s].map(|off_s| driven_path.motion(time_s + off_s));
             let velocity = (after.position_m - before.position_m) / (2.0 * step_s);
             assert!((velocity - here.velocity_m_s).norm() < 1e-4, "{time_s}: {velocity}");
             let acceleration = (after.velocity_m_s - before.velocity_m_s) / (2.0 * step_s);
@@ -232,72 +248,61 @@ mod tests {
 
     #[test]
     fn a_robot_reaches_the_commanded_velocity_and_stops_afterwards() {
-        let path = parked();
-        let mut driven_path = DrivenPath::leaving(&path, 1.0, WALLS);
-        driven_path.command(&path, drive([0.5, -0.25, 0.0], [1.0, 4.0]));
-        let command = driven_path.motion(&path, 3.9).velocity_m_s;
+        let mut driven_path = DrivenPath::new(parked(), WALLS);
+        driven_path.command(drive([0.5, -0.25, 0.0], [1.0, 4.0]));
+        let command = driven_path.motion(3.9).velocity_m_s;
         assert!((command - Vector3::new(0.5, -0.25, 0.0)).norm() < 1e-3, "{command}");
-        let later = driven_path.motion(&path, 8.0);
+        let later = driven_path.motion(8.0);
         assert!(later.velocity_m_s.norm() < 1e-4, "{later:?}");
         // Three seconds of it: the delays of start and stop cancel.
-        let moved = later.position_m - path.motion(0.0).position_m;
+        let moved = later.position_m - parked().motion(0.0).position_m;
         assert!((moved - Vector3::new(1.5, -0.75, 0.0)).norm() < 1e-4, "{moved}");
     }
 
     #[test]
     fn a_placed_robot_keeps_its_velocity_until_commanded() {
-        let path = parked();
-        let mut driven_path = driven_path(&path);
+        let mut driven_path = driven_path();
         let (start_m, velocity_m_s) = (Vector3::new(-2.0, 1.0, 0.3), Vector3::new(0.5, -0.25, 0.0));
         driven_path.start_at(start_m, velocity_m_s);
         for time_s in [0.0, 0.5, 4.0] {
-            let motion = driven_path.motion(&path, time_s);
+            let motion = driven_path.motion(time_s);
             assert!((motion.position_m - start_m - velocity_m_s * time_s).norm() < 1e-12);
             assert_eq!(motion.velocity_m_s, velocity_m_s);
         }
-        driven_path.command(&path, drive([0.0; 3], [5.0, 9.0]));
-        assert!(driven_path.motion(&path, 9.0).velocity_m_s.norm() < 1e-4);
+        driven_path.command(drive([0.0; 3], [5.0, 9.0]));
+        assert!(driven_path.motion(9.0).velocity_m_s.norm() < 1e-4);
     }
 
     #[test]
     fn commands_do_not_change_the_past() {
-        let path = parked();
-        let (whole, mut cut) = (driven_path(&path), driven_path(&path));
-        cut.command(&path, drive([0.0, -1.0, 0.0], [2.3, 9.0]));
+        let (whole, mut cut) = (driven_path(), driven_path());
+        cut.command(drive([0.0, -1.0, 0.0], [2.3, 9.0]));
         for time_s in [0.0, 1.2, 1.9, 2.29] {
-            assert_eq!(
-                whole.motion(&path, time_s).position_m,
-                cut.motion(&path, time_s).position_m
-            );
+            assert_eq!(whole.motion(time_s).position_m, cut.motion(time_s).position_m);
         }
-        assert_ne!(whole.motion(&path, 3.0).position_m, cut.motion(&path, 3.0).position_m);
+        assert_ne!(whole.motion(3.0).position_m, cut.motion(3.0).position_m);
     }
 
     #[test]
     fn walls_stop_a_robot_temporarily() {
-        let path = parked();
-        let mut driven_path = DrivenPath::leaving(&path, 0.0, WALLS);
-        driven_path.command(&path, drive([1.0, 0.2, 1.0], [0.0, 10.0]));
-        let held = driven_path.motion(&path, 9.0);
+        let mut driven_path = DrivenPath::new(parked(), WALLS);
+        driven_path.command(drive([1.0, 0.2, 1.0], [0.0, 10.0]));
+        let held = driven_path.motion(9.0);
         assert_eq!((held.position_m.x, held.position_m.z), (5.0, 0.3));
         assert_eq!((held.velocity_m_s.x, held.velocity_m_s.z), (0.0, 0.0));
-        driven_path.command(&path, drive([-1.0, 0.0, 0.0], [9.0, 12.0]));
-        let free = driven_path.motion(&path, 11.0);
+        driven_path.command(drive([-1.0, 0.0, 0.0], [9.0, 12.0]));
+        let free = driven_path.motion(11.0);
         assert!(free.position_m.x < 4.0, "{free:?}");
     }
 
     #[test]
     fn the_history_of_legs_is_bounded() {
-        let path = parked();
-        let mut driven_path = DrivenPath::leaving(&path, 0.0, WALLS);
+        let mut driven_path = DrivenPath::new(parked(), WALLS);
         for step in 0..10_000 {
             let time_s = f64::from(step) * 0.05;
-            driven_path.command(&path, drive([0.1, 0.0, 0.0], [time_s, time_s + 0.5]));
+            driven_path.command(drive([0.1, 0.0, 0.0], [time_s, time_s + 0.5]));
         }
         assert!(driven_path.legs.len() < 210, "{}", driven_path.legs.len());
-        assert_eq!(
-            driven_path.motion(&path, 1.0).position_m,
-            driven_path.motion(&path, 2.0).position_m
-        );
+        assert_eq!(driven_path.motion(1.0).position_m, driven_path.motion(2.0).position_m);
     }
 }

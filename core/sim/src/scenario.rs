@@ -1,7 +1,5 @@
 //! A seeded world: paths of robots, cameras, and the ground truth.
 
-use std::collections::BTreeMap;
-
 use nalgebra::{Point3, Rotation3, Translation3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -27,9 +25,8 @@ use super::{
 pub struct Scenario {
     params: ScenarioParams,
     cameras: Vec<SimCamera>,
-    paths: Vec<Path>,
-    /// Driven robots by index.
-    driven_paths: BTreeMap<usize, DrivenPath>,
+    /// By robot.
+    paths: Vec<DrivenPath>,
     booms: Vec<Boom>,
     /// By robot.
     codes: Vec<Option<PrintedCode>>,
@@ -100,9 +97,10 @@ impl Scenario {
         };
         let cameras = cameras(&params, &mut stream(1))?;
         let paths = layout::lay_out(&params, &cameras, &mut stream(2))?;
+        let paths = paths.into_iter().map(|path| driven_path(&params, path)).collect();
         let booms = booms(&params, &mut stream(3));
         let codes = codes(&params)?;
-        Ok(Self { params, cameras, paths, driven_paths: BTreeMap::new(), booms, codes })
+        Ok(Self { params, cameras, paths, booms, codes })
     }
 
     /// The demo's installation, [`ScenarioParams::r4_lite`].
@@ -133,13 +131,8 @@ impl Scenario {
     /// One robot, as in [`Scenario::truth`]. Panics if there is no such robot.
     pub fn robot(&self, index: usize, time_s: f64) -> RobotTruth {
         let path = &self.paths[index];
-        let driven_path = self.driven_paths.get(&index);
-        let motion = driven_path
-            .map_or_else(|| path.motion(time_s), |driven_path| driven_path.motion(path, time_s));
-        let attitude = match driven_path {
-            Some(driven_path) => driven_path.attitude(path, time_s, &motion),
-            None => path.attitude(time_s, &motion),
-        };
+        let motion = path.motion(time_s);
+        let attitude = path.attitude(time_s, &motion);
         RobotTruth {
             index,
             kind: KindId((index % self.params.kinds.len()) as u16),
@@ -151,9 +144,8 @@ impl Scenario {
             velocity_m_s: motion.velocity_m_s,
             acceleration_m_s2: motion.acceleration_m_s2,
             angular_velocity_rad_s: attitude.angular_velocity_rad_s,
-            flying: path.is_flying(),
-            still: path.is_still()
-                && driven_path.is_none_or(|driven_path| !driven_path.has_begun(time_s)),
+            flying: path.path.is_flying(),
+            still: path.path.is_still() && !path.has_begun(time_s),
         }
     }
 
@@ -161,44 +153,23 @@ impl Scenario {
     /// The robot stops at its end. A ground robot keeps its height and orientation. Panics if there is no such
     /// robot.
     pub fn drive(&mut self, index: usize, drive: Drive) {
-        let (path, driven_path) = self.driven_path(index, drive.span_s[0]);
-        driven_path.command(path, drive);
+        self.paths[index].command(drive);
     }
 
     /// Places a robot at the scenario's start with constant velocity. A ground robot keeps its height, and no robot
     /// leaves the arena. Panics if there is no such robot.
     pub fn place(&mut self, index: usize, position_m: Vector3<f64>, velocity_m_s: Vector3<f64>) {
-        self.driven_path(index, 0.0).1.start_at(position_m, velocity_m_s);
+        self.paths[index].start_at(position_m, velocity_m_s);
     }
 
     /// Adds a velocity to a robot's motion for a limited time, as in [`Scenario::drive`].
     pub fn push(&mut self, index: usize, push: Drive) {
-        let (path, driven_path) = self.driven_path(index, push.span_s[0]);
-        driven_path.push(path, push);
+        self.paths[index].push(push);
     }
 
     /// Adopts the commands of another scenario with the same parameters.
     pub(super) fn follow(&mut self, other: &Self) {
-        self.driven_paths.clone_from(&other.driven_paths);
-    }
-
-    fn driven_path(&mut self, index: usize, time_s: f64) -> (&Path, &mut DrivenPath) {
-        let path = &self.paths[index];
-        let [width_m, depth_m] = self.params.arena_m;
-        let z_m = if path.is_flying() {
-            [layout::FLYING_LOW_M, self.params.flying_top_m]
-        } else {
-            [self.params.roundel_height_m; 2]
-        };
-        let walls = Walls {
-            min_m: Vector3::new(-width_m / 2.0, -depth_m / 2.0, z_m[0]),
-            max_m: Vector3::new(width_m / 2.0, depth_m / 2.0, z_m[1]),
-        };
-        let driven_path = self
-            .driven_paths
-            .entry(index)
-            .or_insert_with(|| DrivenPath::leaving(path, time_s, walls));
-        (path, driven_path)
+        self.paths.clone_from(&other.paths);
     }
 
     /// The printed word of a robot's code; `None` for a plain roundel.
@@ -243,6 +214,21 @@ impl Scenario {
     pub(super) fn booms_at(&self, time_s: f64) -> Vec<BoomPose> {
         self.booms.iter().map(|boom| boom.pose(time_s)).collect()
     }
+}
+
+/// A path within the arena, and for ground robots at their height.
+fn driven_path(params: &ScenarioParams, path: Path) -> DrivenPath {
+    let half_m = params.arena_m.map(|side_m| side_m / 2.0);
+    let z_m = if path.is_flying() {
+        [layout::FLYING_LOW_M, params.flying_top_m]
+    } else {
+        [params.roundel_height_m; 2]
+    };
+    let walls = Walls {
+        min_m: Vector3::new(-half_m[0], -half_m[1], z_m[0]),
+        max_m: Vector3::new(half_m[0], half_m[1], z_m[1]),
+    };
+    DrivenPath::new(path, walls)
 }
 
 /// Codes of all robots: those of each kind in order.
