@@ -36,7 +36,6 @@ mod ray;
 mod render;
 mod scenario;
 mod sim_camera;
-mod teeth;
 
 pub use driven_path::Drive;
 pub use params::{CameraMount, ImageParams, Optics, ScenarioError, ScenarioParams};

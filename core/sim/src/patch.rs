@@ -14,7 +14,10 @@
 use nalgebra::{Isometry3, Matrix2, Matrix3, Point3, Vector2, Vector3};
 
 use super::{
-    albedo::PlanePoint, light::falloff, noise::STEPS_PER_LEVEL, ray::RayRow, teeth::Teeth,
+    albedo::{PlanePoint, Teeth},
+    light::falloff,
+    noise::STEPS_PER_LEVEL,
+    ray::RayRow,
 };
 use roundel_vision::camera::{Camera, PixelPoint};
 

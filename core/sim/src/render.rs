@@ -8,6 +8,7 @@ use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 use thiserror::Error;
 
 use super::{
+    albedo::Teeth,
     canvas::Canvas,
     floor::Floor,
     light::Light,
@@ -17,7 +18,6 @@ use super::{
     ray::RayGrid,
     scenario::{RobotTruth, Scenario},
     sim_camera::SimCamera,
-    teeth::Teeth,
 };
 use roundel_vision::{marker::Pattern, rigid::Rigid};
 
@@ -246,6 +246,13 @@ mod tests {
         pose::Locator,
     };
 
+    /// Capture time and pixels.
+    fn rendered(scenario: &Scenario, camera: usize, frame: u64) -> (f64, Vec<u8>) {
+        let mut renderer = Renderer::new(scenario, camera).unwrap();
+        let mut pixels = vec![0; renderer.camera.camera.width() * renderer.camera.camera.height()];
+        (renderer.render(frame, &mut pixels).unwrap(), pixels)
+    }
+
     #[test]
     fn frames_repeat_bit_by_bit_in_any_order() {
         let scenario = Scenario::r4_lite(4);
@@ -261,9 +268,8 @@ mod tests {
         assert!(one == fresh, "two renderers differ");
         second.render(501, fresh).unwrap();
         assert!(one != fresh, "consecutive frames are the same");
-        let elsewhere = Scenario::r4_lite(5);
-        Renderer::new(&elsewhere, 1).unwrap().render(500, fresh).unwrap();
-        assert!(one != fresh, "two seeds give the same frame");
+        let (_, elsewhere) = rendered(&Scenario::r4_lite(5), 1, 500);
+        assert!(*one != elsewhere, "two seeds give the same frame");
     }
 
     #[test]
@@ -273,8 +279,7 @@ mod tests {
         params.image.light_gradient = 0.2;
         let scenario = Scenario::new(params).unwrap();
         for camera in 0..4 {
-            let mut pixels = vec![0; 1280 * 720];
-            Renderer::new(&scenario, camera).unwrap().render(9, &mut pixels).unwrap();
+            let (_, pixels) = rendered(&scenario, camera, 9);
             let share = |from: u8, to: u8| {
                 let count = pixels.iter().filter(|pixel| (from..=to).contains(pixel)).count();
                 count as f64 / pixels.len() as f64
@@ -295,8 +300,7 @@ mod tests {
         let (mut read, mut large) = (0, 0);
         for (index, camera) in scenario.cameras().iter().enumerate() {
             let (width, height) = (camera.camera.width(), camera.camera.height());
-            let mut pixels = vec![0; width * height];
-            let time_s = Renderer::new(&scenario, index).unwrap().render(70, &mut pixels).unwrap();
+            let (time_s, pixels) = rendered(&scenario, index, 70);
             let frame = Frame::new(&pixels, width, height, width).unwrap();
             for ring in detector.detect(&frame, &mut Scratch::default()) {
                 let seen = ring.outer.center;
@@ -330,8 +334,7 @@ mod tests {
         let mut seen = 0;
         for (index, camera) in scenario.cameras().iter().enumerate() {
             let (width, height) = (camera.camera.width(), camera.camera.height());
-            let mut pixels = vec![0; width * height];
-            let time_s = Renderer::new(&scenario, index).unwrap().render(70, &mut pixels).unwrap();
+            let (time_s, pixels) = rendered(&scenario, index, 70);
             let frame = Frame::new(&pixels, width, height, width).unwrap();
             let mut locator =
                 Locator::new(camera.camera.clone(), params.kinds.clone(), Mode::Precise);
