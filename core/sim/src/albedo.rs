@@ -119,7 +119,6 @@ impl Radial {
     }
 }
 
-/// Maximum number of teeth.
 const MAX_TEETH: usize = CodeLayout::BITS.1 as usize;
 
 /// Teeth of a coded roundel between the rim of the white disc and its core, each the wedge between two half planes.

@@ -25,7 +25,6 @@ pub(super) struct Floor {
     boxes: Vec<Crate>,
 }
 
-/// A flat mark on the floor.
 struct Mark {
     center_m: [f64; 2],
     axis: [f64; 2],

@@ -23,10 +23,8 @@ use roundel_vision::camera::{Camera, PixelPoint};
 
 /// Extent of an edge in standard deviations.
 const REACH_SIGMA: f64 = 3.6;
-/// Full scale of the working image.
 const FULL_SCALE: f32 = 255.0 * STEPS_PER_LEVEL as f32;
 
-/// A shape in its own plane, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Shape<'a> {
     /// Disc of constant albedo.
@@ -50,7 +48,6 @@ pub(super) enum Inside<'a> {
     Teeth(&'a Teeth),
 }
 
-/// White sheet of a roundel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Sheet {
     /// Half of the side.
@@ -82,7 +79,6 @@ pub(super) struct Patch {
     metres_per_px: f64,
 }
 
-/// Light, motion and blur of a patch.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Setting {
     /// Light at the origin, and its slope along the plane's X and Y, per metre.

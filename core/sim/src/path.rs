@@ -17,16 +17,12 @@ const SQUARENESS: f64 = 0.08;
 /// Standard gravity, m/s².
 const GRAVITY_M_S2: f64 = 9.806_65;
 
-/// Path of a robot.
 #[derive(Clone, Debug)]
 pub(super) enum Path {
-    /// Parked.
     Still { position_m: Vector3<f64>, yaw_rad: f64 },
-    /// On a lane.
     Lane(LanePath),
 }
 
-/// Path of a robot along its lane.
 #[derive(Clone, Debug)]
 pub(super) struct LanePath {
     /// Semiaxes a, b of the lane.
@@ -162,7 +158,6 @@ pub(super) fn lane_point(semiaxes_m: [f64; 2], angle_rad: f64) -> [f64; 2] {
     [semiaxes_m[0] * x.0[0], semiaxes_m[1] * y.0[0]]
 }
 
-/// Length of a lane, metres.
 pub(super) fn lane_length_m(semiaxes_m: [f64; 2]) -> f64 {
     const STEPS: usize = 256;
     let point = |i: usize| {

@@ -81,7 +81,6 @@ pub(super) struct BoomPose {
     pub half_m: [f64; 2],
 }
 
-/// Half of a boom's width, metres.
 const BOOM_HALF_WIDTH_M: f64 = 0.045;
 
 impl Scenario {

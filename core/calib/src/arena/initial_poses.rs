@@ -27,7 +27,6 @@ const ROUNDS: usize = 6;
 /// Minimum rms spread of the pairs in two directions, metres.
 pub(super) const MIN_SPREAD_M: f64 = 0.15;
 
-/// Pose of one camera relative to another.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RelativePose {
     one: usize,

@@ -16,7 +16,6 @@ use roundel_vision::{
     time::Timestamp,
 };
 
-/// Minimum number of readings of a code.
 const MIN_READINGS: u32 = 3;
 /// Minimum share of readings that must agree.
 const AGREEMENT: f64 = 0.7;
@@ -33,7 +32,6 @@ struct TrackedRoundel {
     samples: Vec<Sample>,
 }
 
-/// A detection.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sample {
     /// Seconds by the camera's clock, since the recording's epoch.
@@ -61,7 +59,6 @@ struct CameraTiming {
     min_lateness_s: f64,
 }
 
-/// Identity of a roundel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum RoundelKey {
     /// The same in all cameras.
@@ -70,10 +67,8 @@ pub(super) enum RoundelKey {
     Uncoded(CameraId, TrackNumber),
 }
 
-/// Samples by roundel and camera.
 pub(super) type SamplesByRoundel = BTreeMap<RoundelKey, BTreeMap<CameraId, RoundelSamples>>;
 
-/// Samples of one roundel in one camera.
 #[derive(Clone, Debug)]
 pub(super) struct RoundelSamples {
     pub(super) kind: Option<KindId>,
@@ -139,7 +134,6 @@ impl Recording {
         self.cameras.get(&camera).map_or(0, |timing| timing.frames)
     }
 
-    /// Whether a camera saw any roundel.
     pub(super) fn has_seen(&self, camera: CameraId) -> bool {
         self.tracked.keys().any(|(of, _)| *of == camera)
     }

@@ -36,7 +36,6 @@ const OUTLIER_SQUARED: f64 = 30.7;
 /// Minimum distance of an outlier from its stated position, metres.
 const MIN_OUTLIER_M: f64 = 0.002;
 
-/// A reference and its observations.
 #[derive(Clone, Debug)]
 pub(super) struct ObservedReference {
     /// Index in the given order.
@@ -47,7 +46,6 @@ pub(super) struct ObservedReference {
     pub(super) seen: Vec<(usize, Sample)>,
 }
 
-/// All usable references.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ReferenceSet {
     pub(super) references: Vec<ObservedReference>,
@@ -273,7 +271,6 @@ struct SeenReference {
     sighting: Sighting,
 }
 
-/// References that a camera sees.
 fn view(
     reference_set: &ReferenceSet,
     camera: usize,

@@ -164,7 +164,6 @@ fn findings_before(survey: &Survey<'_>) -> Vec<Finding> {
     findings
 }
 
-/// Residuals of one camera after the adjustment.
 #[derive(Clone, Debug, Default)]
 struct CameraResiduals {
     /// Squared errors of the used sightings.

@@ -24,7 +24,6 @@ const FORGOTTEN_BINS: i64 = 2400;
 /// Minimum standard deviation of a landmark, metres.
 const MIN_DEVIATION_M: f64 = 2e-5;
 
-/// Identity of a roundel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Roundel {
     /// Index of a landmark.
@@ -64,7 +63,6 @@ impl CoObservation {
     }
 }
 
-/// Resting times of roundels.
 #[derive(Clone, Debug, Default)]
 pub(super) struct RestTimes {
     /// Position, bin of arrival, and bin of the last view.

@@ -22,7 +22,6 @@ const EVERY: i64 = 8;
 /// Minimum share of the window that must be filled.
 const MIN_SHARE: f64 = 0.7;
 
-/// Parameters of a pose.
 const NUMBERS: usize = 6;
 
 /// Estimated displacement of a camera.
@@ -115,7 +114,6 @@ impl Drift {
         })
     }
 
-    /// Whether the window is sufficiently filled.
     pub(super) fn is_filled(&self) -> bool {
         self.filled >= MIN_SHARE
     }
@@ -144,7 +142,6 @@ impl Drift {
         (is_sure && best.moved_m > params.min_drift_m).then_some((slot, best))
     }
 
-    /// Adds a camera.
     pub(super) fn grow(&mut self) {
         self.levers.push((Matrix6::zeros(), 0.0));
         let numbers = self.levers.len() * NUMBERS;

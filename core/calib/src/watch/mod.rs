@@ -135,7 +135,6 @@ impl Default for WatchParams {
     }
 }
 
-/// A supervised camera.
 #[derive(Clone, Debug)]
 struct CameraSlot {
     camera: CameraId,
@@ -337,7 +336,6 @@ impl Watch {
         }
     }
 
-    /// Drops all evidence.
     fn forget(&mut self) {
         self.bins.clear();
         self.drift = Drift::new(self.slots.len());
@@ -399,7 +397,6 @@ impl Watch {
         match_views(&singles, &poses, &self.landmarks, &mut self.rest_times, bin)
     }
 
-    /// Advances the recovery of moved cameras.
     fn recover(&mut self, groups: &[CoObservation]) {
         let others = self.poses();
         for index in 0..self.slots.len() {

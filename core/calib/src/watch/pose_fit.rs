@@ -27,10 +27,8 @@ const PRIOR: (f64, f64) = (0.5, 0.2);
 /// Median of χ² over its degrees of freedom, for about five of them.
 const MEDIAN_SHARE: f64 = 0.87;
 
-/// Slot of a landmark.
 const LANDMARK: usize = usize::MAX;
 
-/// A view in the world frame.
 #[derive(Clone, Copy, Debug)]
 struct WorldView {
     slot: usize,
@@ -40,7 +38,6 @@ struct WorldView {
     weight: Matrix3<f64>,
 }
 
-/// A co-observation in the world frame.
 #[derive(Clone, Debug)]
 pub(super) struct Comparison {
     pub(super) roundel: Roundel,
@@ -49,7 +46,6 @@ pub(super) struct Comparison {
     pub(super) energy: f64,
 }
 
-/// The best pose of a camera.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PoseFit {
     pub(super) pose: Rigid,
@@ -67,7 +63,6 @@ pub(super) fn jacobian(arm_m: &Vector3<f64>) -> SMatrix<f64, 3, 6> {
     jacobian
 }
 
-/// A pose moved by δ.
 pub(super) fn moved(pose: &Rigid, change: &Vector6<f64>) -> Rigid {
     let turn = UnitQuaternion::from_scaled_axis(change.fixed_rows::<3>(3).into_owned());
     let mut rotation = turn * pose.rotation;
@@ -125,7 +120,6 @@ impl Comparison {
         (comparison.world_views.len() > 1).then_some(comparison)
     }
 
-    /// Slots of its cameras.
     pub(super) fn slots(&self) -> impl Iterator<Item = usize> {
         self.world_views.iter().map(|world_view| world_view.slot).filter(|slot| *slot != LANDMARK)
     }
@@ -194,7 +188,6 @@ fn world_view(
     Some(WorldView { slot, position_m, world_m, covariance, weight })
 }
 
-/// Robust cost of all comparisons.
 pub(super) fn cost(comparisons: &[Comparison]) -> f64 {
     comparisons.iter().map(|comparison| huber(comparison.energy).0).sum()
 }

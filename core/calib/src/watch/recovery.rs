@@ -17,7 +17,6 @@ use roundel_vision::rigid::{Rigid, mahalanobis_squared};
 
 /// Bins of a pose estimate for the check of rest, and of the final check.
 const CHECK_BINS: usize = 4;
-/// Maximum number of bins.
 const MAX_BINS: usize = 240;
 /// Poses that differ by more than both limits indicate motion: χ² of 6 beyond 1 - 10⁻⁶, and metres.
 const MOVES_SQUARED: f64 = 40.0;
@@ -29,7 +28,6 @@ const REJECTED_M: f64 = 1.5e-3;
 /// A camera that is not in use.
 #[derive(Clone, Debug)]
 pub(super) struct Recovery {
-    /// Current estimate.
     pub(super) pose: Rigid,
     /// Co-observations with cameras in use by bin, the newest last.
     bins: VecDeque<Vec<CoObservation>>,
@@ -59,7 +57,6 @@ impl Recovery {
         (fixed.map(|group| group.roundel).collect(), others.filter(|it| *it != slot).collect())
     }
 
-    /// Drops all views.
     pub(super) fn restart(&mut self) {
         *self = Self::new(self.pose);
     }

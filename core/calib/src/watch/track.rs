@@ -41,7 +41,6 @@ const CURVATURE_M: f64 = 1.5e-4;
 /// Maximum variance of usable positions, metres².
 const WORST_M2: f64 = 1.0;
 
-/// A position in the camera's frame.
 #[derive(Clone, Copy, Debug)]
 struct Sample {
     time: Timestamp,
@@ -52,7 +51,6 @@ struct Sample {
 /// View of a roundel at the centre of a bin.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RoundelView {
-    /// Camera frame, metres.
     pub(super) position_m: Vector3<f64>,
     /// Mean of the stated covariances.
     pub(super) covariance: Matrix3<f64>,
@@ -62,7 +60,6 @@ pub(super) struct RoundelView {
     pub(super) added_m2: f64,
 }
 
-/// One roundel in one camera.
 #[derive(Clone, Debug)]
 pub(super) struct RoundelTrack {
     pub(super) kind: KindId,

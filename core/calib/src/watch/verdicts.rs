@@ -19,7 +19,6 @@ const UNCLEAR_STREAK: usize = 8;
 /// … and for the end of one.
 const AGREED_STREAK: usize = 12;
 
-/// Identical verdicts on one window.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Streak {
     pub(super) slots: Vec<usize>,
@@ -77,7 +76,6 @@ impl Watch {
         self.slots.iter().map(min_m).collect()
     }
 
-    /// Trusts the cameras that agree with others.
     fn trust(&mut self, comparisons: &[Comparison]) {
         for index in 0..self.slots.len() {
             if !self.slots[index].is_trusted && has_enough_roundels(comparisons, index) {

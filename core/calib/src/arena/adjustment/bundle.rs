@@ -39,7 +39,6 @@ const MAX_STEPS: usize = 60;
 const CONVERGED: f64 = 1e-3;
 const MAX_DAMPING: f64 = 1e6;
 
-/// State of the adjustment.
 pub(crate) struct Bundle {
     pub(crate) blocks: Vec<CameraBlock>,
     pub(crate) tracks: Vec<TrackBlock>,
@@ -55,7 +54,6 @@ pub(crate) struct Outcome {
     pub(crate) excess: f64,
 }
 
-/// Reduced camera equations.
 pub(crate) struct Equations {
     normal: NormalEquations,
     reduced: Vec<Reduced>,
@@ -234,7 +232,6 @@ pub(crate) fn excess_squared(squares: &mut [f64]) -> f64 {
     median(squares).map_or(1.0, |median| median.min(1e12) / MEDIAN)
 }
 
-/// Columns of the unknowns of these cameras.
 fn columns_of(cameras: &[usize], dims: usize) -> Vec<usize> {
     cameras.iter().flat_map(|camera| camera * dims..(camera + 1) * dims).collect()
 }

@@ -16,7 +16,6 @@ use roundel_vision::{
 pub(crate) const UNKNOWNS: usize = 12;
 /// Unknowns without those of the lens.
 pub(crate) const POSE_AND_CLOCK: usize = 8;
-/// Unknowns of the lens.
 const LENS: usize = UNKNOWNS - POSE_AND_CLOCK;
 /// Steps of the numerical derivatives by the lens: ln f, pixels, coefficient.
 const STEPS: [f64; LENS] = [1e-4, 0.1, 0.1, 1e-4];
@@ -57,7 +56,6 @@ impl CameraBlock {
         Self { world_from_camera, offset_s, skew: 0.0, prior_deviations, lens }
     }
 
-    /// Whether the lens is among the unknowns.
     pub(crate) fn refines_lens(&self) -> bool {
         self.lens.is_some()
     }
@@ -70,7 +68,6 @@ impl CameraBlock {
         (6..dims).map(move |number| (number, values[number - 6], weights[number - 6]))
     }
 
-    /// Current estimate of the lens.
     pub(crate) fn lens(&self) -> Option<&Camera> {
         self.lens.as_ref().map(|lens| &lens.now)
     }

@@ -22,14 +22,12 @@ pub(crate) struct Instant {
     /// First of the `count` control points that contribute.
     pub(crate) first: usize,
     pub(crate) count: usize,
-    /// Weights of the control points.
     pub(crate) weights: [f64; 4],
     pub(crate) position_m: Vector3<f64>,
     pub(crate) velocity_m_s: Vector3<f64>,
 }
 
 impl Spline {
-    /// Path of a stationary roundel.
     pub(crate) fn constant(position_m: Vector3<f64>) -> Self {
         Self { start_s: 0.0, knot_s: 1.0, points_m: vec![position_m] }
     }

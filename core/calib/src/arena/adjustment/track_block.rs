@@ -20,7 +20,6 @@ use super::{
 /// Typical jerk, the prior where there are no sightings, m/s³.
 const JERK_M_S3: f64 = 40.0;
 
-/// A sighting of one camera.
 #[derive(Clone, Debug)]
 pub(crate) struct Observation {
     /// Index of the camera block.
@@ -46,7 +45,6 @@ pub(crate) struct TrackBlock {
     pub(crate) cameras: Arc<[usize]>,
 }
 
-/// Normal equations of one roundel.
 struct Normal {
     band: Band,
     /// Rows of the spline, columns of its cameras.

@@ -16,7 +16,6 @@ const FOCAL_SHARES: (f64, f64) = (0.2, 20.0);
 
 pub(crate) struct InitialEstimate {
     pub(crate) focal_px: f64,
-    /// The usable views.
     pub(crate) views: Vec<InitialView>,
 }
 

@@ -70,7 +70,6 @@ pub(crate) fn select_model(
 pub(crate) struct ScoredFit<T> {
     pub(crate) model: DistortionModel,
     pub(crate) rms_px: f64,
-    /// Schwarz's criterion.
     pub(crate) criterion: f64,
     /// Number of fitted values.
     pub(crate) count: f64,

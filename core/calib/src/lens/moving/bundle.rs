@@ -40,7 +40,6 @@ const CLOCK: usize = 2;
 
 #[derive(Clone)]
 pub(super) struct Observation {
-    /// Index of the trajectory.
     pub(super) trajectory: usize,
     pub(super) stamp_s: f64,
     pub(super) observed: Vector2<f64>,
@@ -141,7 +140,6 @@ impl<'a> Bundle<'a> {
         Some(Residual { at, error, jacobian, rotated_m, position_m })
     }
 
-    /// Updates the centroids' offsets and the weights.
     fn update_weights(&mut self) -> Option<()> {
         let camera = self.parameters.camera()?;
         let mut observations = std::mem::take(&mut self.observations);
