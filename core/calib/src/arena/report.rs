@@ -252,8 +252,8 @@ fn calibrated(
         let at = first + number;
         outcome.covariance[(at, at)].max(0.0).sqrt()
     };
-    let lens = block.lens().map(|lens| RefinedLens {
-        camera: lens.clone(),
+    let lens = block.lens.as_ref().map(|lens| RefinedLens {
+        camera: lens.now.clone(),
         deviations: std::array::from_fn(|number| deviation(POSE_AND_CLOCK + number)),
     });
     CalibratedCamera {

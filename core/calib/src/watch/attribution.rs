@@ -46,10 +46,6 @@ struct Hypothesis {
 }
 
 impl Hypothesis {
-    fn is_move(&self, min_m: &[f64]) -> bool {
-        self.freed.iter().all(|(slot, fit)| fit.moved_m > min_m[*slot])
-    }
-
     fn slots(&self) -> Vec<usize> {
         let mut slots: Vec<usize> = self.freed.iter().map(|(slot, _)| *slot).collect();
         slots.sort_unstable();
@@ -90,11 +86,8 @@ pub(super) fn attribute(
     if !is_enough {
         for (rank, first) in singles.iter().enumerate().take(MAX_FIRST_CAMERAS) {
             for second in &singles[rank + 1..] {
-                pairs.extend(free_cameras(
-                    comparisons,
-                    poses,
-                    &[first.freed[0].0, second.freed[0].0],
-                ));
+                let slots = [first.freed[0].0, second.freed[0].0];
+                pairs.extend(free_cameras(comparisons, poses, &slots));
             }
         }
         pairs.sort_by(|one, other| one.cost.total_cmp(&other.cost));
@@ -102,7 +95,8 @@ pub(super) fn attribute(
     // Disagreement that no motion explains is noise. While the moved camera is unknown, the estimate of the noise
     // is too high.
     let is_better = |pair: &&Hypothesis| {
-        best.cost - pair.cost > SURE_GAIN * excess(&pair.comparisons) && pair.is_move(min_m)
+        best.cost - pair.cost > SURE_GAIN * excess(&pair.comparisons)
+            && pair.freed.iter().all(|(slot, fit)| fit.moved_m > min_m[*slot])
     };
     let sorted = if pairs.first().filter(is_better).is_some() { &pairs } else { &singles };
     let scale = excess(&sorted[0].comparisons);

@@ -3,7 +3,7 @@
 //! Roundels are identified by kind and code. Views without a code match if each is the other's nearest in the world and no
 //! other is near ([`NEAR_M`]).
 
-use std::collections::{BTreeMap, btree_map::Entry};
+use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Point3, Vector3};
 
@@ -92,18 +92,9 @@ pub(super) fn match_views(
     rest_times: &mut RestTimes,
     bin: i64,
 ) -> Vec<CoObservation> {
-    let mut groups: BTreeMap<Roundel, Option<Vec<(usize, RoundelView)>>> = BTreeMap::new();
-    let mut add = |roundel: Roundel, single: &SingleView| match groups.entry(roundel) {
-        Entry::Vacant(entry) => {
-            entry.insert(Some(vec![(single.slot, single.view)]));
-        }
-        Entry::Occupied(mut entry) => match entry.get_mut() {
-            Some(views) if views.iter().all(|(slot, _)| *slot != single.slot) => {
-                views.push((single.slot, single.view));
-            }
-            // Seen twice by one camera: ambiguous.
-            twice => *twice = None,
-        },
+    let mut groups: BTreeMap<Roundel, Vec<(usize, RoundelView)>> = BTreeMap::new();
+    let mut add = |roundel: Roundel, single: &SingleView| {
+        groups.entry(roundel).or_default().push((single.slot, single.view));
     };
     let mut uncoded: Vec<(&SingleView, Vector3<f64>)> = Vec::new();
     for single in singles {
@@ -128,15 +119,16 @@ pub(super) fn match_views(
         add(roundel, single);
     }
     rest_times.forget(bin);
-    let group = |(roundel, views): (Roundel, Option<Vec<(usize, RoundelView)>>)| {
-        let views = views?;
+    let group = |(roundel, views): (Roundel, Vec<(usize, RoundelView)>)| {
         let fixed = if let Roundel::Fixed(index) = roundel {
             let deviation_m = landmarks[index].position_deviation_m.max(MIN_DEVIATION_M);
             Some((landmarks[index].position_m, deviation_m * deviation_m))
         } else {
             None
         };
-        if views.len() + usize::from(fixed.is_some()) < 2 {
+        let slots: BTreeSet<usize> = views.iter().map(|(slot, _)| *slot).collect();
+        let is_twice_in_one = slots.len() < views.len();
+        if is_twice_in_one || views.len() + usize::from(fixed.is_some()) < 2 {
             return None;
         }
         let (slot, view) = &views[0];

@@ -70,12 +70,9 @@ impl Recovery {
         params: &WatchParams,
     ) -> Option<PoseFit> {
         let is_usable = |group: &&CoObservation| {
-            let sees = |wanted: bool| {
-                group.views.iter().any(|(it, _)| {
-                    if wanted { *it == slot } else { *it != slot && others[*it].is_some() }
-                })
-            };
-            sees(true) && (sees(false) || group.fixed.is_some())
+            let mut slots = group.views.iter().map(|(slot, _)| *slot);
+            let is_known = |it: usize| it != slot && others[it].is_some();
+            slots.clone().any(|it| it == slot) && (group.fixed.is_some() || slots.any(is_known))
         };
         let usable: Vec<CoObservation> = groups.iter().filter(is_usable).cloned().collect();
         if usable.is_empty() {

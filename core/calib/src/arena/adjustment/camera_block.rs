@@ -31,14 +31,14 @@ pub(crate) struct CameraBlock {
     /// Prior deviations of clock and lens; the pose is free.
     prior_deviations: [f64; UNKNOWNS - 6],
     /// The given lens and its current estimate, if it is refined.
-    lens: Option<LensEstimate>,
+    pub(crate) lens: Option<LensEstimate>,
 }
 
 #[derive(Clone, Debug)]
-struct LensEstimate {
+pub(crate) struct LensEstimate {
     given: Camera,
     change: [f64; LENS],
-    now: Camera,
+    pub(crate) now: Camera,
     /// The current lens with one parameter changed by its step.
     stepped: [Camera; LENS],
 }
@@ -56,20 +56,12 @@ impl CameraBlock {
         Self { world_from_camera, offset_s, skew: 0.0, prior_deviations, lens }
     }
 
-    pub(crate) fn refines_lens(&self) -> bool {
-        self.lens.is_some()
-    }
-
     /// Index, value and weight of each prior, for the first `dims` unknowns.
     pub(crate) fn priors(&self, dims: usize) -> impl Iterator<Item = (usize, f64, f64)> {
         let lens = self.lens.as_ref().map_or([0.0; LENS], |lens| lens.change);
         let values = [self.offset_s, self.skew, lens[0], lens[1], lens[2], lens[3]];
         let weights = self.prior_deviations.map(|deviation| deviation.powi(-2));
         (6..dims).map(move |number| (number, values[number - 6], weights[number - 6]))
-    }
-
-    pub(crate) fn lens(&self) -> Option<&Camera> {
-        self.lens.as_ref().map(|lens| &lens.now)
     }
 
     /// Common time of a stamp, both relative to the middle of the recording.

@@ -332,7 +332,7 @@ impl Normal {
 }
 
 pub(crate) fn unknowns_per_camera(blocks: &[CameraBlock]) -> usize {
-    if blocks.iter().any(CameraBlock::refines_lens) { UNKNOWNS } else { POSE_AND_CLOCK }
+    if blocks.iter().any(|block| block.lens.is_some()) { UNKNOWNS } else { POSE_AND_CLOCK }
 }
 
 /// Geman-McClure loss of a squared residual, bounded by `scale`.

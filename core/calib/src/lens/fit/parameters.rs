@@ -15,8 +15,8 @@ const DIFFERENCE_STEP: f64 = 1e-6;
 
 #[derive(Clone)]
 pub(crate) struct CameraParameters {
-    size: (usize, usize),
-    model: DistortionModel,
+    pub(crate) size: (usize, usize),
+    pub(crate) model: DistortionModel,
     /// fx, fy, cx, cy, then all coefficients of the lens in ROS order.
     parameters: Vec<f64>,
 }
@@ -44,14 +44,6 @@ impl CameraParameters {
             self.parameters[..PINHOLE_COUNT + usize::from(is_same_family)].to_vec();
         parameters.resize(PINHOLE_COUNT + model.coefficients(), 0.0);
         Self { size: self.size, model, parameters }
-    }
-
-    pub(crate) fn size(&self) -> (usize, usize) {
-        self.size
-    }
-
-    pub(crate) fn model(&self) -> DistortionModel {
-        self.model
     }
 
     /// Number of estimated parameters: fx, fy, cx, cy and the model's free coefficients.

@@ -269,7 +269,7 @@ fn best<'a>(
     let (noise, inflation) = (min.bundle.noise, min.inflation);
     let scored = |fit: Fit<'a>| {
         let parameters = &fit.bundle.parameters;
-        let (model, parameters) = (parameters.model(), parameters.unknowns() as f64);
+        let (model, parameters) = (parameters.model, parameters.unknowns() as f64);
         let fit = of(model, Some(noise))?;
         let count = 2.0 * fit.bundle.observations.len() as f64;
         let criterion = (fit.squares / count).max(1e-300).ln() * count / inflation
@@ -293,7 +293,7 @@ fn finish(
         let at = (share * depths_m.len() as f64) as usize;
         depths_m.get(at.min(depths_m.len().saturating_sub(1))).copied().unwrap_or_default()
     });
-    let zones = zones(&bundle.observations, bundle.parameters.size());
+    let zones = zones(&bundle.observations, bundle.parameters.size);
     let mut missing = Vec::new();
     let [nearest_m, farthest_m] = depths_m;
     let focal_px = fit.camera.intrinsics().fx_px;
@@ -311,7 +311,7 @@ fn finish(
     Ok(MovingLens {
         lens: LensCalibration {
             camera: fit.camera.clone(),
-            model: bundle.parameters.model(),
+            model: bundle.parameters.model,
             covariance: fit.covariance.view((0, 0), (lens, lens)).into_owned(),
             rms_px: fit.rms_px,
             views: Vec::new(),

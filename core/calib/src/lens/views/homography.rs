@@ -108,26 +108,25 @@ impl BoardHomography {
 
 /// Direct linear transform with normalized coordinates (Hartley 1997).
 fn dlt(sightings: &[(Point2<f64>, Sighting)]) -> Option<Matrix3<f64>> {
-    let scaled = |points: &[Point2<f64>]| {
+    let scaled = |points: &[Vector3<f64>]| {
         let count = points.len() as f64;
-        let mean =
-            points.iter().fold(Vector3::zeros(), |sum, it| sum + Vector3::new(it.x, it.y, 0.0))
-                / count;
+        let mean = points.iter().sum::<Vector3<f64>>() / count;
         let spread =
             points.iter().map(|it| (it.x - mean.x).hypot(it.y - mean.y)).sum::<f64>() / count;
         let scale = 1.0 / spread.max(1e-12);
         Matrix3::new(scale, 0.0, -scale * mean.x, 0.0, scale, -scale * mean.y, 0.0, 0.0, 1.0)
     };
-    let board: Vec<_> = sightings.iter().map(|(board_m, _)| *board_m).collect();
-    let image: Vec<_> = sightings
+    let homogeneous = |x: f64, y: f64| Vector3::new(x, y, 1.0);
+    let (board, image): (Vec<_>, Vec<_>) = sightings
         .iter()
-        .map(|(_, observed)| Point2::new(observed.center.u, observed.center.v))
-        .collect();
+        .map(|(at, Sighting { center, .. })| {
+            (homogeneous(at.x, at.y), homogeneous(center.u, center.v))
+        })
+        .unzip();
     let (board_normalizer, image_normalizer) = (scaled(&board), scaled(&image));
     let mut normal = SMatrix::<f64, 9, 9>::zeros();
     for (board_m, observed) in board.iter().zip(&image) {
-        let p = board_normalizer * Vector3::new(board_m.x, board_m.y, 1.0);
-        let q = image_normalizer * Vector3::new(observed.x, observed.y, 1.0);
+        let (p, q) = (board_normalizer * board_m, image_normalizer * observed);
         let rows = [
             [p.x, p.y, 1.0, 0.0, 0.0, 0.0, -q.x * p.x, -q.x * p.y, -q.x],
             [0.0, 0.0, 0.0, p.x, p.y, 1.0, -q.y * p.x, -q.y * p.y, -q.y],
