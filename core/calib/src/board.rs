@@ -39,57 +39,34 @@ impl Grid {
 
 /// Invalid description of a board.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[expect(missing_docs, reason = "the comments of the variants cover their fields")]
 pub enum BoardError {
     /// Number of columns or rows out of range.
     #[error(
         "expected a board of {} to {} columns and rows, found {columns} x {rows}",
         Board::SIDES.0, Board::SIDES.1
     )]
-    Shape {
-        /// Requested columns.
-        columns: usize,
-        /// Requested rows.
-        rows: usize,
-    },
+    Shape { columns: usize, rows: usize },
     /// Diameter not positive.
     #[error("expected an outer diameter above 0 mm, found {found_mm} mm")]
-    Diameter {
-        /// Requested diameter, millimetres.
-        found_mm: f64,
-    },
+    Diameter { found_mm: f64 },
     /// Adjacent roundels are too close.
     #[error(
         "expected a pitch (from centre to centre) of at least {} of the outer diameter, {min_mm:.2} mm, \
          found {found_mm:.2} mm",
         Board::MIN_PITCH_RATIO
     )]
-    Pitch {
-        /// Minimum pitch, millimetres.
-        min_mm: f64,
-        /// Requested pitch, millimetres.
-        found_mm: f64,
-    },
+    Pitch { min_mm: f64, found_mm: f64 },
     /// Invalid code layout.
     #[error(transparent)]
     Code(#[from] CodeError),
-    /// Fewer codes than roundels.
+    /// The layout has fewer codes than the board has roundels.
     #[error(
         "a board of {columns} x {rows} needs {} codes, and there are {count} of {bits} bits at a distance \
          of {min_distance}: use more bits",
         columns * rows
     )]
-    Codes {
-        /// Columns of the board.
-        columns: usize,
-        /// Rows of the board.
-        rows: usize,
-        /// Number of available codes.
-        count: usize,
-        /// Bits of the code layout.
-        bits: u8,
-        /// Minimum Hamming distance of the code layout.
-        min_distance: u8,
-    },
+    Codes { columns: usize, rows: usize, count: usize, bits: u8, min_distance: u8 },
 }
 
 impl Board {

@@ -16,24 +16,17 @@ pub struct Checkerboard {
 
 /// Invalid description of a chessboard.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[expect(missing_docs, reason = "the comments of the variants cover their fields")]
 pub enum CheckerboardError {
     /// Number of inner corners out of range.
     #[error(
         "expected a chessboard of {} to {} inner corners across and down, found {columns} x {rows}",
         Checkerboard::SIDES.0, Checkerboard::SIDES.1
     )]
-    Shape {
-        /// Requested columns.
-        columns: usize,
-        /// Requested rows.
-        rows: usize,
-    },
+    Shape { columns: usize, rows: usize },
     /// Side of a square not positive.
     #[error("expected squares of above 0 mm, found {found_mm} mm")]
-    Square {
-        /// Requested side, millimetres.
-        found_mm: f64,
-    },
+    Square { found_mm: f64 },
 }
 
 impl Checkerboard {

@@ -89,54 +89,29 @@ pub struct ImageParams {
 
 /// Why parameters are invalid.
 #[derive(Clone, Debug, PartialEq, Error)]
+#[expect(missing_docs, reason = "the comments of the variants cover their fields")]
 pub enum ScenarioError {
     /// A number is out of range.
     #[error("scenario: expected {field} to be {expected}, found {found}")]
-    Value {
-        /// Name of the parameter.
-        field: &'static str,
-        /// Valid range.
-        expected: &'static str,
-        /// The given number.
-        found: f64,
-    },
-    /// Too many robots for the arena.
+    Value { field: &'static str, expected: &'static str, found: f64 },
+    /// Too many robots for the arena that are `driving`, `flying` or `parked`.
     #[error(
         "scenario: expected at most {max} {role} robots in this arena, found {found}; \
          enlarge the arena, or ask for fewer"
     )]
-    Crowded {
-        /// `driving`, `flying` or `parked`.
-        role: &'static str,
-        /// Maximum number.
-        max: usize,
-        /// Requested number.
-        found: usize,
-    },
-    /// More robots than codes.
+    Crowded { role: &'static str, max: usize, found: usize },
+    /// More coded robots than codes.
     #[error("scenario: expected at most {max} robots with codes of {bits} bits, found {found}")]
-    Codes {
-        /// Bits of the codes.
-        bits: u8,
-        /// Number of codes.
-        max: usize,
-        /// Number of coded robots.
-        found: usize,
-    },
+    Codes { bits: u8, max: usize, found: usize },
     /// Invalid code layout.
     #[error("scenario: {0}")]
     NoCodes(#[from] CodeError),
-    /// The cameras see too little of the arena.
+    /// The cameras see too little of the arena at these heights.
     #[error(
         "scenario: expected the cameras to see a connected middle of the arena at heights of \
          {low_m} to {high_m} m, found none; hang them higher or nearer to the middle"
     )]
-    Uncovered {
-        /// Lowest height, metres.
-        low_m: f64,
-        /// Highest height, metres.
-        high_m: f64,
-    },
+    Uncovered { low_m: f64, high_m: f64 },
     /// Invalid intrinsics.
     #[error("scenario: {0}")]
     Camera(#[from] CameraError),
@@ -145,12 +120,7 @@ pub enum ScenarioError {
     Lens(#[from] LensError),
     /// There is no such camera.
     #[error("scenario: expected a camera from 0 to {last}, found {found}")]
-    NoSuchCamera {
-        /// Index of the last camera.
-        last: usize,
-        /// Requested index.
-        found: usize,
-    },
+    NoSuchCamera { last: usize, found: usize },
 }
 
 impl ScenarioParams {

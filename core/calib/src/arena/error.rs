@@ -8,31 +8,17 @@ use roundel_vision::id::CameraId;
 
 /// Why an arena calibration failed.
 #[derive(Clone, Debug, PartialEq)]
+#[expect(missing_docs, reason = "the comments of the variants cover their fields")]
 pub enum ArenaError {
     /// There are no cameras, or one is listed twice.
-    Cameras {
-        /// The given cameras.
-        found: Vec<CameraId>,
-    },
-    /// No camera sees three references.
-    References {
-        /// Number of references that each camera sees.
-        seen: Vec<(CameraId, usize)>,
-    },
+    Cameras { found: Vec<CameraId> },
+    /// No camera sees three references; the number that each sees.
+    References { seen: Vec<(CameraId, usize)> },
     /// A camera's view of the references is inconsistent.
-    Placing {
-        /// The camera.
-        camera: CameraId,
-        /// The inconsistency.
-        source: ReferenceError,
-    },
-    /// At least one reference is not at its stated position, and it is ambiguous which.
-    Misplaced {
-        /// The camera that sees it.
-        camera: CameraId,
-        /// References and their distance from the stated position, metres.
-        offs_m: Vec<(usize, f64)>,
-    },
+    Placing { camera: CameraId, source: ReferenceError },
+    /// At least one reference that a camera sees is not at its stated position, and it is ambiguous which: their
+    /// indices and distances from the stated positions.
+    Misplaced { camera: CameraId, offs_m: Vec<(usize, f64)> },
     /// The observations do not determine the poses of all cameras.
     Undetermined,
     /// Cancelled by the caller.

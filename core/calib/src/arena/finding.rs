@@ -39,97 +39,39 @@ impl Names for Numbers {
     }
 }
 
-/// A problem or hint for the operator.
+/// A problem or hint for the operator. References are counted in the given order, from 0.
 #[derive(Clone, Debug, PartialEq)]
+#[expect(missing_docs, reason = "the comments of the variants cover their fields")]
 pub enum Finding {
-    /// A camera saw no roundel.
-    Unseen {
-        /// The camera.
-        camera: CameraId,
-        /// Number of its frames.
-        frames: u64,
-    },
+    /// A camera saw no roundel in all its frames.
+    Unseen { camera: CameraId, frames: u64 },
     /// A camera shares no roundels with any located camera.
-    Apart {
-        /// The camera.
-        camera: CameraId,
-    },
-    /// The roundels that a camera shares with others moved too little.
-    TooLittleMotion {
-        /// The camera.
-        camera: CameraId,
-        /// The camera that shares most with it.
-        other: CameraId,
-        /// Spread in two directions, rms, metres.
-        spread_m: f64,
-    },
-    /// A reference is not at its stated position.
-    Misplaced {
-        /// Index in the given order, from 0.
-        reference: usize,
-        /// The camera that sees it.
-        camera: CameraId,
-        /// Distance from the stated position, metres.
-        off_m: f64,
-    },
-    /// A reference was moved during the recording.
-    Moved {
-        /// Index in the given order, from 0.
-        reference: usize,
-        /// The camera that saw it.
-        camera: CameraId,
-        /// Distance moved, metres.
-        moved_m: f64,
-    },
+    Apart { camera: CameraId },
+    /// The roundels that a camera shares with others, mostly with `other`, moved too little: by this rms spread in two
+    /// directions.
+    TooLittleMotion { camera: CameraId, other: CameraId, spread_m: f64 },
+    /// A camera sees a reference this far from its stated position.
+    Misplaced { reference: usize, camera: CameraId, off_m: f64 },
+    /// A camera saw how a reference was moved during the recording.
+    Moved { reference: usize, camera: CameraId, moved_m: f64 },
     /// No camera saw a reference.
-    ReferenceUnseen {
-        /// Index in the given order, from 0.
-        reference: usize,
-    },
+    ReferenceUnseen { reference: usize },
     /// A camera saw two roundels with the same code at once.
-    Twice {
-        /// The camera.
-        camera: CameraId,
-        /// Kind of the roundels.
-        kind: KindId,
-        /// Code of both.
-        code: Code,
-    },
-    /// A camera saw a roundel at another position than the other cameras.
+    Twice { camera: CameraId, kind: KindId, code: Code },
+    /// A camera saw a roundel at another position than the other cameras in a share of its sightings, by this median
+    /// offset across the line of sight.
     Elsewhere {
-        /// The camera.
         camera: CameraId,
-        /// Kind of the roundel.
         kind: KindId,
-        /// Code of the roundel.
         code: Code,
-        /// Number of sightings.
         sightings: usize,
-        /// Share of inconsistent sightings.
         share: f64,
-        /// Their median offset across the line of sight, metres.
         off_m: f64,
     },
-    /// A camera's errors exceed those that its detections state.
-    Doubtful {
-        /// The camera.
-        camera: CameraId,
-        /// Ratio of errors to stated deviations.
-        ratio: f64,
-        /// Reprojection error, pixels.
-        rms_px: f64,
-    },
-    /// The pose of a camera is imprecise.
-    Weak {
-        /// The camera.
-        camera: CameraId,
-        /// Rms over the axes, metres.
-        deviation_m: f64,
-        /// Rms over the axes of the rotation, radians.
-        deviation_rad: f64,
-        /// The most useful remedy.
-        advice: Advice,
-    },
+    /// A camera's errors exceed by `ratio` those that its detections state; `rms_px` is the reprojection error.
+    Doubtful { camera: CameraId, ratio: f64, rms_px: f64 },
+    /// The pose of a camera is imprecise: the deviations are rms over the axes of position and rotation.
+    Weak { camera: CameraId, deviation_m: f64, deviation_rad: f64, advice: Advice },
 }
 
 /// How to improve the pose of a camera.

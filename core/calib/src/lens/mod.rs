@@ -106,75 +106,37 @@ impl LensCalibration {
 
 /// Why a lens calibration failed.
 #[derive(Clone, Debug, PartialEq, Error)]
+#[expect(missing_docs, reason = "the comments of the variants cover their fields")]
 pub enum LensCalibrationError {
-    /// Too few usable views.
+    /// Too few usable views. The views that would help, most important first.
     #[error("expected at least {MIN_VIEWS} different views of the board, found {found}; {}", missing_views(.missing))]
-    TooFew {
-        /// Number of usable views.
-        found: usize,
-        /// Views that would help, most important first.
-        missing: Vec<MissingView>,
-    },
-    /// All views are from nearly the same direction.
+    TooFew { found: usize, missing: Vec<MissingView> },
+    /// All usable views are from nearly the same direction. The views that would help, most important first.
     #[error("the {found} views are too similar to determine the focal length; {}", missing_views(.missing))]
-    TooSimilar {
-        /// Number of usable views.
-        found: usize,
-        /// Views that would help, most important first.
-        missing: Vec<MissingView>,
-    },
-    /// The print has other columns or rows than stated.
+    TooSimilar { found: usize, missing: Vec<MissingView> },
+    /// The print has other columns or rows than stated. It may have more rows than found, outside the pictures.
     #[error(
         "the print looks like {found_columns} x {found_rows} roundels, not {columns} x {rows}: describe it as it was \
          printed (`--board {found_columns}x{found_rows}`)"
     )]
-    OtherBoard {
-        /// Stated columns.
-        columns: usize,
-        /// Stated rows.
-        rows: usize,
-        /// Apparent columns.
-        found_columns: usize,
-        /// Apparent rows. The print may have more, outside the pictures.
-        found_rows: usize,
-    },
-    /// The roundels have another ratio of diameter to pitch than stated.
+    OtherBoard { columns: usize, rows: usize, found_columns: usize, found_rows: usize },
+    /// The roundels have another ratio of diameter to pitch than stated. Each found dimension matches the other stated
+    /// one.
     #[error(
         "the roundels look {found_outer_mm:.1} mm wide, not {outer_mm:.1}, if they are {pitch_mm:.1} mm from one to the \
          next (or those {found_pitch_mm:.1} mm apart if {outer_mm:.1} mm wide): measure both on the print, and pass them \
          (`--marker`, `--pitch`)"
     )]
-    OtherWidth {
-        /// Stated diameter, millimetres.
-        outer_mm: f64,
-        /// Stated pitch, millimetres.
-        pitch_mm: f64,
-        /// Diameter that matches the stated pitch, millimetres.
-        found_outer_mm: f64,
-        /// Pitch that matches the stated diameter, millimetres.
-        found_pitch_mm: f64,
-    },
+    OtherWidth { outer_mm: f64, pitch_mm: f64, found_outer_mm: f64, found_pitch_mm: f64 },
     /// Size of the picture out of range.
     #[error("expected pictures of 16 to 16384 pixels a side, found {width} x {height}")]
-    Size {
-        /// Columns.
-        width: usize,
-        /// Rows.
-        height: usize,
-    },
-    /// No model fits the views.
+    Size { width: usize, height: usize },
+    /// No model fits the views of this board.
     #[error(
         "no lens explains the views: is the board flat, printed at 100 %, and described as it was printed \
          ({columns} x {rows}, {pitch_mm} mm from one to the next)?"
     )]
-    Unexplained {
-        /// Columns of the board.
-        columns: usize,
-        /// Rows of the board.
-        rows: usize,
-        /// Pitch of the board, millimetres.
-        pitch_mm: f64,
-    },
+    Unexplained { columns: usize, rows: usize, pitch_mm: f64 },
 }
 
 fn missing_views(missing: &[MissingView]) -> String {

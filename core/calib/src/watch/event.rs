@@ -3,50 +3,24 @@
 use roundel_fusion::world::CameraPlacement;
 use roundel_vision::id::CameraId;
 
-/// A change in the knowledge of camera poses.
+/// A change in the knowledge of camera poses. Lists of cameras are ascending.
 #[derive(Clone, Debug, PartialEq)]
+#[expect(missing_docs, reason = "the comments of the variants cover their fields")]
 pub enum WatchEvent {
-    /// A camera was moved and must not be used.
-    Bumped {
-        /// The camera.
-        camera: CameraId,
-        /// Estimated displacement, metres.
-        moved_m: f64,
-        /// Estimated rotation, radians.
-        turned_rad: f64,
-    },
-    /// A moved camera rests and may be used again.
-    Returned {
-        /// The camera.
-        camera: CameraId,
-        /// Its new pose.
-        placement: CameraPlacement,
-    },
-    /// A camera drifted and its pose was corrected; it stayed in use.
-    Drifted {
-        /// The camera.
-        camera: CameraId,
-        /// Its corrected pose.
-        placement: CameraPlacement,
-        /// Rms displacement of its observations, metres.
-        moved_m: f64,
-    },
+    /// A camera was moved by about this and must not be used.
+    Bumped { camera: CameraId, moved_m: f64, turned_rad: f64 },
+    /// A moved camera rests and may be used again with its new pose.
+    Returned { camera: CameraId, placement: CameraPlacement },
+    /// A camera drifted and its pose was corrected; it stayed in use. `moved_m` is the rms displacement of its
+    /// observations.
+    Drifted { camera: CameraId, placement: CameraPlacement, moved_m: f64 },
     /// One of these cameras moved; it is ambiguous which.
-    Contradiction {
-        /// Ascending.
-        cameras: Vec<CameraId>,
-    },
+    Contradiction { cameras: Vec<CameraId> },
     /// These manually placed cameras have never agreed with others: at least one stated pose is wrong. Reported
     /// once.
-    Misplaced {
-        /// Ascending.
-        cameras: Vec<CameraId>,
-    },
+    Misplaced { cameras: Vec<CameraId> },
     /// The cameras of a contradiction agree again, or the moved one was found.
-    Agreed {
-        /// The cameras of the contradiction.
-        cameras: Vec<CameraId>,
-    },
+    Agreed { cameras: Vec<CameraId> },
 }
 
 /// Agreement of a camera with the others.

@@ -35,51 +35,31 @@ impl fmt::Display for Missing {
 
 /// Why a calibration from moving roundels failed.
 #[derive(Clone, Debug, PartialEq, Error)]
+#[expect(missing_docs, reason = "the comments of the variants cover their fields")]
 pub enum MovingLensError {
     /// Size of the picture out of range.
     #[error("expected pictures of 16 to 16384 pixels a side, found {width} x {height}")]
-    Size {
-        /// Columns.
-        width: usize,
-        /// Rows.
-        height: usize,
-    },
-    /// Too few usable observations.
+    Size { width: usize, height: usize },
+    /// Too few usable observations, or too few distinct image positions, at least a fiftieth of the picture's diagonal
+    /// apart.
     #[error(
         "expected at least {MIN_SIGHTINGS} sightings in {MIN_PLACES} places of the picture of coded roundels that other \
          cameras saw at the same time, found {found} in {places}; record for longer, with robots that drive all over what \
          this camera sees{}", also(.missing)
     )]
-    TooFew {
-        /// Number of usable observations.
-        found: usize,
-        /// Number of distinct image positions, at least a fiftieth of the picture's diagonal apart.
-        places: usize,
-        /// Observations that would help.
-        missing: Vec<Missing>,
-    },
-    /// No camera fits the observations.
+    TooFew { found: usize, places: usize, missing: Vec<Missing> },
+    /// No camera fits more than `agreeing` of the usable observations.
     #[error(
         "no lens explains what the camera saw: {agreeing} of {found} sightings agree with one; are the other cameras \
          calibrated (`roundel calibrate arena`), did this one stand still, and is each code there only once?"
     )]
-    Unexplained {
-        /// Number of usable observations.
-        found: usize,
-        /// Number of observations that the best camera fits.
-        agreeing: usize,
-    },
-    /// The observations do not determine the focal length.
+    Unexplained { found: usize, agreeing: usize },
+    /// The observations do not determine the focal length: its relative standard deviation, and what would help most.
     #[error(
         "the roundels do not determine the focal length: it is known to {:.1} % only; still missing: {}",
         100.0 * .deviation, list(.missing)
     )]
-    Undetermined {
-        /// Relative standard deviation of the focal length.
-        deviation: f64,
-        /// Observations that would help most.
-        missing: Vec<Missing>,
-    },
+    Undetermined { deviation: f64, missing: Vec<Missing> },
 }
 
 fn list(missing: &[Missing]) -> String {
