@@ -120,7 +120,7 @@ mod tests {
     struct Valley(f64, f64);
 
     impl LeastSquares for Valley {
-        type Normal = ([[f64; 2]; 2], [f64; 2]);
+        type Normal = NormalEquations;
 
         fn cost(&self, _: f64) -> Option<f64> {
             Some((10.0 * (self.1 - self.0 * self.0)).powi(2) + (1.0 - self.0).powi(2))
@@ -128,15 +128,17 @@ mod tests {
 
         fn normal(&self, _: f64) -> Option<Self::Normal> {
             let (x, across, along) = (self.0, 10.0 * (self.1 - self.0 * self.0), 1.0 - self.0);
-            let information = [[400.0 * x * x + 1.0, -200.0 * x], [-200.0 * x, 100.0]];
-            Some((information, [20.0 * x * across + along, -10.0 * across]))
+            let information = [400.0 * x * x + 1.0, -200.0 * x, -200.0 * x, 100.0];
+            let gradient = [20.0 * x * across + along, -10.0 * across];
+            Some(NormalEquations {
+                information: DMatrix::from_row_slice(2, 2, &information),
+                gradient: DVector::from_row_slice(&gradient),
+            })
         }
 
-        fn stepped(&self, (a, g): &Self::Normal, damping: f64) -> Option<Self> {
-            let (p, q, r) = (a[0][0] * (1.0 + damping), a[0][1], a[1][1] * (1.0 + damping));
-            let determinant = p * r - q * q;
-            let (by_x, by_y) = (r * g[0] - q * g[1], p * g[1] - q * g[0]);
-            Some(Self(self.0 + by_x / determinant, self.1 + by_y / determinant))
+        fn stepped(&self, normal: &NormalEquations, damping: f64) -> Option<Self> {
+            let step = normal.step(damping)?;
+            Some(Self(self.0 + step[0], self.1 + step[1]))
         }
     }
 
