@@ -136,11 +136,10 @@ impl Bundle {
         let Some(rim_m) = self.rim_m else { return Some(0.0) };
         let camera = self.parameters.camera()?;
         let mut moved_px: f64 = 0.0;
-        for board_view in &mut self.board_views {
-            for point in &mut board_view.points {
-                let image =
-                    rim::project_rim(&camera, &board_view.pose, &point.board_m, rim_m).ok()?;
-                let offset = image.offset_px;
+        for view in &mut self.board_views {
+            for point in &mut view.points {
+                let image = rim::project_rim(&camera, &view.pose, &point.board_m, rim_m);
+                let offset = image.ok()?.offset_px;
                 moved_px = moved_px.max((offset - point.offset).norm());
                 point.offset = offset;
             }
@@ -152,53 +151,50 @@ impl Bundle {
     fn update_weights(&mut self) -> Option<()> {
         let camera = self.parameters.camera()?;
         let mut errors = Vec::new();
-        for board_view in &self.board_views {
-            for point in &board_view.points {
-                let square = point.error(&camera, &board_view.pose)?.norm_squared();
-                errors.push((point.radius_px, square));
+        for view in &self.board_views {
+            for point in &view.points {
+                errors.push((point.radius_px, point.error(&camera, &view.pose)?.norm_squared()));
             }
         }
         let center_noise = CenterNoise::fit(&errors);
-        for point in self.board_views.iter_mut().flat_map(|board_view| &mut board_view.points) {
+        for point in self.board_views.iter_mut().flat_map(|view| &mut view.points) {
             point.weight = center_noise.weight(point.radius_px);
         }
         Some(())
     }
 
     /// Weighted residual norms by view.
-    fn errors(&self, camera: &Camera) -> Option<Vec<Vec<f64>>> {
-        let of = |board_view: &BoardView| -> Option<Vec<f64>> {
+    fn errors(&self) -> Option<Vec<Vec<f64>>> {
+        let camera = self.parameters.camera()?;
+        let of = |view: &BoardView| -> Option<Vec<f64>> {
             let error = |point: &Point| {
-                Some(point.error(camera, &board_view.pose)?.norm() * point.weight.sqrt())
+                Some(point.error(&camera, &view.pose)?.norm() * point.weight.sqrt())
             };
-            board_view.points.iter().map(error).collect()
+            view.points.iter().map(error).collect()
         };
         self.board_views.iter().map(of).collect()
     }
 
     /// Standard deviation of one coordinate at mean weight.
     fn scale_px(&self) -> Option<f64> {
-        let mut errors = self.errors(&self.parameters.camera()?)?.concat();
-        Some(deviation(&mut errors)?.max(MIN_PX))
+        Some(deviation(&mut self.errors()?.concat())?.max(MIN_PX))
     }
 
     /// Rejects inconsistent points and views; returns `None` if too few remain.
     fn reject_outliers(&mut self) -> Option<()> {
         let limit_px = OUTLIER * self.scale_px()?;
-        let errors = self.errors(&self.parameters.camera()?)?;
-        for (board_view, errors) in self.board_views.iter_mut().zip(&errors) {
-            let given = board_view.points.len();
+        let errors = self.errors()?;
+        for (view, errors) in self.board_views.iter_mut().zip(&errors) {
+            let given = view.points.len();
             let mut errors = errors.iter();
-            board_view.points.retain(|_| errors.next().is_some_and(|error| *error <= limit_px));
+            view.points.retain(|_| errors.next().is_some_and(|error| *error <= limit_px));
             // A few roundels of a bad view are consistent by chance.
-            if (board_view.points.len() as f64) < MIN_KEPT_SHARE * given as f64 {
-                board_view.points.clear();
+            if (view.points.len() as f64) < MIN_KEPT_SHARE * given as f64 {
+                view.points.clear();
             }
         }
-        self.board_views.retain(|board_view| board_view.points.len() >= MIN_ROUNDELS);
-        let camera = self.parameters.camera()?;
-        let errors = self.errors(&camera)?;
-        let squares: Vec<f64> = errors.iter().map(|errors| mean_square(errors)).collect();
+        self.board_views.retain(|view| view.points.len() >= MIN_ROUNDELS);
+        let squares: Vec<f64> = self.errors()?.iter().map(|errors| mean_square(errors)).collect();
         let median = median(&mut squares.clone())?;
         let limit = BAD_VIEW_RATIO * BAD_VIEW_RATIO * median.max(MIN_PX * MIN_PX);
         let mut squares = squares.iter();
@@ -208,7 +204,7 @@ impl Bundle {
 
     fn finish(self) -> Option<Fit> {
         let camera = self.parameters.camera()?;
-        let errors = self.errors(&camera)?;
+        let errors = self.errors()?;
         let squares: f64 = errors.iter().flatten().map(|error| error * error).sum();
         let count = 2 * errors.iter().map(Vec::len).sum::<usize>();
         let normal = self.normal(f64::MAX)?;
@@ -219,8 +215,8 @@ impl Bundle {
         }
         let variance = squares / count.saturating_sub(unknowns).max(1) as f64;
         let covariance = information.cholesky()?.inverse() * variance;
-        let errors_px = self.board_views.iter().flat_map(|board_view| {
-            board_view.points.iter().filter_map(|point| point.error(&camera, &board_view.pose))
+        let errors_px = self.board_views.iter().flat_map(|view| {
+            view.points.iter().filter_map(|point| point.error(&camera, &view.pose))
         });
         let squares_px: f64 = errors_px.map(|error| error.norm_squared()).sum();
         let rms_px = (squares_px / (count / 2).max(1) as f64).sqrt();
@@ -232,8 +228,7 @@ impl LeastSquares for Bundle {
     type Normal = Normal;
 
     fn cost(&self, limit_px: f64) -> Option<f64> {
-        let errors = self.errors(&self.parameters.camera()?)?;
-        Some(errors.iter().flatten().map(|&error| huber(error, limit_px)).sum())
+        Some(self.errors()?.iter().flatten().map(|&error| huber(error, limit_px)).sum())
     }
 
     fn normal(&self, limit_px: f64) -> Option<Normal> {

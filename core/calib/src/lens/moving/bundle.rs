@@ -113,12 +113,9 @@ impl<'a> Bundle<'a> {
             minimize(&mut self, limit, MAX_STEPS, TOLERANCE)?;
             if !self.is_noise_fixed {
                 let camera = self.parameters.camera()?;
-                let samples: Vec<NoiseSample> = self
-                    .observations
-                    .iter()
-                    .filter_map(|observation| self.noise_sample(&camera, observation))
-                    .collect();
-                self.noise = NoiseModel::fit(&samples);
+                let observations = self.observations.iter();
+                let samples = observations.filter_map(|it| self.noise_sample(&camera, it));
+                self.noise = NoiseModel::fit(&samples.collect::<Vec<_>>());
             }
         }
         self.update_weights()?;
@@ -143,8 +140,8 @@ impl<'a> Bundle<'a> {
     fn update_weights(&mut self) -> Option<()> {
         let camera = self.parameters.camera()?;
         let mut observations = std::mem::take(&mut self.observations);
-        let mean_px = observations.iter().map(|observation| observation.radius_px).sum::<f64>()
-            / observations.len().max(1) as f64;
+        let sum_px: f64 = observations.iter().map(|observation| observation.radius_px).sum();
+        let mean_px = sum_px / observations.len().max(1) as f64;
         for observation in &mut observations {
             let Some(residual) = self.residual(&camera, observation) else { continue };
             let orientation = self.camera_from_world.rotation * residual.at.orientation;
@@ -154,13 +151,11 @@ impl<'a> Bundle<'a> {
                 observation.offset = image.offset_px;
             }
             let size = mean_px / observation.radius_px;
+            let image_velocity = self.image_velocity(&residual);
             let covariance = self.position_covariance_px2(&residual)
                 + Matrix2::identity() * (self.noise.pixel_px.powi(2) * size)
-                + self.image_velocity(&residual)
-                    * self.image_velocity(&residual).transpose()
-                    * self.noise.stamp_s.powi(2);
-            let lower = covariance.cholesky()?.l();
-            observation.whitener = lower.try_inverse()?;
+                + image_velocity * image_velocity.transpose() * self.noise.stamp_s.powi(2);
+            observation.whitener = covariance.cholesky()?.l().try_inverse()?;
         }
         self.observations = observations;
         Some(())
@@ -196,26 +191,25 @@ impl<'a> Bundle<'a> {
     }
 
     /// Whitened distances; infinite for points without image.
-    fn distances(&self, camera: &Camera) -> Vec<f64> {
+    fn distances(&self) -> Option<Vec<f64>> {
+        let camera = self.parameters.camera()?;
         let distance = |observation: &Observation| {
-            let residual = self.residual(camera, observation)?;
+            let residual = self.residual(&camera, observation)?;
             Some((observation.whitener * residual.error).norm()).filter(|it| it.is_finite())
         };
-        self.observations
-            .iter()
-            .map(|observation| distance(observation).unwrap_or(f64::INFINITY))
-            .collect()
+        let distances = self.observations.iter().map(|it| distance(it).unwrap_or(f64::INFINITY));
+        Some(distances.collect())
     }
 
     /// Standard deviation of a whitened coordinate.
     fn scale(&self) -> Option<f64> {
-        let deviation = deviation(&mut self.distances(&self.parameters.camera()?))?;
+        let deviation = deviation(&mut self.distances()?)?;
         deviation.is_finite().then(|| deviation.max(LEAST))
     }
 
     fn reject_outliers(&mut self) -> Option<()> {
         let limit = OUTLIER * self.scale()?;
-        let mut distances = self.distances(&self.parameters.camera()?).into_iter();
+        let mut distances = self.distances()?.into_iter();
         self.observations.retain(|_| distances.next().is_some_and(|it| it <= limit));
         Some(())
     }
@@ -253,12 +247,8 @@ impl<'a> Bundle<'a> {
                 error *= root;
                 slopes *= root;
             }
-            Some(Linearized {
-                trajectory: observation.trajectory,
-                stamp_s: observation.stamp_s,
-                slopes,
-                error,
-            })
+            let Observation { trajectory, stamp_s, .. } = *observation;
+            Some(Linearized { trajectory, stamp_s, slopes, error })
         };
         let linearized = self.observations.iter().filter_map(part).collect();
         Some((linearized, squares))
@@ -288,13 +278,9 @@ impl<'a> Bundle<'a> {
         let Jackknife { covariance, plain } = jackknife(&linearized, &self.prior())?;
         let lens = self.parameters.unknowns();
         let ratio = (0..lens).map(|i| covariance[(i, i)] / plain[(i, i)]).sum::<f64>();
-        let distances = self
-            .observations
-            .iter()
-            .filter_map(|observation| Some(self.residual(&camera, observation)?.error));
-        let rms_px = (distances.map(|error| error.norm_squared()).sum::<f64>()
-            / self.observations.len().max(1) as f64)
-            .sqrt();
+        let residuals = self.observations.iter().filter_map(|it| self.residual(&camera, it));
+        let squares_px: f64 = residuals.map(|residual| residual.error.norm_squared()).sum();
+        let rms_px = (squares_px / self.observations.len().max(1) as f64).sqrt();
         let inflation = (ratio / lens as f64).max(1.0);
         Some(Fit { bundle: self, camera, covariance, inflation, squares, rms_px })
     }
@@ -306,9 +292,8 @@ impl LeastSquares for Bundle<'_> {
     fn cost(&self, limit: f64) -> Option<f64> {
         // In the last rounds, a roundel whose trajectory ends here must not prevent a step.
         let unseen_cost = if limit < f64::MAX { UNSEEN } else { OUTLIER };
-        let observed = self.distances(&self.parameters.camera()?).into_iter();
-        let observed =
-            observed.map(|it| huber(if it.is_finite() { it } else { unseen_cost }, limit));
+        let finite = |it: f64| if it.is_finite() { it } else { unseen_cost };
+        let observed = self.distances()?.into_iter().map(|it| huber(finite(it), limit));
         let clock = (0..CLOCK).map(|i| (self.clock[i] / self.clock_prior[i]).powi(2));
         Some(observed.sum::<f64>() + clock.sum::<f64>())
     }
