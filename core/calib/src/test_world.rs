@@ -23,6 +23,12 @@ pub(crate) fn camera(size: (usize, usize), pinhole_px: [f64; 4], lens: Lens) -> 
     Camera::new(Intrinsics { width, height, fx_px, fy_px, cx_px, cy_px, lens }).unwrap()
 }
 
+/// Errors of fx, fy, cx, cy, pixels.
+pub(crate) fn pinhole_errors(found: &Camera, truth: &Camera) -> [f64; 4] {
+    let (is, was) = (found.intrinsics(), truth.intrinsics());
+    [is.fx_px - was.fx_px, is.fy_px - was.fy_px, is.cx_px - was.cx_px, is.cy_px - was.cy_px]
+}
+
 /// Uniform random numbers between -1 and 1.
 pub(crate) struct Random(pub u64);
 

@@ -283,13 +283,7 @@ mod tests {
         }
         let found = calibrate(&board(), SIZE, &views, None).unwrap();
         assert_eq!(found.model.ros_name(), expected, "{:?}", found.evidence);
-        let (is, was) = (found.camera.intrinsics(), truth.intrinsics());
-        let errors = [
-            is.fx_px - was.fx_px,
-            is.fy_px - was.fy_px,
-            is.cx_px - was.cx_px,
-            is.cy_px - was.cy_px,
-        ];
+        let errors = test_world::pinhole_errors(&found.camera, &truth);
         for (error, deviation) in errors.iter().zip(found.deviations()) {
             assert!(error.abs() < 4.0 * deviation, "{errors:?}, {:?}", found.deviations());
             assert!(deviation < 0.3, "{:?}", found.deviations());
@@ -322,16 +316,9 @@ mod tests {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             let views = views(&truth, 12, 0.7, &mut rng);
             let found = calibrate(&board(), SIZE, &views, Some(DistortionModel::Radial2)).unwrap();
-            let is = found.camera.intrinsics();
-            let k = is.lens.coefficients();
-            let errors = [
-                is.fx_px - 905.0,
-                is.fy_px - 902.0,
-                is.cx_px - 652.0,
-                is.cy_px - 351.0,
-                k[0] + 0.1,
-                k[1] - 0.02,
-            ];
+            let k = found.camera.intrinsics().lens.coefficients();
+            let errors = test_world::pinhole_errors(&found.camera, &truth);
+            let errors = errors.into_iter().chain([k[0] + 0.1, k[1] - 0.02]);
             for ((sum, error), deviation) in squares.iter_mut().zip(errors).zip(found.deviations())
             {
                 *sum += (error / deviation).powi(2) / SEEDS as f64;
@@ -348,8 +335,7 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(11);
         let views = views_of(&target, &truth, 20, 0.7, &mut rng);
         let found = calibrate(&target, SIZE, &views, None).unwrap();
-        let (is, was) = (found.camera.intrinsics(), truth.intrinsics());
-        let errors = [is.fx_px - was.fx_px, is.fy_px - was.fy_px, is.cx_px - was.cx_px];
+        let errors = test_world::pinhole_errors(&found.camera, &truth);
         for (error, deviation) in errors.iter().zip(found.deviations()) {
             assert!(error.abs() < 4.0 * deviation && deviation < 0.3, "{errors:?}");
         }

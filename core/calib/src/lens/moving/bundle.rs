@@ -330,11 +330,8 @@ impl LeastSquares for Bundle<'_> {
 impl Fit<'_> {
     /// Depths of the observed roundels, metres.
     pub(super) fn depths_m(&self) -> Vec<f64> {
-        let residuals = self
-            .bundle
-            .observations
-            .iter()
-            .filter_map(|observation| self.bundle.residual(&self.camera, observation));
+        let observations = self.bundle.observations.iter();
+        let residuals = observations.filter_map(|it| self.bundle.residual(&self.camera, it));
         residuals.map(|residual| residual.position_m.z).collect()
     }
 }

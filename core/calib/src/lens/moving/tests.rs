@@ -114,9 +114,7 @@ fn found(
 
 /// Errors with their standard deviations: intrinsics, pose and clock.
 fn errors(scene: &Scene, found: &MovingLens) -> Vec<(f64, f64)> {
-    let (is, was) = (found.lens.camera.intrinsics(), scene.camera.intrinsics());
-    let lens =
-        [is.fx_px - was.fx_px, is.fy_px - was.fy_px, is.cx_px - was.cx_px, is.cy_px - was.cy_px];
+    let lens = test_world::pinhole_errors(&found.lens.camera, &scene.camera);
     let off = found.world_from_camera.translation.vector
         - scene.camera_from_world.inverse().translation.vector;
     let turned = found.world_from_camera.rotation * scene.camera_from_world.rotation;

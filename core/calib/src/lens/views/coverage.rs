@@ -33,14 +33,11 @@ pub enum MissingView {
 
 /// Side of the picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the names say it")]
 pub enum Side {
-    /// Right.
     Right,
-    /// Left.
     Left,
-    /// Bottom.
     Lower,
-    /// Top.
     Upper,
 }
 
