@@ -95,13 +95,9 @@ fn strongest<'a>(
     relative_poses: &'a [RelativePose],
     is_known: &[bool],
 ) -> Option<&'a RelativePose> {
-    relative_poses
-        .iter()
-        .filter(|relative_pose| {
-            relative_pose.alignment.is_determined()
-                && is_known[relative_pose.one] != is_known[relative_pose.other]
-        })
-        .max_by(|a, b| a.strength().total_cmp(&b.strength()))
+    let leads_on =
+        |it: &&RelativePose| it.alignment.is_determined() && is_known[it.one] != is_known[it.other];
+    relative_poses.iter().filter(leads_on).max_by(|a, b| a.strength().total_cmp(&b.strength()))
 }
 
 /// Alignment of the tracks of two cameras.
@@ -147,9 +143,8 @@ pub(super) fn align(shared: &[SharedTracks<'_>]) -> Option<Alignment> {
     let mut best_s = grid.min_by(|a, b| score(*a).total_cmp(&score(*b)))?;
     let mut step_s = GRID_S / 2.0;
     while step_s > FINE_S {
-        best_s = [best_s, best_s - step_s, best_s + step_s]
-            .into_iter()
-            .min_by(|a, b| score(*a).total_cmp(&score(*b)))?;
+        let near = [best_s, best_s - step_s, best_s + step_s].into_iter();
+        best_s = near.min_by(|a, b| score(*a).total_cmp(&score(*b)))?;
         step_s /= 2.0;
     }
     aligned(best_s)

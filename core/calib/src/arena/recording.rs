@@ -149,11 +149,8 @@ impl Recording {
             let seen = by_roundel.entry(name).or_default().entry(camera);
             let seen = seen.or_insert(RoundelSamples { kind: tracked.kind, samples: Vec::new() });
             let shift_s = self.epoch_shift_s(camera) - middle_s;
-            let samples: Vec<Sample> = tracked
-                .samples
-                .iter()
-                .map(|sample| Sample { stamp_s: sample.stamp_s + shift_s, ..*sample })
-                .collect();
+            let shifted = |it: &Sample| Sample { stamp_s: it.stamp_s + shift_s, ..*it };
+            let samples: Vec<Sample> = tracked.samples.iter().map(shifted).collect();
             if overlap(&seen.samples, &samples) > MAX_OVERLAP_S {
                 duplicates.insert(name, camera);
             }

@@ -146,13 +146,11 @@ fn uncoded(
             stationary.push((*name, Sighting { position_m, covariance }));
         }
     }
-    let references: Vec<Reference> = uncoded_indices
-        .iter()
-        .map(|&index| Reference {
-            position_m: landmarks[index].position_m,
-            normal: landmarks[index].orientation.map(|turn| turn * Vector3::z()),
-        })
-        .collect();
+    let reference = |&index: &usize| Reference {
+        position_m: landmarks[index].position_m,
+        normal: landmarks[index].orientation.map(|turn| turn * Vector3::z()),
+    };
+    let references: Vec<Reference> = uncoded_indices.iter().map(reference).collect();
     let sightings: Vec<Sighting> = stationary.iter().map(|(_, sighting)| *sighting).collect();
     if sightings.len() < 3 {
         return;

@@ -289,12 +289,8 @@ fn weak(camera: &CalibratedCamera) -> Option<Finding> {
     if deviation_m < WEAK_M && deviation_rad < WEAK_RAD {
         return None;
     }
-    let thinnest = camera
-        .neighbours
-        .iter()
-        .filter(|neighbour| neighbour.spread_m >= MIN_SPREAD_M)
-        .min_by_key(|neighbour| neighbour.shared);
-    let advice = match thinnest {
+    let usable = camera.neighbours.iter().filter(|it| it.spread_m >= MIN_SPREAD_M);
+    let advice = match usable.min_by_key(|it| it.shared) {
         _ if camera.coverage < 0.3 => Advice::Cover(camera.coverage),
         Some(neighbour) => Advice::Overlap(neighbour.camera),
         None => Advice::References,

@@ -137,12 +137,8 @@ fn verdict(sorted: &[Hypothesis], base: f64, scale: f64) -> Verdict {
     let likely: Vec<Vec<usize>> =
         sorted.iter().filter(|it| it.cost <= max).map(Hypothesis::slots).collect();
     let in_all = |slot: &usize| likely.iter().all(|slots| slots.contains(slot));
-    let moved: Vec<(usize, Rigid)> = best
-        .freed
-        .iter()
-        .filter(|(slot, _)| in_all(slot))
-        .map(|(slot, fit)| (*slot, fit.pose))
-        .collect();
+    let moved = best.freed.iter().filter(|(slot, _)| in_all(slot));
+    let moved: Vec<(usize, Rigid)> = moved.map(|(slot, fit)| (*slot, fit.pose)).collect();
     if moved.is_empty() {
         let all: BTreeSet<usize> = likely.into_iter().flatten().collect();
         return Verdict::Unclear(all.into_iter().collect());

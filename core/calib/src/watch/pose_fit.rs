@@ -194,10 +194,8 @@ pub(super) fn cost(comparisons: &[Comparison]) -> f64 {
 
 /// Median ratio of disagreements to their expectation, at least 1. Covers errors that covariances do not state.
 pub(super) fn excess(comparisons: &[Comparison]) -> f64 {
-    let mut ratios: Vec<f64> = comparisons
-        .iter()
-        .map(|comparison| comparison.energy / comparison.degrees_of_freedom())
-        .collect();
+    let ratio = |it: &Comparison| it.energy / it.degrees_of_freedom();
+    let mut ratios: Vec<f64> = comparisons.iter().map(ratio).collect();
     median(&mut ratios).map_or(1.0, |median| (median / MEDIAN_SHARE).max(1.0))
 }
 

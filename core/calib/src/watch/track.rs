@@ -138,12 +138,10 @@ impl RoundelTrack {
     /// clocks.
     pub(super) fn view(&self, bin_center: Timestamp, clock_s: f64) -> Option<RoundelView> {
         let half_s = 0.5 * BIN_S;
-        let mut in_bin: Vec<(f64, &Sample)> = self
-            .samples
-            .iter()
-            .map(|sample| (sample.time.seconds_since(bin_center) / half_s, sample))
-            .filter(|(time, _)| time.abs() <= 1.0)
-            .collect();
+        let samples =
+            self.samples.iter().map(|it| (it.time.seconds_since(bin_center) / half_s, it));
+        let mut in_bin: Vec<(f64, &Sample)> =
+            samples.filter(|(time, _)| time.abs() <= 1.0).collect();
         let max_left_out = in_bin.len() / 4;
         for _ in 0..=max_left_out {
             let parabola = parabola(&in_bin)?;

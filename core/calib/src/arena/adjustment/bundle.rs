@@ -19,6 +19,7 @@ use rayon::prelude::*;
 use super::{
     super::error::ArenaError,
     camera_block::CameraBlock,
+    spline::Spline,
     track_block::{Reduced, TrackBlock, loss, unknowns_per_camera},
 };
 use crate::{
@@ -74,11 +75,8 @@ impl LeastSquares for Bundle {
     fn normal(&self, scale: f64) -> Option<Equations> {
         let dims = unknowns_per_camera(&self.blocks);
         let size = dims * self.blocks.len();
-        let reduced: Vec<Reduced> = self
-            .tracks
-            .par_iter()
-            .map(|track| track.reduce(&self.blocks, scale))
-            .collect::<Option<_>>()?;
+        let reduced = self.tracks.par_iter().map(|track| track.reduce(&self.blocks, scale));
+        let reduced: Vec<Reduced> = reduced.collect::<Option<_>>()?;
         let mut normal = NormalEquations::zeros(size);
         let NormalEquations { information, gradient } = &mut normal;
         for (track, part) in self.tracks.iter().zip(&reduced) {
@@ -134,12 +132,9 @@ impl Bundle {
     fn solve_splines(&mut self) -> Option<()> {
         for is_first in [true, false] {
             let scale = if is_first { UNWEIGHTED } else { self.scale() };
-            let blocks = &self.blocks;
-            let splines: Vec<_> = self
-                .tracks
-                .par_iter()
-                .map(|track| track.solved_spline(blocks, scale))
-                .collect::<Option<_>>()?;
+            let tracks = self.tracks.par_iter();
+            let splines = tracks.map(|track| track.solved_spline(&self.blocks, scale));
+            let splines: Vec<Spline> = splines.collect::<Option<_>>()?;
             for (track, spline) in self.tracks.iter_mut().zip(splines) {
                 track.spline = spline;
             }

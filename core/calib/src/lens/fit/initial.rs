@@ -32,12 +32,9 @@ pub(crate) fn estimate(
     views: &[View],
     blurred: &[bool],
 ) -> Result<InitialEstimate, LensCalibrationError> {
-    let homographies: Vec<(usize, BoardHomography)> = views
-        .iter()
-        .enumerate()
-        .filter(|(index, _)| !blurred[*index])
-        .filter_map(|(index, view)| Some((index, BoardHomography::fit(target, view)?)))
-        .collect();
+    let homography = |index: usize| Some((index, BoardHomography::fit(target, &views[index])?));
+    let sharp = (0..views.len()).filter(|index| !blurred[*index]);
+    let homographies: Vec<(usize, BoardHomography)> = sharp.filter_map(homography).collect();
     let mut coverage = Coverage::new(size);
     for (index, homography) in &homographies {
         coverage.add(&views[*index], homography);

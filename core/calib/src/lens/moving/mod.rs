@@ -212,15 +212,12 @@ fn initial_bundle<'a>(input: &MovingInput<'a>, observations: &[Observation]) -> 
     let few: Vec<Observation> = thinned(observations, START_SIGHTINGS).cloned().collect();
     let middle = Vector2::new(input.size.0 as f64 - 1.0, input.size.1 as f64 - 1.0) / 2.0;
     let side_px = input.size.0.max(input.size.1) as f64;
-    let placed: Vec<radial_alignment::Correspondence> = few
-        .iter()
-        .filter_map(|observation| {
-            Some((
-                input.trajectories[observation.trajectory].at(observation.stamp_s)?.position_m,
-                observation.observed - middle,
-            ))
-        })
-        .collect();
+    let correspondence = |observation: &Observation| {
+        let at = input.trajectories[observation.trajectory].at(observation.stamp_s)?;
+        Some((at.position_m, observation.observed - middle))
+    };
+    let placed: Vec<radial_alignment::Correspondence> =
+        few.iter().filter_map(correspondence).collect();
     let clock_prior = [input.clock.offset_s.max(EXACT[0]), input.clock.skew.max(EXACT[1])];
     let mut best: Option<(f64, Bundle<'a>)> = None;
     for start in radial_alignment::initial_cameras(&placed, side_px) {

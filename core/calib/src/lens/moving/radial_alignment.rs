@@ -79,12 +79,10 @@ fn principal_frame(correspondences: &[Correspondence]) -> Option<(Matrix3<f64>, 
     let count = correspondences.len() as f64;
     let center_m =
         correspondences.iter().map(|(world_m, _)| world_m).sum::<Vector3<f64>>() / count.max(1.0);
-    let noise = correspondences
-        .iter()
-        .map(|(world_m, _)| (world_m - center_m) * (world_m - center_m).transpose())
-        .sum::<Matrix3<f64>>();
-    let svd = SVD::new(noise, true, false);
-    let mut axes = svd.u?;
+    let scatter = |arm_m: Vector3<f64>| arm_m * arm_m.transpose();
+    let scatter: Matrix3<f64> =
+        correspondences.iter().map(|(world_m, _)| scatter(world_m - center_m)).sum();
+    let mut axes = SVD::new(scatter, true, false).u?;
     if axes.determinant() < 0.0 {
         axes.column_mut(2).neg_mut();
     }
@@ -175,11 +173,8 @@ impl PoseRows {
 
     /// With the sign for which points lie on the side of their images.
     fn oriented_to(self, correspondences: &[Correspondence]) -> Self {
-        let side: f64 = correspondences
-            .iter()
-            .map(|(world_m, image_px)| self.lateral_m(world_m).dot(image_px).signum())
-            .sum();
-        if side >= 0.0 {
+        let side = |(world_m, image_px): &Correspondence| self.lateral_m(world_m).dot(image_px);
+        if correspondences.iter().map(|it| side(it).signum()).sum::<f64>() >= 0.0 {
             return self;
         }
         Self { right: -self.right, down: -self.down, shift_m: -self.shift_m }

@@ -24,26 +24,22 @@ pub(crate) struct BoardHomography {
 impl BoardHomography {
     /// Homography of a view without inconsistent roundels; `None` if too few remain.
     pub(crate) fn fit(target: &Target, view: &View) -> Option<Self> {
-        let mut sightings: Vec<(Point2<f64>, Sighting)> = view
-            .sightings
-            .iter()
-            .filter_map(|sighting| Some((target.point_m(sighting.number)?, *sighting)))
-            .collect();
+        let on_board = |it: &Sighting| Some((target.point_m(it.number)?, *it));
+        let mut sightings: Vec<(Point2<f64>, Sighting)> =
+            view.sightings.iter().filter_map(on_board).collect();
         loop {
             if sightings.len() < MIN_ROUNDELS {
                 return None;
             }
             let pixel_from_board = dlt(&sightings)?;
             let found = Self { pixel_from_board, sightings: sightings.clone() };
-            let worst = sightings
-                .iter()
-                .map(|(board_m, sighting)| found.error_diameters(board_m, sighting))
-                .enumerate()
-                .max_by(|one, other| one.1.total_cmp(&other.1))?;
-            if worst.1 <= MISREAD_DIAMETERS {
+            let errors = sightings.iter().map(|(board_m, it)| found.error_diameters(board_m, it));
+            let (worst, diameters) =
+                errors.enumerate().max_by(|one, other| one.1.total_cmp(&other.1))?;
+            if diameters <= MISREAD_DIAMETERS {
                 return Some(found);
             }
-            sightings.swap_remove(worst.0);
+            sightings.swap_remove(worst);
         }
     }
 
