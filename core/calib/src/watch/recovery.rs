@@ -132,12 +132,9 @@ impl Recovery {
         let mut poses = others.to_vec();
         poses[slot] = Some(self.pose);
         let count = bins.len();
-        let mut comparisons: Vec<Comparison> = self
-            .bins
-            .range(bins)
-            .flatten()
-            .filter_map(|group| Comparison::of(group, &poses, count, params))
-            .collect();
+        let compared = |group: &CoObservation| Comparison::of(group, &poses, count, params);
+        let mut comparisons: Vec<Comparison> =
+            self.bins.range(bins).flatten().filter_map(compared).collect();
         let fit = fit_pose(&mut comparisons, slot, &self.pose)?;
         debug_assert!(cost(&comparisons).is_finite());
         Some(PoseFit { covariance: fit.covariance * excess(&comparisons), ..fit })

@@ -161,16 +161,12 @@ impl Bundle {
         let blocks = std::iter::zip(&self.blocks, change.as_slice().chunks_exact(dims))
             .map(|(block, step)| block.moved(step))
             .collect();
-        let tracks = self
-            .tracks
-            .par_iter()
-            .zip(&equations.reduced)
-            .map(|(track, reduced)| {
-                let columns = columns_of(&track.cameras, dims);
-                let step: Vec<f64> = columns.iter().map(|&column| change[column]).collect();
-                TrackBlock { spline: track.stepped(reduced, &step), ..track.clone() }
-            })
-            .collect();
+        let stepped = |(track, reduced): (&TrackBlock, &Reduced)| {
+            let columns = columns_of(&track.cameras, dims);
+            let step: Vec<f64> = columns.iter().map(|&column| change[column]).collect();
+            TrackBlock { spline: track.stepped(reduced, &step), ..track.clone() }
+        };
+        let tracks = self.tracks.par_iter().zip(&equations.reduced).map(stepped).collect();
         Bundle { blocks, tracks, step_length }
     }
 
@@ -184,16 +180,13 @@ impl Bundle {
         let dims = unknowns_per_camera(&self.blocks);
         let size = equations.normal.gradient.len();
         let inverse = equations.normal.information.clone().cholesky()?.inverse();
-        let scores: Vec<Vec<Vec<f64>>> = self
-            .tracks
-            .par_iter()
-            .zip(&equations.reduced)
-            .map(|(track, reduced)| match track.stated {
-                // Errors of references are those stated.
-                Some(_) => Vec::new(),
-                None => track.scores(reduced, &self.blocks, scale, BLOCK_S),
-            })
-            .collect();
+        let scores = |(track, reduced): (&TrackBlock, &Reduced)| match track.stated {
+            // Errors of references are those stated.
+            Some(_) => Vec::new(),
+            None => track.scores(reduced, &self.blocks, scale, BLOCK_S),
+        };
+        let scores: Vec<Vec<Vec<f64>>> =
+            self.tracks.par_iter().zip(&equations.reduced).map(scores).collect();
         let (mut spread_of, mut stated) = (DMatrix::zeros(size, size), DMatrix::zeros(size, size));
         let mut moving = DMatrix::zeros(size, size);
         let mut block_count = 0;
