@@ -109,14 +109,8 @@ impl Floor {
         marks: &MarkIndex,
         light: &Light,
     ) -> f64 {
-        let nearest = self
-            .boxes
-            .iter()
-            .filter_map(|item| {
-                item.hit(eye, ray).map(|(depth, shade)| (depth, shade * item.albedo))
-            })
-            .min_by(|a, b| a.0.total_cmp(&b.0));
-        if let Some((depth, albedo)) = nearest {
+        let hits = self.boxes.iter().filter_map(|item| item.hit(eye, ray));
+        if let Some((depth, albedo)) = hits.min_by(|a, b| a.0.total_cmp(&b.0)) {
             let at = eye + ray * depth;
             return albedo * light.at(at.x, at.y);
         }
@@ -260,7 +254,7 @@ impl Crate {
         }
     }
 
-    /// Depth at which a ray enters, and brightness of the face it meets (slab method).
+    /// Depth at which a ray enters, and albedo of the face it meets, darker at the sides (slab method).
     fn hit(&self, eye: &Point3<f64>, ray: &Vector3<f64>) -> Option<(f64, f64)> {
         let (mut enter, mut leave, mut face) = (0.0, f64::INFINITY, 2);
         for axis in 0..3 {
@@ -273,7 +267,7 @@ impl Crate {
             }
             leave = a.max(b).min(leave);
         }
-        (enter < leave).then(|| (enter, [0.55, 0.7, 1.0][face]))
+        (enter < leave).then(|| (enter, [0.55, 0.7, 1.0][face] * self.albedo))
     }
 }
 

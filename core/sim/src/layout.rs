@@ -144,11 +144,8 @@ fn park(
     lanes: &[[f64; 2]],
     rng: &mut ChaCha8Rng,
 ) -> Result<Vec<Path>, ScenarioError> {
-    let gaps: Vec<[f64; 2]> = lanes
-        .iter()
-        .map(|lane| lane.map(|semiaxis| semiaxis - LANE_SPACING_M / 2.0))
-        .filter(|gap| gap[0].min(gap[1]) >= MIN_SEMIAXIS_M)
-        .collect();
+    let gaps = lanes.iter().map(|lane| lane.map(|semiaxis| semiaxis - LANE_SPACING_M / 2.0));
+    let gaps: Vec<[f64; 2]> = gaps.filter(|gap| gap[0].min(gap[1]) >= MIN_SEMIAXIS_M).collect();
     let counts = distribute("parked", &gaps, params.still)?;
     let mut parked = Vec::with_capacity(params.still);
     for (gap, count) in gaps.into_iter().zip(counts) {

@@ -39,14 +39,11 @@ impl Light {
     /// Level of a white, horizontal sheet at this position in the middle of an image, as a share of full scale.
     pub fn at(&self, x_m: f64, y_m: f64) -> f64 {
         let slope = 1.0 + self.slope_per_m[0] * x_m + self.slope_per_m[1] * y_m;
-        let lamps: f64 = self
-            .lamps_m
-            .iter()
-            .map(|lamp| {
-                let squared = (x_m - lamp[0]).powi(2) + (y_m - lamp[1]).powi(2);
-                (-squared / (2.0 * LAMP_RADIUS_M * LAMP_RADIUS_M)).exp()
-            })
-            .sum();
+        let pool = |lamp: &[f64; 2]| {
+            let squared = (x_m - lamp[0]).powi(2) + (y_m - lamp[1]).powi(2);
+            (-squared / (2.0 * LAMP_RADIUS_M * LAMP_RADIUS_M)).exp()
+        };
+        let lamps: f64 = self.lamps_m.iter().map(pool).sum();
         // Outside of the arena the slope must stay positive.
         self.level * (slope.max(0.2) + LAMP_SHARE * (lamps - 0.5))
     }

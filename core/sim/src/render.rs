@@ -135,7 +135,7 @@ impl Renderer {
             radius_m: 0.22 + 0.07 * height_m,
             opacity: 0.6 / (1.0 + 0.5 * height_m),
         };
-        self.paint_on(&plane, &Vector3::zeros(), &[shadow]);
+        self.paint_on(&plane, &Vector3::zeros(), &shadow);
     }
 
     fn paint_body(&mut self, robot: &RobotTruth) {
@@ -152,17 +152,17 @@ impl Renderer {
                 let arm = place(0.14 * cosine, 0.14 * sine, -0.04)
                     * Rigid::rotation(Vector3::z() * angle_rad);
                 let bar = Shape::Bar { half_m: [0.07, 0.012], albedo };
-                self.paint_on(&arm, &velocity, &[bar]);
+                self.paint_on(&arm, &velocity, &bar);
                 let blades = Shape::Shadow { radius_m: 0.1, opacity: 0.6 };
-                self.paint_on(&place(0.2 * cosine, 0.2 * sine, -0.02), &velocity, &[blades]);
+                self.paint_on(&place(0.2 * cosine, 0.2 * sine, -0.02), &velocity, &blades);
             }
         } else {
             let base = Shape::Disc { radius_m: 0.175, albedo };
-            self.paint_on(&place(0.0, 0.0, -0.06), &velocity, &[base]);
+            self.paint_on(&place(0.0, 0.0, -0.06), &velocity, &base);
             // Headlights mark the front.
             for side in [-1.0, 1.0] {
                 let lamp = Shape::Disc { radius_m: 0.014, albedo: 0.8 };
-                self.paint_on(&place(0.148, 0.045 * side, -0.06), &velocity, &[lamp]);
+                self.paint_on(&place(0.148, 0.045 * side, -0.06), &velocity, &lamp);
             }
         }
     }
@@ -189,23 +189,18 @@ impl Renderer {
             (None, _) => Inside::Disc(inner_radius_m),
         };
         let shape = Shape::Roundel { outer_radius_m, inside, sheet };
-        self.paint_on(&robot.world_from_roundel, &robot.velocity_m_s, &[shape]);
+        self.paint_on(&robot.world_from_roundel, &robot.velocity_m_s, &shape);
     }
 
     fn paint_booms(&mut self, time_s: f64) {
         for boom in self.scenario.booms_at(time_s) {
             let bar = Shape::Bar { half_m: boom.half_m.map(|half| half as f32), albedo: 0.3 };
-            self.paint_on(&boom.world_from_boom, &Vector3::zeros(), &[bar]);
+            self.paint_on(&boom.world_from_boom, &Vector3::zeros(), &bar);
         }
     }
 
-    /// Paints shapes, one over the other, on a moving plane.
-    fn paint_on(
-        &mut self,
-        world_from_plane: &Rigid,
-        velocity_m_s: &Vector3<f64>,
-        shapes: &[Shape],
-    ) {
+    /// Paints a shape on a moving plane.
+    fn paint_on(&mut self, world_from_plane: &Rigid, velocity_m_s: &Vector3<f64>, shape: &Shape) {
         let camera_from_world = self.camera.world_from_camera.inverse();
         let velocity_m_s = camera_from_world.rotation * velocity_m_s;
         let setting = Setting {
@@ -216,9 +211,7 @@ impl Renderer {
         };
         let camera = &self.camera.camera;
         if let Some(patch) = Patch::new(camera, camera_from_world * world_from_plane, &setting) {
-            for shape in shapes {
-                self.canvas.paint(camera, &self.grid, &patch, shape);
-            }
+            self.canvas.paint(camera, &self.grid, &patch, shape);
         }
     }
 
