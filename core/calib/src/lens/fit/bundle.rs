@@ -14,8 +14,6 @@ use nalgebra::{
 
 use super::{
     center_noise::CenterNoise,
-    distortion_model::DistortionModel,
-    initial::InitialEstimate,
     parameters::{CameraJacobian, CameraParameters, pose_jacobian, stepped_pose},
     rim,
 };
@@ -62,9 +60,9 @@ pub(crate) struct Point {
 
 #[derive(Clone)]
 pub(crate) struct Bundle {
-    parameters: CameraParameters,
+    pub(crate) parameters: CameraParameters,
     /// Radius of the circles whose centroids are observed; `None` if points are observed.
-    rim_m: Option<f64>,
+    pub(crate) rim_m: Option<f64>,
     pub(crate) board_views: Vec<BoardView>,
 }
 
@@ -87,31 +85,6 @@ pub(crate) struct Normal {
 }
 
 impl Bundle {
-    pub(crate) fn new(
-        size: (usize, usize),
-        rim_m: Option<f64>,
-        initial: &InitialEstimate,
-        model: DistortionModel,
-    ) -> Self {
-        let point = |(board_m, observed): &(Point2<f64>, Sighting)| Point {
-            board_m: *board_m,
-            observed: Vector2::new(observed.center.u, observed.center.v),
-            offset: Vector2::zeros(),
-            radius_px: observed.radius_px,
-            weight: 1.0,
-        };
-        let board_views = initial.views.iter().map(|view| BoardView {
-            index: view.index,
-            pose: view.pose,
-            points: view.sightings.iter().map(point).collect(),
-        });
-        Self {
-            parameters: CameraParameters::new(size, initial.focal_px, model),
-            rim_m,
-            board_views: board_views.collect(),
-        }
-    }
-
     /// Returns `None` if it does not converge to a valid camera.
     pub(crate) fn fit(mut self) -> Option<Fit> {
         for round in 0..MAX_ROUNDS {
@@ -279,6 +252,21 @@ impl LeastSquares for Bundle {
 }
 
 impl BoardView {
+    pub(crate) fn new(
+        index: usize,
+        pose: Isometry3<f64>,
+        sightings: &[(Point2<f64>, Sighting)],
+    ) -> Self {
+        let point = |(board_m, observed): &(Point2<f64>, Sighting)| Point {
+            board_m: *board_m,
+            observed: Vector2::new(observed.center.u, observed.center.v),
+            offset: Vector2::zeros(),
+            radius_px: observed.radius_px,
+            weight: 1.0,
+        };
+        Self { index, pose, points: sightings.iter().map(point).collect() }
+    }
+
     /// Rms distance of observed and predicted centres, pixels.
     pub(crate) fn rms_px(&self, camera: &Camera) -> f64 {
         let errors = self.points.iter().filter_map(|point| point.error(camera, &self.pose));

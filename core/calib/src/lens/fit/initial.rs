@@ -4,11 +4,9 @@
 //! pixels and no distortion, h₁ᵀ ω h₂ = 0 and h₁ᵀ ω h₁ = h₂ᵀ ω h₂ for ω = diag(w, w, 1) and w = 1/f² (Zhang 2000,
 //! section 3.1): two equations a w + b = 0 per view, solved by least squares.
 
-use nalgebra::{Isometry3, Point2};
-
+use super::bundle::BoardView;
 use crate::lens::{
-    Coverage, LensCalibrationError, MIN_VIEWS, Sighting, Target, View,
-    views::homography::BoardHomography,
+    Coverage, LensCalibrationError, MIN_VIEWS, Target, View, views::homography::BoardHomography,
 };
 
 /// Plausible focal lengths in picture widths.
@@ -16,13 +14,7 @@ const FOCAL_SHARES: (f64, f64) = (0.2, 20.0);
 
 pub(crate) struct InitialEstimate {
     pub(crate) focal_px: f64,
-    pub(crate) views: Vec<InitialView>,
-}
-
-pub(crate) struct InitialView {
-    pub(crate) index: usize,
-    pub(crate) pose: Isometry3<f64>,
-    pub(crate) sightings: Vec<(Point2<f64>, Sighting)>,
+    pub(crate) views: Vec<BoardView>,
 }
 
 /// Focal length and board poses from the views that are not blurred.
@@ -48,8 +40,7 @@ pub(crate) fn estimate(
         return Err(LensCalibrationError::TooSimilar { found, missing });
     };
     let views = homographies.into_iter().filter_map(|(index, homography)| {
-        let pose = homography.pose(focal_px, size)?;
-        Some(InitialView { index, pose, sightings: homography.sightings })
+        Some(BoardView::new(index, homography.pose(focal_px, size)?, &homography.sightings))
     });
     let views: Vec<_> = views.collect();
     if views.len() < MIN_VIEWS {

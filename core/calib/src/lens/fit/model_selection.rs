@@ -6,8 +6,10 @@
 //! 150 lenses, and with strong evidence for 1 of 5,000.
 
 use super::{
-    bundle::Bundle, distortion_model::DistortionModel, initial::InitialEstimate,
-    parameters::PINHOLE_COUNT,
+    bundle::Bundle,
+    distortion_model::DistortionModel,
+    initial::InitialEstimate,
+    parameters::{CameraParameters, PINHOLE_COUNT},
 };
 use crate::lens::{LensCalibration, Target, ViewFit, ViewRejection};
 
@@ -35,7 +37,12 @@ pub(crate) fn select_model(
     blurred: &[bool],
 ) -> Option<LensCalibration> {
     let scored = |&model: &DistortionModel| {
-        let fit = Bundle::new(size, target.rim_m(), initial, model).fit()?;
+        let bundle = Bundle {
+            parameters: CameraParameters::new(size, initial.focal_px, model),
+            rim_m: target.rim_m(),
+            board_views: initial.views.clone(),
+        };
+        let fit = bundle.fit()?;
         let (count, parameters) = (fit.count as f64, (PINHOLE_COUNT + model.free().len()) as f64);
         let criterion = (fit.squares / count).max(1e-300).ln() * count + parameters * count.ln();
         Some(ScoredFit { model, rms_px: fit.rms_px, criterion, count, fit })
@@ -48,7 +55,7 @@ pub(crate) fn select_model(
     let mut outliers = 0;
     for board_view in &fit.board_views {
         let initial_view = initial.views.iter().find(|view| view.index == board_view.index);
-        outliers += initial_view.map_or(0, |view| view.sightings.len()) - board_view.points.len();
+        outliers += initial_view.map_or(0, |view| view.points.len()) - board_view.points.len();
         views[board_view.index] = Ok(ViewFit {
             pose: board_view.pose,
             rms_px: board_view.rms_px(&fit.camera),
