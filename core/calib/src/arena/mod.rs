@@ -186,10 +186,9 @@ fn tracks(
         let seen = reference.seen.iter();
         let observations: Vec<Observation> =
             seen.filter_map(|(camera, sample)| observation(*camera, sample)).collect();
-        let stated = (reference.position_m, reference.deviation_m);
-        let spline = Spline::constant(stated.0);
+        let spline = Spline::constant(reference.stated.0);
         (!observations.is_empty())
-            .then(|| TrackBlock::new(None, spline, Some(stated), observations))
+            .then(|| TrackBlock::new(None, spline, Some(reference.stated), observations))
     });
     let robots = roundels.iter().filter_map(|roundel| {
         let seen = roundel.seen.iter();

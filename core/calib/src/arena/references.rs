@@ -19,7 +19,6 @@ use roundel_fusion::world::{
     reference::{self, Reference, Sighting, align_stated},
 };
 use roundel_vision::{
-    camera::Camera,
     id::CameraId,
     rigid::{Rigid, mahalanobis_squared},
 };
@@ -40,8 +39,8 @@ const MIN_OUTLIER_M: f64 = 0.002;
 pub(super) struct ObservedReference {
     /// Index in the given order.
     pub(super) index: usize,
-    pub(super) position_m: Vector3<f64>,
-    pub(super) deviation_m: f64,
+    /// Stated position and its standard deviation, metres.
+    pub(super) stated: (Vector3<f64>, f64),
     /// Mean sample of each camera that sees it.
     pub(super) seen: Vec<(usize, Sample)>,
 }
@@ -76,14 +75,12 @@ pub(super) fn take(
         let moved_before = reference_set.moved.len();
         for (id, seen) in seen.remove(&index).unwrap_or_default() {
             let Some(camera) = index_of(id) else { continue };
-            let (mean, moved_m) = mean(&seen.samples, params);
-            match (mean, moved_m) {
-                (_, Some(moved_m)) => {
+            match mean(&seen.samples, params) {
+                Ok(mean) => means.extend(mean.map(|mean| (camera, mean))),
+                Err(moved_m) => {
                     let moved = Finding::Moved { reference: index, camera: id, moved_m };
                     reference_set.moved.push(moved);
                 }
-                (Some(mean), None) => means.push((camera, mean)),
-                (None, None) => {}
             }
         }
         if means.is_empty() && reference_set.moved.len() == moved_before {
@@ -91,8 +88,7 @@ pub(super) fn take(
         }
         reference_set.references.push(ObservedReference {
             index,
-            position_m: landmark.position_m,
-            deviation_m: landmark.position_deviation_m,
+            stated: (landmark.position_m, landmark.position_deviation_m),
             seen: means,
         });
     }
@@ -140,7 +136,7 @@ fn uncoded(
         let RoundelKey::Uncoded(of, _) = name else { continue };
         let Some(seen) = seen.get(&camera).filter(|_| *of == camera) else { continue };
         let is_kind = seen.kind.is_some_and(|kind| kinds.contains(&kind));
-        let (Some(mean), None) = mean(&seen.samples, params) else { continue };
+        let Ok(Some(mean)) = mean(&seen.samples, params) else { continue };
         if is_kind && is_stationary(&seen.samples, &mean) {
             let Sample { position_m, covariance, .. } = mean;
             stationary.push((*name, Sighting { position_m, covariance }));
@@ -172,10 +168,9 @@ fn is_stationary(samples: &[Sample], mean: &Sample) -> bool {
     square / count < 4.0 * noise / count + STATIONARY_M * STATIONARY_M
 }
 
-/// Mean with its covariance, or the distance by which it moved.
-fn mean(samples: &[Sample], params: &ArenaParams) -> (Option<Sample>, Option<f64>) {
-    let Some(first) = samples.first() else { return (None, None) };
-    let whole = average(samples, params);
+/// Mean with its covariance, or the distance by which the roundel moved.
+fn mean(samples: &[Sample], params: &ArenaParams) -> Result<Option<Sample>, f64> {
+    let Some(first) = samples.first() else { return Ok(None) };
     let block = |sample: &Sample| ((sample.stamp_s - first.stamp_s) / BLOCK_S).floor() as i64;
     let parts: Vec<Sample> = samples
         .chunk_by(|one, other| block(one) == block(other))
@@ -189,7 +184,7 @@ fn mean(samples: &[Sample], params: &ArenaParams) -> (Option<Sample>, Option<f64
         (square > MOVED_DEVIATIONS * MOVED_DEVIATIONS && apart.norm() > MOVED_M)
             .then_some(apart.norm())
     });
-    (whole, moved_m)
+    moved_m.map_or_else(|| Ok(average(samples, params)), Err)
 }
 
 fn average(samples: &[Sample], params: &ArenaParams) -> Option<Sample> {
@@ -212,19 +207,18 @@ fn average(samples: &[Sample], params: &ArenaParams) -> Option<Sample> {
 /// Locates a camera by the references. A reference that is inconsistent with all others is left out.
 fn locate_camera(
     reference_set: &mut ReferenceSet,
-    ArenaCamera { id, lens, lens_deviation }: &ArenaCamera,
-    camera: usize,
+    camera: &ArenaCamera,
+    camera_index: usize,
 ) -> Result<(), ArenaError> {
-    let id = *id;
-    let widened = |seen: &Sample| with_lens_uncertainty(seen, lens, lens_deviation.as_ref());
+    let id = camera.id;
     loop {
-        let view = view(reference_set, camera, widened);
+        let view = view(reference_set, camera, camera_index);
         if view.len() < 3 {
             return Ok(());
         }
         let pose = fit(&view).map_err(|source| ArenaError::Placing { camera: id, source })?;
         if is_consistent(&view, &pose) {
-            reference_set.camera_poses[camera] = Some(pose);
+            reference_set.camera_poses[camera_index] = Some(pose);
             return Ok(());
         }
         // Unambiguous if leaving out exactly one reference makes the others consistent.
@@ -240,18 +234,13 @@ fn locate_camera(
         };
         let [(index, pose)] = remedies[..] else {
             let offset = |one: &SeenReference| (one.index, offset(one, &pose).0);
-            return Err(ArenaError::Misplaced {
-                camera: id,
-                offs_m: view.iter().map(offset).collect(),
-            });
+            let offs_m = view.iter().map(offset).collect();
+            return Err(ArenaError::Misplaced { camera: id, offs_m });
         };
         if let Some(one) = view.iter().find(|one| one.index == index) {
             let (off_m, _) = offset(one, &pose);
-            reference_set.misplaced.push(Finding::Misplaced {
-                reference: index,
-                camera: id,
-                off_m,
-            });
+            let misplaced = Finding::Misplaced { reference: index, camera: id, off_m };
+            reference_set.misplaced.push(misplaced);
         }
         // Drop it for all cameras.
         for reference in reference_set.references.iter_mut().filter(|one| one.index == index) {
@@ -271,28 +260,24 @@ struct SeenReference {
 
 fn view(
     reference_set: &ReferenceSet,
-    camera: usize,
-    widened: impl Fn(&Sample) -> Sighting,
+    camera: &ArenaCamera,
+    camera_index: usize,
 ) -> Vec<SeenReference> {
     let seen = reference_set.references.iter().filter_map(|one| {
-        let (_, mean) = one.seen.iter().find(|(other, _)| *other == camera)?;
-        let stated = (one.position_m, one.deviation_m);
-        Some(SeenReference { index: one.index, stated, sighting: widened(mean) })
+        let (_, mean) = one.seen.iter().find(|(other, _)| *other == camera_index)?;
+        let sighting = with_lens_uncertainty(mean, camera);
+        Some(SeenReference { index: one.index, stated: one.stated, sighting })
     });
     seen.collect()
 }
 
 /// Adds the uncertainty of the lens: along the line of sight by the focal length, across by the principal point.
-fn with_lens_uncertainty(
-    seen: &Sample,
-    lens: &Camera,
-    deviation: Option<&LensDeviation>,
-) -> Sighting {
+fn with_lens_uncertainty(seen: &Sample, camera: &ArenaCamera) -> Sighting {
     let mut covariance = seen.covariance;
-    if let Some(LensDeviation { focal, center_px, .. }) = deviation {
+    if let Some(LensDeviation { focal, center_px, .. }) = camera.lens_deviation {
         let along = seen.position_m.normalize();
         let along = along * along.transpose();
-        let turn_rad = center_px / lens.intrinsics().fx_px;
+        let turn_rad = center_px / camera.lens.intrinsics().fx_px;
         let share = along * (focal * focal) + (Matrix3::identity() - along) * (turn_rad * turn_rad);
         covariance += share * seen.position_m.norm_squared();
     }
