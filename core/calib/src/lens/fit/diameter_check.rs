@@ -13,10 +13,10 @@
 //! absolute scale. On renderings of correctly stated prints |w - 1| is below 0.001 (`tests/tests/lens.rs`); ink spread
 //! contributes as well: 0.1 mm at the rim of 30 mm roundels is 0.007.
 
-use nalgebra::Point2;
+use nalgebra::Vector2;
 
 use super::rim;
-use crate::lens::{LensCalibration, LensCalibrationError, MIN_VIEWS, Target, View};
+use crate::lens::{LensCalibration, LensCalibrationError, MIN_VIEWS, Sighting, Target, View};
 use crate::robust::median;
 
 /// Maximum relative error that still yields a calibration.
@@ -66,18 +66,16 @@ pub(crate) fn check(
     let (mut ratios, mut means) = (Vec::new(), Vec::new());
     for (view, fit) in views.iter().zip(&found.views) {
         let Ok(fit) = fit else { continue };
-        let pair = |number: u16, radius_px: f64| {
-            let center: Point2<f64> = target.point_m(number)?;
+        // Expected and observed radius.
+        let pair = |one: &Sighting| {
+            let center = target.point_m(one.number)?;
             let expected = rim::project_rim(&found.camera, &fit.pose, &center, rim_m).ok()?;
-            Some((expected.radius_px, radius_px))
+            Some(Vector2::new(expected.radius_px, one.radius_px))
         };
-        let sightings = view.sightings.iter();
-        let pairs: Vec<_> = sightings.filter_map(|one| pair(one.number, one.radius_px)).collect();
-        ratios.extend(pairs.iter().map(|(expected_px, seen_px)| seen_px / expected_px));
-        let mean =
-            |of: fn(&(f64, f64)) -> f64| pairs.iter().map(of).sum::<f64>() / pairs.len() as f64;
+        let pairs: Vec<Vector2<f64>> = view.sightings.iter().filter_map(pair).collect();
+        ratios.extend(pairs.iter().map(|pair| pair.y / pair.x));
         if !pairs.is_empty() {
-            means.push((mean(|pair| pair.0), mean(|pair| pair.1)));
+            means.push(pairs.iter().sum::<Vector2<f64>>() / pairs.len() as f64);
         }
     }
     let stated = DiameterCheck {
@@ -96,30 +94,26 @@ pub(crate) fn check(
                 found_pitch_mm: found.found_pitch_mm(),
             })
         }
-        _ => Ok(fit_slope(&means).map(|(ratio, deviation)| DiameterCheck {
-            ratio,
-            deviation,
-            ..stated
-        })),
+        _ => {
+            let slope = fit_slope(&means);
+            Ok(slope.map(|(ratio, deviation)| DiameterCheck { ratio, deviation, ..stated }))
+        }
     }
 }
 
 /// Slope of the least-squares line with its standard deviation; `None` if undetermined.
-fn fit_slope(points: &[(f64, f64)]) -> Option<(f64, f64)> {
-    let count = points.len() as f64;
+fn fit_slope(points: &[Vector2<f64>]) -> Option<(f64, f64)> {
     if points.len() < MIN_VIEWS {
         return None;
     }
-    let mean = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / count;
-    let (x, y) = (mean(|point| point.0), mean(|point| point.1));
-    let sum = |of: &dyn Fn(f64, f64) -> f64| -> f64 {
-        points.iter().map(|point| of(point.0 - x, point.1 - y)).sum()
-    };
-    let (squares, products) = (sum(&|x, _| x * x), sum(&|x, y| x * y));
-    let fit_slope = products / squares;
-    let residual_variance = sum(&|x, y| (y - fit_slope * x).powi(2)) / (count - 2.0);
-    let deviation = (residual_variance / squares).sqrt();
-    (fit_slope.is_finite() && deviation.is_finite()).then_some((fit_slope, deviation))
+    let count = points.len() as f64;
+    let mean = points.iter().sum::<Vector2<f64>>() / count;
+    let offsets: Vec<Vector2<f64>> = points.iter().map(|point| point - mean).collect();
+    let squares: f64 = offsets.iter().map(|it| it.x * it.x).sum();
+    let slope = offsets.iter().map(|it| it.x * it.y).sum::<f64>() / squares;
+    let rest: f64 = offsets.iter().map(|it| (it.y - slope * it.x).powi(2)).sum();
+    let deviation = (rest / (count - 2.0) / squares).sqrt();
+    (slope.is_finite() && deviation.is_finite()).then_some((slope, deviation))
 }
 
 #[cfg(test)]
@@ -128,16 +122,16 @@ mod tests {
 
     #[test]
     fn the_slope_of_a_line_is_fitted_with_its_deviation() {
-        let line = |x: f64| (x, 1.02 * x - 0.4);
+        let line = |x: f64| Vector2::new(x, 1.02 * x - 0.4);
         let (ratio, deviation) = fit_slope(&[10.0, 20.0, 25.0, 30.0, 40.0].map(line)).unwrap();
         assert!((ratio - 1.02).abs() < 1e-12 && deviation < 1e-12, "{ratio} ± {deviation}");
         let off = [0.1, -0.1, 0.0, -0.1, 0.1];
-        let points: Vec<_> = (0..5).map(|x| (2.0 * f64::from(x), off[x as usize])).collect();
+        let points = [0, 1, 2, 3, 4].map(|x| Vector2::new(2.0 * x as f64, off[x]));
         let (ratio, deviation) = fit_slope(&points).unwrap();
         assert!(ratio.abs() < 1e-12, "{ratio}");
         assert!((deviation - (0.04f64 / 3.0 / 40.0).sqrt()).abs() < 1e-12, "{deviation}");
         // Equal distances, and too few points.
-        assert_eq!(fit_slope(&[(10.0, 10.0); 9]), None);
+        assert_eq!(fit_slope(&[Vector2::new(10.0, 10.0); 9]), None);
         assert_eq!(fit_slope(&[10.0, 20.0, 30.0, 40.0].map(line)), None);
     }
 }
