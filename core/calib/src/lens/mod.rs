@@ -143,8 +143,11 @@ fn missing_views(missing: &[MissingView]) -> String {
     if missing.is_empty() {
         return "move the board about".to_owned();
     }
-    let missing_views: Vec<String> = missing.iter().map(MissingView::to_string).collect();
-    format!("still missing: {}", missing_views.join("; "))
+    format!("still missing: {}", list(missing))
+}
+
+fn list<T: fmt::Display>(items: &[T]) -> String {
+    items.iter().map(T::to_string).collect::<Vec<_>>().join("; ")
 }
 
 /// Returns [`LensCalibrationError::OtherBoard`] if the views show another board than described.

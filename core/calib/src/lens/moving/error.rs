@@ -5,7 +5,7 @@ use std::fmt;
 use thiserror::Error;
 
 use super::{MIN_PLACES, MIN_SIGHTINGS};
-use crate::lens::views::coverage::zone_name;
+use crate::lens::{list, views::coverage::zone_name};
 
 /// An observation that would help.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -60,10 +60,6 @@ pub enum MovingLensError {
         100.0 * .deviation, list(.missing)
     )]
     Undetermined { deviation: f64, missing: Vec<Missing> },
-}
-
-fn list(missing: &[Missing]) -> String {
-    missing.iter().map(Missing::to_string).collect::<Vec<_>>().join("; ")
 }
 
 fn also(missing: &[Missing]) -> String {

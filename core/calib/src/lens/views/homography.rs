@@ -1,8 +1,6 @@
 //! Homography from the board's plane to a picture, and the pose and tilt that follow from it.
 
-use nalgebra::{
-    Isometry3, Matrix3, Point2, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector3,
-};
+use nalgebra::{Isometry3, Matrix3, Point2, Rotation3, SMatrix, Vector3};
 
 use super::{
     target::Target,
@@ -80,11 +78,8 @@ impl BoardHomography {
         let rotation = svd.u? * svd.v_t?;
         let place: Vector3<f64> = h.column(2).into_owned();
         let is_sound = rotation.determinant() > 0.0 && place.iter().all(|it| it.is_finite());
-        is_sound.then(|| {
-            let rotation = Rotation3::from_matrix_unchecked(rotation);
-            let rotation = UnitQuaternion::from_rotation_matrix(&rotation);
-            Isometry3::from_parts(Translation3::from(place), rotation)
-        })
+        let rotation = Rotation3::from_matrix_unchecked(rotation);
+        is_sound.then(|| Isometry3::from_parts(place.into(), rotation.into()))
     }
 
     /// Tilt of the board about the picture's vertical and horizontal axis, estimated with a focal length of one
