@@ -59,17 +59,14 @@ struct UncodedTrack {
 /// Merges the samples of each associated group under one key.
 pub(super) fn associate(by_roundel: &mut SamplesByRoundel) {
     let tracks = tracks(by_roundel);
-    let mut camera_pairs = BTreeSet::new();
-    for one in &tracks {
-        camera_pairs.extend(
-            tracks.iter().filter(|it| it.camera > one.camera).map(|it| (one.camera, it.camera)),
-        );
+    let cameras: BTreeSet<CameraId> = tracks.iter().map(|track| track.camera).collect();
+    let mut camera_pairs = Vec::new();
+    for one in &cameras {
+        camera_pairs
+            .extend(cameras.iter().filter(|other| *other > one).map(|other| (*one, *other)));
     }
-    let camera_pairs: Vec<(CameraId, CameraId)> = camera_pairs.into_iter().collect();
-    let mut links: Vec<Link> = camera_pairs
-        .into_par_iter()
-        .flat_map_iter(|(one, other)| links_between(&tracks, one, other))
-        .collect();
+    let links = |(one, other)| links_between(&tracks, one, other).unwrap_or_default();
+    let mut links: Vec<Link> = camera_pairs.into_par_iter().flat_map_iter(links).collect();
     // Closest first; the sort is stable, so ties keep the order of cameras.
     links.sort_by(|one, other| one.distance_m.total_cmp(&other.distance_m));
     for group in groups(&tracks, &links) {
@@ -89,18 +86,14 @@ pub(super) fn associate(by_roundel: &mut SamplesByRoundel) {
 
 /// Moving roundels of kinds without codes.
 fn tracks(by_roundel: &SamplesByRoundel) -> Vec<UncodedTrack> {
-    let coded: BTreeSet<KindId> = by_roundel
-        .keys()
-        .filter_map(|name| match name {
-            RoundelKey::Coded(kind, _) => Some(*kind),
-            RoundelKey::Uncoded(..) => None,
-        })
-        .collect();
+    let coded_kind = |name: &RoundelKey| match name {
+        RoundelKey::Coded(kind, _) => Some(*kind),
+        RoundelKey::Uncoded(..) => None,
+    };
+    let coded: BTreeSet<KindId> = by_roundel.keys().filter_map(coded_kind).collect();
     let mut tracks = Vec::new();
-    for (name, seen) in
-        by_roundel.iter().filter(|(name, _)| matches!(name, RoundelKey::Uncoded(..)))
-    {
-        for (camera, seen) in seen {
+    for (name, cameras) in by_roundel.iter().filter(|(name, _)| coded_kind(name).is_none()) {
+        for (camera, seen) in cameras {
             if seen.kind.is_some_and(|kind| coded.contains(&kind)) {
                 continue;
             }
@@ -145,42 +138,37 @@ struct Candidate {
 }
 
 /// Tracks of two cameras that belong together.
-fn links_between(tracks: &[UncodedTrack], one: CameraId, other: CameraId) -> Vec<Link> {
+fn links_between(tracks: &[UncodedTrack], one: CameraId, other: CameraId) -> Option<Vec<Link>> {
     let of =
         |camera: CameraId| (0..tracks.len()).filter(move |&index| tracks[index].camera == camera);
     let same_kind: Vec<[usize; 2]> = of(one)
         .flat_map(|i| of(other).map(move |j| [i, j]))
         .filter(|[i, j]| tracks[*i].kind == tracks[*j].kind)
         .collect();
-    let mut similar: Vec<([usize; 2], f64)> = same_kind
-        .iter()
-        .filter_map(|&[i, j]| Some(([i, j], chord_difference_m(&tracks[i], &tracks[j])?)))
-        .filter(|(_, off_m)| *off_m < CHORD_M)
-        .collect();
-    similar.sort_by(|one, other| one.1.total_cmp(&other.1));
+    let similar = same_kind.iter().filter_map(|&[i, j]| {
+        let distance_m = chord_difference_m(&tracks[i], &tracks[j])?;
+        (distance_m < CHORD_M).then_some(Link { tracks: [i, j], distance_m })
+    });
+    let mut similar: Vec<Link> = similar.collect();
+    similar.sort_by(|one, other| one.distance_m.total_cmp(&other.distance_m));
     let shared = |[i, j]: [usize; 2]| (&tracks[i].samples[..], &tracks[j].samples[..]);
-    let candidates: Vec<Candidate> = similar
-        .iter()
-        .take(MAX_CANDIDATES)
-        .filter_map(|&(pair, _)| {
-            let aligned = align(&[shared(pair)])?;
-            let fits = aligned.is_determined() && aligned.median_residual_m < SAME_M / 2.0;
-            let samples = &tracks[pair[1]].samples;
-            let sum: Vector3<f64> = samples.iter().map(|sample| sample.position_m).sum();
-            let center_m = sum / samples.len() as f64;
-            fits.then_some(Candidate { tracks: pair, aligned, center_m })
-        })
-        .collect();
-    let Some(consensus) = consensus(&candidates) else { return Vec::new() };
-    let all: Vec<_> = consensus.iter().map(|candidate| shared(candidate.tracks)).collect();
-    let Some(aligned) = align(&all) else { return Vec::new() };
-    same_kind
-        .into_iter()
-        .filter_map(|pair| {
-            let distance_m = aligned.distance_m(&shared(pair))?;
-            (distance_m < SAME_M).then_some(Link { tracks: pair, distance_m })
-        })
-        .collect()
+    let candidate = |link: &Link| {
+        let aligned = align(&[shared(link.tracks)])?;
+        let fits = aligned.is_determined() && aligned.median_residual_m < SAME_M / 2.0;
+        let samples = &tracks[link.tracks[1]].samples;
+        let sum: Vector3<f64> = samples.iter().map(|sample| sample.position_m).sum();
+        let center_m = sum / samples.len() as f64;
+        fits.then_some(Candidate { tracks: link.tracks, aligned, center_m })
+    };
+    let candidates: Vec<Candidate> =
+        similar.iter().take(MAX_CANDIDATES).filter_map(candidate).collect();
+    let all: Vec<_> = consensus(&candidates)?.iter().map(|it| shared(it.tracks)).collect();
+    let aligned = align(&all)?;
+    let links = same_kind.into_iter().filter_map(|pair| {
+        let distance_m = aligned.distance_m(&shared(pair))?;
+        (distance_m < SAME_M).then_some(Link { tracks: pair, distance_m })
+    });
+    Some(links.collect())
 }
 
 /// Rms difference of distances at the best clock offset.
@@ -188,15 +176,11 @@ fn chord_difference_m(one: &UncodedTrack, other: &UncodedTrack) -> Option<f64> {
     let shifted = |shift: i64| {
         let skip = one.first_step - other.first_step + shift;
         let (mine, theirs) = (skip.min(0).unsigned_abs() as usize, skip.max(0) as usize);
-        let ones = one.chords_m.iter().skip(mine);
-        let (mut sum, mut count) = (0.0, 0);
-        for off in ones.zip(other.chords_m.iter().skip(theirs)).map(|(a, b)| a - b) {
-            if !off.is_nan() {
-                sum += off * off;
-                count += 1;
-            }
-        }
-        (count >= MIN_STEPS).then(|| (sum / count as f64).sqrt())
+        let pairs = one.chords_m.iter().skip(mine).zip(other.chords_m.iter().skip(theirs));
+        let squares = pairs.map(|(a, b)| (a - b).powi(2)).filter(|square| !square.is_nan());
+        let squares: Vec<f64> = squares.collect();
+        let mean = squares.iter().sum::<f64>() / squares.len() as f64;
+        (squares.len() >= MIN_STEPS).then(|| mean.sqrt())
     };
     (-MAX_SHIFT..=MAX_SHIFT).filter_map(shifted).min_by(f64::total_cmp)
 }
