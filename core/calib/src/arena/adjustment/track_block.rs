@@ -182,20 +182,10 @@ impl TrackBlock {
                 let mut spline = vec![0.0; self.spline.points_m.len() * 3];
                 let mut score = vec![0.0; columns];
                 for observation in observations {
-                    let Some(linearized) = self.linearized(observation, blocks, scale) else {
-                        continue;
-                    };
-                    let pull = linearized.by_point.transpose() * linearized.error;
-                    for knot in 0..linearized.instant.count {
-                        let first = (linearized.instant.first + knot) * 3;
-                        for axis in 0..3 {
-                            spline[first + axis] += linearized.instant.weights[knot] * pull[axis];
-                        }
-                    }
                     let first = self.column(observation.camera, blocks);
-                    for number in 0..unknowns_per_camera(blocks) {
-                        score[first + number] +=
-                            linearized.by_camera[number].dot(&linearized.error);
+                    if let Some(linearized) = self.linearized(observation, blocks, scale) {
+                        let dims = unknowns_per_camera(blocks);
+                        linearized.add_gradient(&mut spline, &mut score[first..first + dims]);
                     }
                 }
                 reduced.factor.forward(&mut spline, 1);
@@ -292,12 +282,29 @@ impl TrackBlock {
     }
 }
 
+impl Linearized {
+    /// Adds the gradient by the spline and by the unknowns of the camera.
+    fn add_gradient(&self, spline: &mut [f64], camera: &mut [f64]) {
+        let pull = self.by_point.transpose() * self.error;
+        for knot in 0..self.instant.count {
+            let first = (self.instant.first + knot) * 3;
+            for axis in 0..3 {
+                spline[first + axis] += self.instant.weights[knot] * pull[axis];
+            }
+        }
+        for (sum, column) in camera.iter_mut().zip(&self.by_camera) {
+            *sum += column.dot(&self.error);
+        }
+    }
+}
+
 impl Normal {
     /// Adds a sighting of the camera whose columns begin at `first`.
     fn add(&mut self, linearized: &Linearized, first: usize, dims: usize, columns: usize) {
-        let Linearized { instant, error, by_point, by_camera } = linearized;
+        let camera_gradient = &mut self.camera_gradient[first..first + dims];
+        linearized.add_gradient(&mut self.spline_gradient, camera_gradient);
+        let Linearized { instant, by_point, by_camera, .. } = linearized;
         let square = by_point.transpose() * by_point;
-        let pull = by_point.transpose() * error;
         let mut cross = [Vector3::zeros(); UNKNOWNS];
         for (to, column) in cross.iter_mut().zip(by_camera).take(dims) {
             *to = by_point.transpose() * column;
@@ -306,7 +313,6 @@ impl Normal {
             let weight = instant.weights[i];
             let row = (instant.first + i) * 3;
             for axis in 0..3 {
-                self.spline_gradient[row + axis] += weight * pull[axis];
                 let start = (row + axis) * columns + first;
                 let target = &mut self.border[start..start + dims];
                 for (to, column) in target.iter_mut().zip(&cross) {
@@ -323,7 +329,6 @@ impl Normal {
             }
         }
         for i in 0..dims {
-            self.camera_gradient[first + i] += by_camera[i].dot(error);
             for j in 0..dims {
                 self.cameras[(first + i) * columns + first + j] += by_camera[i].dot(&by_camera[j]);
             }
