@@ -8,7 +8,7 @@ use super::{
     adjustment::{
         bundle::{Bundle, Outcome, excess_squared, is_outlier},
         camera_block::POSE_AND_CLOCK,
-        track_block::{Observation, TrackBlock, unknowns_per_camera},
+        track_block::{TrackBlock, unknowns_per_camera},
     },
     finding::{Advice, Finding},
     initial_poses::{Alignment, MIN_SPREAD_M, RelativePose},
@@ -182,23 +182,33 @@ fn residuals(
     let mut findings = Vec::new();
     for track in &bundle.tracks {
         // Sightings of each camera, and the inconsistent ones among them.
-        let mut shares = vec![(0usize, 0usize); survey.kept.len()];
+        let mut counts = vec![[0usize; 2]; survey.kept.len()];
         for (observation, square) in track.observations.iter().zip(track.squares(&bundle.blocks)) {
             let is_off = is_outlier(square, outcome.excess);
-            shares[observation.camera].0 += 1;
-            shares[observation.camera].1 += usize::from(is_off);
-            if !is_off {
-                let lens = &survey.cameras[survey.kept[observation.camera]].lens;
-                residuals[observation.camera].add(observation, square, lens, bundle, track);
+            let [sightings, off] = &mut counts[observation.camera];
+            *sightings += 1;
+            *off += usize::from(is_off);
+            if is_off {
+                continue;
+            }
+            let residuals = &mut residuals[observation.camera];
+            residuals.squares.push(square);
+            let lens = &survey.cameras[survey.kept[observation.camera]].lens;
+            let predicted = track.predict(observation, &bundle.blocks);
+            let predicted = predicted.and_then(|at_m| lens.project(&at_m).ok());
+            let observed = lens.project(&observation.position_m).ok();
+            if let (Some(observed), Some(predicted)) = (observed, predicted) {
+                residuals.square_px +=
+                    (observed.u - predicted.u).powi(2) + (observed.v - predicted.v).powi(2);
+                residuals.coverage.add(lens, observed);
             }
         }
-        for (camera, (sightings, off)) in shares.into_iter().enumerate() {
+        let Some(RoundelKey::Coded(kind, code)) = track.name else { continue };
+        for (index, [sightings, off]) in counts.into_iter().enumerate() {
             let share = off as f64 / sightings.max(1) as f64;
-            if let Some(RoundelKey::Coded(kind, code)) =
-                track.name.filter(|_| share > MISPLACED_SHARE)
-            {
-                let off_m = distance_m(track, camera, bundle);
-                let camera = survey.cameras[survey.kept[camera]].id;
+            if share > MISPLACED_SHARE {
+                let off_m = distance_m(track, index, bundle);
+                let camera = survey.cameras[survey.kept[index]].id;
                 findings.push(Finding::Elsewhere { camera, kind, code, sightings, share, off_m });
             }
         }
@@ -209,33 +219,12 @@ fn residuals(
 /// Median offset across the line of sight between a camera's sightings and the adjusted track, metres.
 fn distance_m(track: &TrackBlock, camera: usize, bundle: &Bundle) -> f64 {
     let own = track.observations.iter().filter(|observation| observation.camera == camera);
-    let mut distance_m: Vec<f64> = own
-        .filter_map(|observation| {
-            let predicted_m = track.predict(observation, &bundle.blocks)?;
-            let sine = observation.position_m.normalize().cross(&predicted_m.normalize()).norm();
-            Some(sine * observation.position_m.norm())
-        })
-        .collect();
-    median(&mut distance_m).unwrap_or(f64::INFINITY)
-}
-
-impl CameraResiduals {
-    fn add(
-        &mut self,
-        observation: &Observation,
-        square: f64,
-        lens: &Camera,
-        bundle: &Bundle,
-        track: &TrackBlock,
-    ) {
-        self.squares.push(square);
-        let Some(predicted_m) = track.predict(observation, &bundle.blocks) else { return };
-        let pixels =
-            [observation.position_m, predicted_m].map(|position_m| lens.project(&position_m));
-        let [Ok(one), Ok(other)] = pixels else { return };
-        self.square_px += (one.u - other.u).powi(2) + (one.v - other.v).powi(2);
-        self.coverage.add(lens, one);
-    }
+    let distances_m = own.filter_map(|observation| {
+        let predicted_m = track.predict(observation, &bundle.blocks)?;
+        let sine = observation.position_m.normalize().cross(&predicted_m.normalize()).norm();
+        Some(sine * observation.position_m.norm())
+    });
+    median(&mut distances_m.collect::<Vec<f64>>()).unwrap_or(f64::INFINITY)
 }
 
 fn calibrated(
