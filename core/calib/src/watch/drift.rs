@@ -49,14 +49,9 @@ pub(super) struct Drift {
 
 impl Drift {
     pub(super) fn new(slots: usize) -> Self {
-        Self {
-            information: DMatrix::zeros(slots * NUMBERS, slots * NUMBERS),
-            score: DVector::zeros(slots * NUMBERS),
-            levers: vec![(Matrix6::zeros(), 0.0); slots],
-            energy: 0.0,
-            degrees_of_freedom: 0.0,
-            filled: 0.0,
-        }
+        let mut drift = Self::default();
+        (0..slots).for_each(|_| drift.grow());
+        drift
     }
 
     /// Fades by one bin and adds its comparisons.

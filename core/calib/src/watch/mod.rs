@@ -152,7 +152,7 @@ struct CameraSlot {
 }
 
 /// Supervision of all cameras of an installation.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Watch {
     params: WatchParams,
     landmarks: Vec<Landmark>,
@@ -174,20 +174,7 @@ pub struct Watch {
 impl Watch {
     /// Without cameras.
     pub fn new(params: WatchParams) -> Self {
-        Self {
-            params,
-            landmarks: Vec::new(),
-            slots: Vec::new(),
-            bins: VecDeque::new(),
-            next_bin: None,
-            now: None,
-            rest_times: RestTimes::default(),
-            streaks: Default::default(),
-            drift: Drift::new(0),
-            contradiction: None,
-            misplaced: Vec::new(),
-            events: Vec::new(),
-        }
+        Self { params, ..Self::default() }
     }
 
     /// Sets the pose of a camera and drops the evidence about it. Setting the current pose has no effect.
