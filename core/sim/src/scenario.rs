@@ -1,6 +1,6 @@
 //! A seeded world: paths of robots, cameras, and the ground truth.
 
-use nalgebra::{Point3, Rotation3, Translation3, Vector3};
+use nalgebra::{Point3, Rotation3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -136,10 +136,7 @@ impl Scenario {
             index,
             kind: KindId((index % self.params.kinds.len()) as u16),
             code: self.codes[index].map(|printed| printed.code),
-            world_from_roundel: Rigid::from_parts(
-                Translation3::from(motion.position_m),
-                attitude.orientation,
-            ),
+            world_from_roundel: Rigid::from_parts(motion.position_m.into(), attitude.orientation),
             velocity_m_s: motion.velocity_m_s,
             acceleration_m_s2: motion.acceleration_m_s2,
             angular_velocity_rad_s: attitude.angular_velocity_rad_s,
@@ -254,7 +251,7 @@ impl Boom {
         let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), angle_rad);
         let middle = self.pivot_m + turn * Vector3::new(self.length_m / 2.0, 0.0, 0.0);
         BoomPose {
-            world_from_boom: Rigid::from_parts(Translation3::from(middle), turn.into()),
+            world_from_boom: Rigid::from_parts(middle.into(), turn.into()),
             half_m: [self.length_m / 2.0, BOOM_HALF_WIDTH_M],
         }
     }
