@@ -13,24 +13,18 @@ pub(crate) fn cell_of(at: PixelPoint, size: (usize, usize), cells: (usize, usize
 /// Cells of an image across and down.
 const CELLS: (usize, usize) = (8, 6);
 
-/// Cells of an image with observations.
-#[derive(Clone, Debug)]
-pub struct ImageCoverage([bool; CELLS.0 * CELLS.1]);
+/// Cells of an image with observations, a bit for each.
+#[derive(Clone, Debug, Default)]
+pub struct ImageCoverage(u64);
 
 impl ImageCoverage {
     /// Marks the cell of a pixel.
     pub fn add(&mut self, lens: &Camera, at: PixelPoint) {
-        self.0[cell_of(at, (lens.width(), lens.height()), CELLS)] = true;
+        self.0 |= 1 << cell_of(at, (lens.width(), lens.height()), CELLS);
     }
 
     /// Share of covered cells, 0 to 1.
     pub fn share(&self) -> f64 {
-        self.0.iter().filter(|&&is_seen| is_seen).count() as f64 / self.0.len() as f64
-    }
-}
-
-impl Default for ImageCoverage {
-    fn default() -> Self {
-        Self([false; CELLS.0 * CELLS.1])
+        f64::from(self.0.count_ones()) / (CELLS.0 * CELLS.1) as f64
     }
 }
