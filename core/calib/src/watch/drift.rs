@@ -160,12 +160,6 @@ impl Drift {
         self.score.fixed_rows_mut::<NUMBERS>(at).fill(0.0);
         self.levers[slot] = (Matrix6::zeros(), 0.0);
     }
-
-    /// Accounts for a change of a camera's pose.
-    pub(super) fn change(&mut self, slot: usize, change: &Vector6<f64>) {
-        let column = self.information.fixed_columns::<NUMBERS>(slot * NUMBERS);
-        self.score -= column * change;
-    }
 }
 
 impl Watch {
@@ -184,7 +178,8 @@ impl Watch {
             self.mark_settled();
             return;
         };
-        self.drift.change(index, &offset.change);
+        let column = self.drift.information.fixed_columns::<NUMBERS>(index * NUMBERS);
+        self.drift.score -= column * offset.change;
         let slot = &mut self.slots[index];
         let pose = &mut slot.placement;
         pose.world_from_camera = moved(&pose.world_from_camera, &offset.change);

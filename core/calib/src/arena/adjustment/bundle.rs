@@ -97,7 +97,20 @@ impl LeastSquares for Bundle {
     }
 
     fn stepped(&self, equations: &Equations, damping: f64) -> Option<Self> {
-        Some(self.moved(equations, &equations.normal.step(damping)?))
+        let change = equations.normal.step(damping)?;
+        let along = |i: usize| change[i].abs() * equations.normal.information[(i, i)].sqrt();
+        let step_length = (0..change.len()).map(along).fold(0.0, f64::max);
+        let dims = unknowns_per_camera(&self.blocks);
+        let blocks = std::iter::zip(&self.blocks, change.as_slice().chunks_exact(dims))
+            .map(|(block, step)| block.moved(step))
+            .collect();
+        let stepped = |(track, reduced): (&TrackBlock, &Reduced)| {
+            let columns = columns_of(&track.cameras, dims);
+            let step: Vec<f64> = columns.iter().map(|&column| change[column]).collect();
+            TrackBlock { spline: track.stepped(reduced, &step), ..track.clone() }
+        };
+        let tracks = self.tracks.par_iter().zip(&equations.reduced).map(stepped).collect();
+        Some(Self { blocks, tracks, step_length })
     }
 }
 
@@ -133,8 +146,11 @@ impl Bundle {
         for is_first in [true, false] {
             let scale = if is_first { UNWEIGHTED } else { self.scale() };
             let tracks = self.tracks.par_iter();
-            let splines = tracks.map(|track| track.solved_spline(&self.blocks, scale));
-            let splines: Vec<Spline> = splines.collect::<Option<_>>()?;
+            let solved = |track: &TrackBlock| {
+                let reduced = track.reduce(&self.blocks, scale)?;
+                Some(track.stepped(&reduced, &vec![0.0; reduced.gradient.len()]))
+            };
+            let splines: Vec<Spline> = tracks.map(solved).collect::<Option<_>>()?;
             for (track, spline) in self.tracks.iter_mut().zip(splines) {
                 track.spline = spline;
             }
@@ -152,22 +168,6 @@ impl Bundle {
         let mut squares: Vec<f64> =
             self.tracks.par_iter().flat_map_iter(|track| track.squares(&self.blocks)).collect();
         excess_squared(&mut squares)
-    }
-
-    fn moved(&self, equations: &Equations, change: &DVector<f64>) -> Bundle {
-        let along = |i: usize| change[i].abs() * equations.normal.information[(i, i)].sqrt();
-        let step_length = (0..change.len()).map(along).fold(0.0, f64::max);
-        let dims = unknowns_per_camera(&self.blocks);
-        let blocks = std::iter::zip(&self.blocks, change.as_slice().chunks_exact(dims))
-            .map(|(block, step)| block.moved(step))
-            .collect();
-        let stepped = |(track, reduced): (&TrackBlock, &Reduced)| {
-            let columns = columns_of(&track.cameras, dims);
-            let step: Vec<f64> = columns.iter().map(|&column| change[column]).collect();
-            TrackBlock { spline: track.stepped(reduced, &step), ..track.clone() }
-        };
-        let tracks = self.tracks.par_iter().zip(&equations.reduced).map(stepped).collect();
-        Bundle { blocks, tracks, step_length }
     }
 
     fn outcome(&self, steps: usize) -> Option<Outcome> {

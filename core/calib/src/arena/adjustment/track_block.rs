@@ -119,12 +119,6 @@ impl TrackBlock {
         seen + stated + jerks.sum::<f64>()
     }
 
-    /// Best spline for the current cameras.
-    pub(crate) fn solved_spline(&self, blocks: &[CameraBlock], scale: f64) -> Option<Spline> {
-        let reduced = self.reduce(blocks, scale)?;
-        Some(self.stepped(&reduced, &vec![0.0; self.cameras.len() * unknowns_per_camera(blocks)]))
-    }
-
     /// Eliminates the spline.
     pub(crate) fn reduce(&self, blocks: &[CameraBlock], scale: f64) -> Option<Reduced> {
         let Normal { band, mut border, mut cameras, mut spline_gradient, mut camera_gradient } =
