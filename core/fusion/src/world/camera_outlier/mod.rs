@@ -26,12 +26,10 @@
 //! Limits: needs at least [`MIN_SHARED`] objects that other cameras observe too; a single camera is never held back.
 //!
 //! PERF: a frame with usual innovations costs one addition per sighting. The fit runs ten times a second for the
-//! baseline, on a part of a large frame, and on all sightings when something is unusual.
+//! baseline, and when something is unusual.
 
-mod query;
 mod shift;
 
-pub(super) use query::{InnovationSum, MAX_SQUARED, Query};
 use roundel_vision::{id::CameraId, time::Timestamp};
 use shift::{Baseline, Shift, fit};
 pub(super) use shift::{MAX_OTHERS, ObjectResidual};
@@ -49,6 +47,8 @@ const MAX_REST_GAIN: f64 = 5.0;
 const MAX_QUERIED: usize = 8;
 /// Smallest rms motion of the detections that matters.
 const MIN_MOVE_M: f64 = 0.0015;
+/// Limit of an innovation's squared length in the usual sum.
+pub(super) const MAX_SQUARED: f64 = 50.0;
 /// Sums of squared innovations within this of the usual sum need no fit.
 const UNUSUAL: f64 = 25.0;
 /// A gain above this raises an alarm: for a time all frames are fitted.
@@ -122,11 +122,18 @@ struct CameraRecord {
 pub(super) struct CameraOutliers {
     cameras: Vec<CameraRecord>,
     events: Vec<HeldBack>,
-    residuals: Vec<ObjectResidual>,
     /// Last time that some camera seemed to move.
     alarm: Option<Timestamp>,
     /// Cameras whose measurements must be retracted, and from when on.
     retractions: Vec<(CameraId, Timestamp)>,
+}
+
+/// Sum over a frame's innovations.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct InnovationSum {
+    /// Squared lengths, each at most [`MAX_SQUARED`].
+    pub(super) sum: f64,
+    pub(super) count: usize,
 }
 
 /// Decision about a frame.
@@ -201,15 +208,15 @@ impl CameraOutliers {
         }
     }
 
-    /// Decides about a frame. `gather` collects the distances from what all others, or one of them, observed; it
-    /// is called only when needed.
+    /// Decides about a frame. `gather` collects the distances from what one other camera, or all of them, observed;
+    /// it is called only when needed.
     pub(super) fn judge(
         &mut self,
         camera: CameraId,
         time: Timestamp,
         innovations: InnovationSum,
         max_held_ns: i64,
-        gather: impl Fn(Query, &mut Vec<ObjectResidual>),
+        gather: impl Fn(Option<CameraId>) -> Vec<ObjectResidual>,
     ) -> Admission {
         let index = self.index(camera, time);
         let record = &self.cameras[index];
@@ -220,25 +227,17 @@ impl CameraOutliers {
             self.cameras[index].update_usual(innovations);
             return Admission::Consistent;
         }
-        let is_quiet = record.hold.is_none() && is_usual;
-        let mut residuals = std::mem::take(&mut self.residuals);
-        let mut fitted = |query: Query| {
-            gather(query, &mut residuals);
-            shift_of(&residuals, &record.baseline)
-        };
-        let is_alarming = |it: &Shift| it.gain > ALARM_GAIN && it.moved_m > MIN_MOVE_M;
-        let turn = (time.as_ns() / LEARN_NS).unsigned_abs();
-        let part = Query::part(innovations.count, turn).filter(|_| is_quiet);
-        let of_part = part.and_then(&mut fitted).filter(|it| !is_alarming(it));
-        let shift = of_part.or_else(|| fitted(Query::whole(None)));
-        if shift.as_ref().is_some_and(is_alarming) {
+        let residuals = gather(None);
+        let is_enough = residuals.len() >= MIN_SHARED;
+        let shift = if is_enough { fit(&residuals, &record.baseline) } else { None };
+        if shift.as_ref().is_some_and(|it| it.gain > ALARM_GAIN && it.moved_m > MIN_MOVE_M) {
             self.alarm = self.alarm.max(Some(time));
         }
         let moved = shift.filter(|it| it.gain > MIN_GAIN && it.moved_m > MIN_MOVE_M);
         let admission = if self.cameras[index].hold.is_some() {
             self.judge_held(index, time, max_held_ns, shift.map(|_| moved.is_some()))
         } else if let Some(shift) = moved.as_ref().filter(|_| time >= self.cameras[index].from) {
-            self.suspect(index, time, shift, &mut residuals, gather)
+            self.suspect(index, time, shift, &residuals, gather)
         } else {
             self.cameras[index].update_usual(innovations);
             if moved.is_some() { Admission::Admitted } else { Admission::Consistent }
@@ -246,7 +245,6 @@ impl CameraOutliers {
         if is_due && admission != Admission::Rejected {
             self.cameras[index].update_baseline(shift.as_ref(), time);
         }
-        self.residuals = residuals;
         admission
     }
 
@@ -256,26 +254,24 @@ impl CameraOutliers {
         index: usize,
         time: Timestamp,
         shift: &Shift,
-        residuals: &mut Vec<ObjectResidual>,
-        gather: impl Fn(Query, &mut Vec<ObjectResidual>),
+        residuals: &[ObjectResidual],
+        gather: impl Fn(Option<CameraId>) -> Vec<ObjectResidual>,
     ) -> Admission {
         let is_queried =
             |record: &&CameraRecord| residuals.iter().any(|residual| residual.is_by(record.camera));
-        let (mut others, mut unconfirmed_count) = ([None; MAX_QUERIED], 1);
-        let seeing = self.cameras.iter().filter(is_queried);
-        for (record, other) in seeing.zip(&mut others) {
-            *other = Some(record.camera);
-            unconfirmed_count += usize::from(record.hold.is_some_and(|hold| !hold.is_confirmed));
-        }
-        let count = others.iter().flatten().count();
-        if 2 * unconfirmed_count > count + 1 {
+        let others: Vec<&CameraRecord> =
+            self.cameras.iter().filter(is_queried).take(MAX_QUERIED).collect();
+        let is_unconfirmed =
+            |record: &&&CameraRecord| record.hold.is_some_and(|hold| !hold.is_confirmed);
+        let unconfirmed_count = 1 + others.iter().filter(is_unconfirmed).count();
+        if 2 * unconfirmed_count > others.len() + 1 {
             // The objects moved.
             for record in &mut self.cameras {
                 record.hold = record.hold.filter(|hold| hold.is_confirmed);
             }
             return Admission::Admitted;
         }
-        match find_culprit(shift, others.into_iter().flatten(), residuals, gather) {
+        match find_culprit(shift, others.iter().map(|record| record.camera), gather) {
             Culprit::Unknown => Admission::Admitted,
             Culprit::Itself => {
                 self.hold(index, time);
@@ -355,37 +351,30 @@ impl CameraOutliers {
 fn find_culprit(
     shift: &Shift,
     others: impl Iterator<Item = CameraId>,
-    residuals: &mut Vec<ObjectResidual>,
-    gather: impl Fn(Query, &mut Vec<ObjectResidual>),
+    gather: impl Fn(Option<CameraId>) -> Vec<ObjectResidual>,
 ) -> Culprit {
-    let (mut queried, mut is_contradicted) = (0, false);
-    let mut gains = [(0.0, CameraId(0)); MAX_QUERIED];
+    let mut is_contradicted = false;
+    let mut gains = Vec::new();
     for other in others {
-        gather(Query::whole(Some(other)), residuals);
-        let gain = shift.gain_of(residuals);
+        let residuals = gather(Some(other));
+        let gain = shift.gain_of(&residuals);
         is_contradicted |= gain < -MIN_SINGLE_GAIN;
         if residuals.len() >= MIN_SHARED {
-            gains[queried] = (gain, other);
-            queried += 1;
+            gains.push((gain, other));
         }
     }
-    let gains = &gains[..queried];
     let Some(&(best, other)) = gains.iter().max_by(|one, two| one.0.total_cmp(&two.0)) else {
         return Culprit::Unknown;
     };
     let supporting = gains.iter().filter(|(gain, _)| *gain > MIN_SINGLE_GAIN).count();
     let rest = gains.iter().map(|(gain, _)| gain).sum::<f64>() - best;
-    if 2 * supporting > queried && !is_contradicted {
+    if 2 * supporting > gains.len() && !is_contradicted {
         Culprit::Itself
-    } else if queried > 1 && best > MIN_GAIN && rest < MAX_REST_GAIN {
+    } else if gains.len() > 1 && best > MIN_GAIN && rest < MAX_REST_GAIN {
         Culprit::Other(other)
     } else {
         Culprit::Unknown
     }
-}
-
-fn shift_of(residuals: &[ObjectResidual], baseline: &Baseline) -> Option<Shift> {
-    if residuals.len() < MIN_SHARED { None } else { fit(residuals, baseline) }
 }
 
 impl CameraRecord {

@@ -15,7 +15,7 @@ use roundel_vision::id::CameraId;
 const ROBUST: f64 = 4.0;
 /// Largest number of other cameras that an object is compared with.
 pub(crate) const MAX_OTHERS: usize = 4;
-/// Largest number of reweightings.
+/// Number of reweightings.
 const STEPS: usize = 3;
 /// Prior standard deviations of translation and rotation.
 const PRIOR_M: f64 = 0.2;
@@ -88,37 +88,37 @@ impl Baseline {
 impl Shift {
     /// Gain of the same motion for other residuals.
     pub(super) fn gain_of(&self, residuals: &[ObjectResidual]) -> f64 {
-        cost(residuals, &self.baseline).0 - cost(residuals, &self.change).0
+        cost(residuals, &self.baseline) - cost(residuals, &self.change)
     }
 }
 
 /// `None` if the residuals have no valid covariance.
-///
-/// PERF: where no cost is beyond [`ROBUST`] before and after a step, the problem is linear and that step is the
-/// last.
 pub(super) fn fit(residuals: &[ObjectResidual], baseline: &Baseline) -> Option<Shift> {
     let baseline = baseline.change();
-    let mut step = Step::at(residuals, &baseline);
-    let before = step.cost;
     let mut change = baseline;
-    let mut remaining = before;
-    for number in 1..=STEPS {
-        change += step.information.cholesky()?.solve(&(step.score - prior() * change));
-        let (cost, is_linear) = cost(residuals, &change);
-        remaining = cost;
-        if step.is_linear && is_linear || number == STEPS {
-            break;
+    let mut information = prior();
+    for _ in 0..STEPS {
+        information = prior();
+        let mut score = -prior() * change;
+        for residual in residuals {
+            let (remaining_m, squared) = residual.remaining(&change);
+            let weight = residual.weight * (ROBUST / squared.sqrt()).min(1.0);
+            let weighted = weight * remaining_m;
+            let turned = residual.arm_m.cross(&weighted);
+            score -= Vector6::new(weighted.x, weighted.y, weighted.z, turned.x, turned.y, turned.z);
+            add_information(&mut information, &weight, &residual.arm_m);
         }
-        step = Step::at(residuals, &change);
+        change += information.cholesky()?.solve(&score);
     }
+    let [before, remaining] = [&baseline, &change].map(|change| cost(residuals, change));
     let freedom = (3 * residuals.len()).saturating_sub(NUMBERS).max(1) as f64;
     let beyond_baseline = change - baseline;
     let moved = residuals
         .iter()
-        .map(|weighted_sum| weighted_sum.displacement(&beyond_baseline).norm_squared())
+        .map(|residual| residual.displacement(&beyond_baseline).norm_squared())
         .sum::<f64>();
     Some(Shift {
-        information: step.information - prior(),
+        information: information - prior(),
         baseline,
         change,
         gain: (before - remaining) / (remaining / freedom).max(1.0),
@@ -126,41 +126,8 @@ pub(super) fn fit(residuals: &[ObjectResidual], baseline: &Baseline) -> Option<S
     })
 }
 
-/// Linearization of the cost.
-struct Step {
-    information: Matrix6<f64>,
-    score: Vector6<f64>,
-    cost: f64,
-    /// No object's cost is beyond [`ROBUST`].
-    is_linear: bool,
-}
-
-impl Step {
-    fn at(residuals: &[ObjectResidual], change: &Vector6<f64>) -> Self {
-        let mut step =
-            Self { information: prior(), score: Vector6::zeros(), cost: 0.0, is_linear: true };
-        for weighted_sum in residuals {
-            let (remaining_m, squared) = weighted_sum.remaining(change);
-            let weight = weighted_sum.weight * (ROBUST / squared.sqrt()).min(1.0);
-            let weighted = weight * remaining_m;
-            let mut rows = step.score.fixed_rows_mut::<3>(0);
-            rows -= weighted;
-            let mut rows = step.score.fixed_rows_mut::<3>(3);
-            rows -= weighted_sum.arm_m.cross(&weighted);
-            add_information(&mut step.information, &weight, &weighted_sum.arm_m);
-            step.cost += robust(squared);
-            step.is_linear &= squared <= ROBUST * ROBUST;
-        }
-        step
-    }
-}
-
-/// Cost, and whether no object's is beyond [`ROBUST`].
-fn cost(residuals: &[ObjectResidual], change: &Vector6<f64>) -> (f64, bool) {
-    residuals.iter().fold((0.0, true), |(cost, is_linear), weighted_sum| {
-        let squared = weighted_sum.remaining(change).1;
-        (cost + robust(squared), is_linear && squared <= ROBUST * ROBUST)
-    })
+fn cost(residuals: &[ObjectResidual], change: &Vector6<f64>) -> f64 {
+    residuals.iter().map(|residual| robust(residual.remaining(change).1)).sum()
 }
 
 /// Adds Jᵀ W J.
@@ -197,14 +164,14 @@ mod tests {
 
     /// Objects in a row with a deviation of 1 mm, displaced by a motion of the camera.
     fn residuals(count: usize, change: &Vector6<f64>) -> Vec<ObjectResidual> {
-        let weighted_sum = |index: usize| {
+        let residual = |index: usize| {
             let arm_m = Vector3::new(index as f64 - 2.0, (index * index % 5) as f64, -4.0);
             let weight = Matrix3::from_diagonal_element(1e6);
-            let weighted_sum =
+            let residual =
                 ObjectResidual { arm_m, residual_m: Vector3::zeros(), weight, others: [None; 4] };
-            ObjectResidual { residual_m: -weighted_sum.displacement(change), ..weighted_sum }
+            ObjectResidual { residual_m: -residual.displacement(change), ..residual }
         };
-        (0..count).map(weighted_sum).collect()
+        (0..count).map(residual).collect()
     }
 
     #[test]

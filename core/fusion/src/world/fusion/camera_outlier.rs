@@ -8,9 +8,7 @@ use crate::{
     world::{
         HeldBack,
         association::{Decision, Sighting},
-        camera_outlier::{
-            Admission, InnovationSum, MAX_OTHERS, MAX_SQUARED, ObjectResidual, Query,
-        },
+        camera_outlier::{Admission, InnovationSum, MAX_OTHERS, MAX_SQUARED, ObjectResidual},
         clock::Clocks,
         lifecycle::Track,
     },
@@ -88,15 +86,14 @@ impl Fusion {
         let (tracks, sightings) = (&self.tracks, &self.sightings);
         let (clocks, exempt) = (&self.clocks, self.exempt.as_slice());
         let (trust, rank) = (&self.trust, self.trust.rank(camera));
-        let gather = |Query { by, every, skipped }: Query, residuals: &mut Vec<ObjectResidual>| {
+        let gather = |by: Option<CameraId>| {
             let queried = |other: CameraId| {
                 other != camera
                     && by.is_none_or(|by| by == other)
                     && exempt.binary_search(&other).is_err()
                     && trust.rank(other) >= rank
             };
-            let selected = sightings.iter().zip(decisions).skip(skipped).step_by(every);
-            let each = selected.filter_map(|(sighting, decision)| {
+            let all = sightings.iter().zip(decisions).filter_map(|(sighting, decision)| {
                 let index = decision.map(|(track, _)| track);
                 let track = &tracks[index.or_else(|| claimed_track(tracks, sighting))?];
                 let residual = object_residual(track, sighting, queried, clocks)?;
@@ -105,8 +102,7 @@ impl Fusion {
                     ..residual
                 })
             });
-            residuals.clear();
-            residuals.extend(each);
+            all.collect()
         };
         let admission = self.camera_outliers.judge(camera, time, innovations, max_held_ns, gather);
         if admission == Admission::Consistent {
