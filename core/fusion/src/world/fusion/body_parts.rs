@@ -99,10 +99,8 @@ impl Fusion {
         let is_it =
             |track: &Track| track.subject.body.is_none() && track.has_number(camera, number);
         let Some(index) = self.tracks.iter().position(is_it) else { return };
-        let mut ended = self.tracks.remove(index);
+        let ended = self.tracks.remove(index);
         self.counts.merged += 1;
-        let is_confirmed = !ended.is_tentative();
-        let event = ended.mark_lost(now);
-        self.end(ended, is_confirmed.then_some(event));
+        self.end(ended, now);
     }
 }

@@ -144,10 +144,9 @@ impl Fusion {
                     index += 1;
                 }
                 Retraction::NothingLeft => {
-                    let mut ended = self.tracks.remove(index);
-                    let is_confirmed = !ended.is_tentative();
-                    let event = ended.mark_lost(ended.newest);
-                    self.end(ended, is_confirmed.then_some(event));
+                    let ended = self.tracks.remove(index);
+                    let newest = ended.newest;
+                    self.end(ended, newest);
                 }
             }
         }

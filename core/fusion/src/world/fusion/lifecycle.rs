@@ -18,8 +18,7 @@ impl Fusion {
             self.counts.over_max_objects += 1;
             return;
         }
-        let id = ObjectId(self.next_id);
-        self.next_id += 1;
+        self.last_id += 1;
         self.counts.used += 1;
         self.counts.begun += 1;
         self.newest_used = self.newest_used.max(Some(sighting.measurement.time));
@@ -31,7 +30,7 @@ impl Fusion {
         };
         // For an object measured by its own camera, the position depends on the orientation, whose errors last.
         model.learns_rotation_density &= sighting.measurement.number != CARRIER_NUMBER;
-        let mut track = Track::begin(id, subject, sighting.measurement, model);
+        let mut track = Track::begin(ObjectId(self.last_id), subject, sighting.measurement, model);
         if let Some(code) = sighting.code {
             track.codes.add(code);
         }
@@ -42,17 +41,15 @@ impl Fusion {
     pub(super) fn advance(&mut self, now: Timestamp) {
         let mut index = 0;
         while index < self.tracks.len() {
-            match self.tracks[index].advance(now, &self.params) {
-                Ok(event) => {
-                    if let Some(event) = event {
-                        self.push_event(event);
-                    }
-                    index += 1;
-                }
-                Err(event) => {
-                    let track = self.tracks.remove(index);
-                    self.end(track, event);
-                }
+            let track = &mut self.tracks[index];
+            if let Some(time) = track.end_time(now, &self.params) {
+                let ended = self.tracks.remove(index);
+                self.end(ended, time);
+                continue;
+            }
+            index += 1;
+            if let Some(event) = track.advance(now, &self.params) {
+                self.push_event(event);
             }
         }
     }
@@ -62,39 +59,38 @@ impl Fusion {
         self.counts.restarts += 1;
         self.next_merge = None;
         self.newest_used = None;
-        for mut track in std::mem::take(&mut self.tracks) {
-            let is_confirmed = !track.is_tentative();
-            let event = track.mark_lost(track.newest);
-            self.end(track, is_confirmed.then_some(event));
+        for track in std::mem::take(&mut self.tracks) {
+            let newest = track.newest;
+            self.end(track, newest);
         }
     }
 
     pub(super) fn merge(&mut self, now: Timestamp) {
         while let Some((stays, goes)) = find_duplicates(&mut self.tracks, now) {
-            let mut ended = self.tracks[goes].clone();
+            let ended = self.tracks[goes].clone();
             self.tracks[stays].adopt_views(&ended);
             self.tracks[stays].codes.merge(&ended.codes);
             self.tracks.remove(goes);
             self.counts.merged += 1;
-            let is_confirmed = !ended.is_tentative();
-            let event = ended.mark_lost(now);
-            self.end(ended, is_confirmed.then_some(event));
+            self.end(ended, now);
         }
     }
 
     /// Ends a track. A confirmed one gives an event, and appears in the next snapshot as lost.
-    pub(super) fn end(&mut self, track: Track, event: Option<Event>) {
+    pub(super) fn end(&mut self, mut track: Track, time: Timestamp) {
         if track.subject.body.is_some() {
             // Another track of the body may claim the id now.
             let twins = self.tracks.iter_mut().filter(|other| other.subject == track.subject);
             twins.for_each(|twin| twin.claimed_mark = None);
         }
-        let Some(event) = event else { return };
-        self.push_event(event);
+        if track.is_tentative() {
+            return;
+        }
+        track.stage = LifeStage::Lost;
+        self.push_event(Event { time, object: track.id, kind: EventKind::Lost });
         if self.lost.len() >= self.params.max_objects {
             self.lost.remove(0);
         }
-        debug_assert!(track.stage == LifeStage::Lost && event.kind == EventKind::Lost);
         self.lost.push(track);
     }
 

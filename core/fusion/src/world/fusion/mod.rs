@@ -47,7 +47,7 @@ use roundel_vision::{
 const MERGE_EVERY_NS: i64 = 50_000_000;
 
 /// All objects and cameras of an installation.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Fusion {
     params: FusionParams,
     classes: BTreeMap<KindId, MotionClass>,
@@ -70,7 +70,7 @@ pub struct Fusion {
     tracks: Vec<Track>,
     /// Lost tracks, until the next snapshot.
     lost: Vec<Track>,
-    next_id: u64,
+    last_id: u64,
     next_merge: Option<Timestamp>,
     newest_used: Option<Timestamp>,
     events: VecDeque<Event>,
@@ -84,34 +84,7 @@ pub struct Fusion {
 impl Fusion {
     /// A machine without cameras and objects.
     pub fn new(params: FusionParams) -> Self {
-        Self {
-            params,
-            classes: BTreeMap::new(),
-            cameras: BTreeMap::new(),
-            mobile_cameras: MobileCameras::default(),
-            landmarks: Vec::new(),
-            stamp_corrector: StampCorrector::default(),
-            clocks: Clocks::default(),
-            offsets_m: BTreeMap::new(),
-            id_registry: IdRegistry::default(),
-            bodies: Bodies::default(),
-            height_checks: HeightChecks::default(),
-            timeline: Timeline::default(),
-            missing_frames: MissingFrames::default(),
-            camera_outliers: CameraOutliers::default(),
-            exempt: Vec::new(),
-            trust: Trust::default(),
-            tracks: Vec::new(),
-            lost: Vec::new(),
-            next_id: 1,
-            next_merge: None,
-            newest_used: None,
-            events: VecDeque::new(),
-            counts: FusionCounts::default(),
-            scratch: Scratch::default(),
-            sightings: Vec::new(),
-            numbers: Vec::new(),
-        }
+        Self { params, ..Self::default() }
     }
 
     /// Sets the pose of a stationary camera. With `None`, its detections are not used.
@@ -370,9 +343,7 @@ impl Fusion {
         let is_new = event.is_some_and(|event| event.kind == EventKind::Appeared);
         if !is_new {
             // It was reported under another id, which ends here.
-            let mut ended = self.tracks[index].clone();
-            let event = ended.mark_lost(now);
-            self.end(ended, Some(event));
+            self.end(self.tracks[index].clone(), now);
         }
         // No longer lost.
         self.lost.retain(|lost| lost.id != object);

@@ -173,10 +173,9 @@ impl Fusion {
 
     fn end_where(&mut self, ends: impl Fn(&Track) -> bool) {
         while let Some(index) = self.tracks.iter().position(&ends) {
-            let mut ended = self.tracks.remove(index);
-            let is_confirmed = !ended.is_tentative();
-            let event = ended.mark_lost(ended.newest);
-            self.end(ended, is_confirmed.then_some(event));
+            let ended = self.tracks.remove(index);
+            let newest = ended.newest;
+            self.end(ended, newest);
         }
     }
 }

@@ -250,32 +250,31 @@ impl Track {
         }
     }
 
-    /// Advances the life stage to `now`. `Err` when the track has ended, with an event if it was confirmed.
+    /// Time at which the track has ended, if it has by `now`.
+    pub(in crate::world) fn end_time(
+        &self,
+        now: Timestamp,
+        params: &FusionParams,
+    ) -> Option<Timestamp> {
+        let limit_ns =
+            if self.is_tentative() { params.tentative_after_ns } else { params.lost_after_ns };
+        let is_dropped = self.is_tentative() && self.score < DROPPED_SCORE;
+        let has_ended = is_dropped || now.ns_since(self.newest) > limit_ns;
+        has_ended.then(|| self.newest.plus_ns(limit_ns))
+    }
+
+    /// Advances the life stage to `now`.
     pub(in crate::world) fn advance(
         &mut self,
         now: Timestamp,
         params: &FusionParams,
-    ) -> Result<Option<Event>, Option<Event>> {
-        let unobserved_ns = now.ns_since(self.newest);
-        if self.is_tentative() {
-            let has_ended = unobserved_ns > params.tentative_after_ns || self.score < DROPPED_SCORE;
-            return if has_ended { Err(None) } else { Ok(None) };
+    ) -> Option<Event> {
+        let time = self.newest.plus_ns(params.predicted_after_ns);
+        if self.stage != LifeStage::Tracked || now <= time {
+            return None;
         }
-        if unobserved_ns > params.lost_after_ns {
-            return Err(Some(self.mark_lost(self.newest.plus_ns(params.lost_after_ns))));
-        }
-        if self.stage == LifeStage::Tracked && unobserved_ns > params.predicted_after_ns {
-            self.stage = LifeStage::Predicted;
-            let time = self.newest.plus_ns(params.predicted_after_ns);
-            return Ok(Some(Event { time, object: self.id, kind: EventKind::Predicted }));
-        }
-        Ok(None)
-    }
-
-    /// Ends the track.
-    pub(in crate::world) fn mark_lost(&mut self, time: Timestamp) -> Event {
-        self.stage = LifeStage::Lost;
-        Event { time, object: self.id, kind: EventKind::Lost }
+        self.stage = LifeStage::Predicted;
+        Some(Event { time, object: self.id, kind: EventKind::Predicted })
     }
 
     /// Takes over the camera views of a merged track.
