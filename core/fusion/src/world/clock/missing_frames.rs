@@ -10,7 +10,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use super::frame_stamp::FrameStamp;
+use super::FrameStamp;
 use roundel_vision::{id::CameraId, time::Timestamp};
 
 /// Time after which a skipped number counts as missing.

@@ -7,7 +7,6 @@
 mod comparison;
 mod estimator;
 mod evidence;
-mod frame_stamp;
 mod missing_frames;
 mod stamp;
 mod timeline;
@@ -16,7 +15,30 @@ pub(super) use comparison::{WINDOW_NS, compare};
 pub(super) use estimator::Clocks;
 pub use estimator::{ClockEstimate, ClockPrior};
 pub(super) use evidence::Comparison;
-pub(super) use frame_stamp::FrameStamp;
 pub(super) use missing_frames::MissingFrames;
 pub(super) use stamp::{StampCorrector, StampVerdict};
-pub(super) use timeline::{TimeLimits, Timeline, Verdict};
+pub(super) use timeline::{Timeline, Verdict};
+
+use super::FrameObservations;
+use roundel_vision::{id::CameraId, time::Timestamp};
+
+/// Identity and times of a frame.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::world) struct FrameStamp {
+    pub(in crate::world) camera: CameraId,
+    pub(in crate::world) number: u64,
+    /// Capture time by the camera's clock.
+    pub(in crate::world) stamp: Timestamp,
+    pub(in crate::world) received: Timestamp,
+}
+
+impl From<&FrameObservations> for FrameStamp {
+    fn from(frame: &FrameObservations) -> Self {
+        Self {
+            camera: frame.camera,
+            number: frame.frame,
+            stamp: frame.capture_time,
+            received: frame.received_time,
+        }
+    }
+}

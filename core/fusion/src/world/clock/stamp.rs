@@ -10,7 +10,7 @@
 
 use std::collections::BTreeMap;
 
-use super::frame_stamp::FrameStamp;
+use super::FrameStamp;
 use roundel_vision::{id::CameraId, time::Timestamp};
 
 /// Number of consecutive frames that confirm a step.

@@ -15,7 +15,8 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use super::frame_stamp::FrameStamp;
+use super::FrameStamp;
+use crate::world::FusionParams;
 use roundel_vision::{id::CameraId, time::Timestamp};
 
 /// Duration for which rejected frames must agree to restart the timeline.
@@ -24,13 +25,6 @@ const ADOPT_AFTER_NS: i64 = 1_000_000_000;
 const ADOPT_FRAMES: u32 = 10;
 /// Frames remembered per camera to detect duplicates; at 1 kHz they cover the late window.
 const REMEMBERED_FRAMES: usize = 512;
-
-/// Limits for the times of frames, as in [`FusionParams`](crate::world::FusionParams).
-#[derive(Clone, Copy, Debug)]
-pub(in crate::world) struct TimeLimits {
-    pub(in crate::world) late_window_ns: i64,
-    pub(in crate::world) max_lead_ns: i64,
-}
 
 /// Verdict about a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,10 +74,10 @@ impl Timeline {
         &mut self,
         frame: &FrameStamp,
         capture: Timestamp,
-        limits: TimeLimits,
+        params: &FusionParams,
     ) -> Verdict {
         let FrameStamp { camera, number, stamp, received } = *frame;
-        let TimeLimits { late_window_ns, max_lead_ns } = limits;
+        let FusionParams { late_window_ns, max_lead_ns, .. } = *params;
         let frames = self.recent_frames.entry(camera).or_default();
         if frames.iter().any(|&(other, time)| other == number || time == stamp) {
             return Verdict::Duplicate;
@@ -157,8 +151,6 @@ fn lead_ns(now: &FrameInstant, then: &FrameInstant) -> i64 {
 mod tests {
     use super::*;
 
-    const LIMITS: TimeLimits =
-        TimeLimits { late_window_ns: 100_000_000, max_lead_ns: 1_000_000_000 };
     const FRAME_NS: i64 = 66_000_000;
 
     struct Feed(Timeline, u64);
@@ -169,7 +161,12 @@ mod tests {
             let [capture, received] = [capture_ns, received_ns].map(Timestamp::from_ns);
             let camera = CameraId(camera);
             let frame = FrameStamp { camera, number: self.1, stamp: capture, received };
-            self.0.judge(&frame, capture, LIMITS)
+            let params = FusionParams {
+                late_window_ns: 100_000_000,
+                max_lead_ns: 1_000_000_000,
+                ..FusionParams::default()
+            };
+            self.0.judge(&frame, capture, &params)
         }
     }
 

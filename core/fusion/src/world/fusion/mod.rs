@@ -27,7 +27,7 @@ use super::{
     camera_outlier::CameraOutliers,
     clock::{
         ClockEstimate, ClockPrior, Clocks, FrameStamp, MissingFrames, StampCorrector, StampVerdict,
-        TimeLimits, Timeline, Verdict,
+        Timeline, Verdict,
     },
     counts::FusionCounts,
     height_check::HeightChecks,
@@ -140,17 +140,13 @@ impl Fusion {
         self.counts.detections += detections;
         let stamp = FrameStamp::from(frame);
         self.counts.missing_frames += self.missing_frames.observe(stamp);
-        let limits = TimeLimits {
-            late_window_ns: self.params.late_window_ns,
-            max_lead_ns: self.params.max_lead_ns,
-        };
         let Some(correction) = self.stamp_correction(&stamp) else {
             self.counts.jumped_frames += 1;
             self.counts.jumped += detections;
             return;
         };
         let capture_time = correction.corrected(frame.capture_time);
-        match self.timeline.judge(&stamp, capture_time, limits) {
+        match self.timeline.judge(&stamp, capture_time, &self.params) {
             Verdict::Use => {}
             Verdict::Restart => self.restart(),
             Verdict::Duplicate => {
