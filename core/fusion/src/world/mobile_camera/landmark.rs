@@ -15,8 +15,9 @@
 //! start every detection takes the normal that fits better. Different results remain as hypotheses, weighted by their
 //! costs: one landmark has two; several that are not in one plane nearly always leave one.
 
-use nalgebra::{Matrix3, Matrix6, SMatrix, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Matrix3, Matrix6, Rotation3, SMatrix, UnitQuaternion, Vector3, Vector6};
 
+use crate::track::smallest_turn;
 use crate::world::{
     measurement::orientations,
     reference::{self, PLACE_SIGMA_M, align},
@@ -246,8 +247,8 @@ fn residual(pair: &LandmarkMatch, place: &Rigid) -> Option<Residual> {
     let mut best: Option<Residual> = None;
     for (candidate, likelihood) in candidates.into_iter().zip([likelihood, 1.0 - likelihood]) {
         let normal = candidate * Vector3::z();
-        let turn = smallest_rotation_between(&(candidates[0] * Vector3::z()), &normal)
-            .to_rotation_matrix();
+        let mirrored = smallest_turn(&(candidates[0] * Vector3::z()), &normal);
+        let turn = Rotation3::new(mirrored);
         let mut whole = Matrix6::identity();
         whole.fixed_view_mut::<3, 3>(3, 3).copy_from(turn.matrix());
         let mut angle = (stated * candidate.inverse()).scaled_axis();
@@ -257,7 +258,7 @@ fn residual(pair: &LandmarkMatch, place: &Rigid) -> Option<Residual> {
             let across = (Matrix3::identity() - about) * turn.matrix();
             whole.fixed_view_mut::<3, 3>(3, 3).copy_from(&across);
             unknown = about * UNKNOWN_ANGLE_VARIANCE_RAD2;
-            angle = smallest_rotation_between(&normal, &(stated * Vector3::z())).scaled_axis();
+            angle = smallest_turn(&normal, &(stated * Vector3::z()));
         }
         let mut observed = whole * turned * whole.transpose();
         let mut rotation = observed.fixed_view_mut::<3, 3>(3, 3);
@@ -293,14 +294,5 @@ fn position_residual(
         stated_covariance: *stated_covariance,
         weight,
         cost,
-    })
-}
-
-/// Smallest rotation from one unit vector to another.
-fn smallest_rotation_between(from: &Vector3<f64>, to: &Vector3<f64>) -> UnitQuaternion<f64> {
-    UnitQuaternion::rotation_between(from, to).unwrap_or_else(|| {
-        let aside = if from.x.abs() < 0.9 { Vector3::x_axis() } else { Vector3::y_axis() };
-        let across = nalgebra::Unit::new_normalize(from.cross(&aside));
-        UnitQuaternion::from_axis_angle(&across, std::f64::consts::PI)
     })
 }
