@@ -35,7 +35,7 @@ use super::{
     kalman::decayed,
     process_noise::Densities,
 };
-use hypothesis::{Fit, Hypothesis, begin};
+use hypothesis::{Fit, Hypothesis};
 pub use measurement::AttitudeMeasurement;
 use roundel_vision::{
     id::CameraId,
@@ -100,10 +100,8 @@ pub struct AttitudeEstimate {
 impl Attitude {
     /// State after a first measurement.
     pub fn begin(measurement: &AttitudeMeasurement, camera: CameraId, model: &MotionModel) -> Self {
-        let hypothesis = |index: usize| Hypothesis {
-            orientation: measurement.nearest_symmetric(index, &measurement.full_orientation(0)),
-            kalman: begin(measurement, index, camera, model),
-        };
+        let near = measurement.full_orientation(0);
+        let hypothesis = |index: usize| Hypothesis::begin(measurement, index, &near, camera, model);
         let mut attitude = Self {
             best: hypothesis(0),
             rival: Some(hypothesis(1)),
@@ -180,7 +178,8 @@ impl Attitude {
         self.log_odds =
             (self.log_odds + EVIDENCE_WEIGHT * fresh).clamp(-MAX_LOG_ODDS, MAX_LOG_ODDS);
         if self.rival.is_none() && self.log_odds < RIVAL_LOG_ODDS {
-            self.raise_rival(measurement, 1 - taken, camera, model);
+            let near = &self.best.orientation;
+            self.rival = Some(Hypothesis::begin(measurement, 1 - taken, near, camera, model));
         }
         self.resolve();
     }
@@ -273,18 +272,6 @@ impl Attitude {
     fn prior(&self, model: &MotionModel) -> f64 {
         let of_rival = |rival: &Hypothesis| prior(&self.best.normal(), &rival.normal(), model);
         self.rival.as_ref().map_or(0.0, of_rival)
-    }
-
-    fn raise_rival(
-        &mut self,
-        measurement: &AttitudeMeasurement,
-        index: usize,
-        camera: CameraId,
-        model: &MotionModel,
-    ) {
-        let kalman = begin(measurement, index, camera, model);
-        let orientation = measurement.nearest_symmetric(index, &self.best.orientation);
-        self.rival = Some(Hypothesis { orientation, kalman });
     }
 
     /// Puts the likelier hypothesis first and drops a rival that is decided against or equal.

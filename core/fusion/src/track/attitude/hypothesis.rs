@@ -89,6 +89,22 @@ impl FitBound {
 }
 
 impl Hypothesis {
+    /// Starts from one candidate, with the symmetric orientation nearest to `near`.
+    pub(super) fn begin(
+        measurement: &AttitudeMeasurement,
+        index: usize,
+        near: &UnitQuaternion<f64>,
+        camera: CameraId,
+        model: &MotionModel,
+    ) -> Self {
+        let normal = measurement.normal(index);
+        let noise = measurement.noise_from(index, &normal, UNKNOWN_ANGLE_VARIANCE_RAD2);
+        Self {
+            orientation: measurement.nearest_symmetric(index, near),
+            kalman: Kalman::begin(&noise, camera, &angular_velocity_variance(model)),
+        }
+    }
+
     /// Orientation and reported covariance `dt` seconds from now.
     pub(super) fn report(
         &self,
@@ -278,18 +294,6 @@ impl RotationTo {
             Self::Tilt { from, to } => (to - from).norm_squared(),
         }
     }
-}
-
-/// Filter started from one candidate.
-pub(super) fn begin(
-    measurement: &AttitudeMeasurement,
-    index: usize,
-    camera: CameraId,
-    model: &MotionModel,
-) -> Kalman {
-    let normal = measurement.normal(index);
-    let noise = measurement.noise_from(index, &normal, UNKNOWN_ANGLE_VARIANCE_RAD2);
-    Kalman::begin(&noise, camera, &angular_velocity_variance(model))
 }
 
 /// Variance of the initial angular velocity about each axis.
