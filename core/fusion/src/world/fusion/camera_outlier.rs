@@ -43,15 +43,10 @@ impl Fusion {
     /// Sets whether a camera is exempt: never held back, nor compared with others. For cameras whose pose is
     /// approximate, so that they disagree with others although they stand still.
     pub fn set_hold_back_exempt(&mut self, camera: CameraId, is_exempt: bool) {
-        match self.exempt.binary_search(&camera) {
-            Err(index) if is_exempt => {
-                self.exempt.insert(index, camera);
-                self.camera_outliers.forget(camera);
-            }
-            Ok(index) if !is_exempt => {
-                self.exempt.remove(index);
-            }
-            _ => {}
+        if !is_exempt {
+            self.exempt.remove(&camera);
+        } else if self.exempt.insert(camera) {
+            self.camera_outliers.forget(camera);
         }
     }
 
@@ -68,7 +63,7 @@ impl Fusion {
         decisions: &[Decision],
     ) -> bool {
         let max_held_ns = self.params.held_back_ns;
-        let is_guarded = max_held_ns > 0 && self.exempt.binary_search(&camera).is_err();
+        let is_guarded = max_held_ns > 0 && !self.exempt.contains(&camera);
         let Some(place) = self.cameras.get(&camera).filter(|_| is_guarded) else {
             return true;
         };
@@ -84,13 +79,13 @@ impl Fusion {
         }
         let origin_m = place.world_from_camera.translation.vector;
         let (tracks, sightings) = (&self.tracks, &self.sightings);
-        let (clocks, exempt) = (&self.clocks, self.exempt.as_slice());
+        let (clocks, exempt) = (&self.clocks, &self.exempt);
         let (trust, rank) = (&self.trust, self.trust.rank(camera));
         let gather = |by: Option<CameraId>| {
             let queried = |other: CameraId| {
                 other != camera
                     && by.is_none_or(|by| by == other)
-                    && exempt.binary_search(&other).is_err()
+                    && !exempt.contains(&other)
                     && trust.rank(other) >= rank
             };
             let all = sightings.iter().zip(decisions).filter_map(|(sighting, decision)| {

@@ -15,7 +15,7 @@ mod sightings;
 
 pub use leave_one_out::LeaveOneOut;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use nalgebra::Vector3;
 
@@ -63,8 +63,8 @@ pub struct Fusion {
     timeline: Timeline,
     missing_frames: MissingFrames,
     camera_outliers: CameraOutliers,
-    /// Cameras that are never held back, ascending.
-    exempt: Vec<CameraId>,
+    /// Cameras that are never held back.
+    exempt: BTreeSet<CameraId>,
     trust: Trust,
     /// In order of their start.
     tracks: Vec<Track>,
