@@ -5,18 +5,16 @@
 //! moves the point by δθ × R p. The pose error of a stationary camera is the same in every frame, so it is wholly
 //! systematic; that of a mobile camera is in part ([`super::mobile_camera`]); Σ is to a configured share.
 
-use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 
-use super::{
-    CameraPlacement, FusionParams,
-    camera_pose::{ExposurePose, with_lever_arm},
-};
+use super::FusionParams;
 use crate::track::{AttitudeMeasurement, Measurement, Noise, cholesky_lower};
 use roundel_vision::{
     id::CameraId,
     pose::{Detection, RoundelPose},
     rigid::{
-        Covariance6, is_positive_definite, orientation_of_normal, turn_about_z, turned_covariance,
+        Covariance6, Rigid, is_positive_definite, orientation_of_normal, turn_about_z,
+        turned_covariance,
     },
     time::Timestamp,
 };
@@ -29,6 +27,33 @@ const CEILING_POSITION_M2: f64 = 1e4;
 const CEILING_ROTATION_RAD2: f64 = 1e4;
 /// Tolerance of a unit normal's length.
 const UNIT_TOLERANCE: f64 = 1e-3;
+
+/// Pose of a stationary camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CameraPlacement {
+    /// Transforms camera coordinates into world coordinates.
+    pub world_from_camera: Rigid,
+    /// Over (position, rotation), world frame, left perturbation; zero when exact.
+    pub covariance: Covariance6,
+}
+
+/// Pose of a camera during one exposure, with its error split into a systematic and a fresh part.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct ExposurePose {
+    pub(super) world_from_camera: Rigid,
+    pub(super) systematic: Covariance6,
+    pub(super) fresh: Covariance6,
+}
+
+impl From<&CameraPlacement> for ExposurePose {
+    fn from(placement: &CameraPlacement) -> Self {
+        Self {
+            world_from_camera: placement.world_from_camera,
+            systematic: placement.covariance,
+            fresh: Covariance6::zeros(),
+        }
+    }
+}
 
 /// Correction of a camera's stamps.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -134,15 +159,10 @@ pub fn seen_in_world(
     place: &CameraPlacement,
     params: &FusionParams,
 ) -> Option<(Vector3<f64>, Matrix3<f64>)> {
-    let camera_pose = ExposurePose {
-        world_from_camera: place.world_from_camera,
-        systematic: place.covariance,
-        fresh: Covariance6::zeros(),
-    };
     let measurement = measure(
         detection,
         FrameId { camera: CameraId(0), number: 0 },
-        &camera_pose,
+        &ExposurePose::from(place),
         StampCorrection::default(),
         params,
     )
@@ -187,6 +207,13 @@ pub(super) fn orientation(normal: &Vector3<f64>, yaw_rad: Option<f64>) -> UnitQu
     yaw_rad.map_or(level, |yaw_rad| {
         level * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad)
     })
+}
+
+/// Covariance of a pose carried to a point at the end of a lever arm fixed to it.
+pub(super) fn with_lever_arm(covariance: &Covariance6, arm_m: &Vector3<f64>) -> Covariance6 {
+    let mut jacobian = Matrix6::identity();
+    jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&-arm_m.cross_matrix());
+    jacobian * covariance * jacobian.transpose()
 }
 
 /// Covariances that the camera's pose error adds to position and rotation; `None` if the pose is exact.

@@ -24,7 +24,6 @@
 mod association;
 mod body;
 mod camera_outlier;
-mod camera_pose;
 mod clock;
 mod counts;
 mod fusion;
@@ -38,12 +37,11 @@ mod snapshot;
 
 pub use body::{Body, BodyError, Mount};
 pub use camera_outlier::{HeldBack, HeldStep};
-pub use camera_pose::CameraPlacement;
 pub use clock::{ClockEstimate, ClockPrior};
 pub use counts::FusionCounts;
 pub use fusion::{Fusion, LeaveOneOut};
 pub use height_check::WrongHeight;
-pub use measurement::seen_in_world;
+pub use measurement::{CameraPlacement, seen_in_world};
 pub use mobile_camera::{CameraMount, Carrier, Landmark, TURN_SIGMA_RAD, Unplaced};
 pub use params::{FusionParams, MotionClass};
 

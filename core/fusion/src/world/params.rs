@@ -42,6 +42,26 @@ pub enum MotionClass {
     },
 }
 
+impl MotionClass {
+    /// Height to which objects are constrained.
+    pub(super) fn height_m(self) -> Option<f64> {
+        match self {
+            Self::Ground { height_m } => height_m,
+            Self::Free => None,
+        }
+    }
+
+    /// Motion of a point `by_m` above.
+    pub(super) fn raised(self, by_m: f64) -> Self {
+        match self {
+            Self::Ground { height_m } => {
+                Self::Ground { height_m: height_m.map(|height_m| height_m + by_m) }
+            }
+            Self::Free => self,
+        }
+    }
+}
+
 /// Parameters of fusion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FusionParams {

@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 use thiserror::Error;
 
-use super::{FusionParams, MotionClass, height_check::ConstrainedHeight, identity::CodeVote};
+use super::{FusionParams, MotionClass, identity::CodeVote};
 use crate::track::{Measurement, MotionModel};
 use roundel_vision::{
     id::{BodyId, CameraId, KindId, TrackNumber},
@@ -139,9 +139,7 @@ impl Bodies {
         for mount in &mut centred.mounts {
             mount.object_from_roundel.translation.vector -= centroid_m;
         }
-        if let MotionClass::Ground { height_m: Some(height_m) } = &mut centred.motion {
-            *height_m += centroid_m.z;
-        }
+        centred.motion = centred.motion.raised(centroid_m.z);
         Some(centred)
     }
 
@@ -189,24 +187,15 @@ impl Bodies {
         only.code
     }
 
-    /// Motion model of the centroid.
-    pub(super) fn model(&self, body: BodyId, params: &FusionParams) -> MotionModel {
-        let mut class = self.bodies[body.0 as usize].motion;
-        if let MotionClass::Ground { height_m: Some(height_m) } = &mut class {
-            *height_m += self.centroids_m[body.0 as usize].z;
-        }
-        MotionModel { learns_rotation_density: false, ..params.motion_model(&class) }
+    /// Motion of the origin.
+    pub(super) fn motion(&self, body: BodyId) -> MotionClass {
+        self.bodies[body.0 as usize].motion
     }
 
-    /// Heights to which the centroid and the origin are constrained.
-    pub(super) fn constrained_height(&self, body: BodyId) -> Option<ConstrainedHeight> {
-        match self.bodies[body.0 as usize].motion {
-            MotionClass::Ground { height_m: Some(height_m) } => Some(ConstrainedHeight {
-                tracked_m: height_m + self.centroids_m[body.0 as usize].z,
-                configured_m: height_m,
-            }),
-            MotionClass::Ground { height_m: None } | MotionClass::Free => None,
-        }
+    /// Motion model of the centroid.
+    pub(super) fn model(&self, body: BodyId, params: &FusionParams) -> MotionModel {
+        let class = self.motion(body).raised(self.centroids_m[body.0 as usize].z);
+        MotionModel { learns_rotation_density: false, ..params.motion_model(&class) }
     }
 
     /// The roundel that a camera's detection shows, and whether this camera's track was not known as that before.

@@ -5,14 +5,15 @@ use crate::{
     track::Measurement,
     world::{
         association::Sighting,
-        body::joint_measurement::{PredictedPose, joint_measurement},
-        body::{Body, BodyError},
-        camera_pose::ExposurePose,
-        identity::Subject,
-        identity::body_number,
+        body::{
+            Body, BodyError,
+            joint_measurement::{PredictedPose, joint_measurement},
+        },
+        identity::{Subject, body_number},
         lifecycle::Track,
         measurement::{
-            FrameId, MeasurementReject, StampCorrection, add_camera_pose_error, measure,
+            ExposurePose, FrameId, MeasurementReject, StampCorrection, add_camera_pose_error,
+            measure,
         },
     },
 };

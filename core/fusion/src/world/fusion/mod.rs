@@ -1,16 +1,14 @@
 //! The fusion state machine: frames in, snapshots and events out.
 //!
 //! `sightings` makes sightings from detections, with the pose of stationary or mobile cameras; `body_parts` joins those
-//! of a body; `lifecycle` starts and ends tracks; `camera_outlier` and `height_check` run the supervision;
-//! `reconfigure` and `remove_camera` change the configuration at run time; `leave_one_out` serves reprojection errors.
+//! of a body; `lifecycle` starts and ends tracks; `camera_outlier` holds cameras back; `reconfigure` changes the
+//! configuration at run time; `leave_one_out` serves reprojection errors.
 
 mod body_parts;
 mod camera_outlier;
-mod height_check;
 mod leave_one_out;
 mod lifecycle;
 mod reconfigure;
-mod remove_camera;
 mod sightings;
 
 pub use leave_one_out::LeaveOneOut;
@@ -30,7 +28,7 @@ use super::{
         Timeline, Verdict,
     },
     counts::FusionCounts,
-    height_check::HeightChecks,
+    height_check::{ConstrainedHeight, HeightChecks, WrongHeight},
     identity::{CARRIER_NUMBER, Mark, Subject},
     lifecycle::{Claim, IdRegistry, Track, Trust},
     measurement::StampCorrection,
@@ -130,6 +128,12 @@ impl Fusion {
     /// Takes the events since the last call, in the order of their detection.
     pub fn drain_events(&mut self) -> impl Iterator<Item = Event> + '_ {
         self.events.drain(..)
+    }
+
+    /// Takes the wrong heights found since the last call. Each is reported once, until cameras agree with it
+    /// again.
+    pub fn drain_wrong_heights(&mut self) -> impl Iterator<Item = WrongHeight> + '_ {
+        self.height_checks.drain()
     }
 
     /// Adds one frame of a camera. Frames may come in any order. No content can cause a panic or corrupt a track:
@@ -314,6 +318,19 @@ impl Fusion {
         }
         for (id, mark, event) in claims {
             self.identify(id, mark, event, now);
+        }
+    }
+
+    /// Adds the current sightings to the checks of the heights to which their objects are constrained.
+    fn check_heights(&mut self) {
+        for Sighting { subject, measurement, .. } in &self.sightings {
+            let (class, raised_m) = match subject.body {
+                Some(body) => (Some(self.bodies.motion(body)), -self.bodies.origin_m(body).z),
+                None => (subject.kind.and_then(|kind| self.classes.get(&kind).copied()), 0.0),
+            };
+            let Some(configured_m) = class.and_then(MotionClass::height_m) else { continue };
+            let heights = ConstrainedHeight { tracked_m: configured_m + raised_m, configured_m };
+            self.height_checks.observe(*subject, measurement, heights);
         }
     }
 

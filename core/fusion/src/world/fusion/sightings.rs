@@ -4,16 +4,13 @@ use super::{Fusion, FusionCounts};
 use crate::world::{
     CameraPlacement, FrameObservations,
     association::Sighting,
-    camera_pose::ExposurePose,
     identity::Subject,
-    measurement::{FrameId, StampCorrection, measure},
-    mobile_camera::Landmark,
-    mobile_camera::LocalizationInput,
-    mobile_camera::{CameraMount, Carrier, CarrierState, Unplaced},
+    measurement::{ExposurePose, FrameId, StampCorrection, measure},
+    mobile_camera::{CameraMount, Carrier, CarrierState, Landmark, LocalizationInput, Unplaced},
 };
 use roundel_vision::{
     id::{CameraId, TrackNumber},
-    rigid::{Covariance6, rotate_covariance},
+    rigid::rotate_covariance,
     time::Timestamp,
 };
 
@@ -143,12 +140,7 @@ impl Fusion {
                 .map(|carrier| (carrier.pose_at(time), Some(carrier)));
         }
         let placement = self.cameras.get(&camera).ok_or(Unplaced::Unknown)?;
-        let camera_pose = ExposurePose {
-            world_from_camera: placement.world_from_camera,
-            systematic: placement.covariance,
-            fresh: Covariance6::zeros(),
-        };
-        Ok((camera_pose, None))
+        Ok((placement.into(), None))
     }
 
     /// Turns the frame's detections into sightings, except those of landmarks; false if the camera's pose is

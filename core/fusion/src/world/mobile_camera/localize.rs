@@ -21,9 +21,8 @@ use super::{
 use crate::world::{
     FusionParams,
     association::Sighting,
-    camera_pose::with_lever_arm,
     identity::{CARRIER_NUMBER, Subject},
-    measurement::{FLOOR_VARIANCE, StampCorrection, is_valid_pose, orientation},
+    measurement::{FLOOR_VARIANCE, StampCorrection, is_valid_pose, orientation, with_lever_arm},
     reference::{Reference, Sighting as Seen, identify},
 };
 use crate::{

@@ -29,9 +29,9 @@ use nalgebra::Matrix3;
 use crate::track::{Estimate, FilterState, MotionModel};
 use crate::world::{
     LifeStage,
-    camera_pose::{ExposurePose, with_lever_arm},
     identity::Subject,
     lifecycle::Track,
+    measurement::{ExposurePose, with_lever_arm},
 };
 use roundel_vision::{
     id::{BodyId, KindId},

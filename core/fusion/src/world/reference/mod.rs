@@ -10,15 +10,13 @@
 mod align;
 mod homography;
 mod identify;
-mod kabsch;
 
 use nalgebra::{Matrix3, Vector3};
 use thiserror::Error;
 
-pub use align::{align, align_stated, mean_over_triplets};
+pub use align::{align, align_stated, kabsch, mean_over_triplets, spread};
 pub use homography::{Homography, HomographyError};
 pub use identify::identify;
-pub use kabsch::{kabsch, spread};
 use roundel_vision::{
     pose::RoundelPose,
     rigid::{Covariance6, Rigid},
