@@ -80,7 +80,7 @@ impl AttitudeMeasurement {
     }
 
     /// Sets the standard deviation of the camera's clock, seconds.
-    pub(in crate::track) fn set_timing(&mut self, timing_s: f64) {
+    pub(crate) fn set_timing(&mut self, timing_s: f64) {
         self.noise.timing_s = timing_s;
         if let Some(other) = &mut self.other_noise {
             other.timing_s = timing_s;

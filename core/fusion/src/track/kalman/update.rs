@@ -17,7 +17,7 @@ const VALUE_ORDER: f64 = 0.25;
 const RATE_ORDER: f64 = 0.5;
 
 /// Innovation and covariances of a measurement before its update.
-pub(in crate::track) struct PreparedUpdate {
+pub(crate) struct PreparedUpdate {
     /// Place of its camera among the considered errors.
     own: usize,
     /// M and N for known clocks.
@@ -28,7 +28,7 @@ pub(in crate::track) struct PreparedUpdate {
     clocks: Option<ClockTerms>,
     /// Inverse of S with clock errors.
     inverse: Matrix3<f64>,
-    pub(in crate::track) innovation: Innovation,
+    pub(crate) innovation: Innovation,
 }
 
 impl Kalman {
@@ -53,7 +53,7 @@ impl Kalman {
 
     /// The same if `is_good` accepts the innovation. `None`, and no change, if it does not or the covariance is
     /// not positive definite.
-    pub(in crate::track) fn update_if(
+    pub(crate) fn update_if(
         &mut self,
         is_good: impl Fn(&Innovation) -> bool,
         residual: &Vector3<f64>,
@@ -83,7 +83,7 @@ impl Kalman {
 
     /// Computes the part of [`Self::update`] that shows how well a measurement fits. `None` if the innovation's
     /// covariance is not positive definite.
-    pub(in crate::track) fn prepare_update(
+    pub(crate) fn prepare_update(
         &mut self,
         residual: &Vector3<f64>,
         source: ErrorSource<'_>,
@@ -102,7 +102,7 @@ impl Kalman {
     }
 
     /// Applies an update prepared after the last applied one.
-    pub(in crate::track) fn correct(
+    pub(crate) fn correct(
         &mut self,
         residual: &Vector3<f64>,
         noise: &Noise,

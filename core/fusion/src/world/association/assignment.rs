@@ -3,11 +3,11 @@
 //! 1987, without its initialization). O(rows² · columns).
 
 /// Cost of a forbidden pair; far above any sum of allowed costs.
-pub(in crate::world) const FORBIDDEN: f64 = 1e9;
+pub(crate) const FORBIDDEN: f64 = 1e9;
 
 /// Column of each row, so that the sum of costs is smallest. `costs` is row by row, with at least as many columns
 /// as rows, all finite. Equal costs go to the lower column.
-pub(in crate::world) fn assign(costs: &[f64], rows: usize, columns: usize) -> Vec<usize> {
+pub(crate) fn assign(costs: &[f64], rows: usize, columns: usize) -> Vec<usize> {
     assert!(rows <= columns && costs.len() == rows * columns, "{rows} rows, {columns} columns");
     // Index 0 means "none", since the method counts from 1.
     let mut row_potential = vec![0.0; rows + 1];

@@ -29,7 +29,7 @@ const CLOCK_SHARE: f64 = 2.0;
 
 /// Positions of all tracks at one time, in batches of eight.
 #[derive(Clone, Debug, Default)]
-pub(in crate::world) struct TrackBatches {
+pub(crate) struct TrackBatches {
     tracks: usize,
     batches: Vec<TrackBatch>,
 }
@@ -52,7 +52,7 @@ const EMPTY: TrackBatch = TrackBatch {
 
 /// A sighting prepared for the gate.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::world) struct GateProbe {
+pub(crate) struct GateProbe {
     place_m: [f64; 3],
     /// Time after that of the batches.
     offset_s: f64,
@@ -61,19 +61,13 @@ pub(in crate::world) struct GateProbe {
     /// Upper triangle of R⁻¹.
     precision: [f64; 6],
     /// det R.
-    pub(in crate::world) determinant: f64,
+    pub(crate) determinant: f64,
 }
 
 impl TrackBatches {
     /// Fills in the tracks, for sightings up to `span_s` before or after `time` by a camera whose clock has the
     /// standard deviation `timing_s`.
-    pub(in crate::world) fn fill(
-        &mut self,
-        tracks: &[Track],
-        time: Timestamp,
-        span_s: f64,
-        timing_s: f64,
-    ) {
+    pub(crate) fn fill(&mut self, tracks: &[Track], time: Timestamp, span_s: f64, timing_s: f64) {
         self.tracks = 0;
         self.batches.clear();
         for track in tracks {
@@ -102,12 +96,7 @@ impl TrackBatches {
 
     /// Indices of the tracks that the sighting may belong to, ascending; includes all within this squared
     /// Mahalanobis length.
-    pub(in crate::world) fn candidates(
-        &self,
-        probe: &GateProbe,
-        limit: f64,
-        candidates: &mut Vec<usize>,
-    ) {
+    pub(crate) fn candidates(&self, probe: &GateProbe, limit: f64, candidates: &mut Vec<usize>) {
         candidates.clear();
         dispatch!(Level::new(), simd => self.candidates_with(simd, probe, limit, candidates));
     }
@@ -158,7 +147,7 @@ impl TrackBatch {
 
 impl GateProbe {
     /// `offset_s` is the time after that of the batches.
-    pub(in crate::world) fn new(place_m: [f64; 3], noise: &Noise, offset_s: f64) -> Self {
+    pub(crate) fn new(place_m: [f64; 3], noise: &Noise, offset_s: f64) -> Self {
         // A singular covariance excludes nothing.
         let (inverse, determinant, trace_m2) = match invert_positive(&noise.total) {
             Some((inverse, determinant)) => (inverse, determinant, noise.total.trace()),

@@ -45,7 +45,7 @@ const MIN_SECOND_PROBABILITY: f64 = 1e-4;
 
 /// Prediction of the object at the frame's time.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::world) struct PredictedPose {
+pub(crate) struct PredictedPose {
     position_m: Vector3<f64>,
     velocity_m_s: Vector3<f64>,
     position_covariance: Matrix3<f64>,
@@ -58,7 +58,7 @@ pub(in crate::world) struct PredictedPose {
 }
 
 impl PredictedPose {
-    pub(in crate::world) fn from_track(track: &Track, first: &Measurement, fresh_ns: i64) -> Self {
+    pub(crate) fn from_track(track: &Track, first: &Measurement, fresh_ns: i64) -> Self {
         let mut state = *track.history.newest();
         state.predict(first.time, &track.model);
         let is_other = |view: &&CameraView| {
@@ -91,7 +91,7 @@ impl PredictedPose {
 
 /// Measurement from the parts of one body in one frame (at least one), with `share` of the errors systematic, and
 /// the number of parts that were left out. `None` if nothing fits.
-pub(in crate::world) fn joint_measurement(
+pub(crate) fn joint_measurement(
     parts: &[PartMeasurement],
     prediction: Option<&PredictedPose>,
     share: f64,

@@ -22,7 +22,7 @@ use crate::track::{History, MAX_SOURCES, Measurement};
 use roundel_vision::{id::CameraId, time::Timestamp};
 
 /// Length of the window.
-pub(in crate::world) const WINDOW_NS: i64 = 180_000_000;
+pub(crate) const WINDOW_NS: i64 = 180_000_000;
 /// Time from the window's end to the newest measurement: frames may be late, and clocks off.
 const DELAY_NS: i64 = 110_000_000;
 /// Cameras with fewer positions in the window are left out.
@@ -54,7 +54,7 @@ struct Parabola {
 }
 
 /// Compares the measurements in the window before `now`; `None` if they give no evidence.
-pub(in crate::world) fn compare(
+pub(crate) fn compare(
     history: &History,
     now: Timestamp,
     clocks: &Clocks,

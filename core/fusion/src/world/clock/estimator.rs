@@ -139,7 +139,7 @@ impl Clocks {
     }
 
     /// Removes a camera's clock; what it contributed to the others remains.
-    pub(in crate::world) fn remove(&mut self, camera: CameraId) {
+    pub(crate) fn remove(&mut self, camera: CameraId) {
         let Some(index) = self.index(camera) else { return };
         self.fix_mean();
         self.clocks.remove(index);
@@ -156,7 +156,7 @@ impl Clocks {
     }
 
     /// Sets whether a camera moves. A moving camera's own motion delays what it detects, so it is not compared.
-    pub(in crate::world) fn set_moving(&mut self, camera: CameraId, moving: bool) {
+    pub(crate) fn set_moving(&mut self, camera: CameraId, moving: bool) {
         if moving {
             self.moving.insert(camera);
         } else {
@@ -165,14 +165,14 @@ impl Clocks {
     }
 
     /// Whether what a camera detected at `time` may be compared.
-    pub(in crate::world) fn is_compared(&self, camera: CameraId, time: Timestamp) -> bool {
+    pub(crate) fn is_compared(&self, camera: CameraId, time: Timestamp) -> bool {
         let stepped_at = self.index(camera).and_then(|index| self.clocks[index].stepped_at);
         !self.moving.contains(&camera) && stepped_at.is_none_or(|stepped_at| time > stepped_at)
     }
 
     /// Notes that a camera's clock was set before this frame. Its offset gets the uncertainty of a step, and
     /// earlier evidence is discarded.
-    pub(in crate::world) fn note_clock_step(&mut self, camera: CameraId, frame: Timestamp) {
+    pub(crate) fn note_clock_step(&mut self, camera: CameraId, frame: Timestamp) {
         let index = self.find_or_insert(camera);
         self.information.fill(0.0);
         self.score.fill(0.0);
@@ -199,7 +199,7 @@ impl Clocks {
     }
 
     /// The same at the newest update.
-    pub(in crate::world) fn offset_now_s(&self, camera: CameraId) -> f64 {
+    pub(crate) fn offset_now_s(&self, camera: CameraId) -> f64 {
         self.index(camera).map_or(0.0, |index| self.mean[index * STATES])
     }
 
@@ -212,7 +212,7 @@ impl Clocks {
     }
 
     /// Whether a clock is far less certain than another, so that their difference is its error.
-    pub(in crate::world) fn is_less_certain(&self, one: CameraId, other: CameraId) -> bool {
+    pub(crate) fn is_less_certain(&self, one: CameraId, other: CameraId) -> bool {
         match (self.index(one), self.index(other)) {
             (Some(one), Some(other)) => {
                 self.uncertainties_s2[one] > LESS_CERTAIN_RATIO * self.uncertainties_s2[other]
@@ -222,7 +222,7 @@ impl Clocks {
     }
 
     /// Largest [`Self::deviation_s`] of a camera, seconds.
-    pub(in crate::world) fn max_deviation_s(&self, camera: CameraId) -> f64 {
+    pub(crate) fn max_deviation_s(&self, camera: CameraId) -> f64 {
         let of = |index: usize| {
             self.difference_variances
                 .row(index)
@@ -253,7 +253,7 @@ impl Clocks {
     }
 
     /// Adds the evidence of several cameras' views of one object.
-    pub(in crate::world) fn add_comparison(&mut self, comparison: &Comparison) {
+    pub(crate) fn add_comparison(&mut self, comparison: &Comparison) {
         let Some(evidence) = comparison.evidence() else { return };
         let distance_squared = evidence.distance_squared;
         let robust_weight =
@@ -296,7 +296,7 @@ impl Clocks {
     }
 
     /// Index of a camera; a new one has an exact clock until a prior is set.
-    pub(in crate::world) fn find_or_insert(&mut self, camera: CameraId) -> usize {
+    pub(crate) fn find_or_insert(&mut self, camera: CameraId) -> usize {
         if let Some(index) = self.index(camera) {
             return index;
         }

@@ -14,30 +14,30 @@ pub(super) struct FittedView {
 
 /// Several cameras' views of one object.
 #[derive(Clone, Debug)]
-pub(in crate::world) struct Comparison {
+pub(crate) struct Comparison {
     pub(super) velocity_m_s: Vector3<f64>,
     pub(super) views: Vec<FittedView>,
 }
 
 /// Evidence of a comparison about its cameras' clocks.
 #[derive(Clone, Debug)]
-pub(in crate::world) struct Evidence {
+pub(crate) struct Evidence {
     /// Information about the ε, 1/s².
-    pub(in crate::world) information: DMatrix<f64>,
+    pub(crate) information: DMatrix<f64>,
     /// Information times ε, 1/s.
-    pub(in crate::world) score: DVector<f64>,
+    pub(crate) score: DVector<f64>,
     /// Squared Mahalanobis length of the views' differences over their number.
-    pub(in crate::world) distance_squared: f64,
+    pub(crate) distance_squared: f64,
 }
 
 impl Comparison {
     /// Cameras of the views.
-    pub(in crate::world) fn cameras(&self) -> impl Iterator<Item = CameraId> {
+    pub(crate) fn cameras(&self) -> impl Iterator<Item = CameraId> {
         self.views.iter().map(|view| view.camera)
     }
 
     /// `None` if a covariance is not positive definite.
-    pub(in crate::world) fn evidence(&self) -> Option<Evidence> {
+    pub(crate) fn evidence(&self) -> Option<Evidence> {
         let inverses: Option<Vec<Matrix3<f64>>> =
             self.views.iter().map(|view| Some(view.covariance.cholesky()?.inverse())).collect();
         let inverses = inverses?;

@@ -32,7 +32,7 @@ const MAX_DELAY_CHANGE_NS: i64 = 250_000_000;
 
 /// All cameras.
 #[derive(Clone, Debug, Default)]
-pub(in crate::world) struct MissingFrames {
+pub(crate) struct MissingFrames {
     cameras: BTreeMap<CameraId, Camera>,
 }
 
@@ -56,12 +56,12 @@ struct Gap {
 
 impl MissingFrames {
     /// Discards all gaps of a camera.
-    pub(in crate::world) fn forget(&mut self, camera: CameraId) {
+    pub(crate) fn forget(&mut self, camera: CameraId) {
         self.cameras.remove(&camera);
     }
 
     /// Notes a frame, whether it is used or not; returns the number of frames now found missing.
-    pub(in crate::world) fn observe(&mut self, frame: FrameStamp) -> u64 {
+    pub(crate) fn observe(&mut self, frame: FrameStamp) -> u64 {
         match self.cameras.get_mut(&frame.camera) {
             Some(camera) => camera.observe(frame),
             None => {

@@ -24,12 +24,12 @@ use roundel_vision::{id::CameraId, time::Timestamp};
 
 /// Identity and times of a frame.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::world) struct FrameStamp {
-    pub(in crate::world) camera: CameraId,
-    pub(in crate::world) number: u64,
+pub(crate) struct FrameStamp {
+    pub(crate) camera: CameraId,
+    pub(crate) number: u64,
     /// Capture time by the camera's clock.
-    pub(in crate::world) stamp: Timestamp,
-    pub(in crate::world) received: Timestamp,
+    pub(crate) stamp: Timestamp,
+    pub(crate) received: Timestamp,
 }
 
 impl From<&FrameObservations> for FrameStamp {

@@ -28,7 +28,7 @@ const LATENCY_NS: i64 = 30_000_000;
 
 /// Verdict about a stamp, with the base to subtract, nanoseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::world) enum StampVerdict {
+pub(crate) enum StampVerdict {
     Valid(i64),
     /// First valid stamp after a step or with a foreign epoch.
     Stepped(i64),
@@ -60,17 +60,17 @@ struct Camera {
 
 /// Newest stamps and bases of all cameras.
 #[derive(Clone, Debug, Default)]
-pub(in crate::world) struct StampCorrector {
+pub(crate) struct StampCorrector {
     cameras: BTreeMap<CameraId, Camera>,
 }
 
 impl StampCorrector {
-    pub(in crate::world) fn forget(&mut self, camera: CameraId) {
+    pub(crate) fn forget(&mut self, camera: CameraId) {
         self.cameras.remove(&camera);
     }
 
     /// Judges a frame's stamp by its receiving time.
-    pub(in crate::world) fn judge(&mut self, frame: &FrameStamp, max_lead_ns: i64) -> StampVerdict {
+    pub(crate) fn judge(&mut self, frame: &FrameStamp, max_lead_ns: i64) -> StampVerdict {
         let FrameStamp { camera: id, number, stamp, received } = *frame;
         let raw_ns = stamp.ns_since(received);
         let Some(camera) = self.cameras.get_mut(&id) else {

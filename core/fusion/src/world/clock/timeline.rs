@@ -28,7 +28,7 @@ const REMEMBERED_FRAMES: usize = 512;
 
 /// Verdict about a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::world) enum Verdict {
+pub(crate) enum Verdict {
     Use,
     /// Use it, after ending all tracks: the timeline has restarted.
     Restart,
@@ -52,7 +52,7 @@ struct Candidate {
 
 /// Times of recent frames.
 #[derive(Clone, Debug, Default)]
-pub(in crate::world) struct Timeline {
+pub(crate) struct Timeline {
     newest: Option<FrameInstant>,
     candidate: Option<Candidate>,
     recent_frames: BTreeMap<CameraId, VecDeque<(u64, Timestamp)>>,
@@ -60,17 +60,17 @@ pub(in crate::world) struct Timeline {
 
 impl Timeline {
     /// Forgets a camera's frames.
-    pub(in crate::world) fn forget(&mut self, camera: CameraId) {
+    pub(crate) fn forget(&mut self, camera: CameraId) {
         self.recent_frames.remove(&camera);
     }
 
     /// Newest accepted capture time.
-    pub(in crate::world) fn newest(&self) -> Option<Timestamp> {
+    pub(crate) fn newest(&self) -> Option<Timestamp> {
         self.newest.map(|newest| newest.capture)
     }
 
     /// Judges a frame and remembers it. `capture` is its corrected time.
-    pub(in crate::world) fn judge(
+    pub(crate) fn judge(
         &mut self,
         frame: &FrameStamp,
         capture: Timestamp,

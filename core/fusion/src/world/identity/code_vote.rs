@@ -13,7 +13,7 @@ const MAX_LEAD: u32 = 60;
 const SETTLED_LEAD: u32 = 3;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(in crate::world) struct CodeVote {
+pub(crate) struct CodeVote {
     candidate: Option<Code>,
     lead: u32,
     /// Readings of other codes since the candidate was read last.
@@ -22,7 +22,7 @@ pub(in crate::world) struct CodeVote {
 
 impl CodeVote {
     /// Adds a reading.
-    pub(in crate::world) fn add(&mut self, code: Code) {
+    pub(crate) fn add(&mut self, code: Code) {
         if self.candidate == Some(code) {
             self.lead = (self.lead + 1).min(MAX_LEAD);
             self.contradictions = 0;
@@ -35,12 +35,12 @@ impl CodeVote {
     }
 
     /// Sets a code that is settled elsewhere.
-    pub(in crate::world) fn set(&mut self, code: Code) {
+    pub(crate) fn set(&mut self, code: Code) {
         *self = Self { candidate: Some(code), lead: SETTLED_LEAD, contradictions: 0 };
     }
 
     /// Adds the votes of another track of the same object.
-    pub(in crate::world) fn merge(&mut self, other: &Self) {
+    pub(crate) fn merge(&mut self, other: &Self) {
         if self.candidate == other.candidate {
             self.lead = (self.lead + other.lead).min(MAX_LEAD);
         } else if self.lead < other.lead {
@@ -51,7 +51,7 @@ impl CodeVote {
     }
 
     /// Whether a reading matches; `None` while that is undecided.
-    pub(in crate::world) fn agrees(&self, read: Code) -> Option<bool> {
+    pub(crate) fn agrees(&self, read: Code) -> Option<bool> {
         if self.candidate == Some(read) {
             return Some(true);
         }
@@ -60,17 +60,17 @@ impl CodeVote {
 
     /// Readings of other codes since the candidate was read last: one is a misreading, several are another
     /// object.
-    pub(in crate::world) fn contradictions(&self) -> u32 {
+    pub(crate) fn contradictions(&self) -> u32 {
         self.contradictions
     }
 
     /// The candidate, if it is settled.
-    pub(in crate::world) fn settled(&self) -> Option<Code> {
+    pub(crate) fn settled(&self) -> Option<Code> {
         self.candidate.filter(|_| self.lead >= SETTLED_LEAD)
     }
 
     /// The candidate; `None` before the first reading.
-    pub(in crate::world) fn leader(&self) -> Option<Code> {
+    pub(crate) fn leader(&self) -> Option<Code> {
         self.candidate
     }
 }

@@ -8,18 +8,18 @@ use roundel_vision::time::Timestamp;
 
 /// Position, velocity and traces of the covariance of a track's agile filter.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::world) struct Coarse {
+pub(crate) struct Coarse {
     time: Timestamp,
-    pub(in crate::world) position_m: Vector3<f64>,
-    pub(in crate::world) velocity_m_s: Vector3<f64>,
+    pub(crate) position_m: Vector3<f64>,
+    pub(crate) velocity_m_s: Vector3<f64>,
     /// Traces of the covariance's blocks with clock errors: position, cross, velocity.
-    pub(in crate::world) traces: BlockTraces,
+    pub(crate) traces: BlockTraces,
     /// Sum over the axes of the process noise's density, m²/s³.
     density_m2_s3: f64,
 }
 
 impl Coarse {
-    pub(in crate::world) fn from_state(state: &FilterState, density_m2_s3: &Vector3<f64>) -> Self {
+    pub(crate) fn from_state(state: &FilterState, density_m2_s3: &Vector3<f64>) -> Self {
         let filter = state.motion.agile();
         Self {
             time: state.time,
@@ -31,7 +31,7 @@ impl Coarse {
     }
 
     /// Summary at another time; the traces equal those of the predicted covariance.
-    pub(in crate::world) fn predicted(&self, time: Timestamp) -> Self {
+    pub(crate) fn predicted(&self, time: Timestamp) -> Self {
         let dt = time.seconds_since(self.time);
         let BlockTraces { value, cross, rate } = self.traces;
         let (span, grown) = (dt.abs(), self.density_m2_s3);
@@ -44,7 +44,7 @@ impl Coarse {
     }
 
     /// Upper bound of the root of the position's trace, metres, up to `span_s` before or after.
-    pub(in crate::world) fn max_deviation_m(&self, span_s: f64) -> f64 {
+    pub(crate) fn max_deviation_m(&self, span_s: f64) -> f64 {
         let BlockTraces { value, cross, rate } = self.traces;
         let span = span_s.abs();
         let grown = self.density_m2_s3 * span * span * span / 3.0;

@@ -16,13 +16,13 @@ use roundel_vision::{
 
 /// Ids of all codes ever settled and of all bodies ever observed.
 #[derive(Clone, Debug, Default)]
-pub(in crate::world) struct IdRegistry {
+pub(crate) struct IdRegistry {
     by_mark: BTreeMap<(Option<KindId>, Mark), ObjectId>,
 }
 
 /// Result of a track's claim to the id of its mark.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::world) enum Claim {
+pub(crate) enum Claim {
     /// The track has the id already.
     Own,
     /// No track has the id.
@@ -35,29 +35,25 @@ pub(in crate::world) enum Claim {
 
 impl IdRegistry {
     /// Id bound to a mark.
-    pub(in crate::world) fn id_of(&self, kind: Option<KindId>, mark: Mark) -> Option<ObjectId> {
+    pub(crate) fn id_of(&self, kind: Option<KindId>, mark: Mark) -> Option<ObjectId> {
         self.by_mark.get(&(kind, mark)).copied()
     }
 
     /// Binds the id of one mark to another one as well, unless that has an id.
-    pub(in crate::world) fn alias(
-        &mut self,
-        from: (Option<KindId>, Mark),
-        to: (Option<KindId>, Mark),
-    ) {
+    pub(crate) fn alias(&mut self, from: (Option<KindId>, Mark), to: (Option<KindId>, Mark)) {
         if let Some(id) = self.id_of(from.0, from.1) {
             self.by_mark.entry(to).or_insert(id);
         }
     }
 
     /// Removes the binding of a mark.
-    pub(in crate::world) fn remove(&mut self, kind: Option<KindId>, mark: Mark) {
+    pub(crate) fn remove(&mut self, kind: Option<KindId>, mark: Mark) {
         self.by_mark.remove(&(kind, mark));
     }
 
     /// Decides whether the track at `index` gets the id of its mark. A track counts as observed if it was so
     /// since `fresh_since`, except one of the same body that was not observed since this one began.
-    pub(in crate::world) fn claim(
+    pub(crate) fn claim(
         &mut self,
         tracks: &[Track],
         index: usize,

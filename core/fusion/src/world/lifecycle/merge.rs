@@ -18,10 +18,7 @@ const MAX_DEVIATION_M: f64 = 0.25;
 const MAX_DISTANCE_M: f64 = 1.0;
 
 /// Finds two tracks of one object: the index of the one to keep and of the one to remove.
-pub(in crate::world) fn find_duplicates(
-    tracks: &mut [Track],
-    now: Timestamp,
-) -> Option<(usize, usize)> {
+pub(crate) fn find_duplicates(tracks: &mut [Track], now: Timestamp) -> Option<(usize, usize)> {
     let places: Vec<Vector3<f64>> =
         tracks.iter().map(|track| track.coarse.predicted(now).position_m).collect();
     for older in 0..tracks.len() {

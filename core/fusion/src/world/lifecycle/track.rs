@@ -39,33 +39,33 @@ const GAUSS_CONSTANT: f64 = 2.756_815_6;
 
 /// Newest detection of a track by one camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::world) struct CameraView {
-    pub(in crate::world) camera: CameraId,
-    pub(in crate::world) number: TrackNumber,
-    pub(in crate::world) frame: u64,
-    pub(in crate::world) time: Timestamp,
+pub(crate) struct CameraView {
+    pub(crate) camera: CameraId,
+    pub(crate) number: TrackNumber,
+    pub(crate) frame: u64,
+    pub(crate) time: Timestamp,
 }
 
 /// One object and its filters.
 #[derive(Clone, Debug)]
-pub(in crate::world) struct Track {
-    pub(in crate::world) id: ObjectId,
-    pub(in crate::world) subject: Subject,
-    pub(in crate::world) codes: CodeVote,
-    pub(in crate::world) stage: LifeStage,
-    pub(in crate::world) history: History,
+pub(crate) struct Track {
+    pub(crate) id: ObjectId,
+    pub(crate) subject: Subject,
+    pub(crate) codes: CodeVote,
+    pub(crate) stage: LifeStage,
+    pub(crate) history: History,
     /// Summary of the history's newest state.
-    pub(in crate::world) coarse: Coarse,
-    pub(in crate::world) model: MotionModel,
-    pub(in crate::world) first: Timestamp,
-    pub(in crate::world) newest: Timestamp,
-    pub(in crate::world) observations: u64,
+    pub(crate) coarse: Coarse,
+    pub(crate) model: MotionModel,
+    pub(crate) first: Timestamp,
+    pub(crate) newest: Timestamp,
+    pub(crate) observations: u64,
     /// One per camera, ascending.
-    pub(in crate::world) views: Vec<CameraView>,
+    pub(crate) views: Vec<CameraView>,
     /// Tracks that appeared together with this one in a frame.
-    pub(in crate::world) distinct_from: Vec<ObjectId>,
+    pub(crate) distinct_from: Vec<ObjectId>,
     /// Mark with which the id was claimed.
-    pub(in crate::world) claimed_mark: Option<Mark>,
+    pub(crate) claimed_mark: Option<Mark>,
     /// Time of the last comparison of its cameras' clocks.
     last_comparison: Option<Timestamp>,
     score: f64,
@@ -73,7 +73,7 @@ pub(in crate::world) struct Track {
 
 impl Track {
     /// Track from a detection that fits no other track.
-    pub(in crate::world) fn begin(
+    pub(crate) fn begin(
         id: ObjectId,
         subject: Subject,
         measurement: Measurement,
@@ -101,12 +101,12 @@ impl Track {
         }
     }
 
-    pub(in crate::world) fn is_tentative(&self) -> bool {
+    pub(crate) fn is_tentative(&self) -> bool {
         self.stage == LifeStage::Tentative
     }
 
     /// Settled code or body of a confirmed track with which no id was claimed yet.
-    pub(in crate::world) fn unclaimed_mark(&self) -> Option<Mark> {
+    pub(crate) fn unclaimed_mark(&self) -> Option<Mark> {
         let settled = match self.subject.body {
             Some(body) => Some(Mark::Body(body)),
             None => self.codes.settled().map(Mark::Code),
@@ -115,30 +115,27 @@ impl Track {
     }
 
     /// Whether the camera's tracker assigns the measurement to this track.
-    pub(in crate::world) fn is_continued_by(&self, measurement: &Measurement) -> bool {
+    pub(crate) fn is_continued_by(&self, measurement: &Measurement) -> bool {
         self.has_number(measurement.camera, measurement.number)
     }
 
     /// Whether the camera's newest detection of the track has this number.
-    pub(in crate::world) fn has_number(&self, camera: CameraId, number: TrackNumber) -> bool {
+    pub(crate) fn has_number(&self, camera: CameraId, number: TrackNumber) -> bool {
         self.view_index(camera).is_ok_and(|index| self.views[index].number == number)
     }
 
     /// Time of a camera's newest detection of the track.
-    pub(in crate::world) fn last_seen_by(&self, camera: CameraId) -> Option<Timestamp> {
+    pub(crate) fn last_seen_by(&self, camera: CameraId) -> Option<Timestamp> {
         self.view_index(camera).ok().map(|index| self.views[index].time)
     }
 
     /// Cameras with a detection at or after `since`.
-    pub(in crate::world) fn cameras_since(
-        &self,
-        since: Timestamp,
-    ) -> impl Iterator<Item = CameraId> {
+    pub(crate) fn cameras_since(&self, since: Timestamp) -> impl Iterator<Item = CameraId> {
         self.views.iter().filter(move |view| view.time >= since).map(|view| view.camera)
     }
 
     /// Removes a camera's measurements from `since` on.
-    pub(in crate::world) fn retract(&mut self, camera: CameraId, since: Timestamp) -> Retraction {
+    pub(crate) fn retract(&mut self, camera: CameraId, since: Timestamp) -> Retraction {
         let retraction = self.history.retract(camera, since, &self.model);
         if matches!(retraction, Retraction::Removed(count) if count > 0) {
             self.newest = self.history.newest_time();
@@ -150,11 +147,7 @@ impl Track {
     /// Whether a measurement outside the gate, which its camera assigns to this track, is the camera's error (a
     /// half covered ring, the wrong normal): another camera observes the object now, and this one agreed with it
     /// not long ago.
-    pub(in crate::world) fn is_contradicted(
-        &self,
-        measurement: &Measurement,
-        params: &FusionParams,
-    ) -> bool {
+    pub(crate) fn is_contradicted(&self, measurement: &Measurement, params: &FusionParams) -> bool {
         let within =
             |view: &CameraView, span_ns: i64| measurement.time.ns_since(view.time) <= span_ns;
         let agreed = self
@@ -168,7 +161,7 @@ impl Track {
 
     /// Standard deviation of the measurement's time against the other cameras that observe the track, seconds. A
     /// clock that was just set makes its own camera's times uncertain, not those of the others.
-    pub(in crate::world) fn timing_s(&self, measurement: &Measurement, clocks: &Clocks) -> f64 {
+    pub(crate) fn timing_s(&self, measurement: &Measurement, clocks: &Clocks) -> f64 {
         if !clocks.is_estimating() {
             return 0.0;
         }
@@ -182,7 +175,7 @@ impl Track {
     }
 
     /// Compares the clocks of the cameras that observe the track, once per window.
-    pub(in crate::world) fn compare(&mut self, clocks: &Clocks) -> Option<Comparison> {
+    pub(crate) fn compare(&mut self, clocks: &Clocks) -> Option<Comparison> {
         let now = self.history.newest_time();
         if self.last_comparison.is_some_and(|time| now.ns_since(time) < clock::WINDOW_NS) {
             return None;
@@ -194,7 +187,7 @@ impl Track {
     }
 
     /// Adds a measurement; returns the result of the insertion and the change of the life stage.
-    pub(in crate::world) fn observe(
+    pub(crate) fn observe(
         &mut self,
         measurement: &Measurement,
         innovation: &Innovation,
@@ -236,13 +229,13 @@ impl Track {
     }
 
     /// Updates the summary after a change of the history.
-    pub(in crate::world) fn refresh(&mut self) {
+    pub(crate) fn refresh(&mut self) {
         self.coarse =
             Coarse::from_state(self.history.newest(), &self.model.acceleration_density_m2_s3);
     }
 
     /// Notes a frame of this camera without the track.
-    pub(in crate::world) fn miss(&mut self, camera: CameraId, time: Timestamp) {
+    pub(crate) fn miss(&mut self, camera: CameraId, time: Timestamp) {
         if self.is_tentative()
             && self.view_index(camera).is_ok_and(|index| self.views[index].time < time)
         {
@@ -251,11 +244,7 @@ impl Track {
     }
 
     /// Time at which the track has ended, if it has by `now`.
-    pub(in crate::world) fn end_time(
-        &self,
-        now: Timestamp,
-        params: &FusionParams,
-    ) -> Option<Timestamp> {
+    pub(crate) fn end_time(&self, now: Timestamp, params: &FusionParams) -> Option<Timestamp> {
         let limit_ns =
             if self.is_tentative() { params.tentative_after_ns } else { params.lost_after_ns };
         let is_dropped = self.is_tentative() && self.score < DROPPED_SCORE;
@@ -264,11 +253,7 @@ impl Track {
     }
 
     /// Advances the life stage to `now`.
-    pub(in crate::world) fn advance(
-        &mut self,
-        now: Timestamp,
-        params: &FusionParams,
-    ) -> Option<Event> {
+    pub(crate) fn advance(&mut self, now: Timestamp, params: &FusionParams) -> Option<Event> {
         let time = self.newest.plus_ns(params.predicted_after_ns);
         if self.stage != LifeStage::Tracked || now <= time {
             return None;
@@ -278,7 +263,7 @@ impl Track {
     }
 
     /// Takes over the camera views of a merged track.
-    pub(in crate::world) fn adopt_views(&mut self, other: &Track) {
+    pub(crate) fn adopt_views(&mut self, other: &Track) {
         for view in &other.views {
             match self.view_index(view.camera) {
                 Ok(index) if self.views[index].time < view.time => self.views[index] = *view,

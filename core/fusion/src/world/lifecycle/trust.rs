@@ -13,18 +13,18 @@ use super::track::Track;
 use roundel_vision::{id::CameraId, time::Timestamp};
 
 /// Rank of a camera without a configured one.
-pub(in crate::world) const DEFAULT_TRUST: u8 = 1;
+pub(crate) const DEFAULT_TRUST: u8 = 1;
 /// A camera still counts as observing an object for this long after its last detection.
 const RECENT_NS: i64 = 200_000_000;
 
 #[derive(Clone, Debug, Default)]
-pub(in crate::world) struct Trust {
+pub(crate) struct Trust {
     /// Only ranks other than [`DEFAULT_TRUST`].
     ranks: BTreeMap<CameraId, u8>,
 }
 
 impl Trust {
-    pub(in crate::world) fn set(&mut self, camera: CameraId, rank: u8) {
+    pub(crate) fn set(&mut self, camera: CameraId, rank: u8) {
         if rank == DEFAULT_TRUST {
             self.ranks.remove(&camera);
         } else {
@@ -32,22 +32,17 @@ impl Trust {
         }
     }
 
-    pub(in crate::world) fn rank(&self, camera: CameraId) -> u8 {
+    pub(crate) fn rank(&self, camera: CameraId) -> u8 {
         self.ranks.get(&camera).copied().unwrap_or(DEFAULT_TRUST)
     }
 
     /// Highest rank of the cameras that observe a track, or observed it last.
-    pub(in crate::world) fn of_track(&self, track: &Track) -> u8 {
+    pub(crate) fn of_track(&self, track: &Track) -> u8 {
         self.highest_since(track, track.newest.plus_ns(-RECENT_NS))
     }
 
     /// Whether a camera of higher rank observes the track.
-    pub(in crate::world) fn is_outranked(
-        &self,
-        camera: CameraId,
-        track: &Track,
-        time: Timestamp,
-    ) -> bool {
+    pub(crate) fn is_outranked(&self, camera: CameraId, track: &Track, time: Timestamp) -> bool {
         // Fast path: usually all cameras have one rank.
         !self.ranks.is_empty()
             && self.highest_since(track, time.plus_ns(-RECENT_NS)) > self.rank(camera)

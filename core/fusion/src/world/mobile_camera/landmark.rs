@@ -77,25 +77,25 @@ impl Landmark {
 
 /// A landmark with its detection, in the camera frame at the frame's time.
 #[derive(Clone, Debug)]
-pub(in crate::world) struct LandmarkMatch {
-    pub(in crate::world) landmark: Landmark,
-    pub(in crate::world) number: TrackNumber,
-    pub(in crate::world) pose: RoundelPose,
+pub(crate) struct LandmarkMatch {
+    pub(crate) landmark: Landmark,
+    pub(crate) number: TrackNumber,
+    pub(crate) pose: RoundelPose,
 }
 
 /// A pose that explains the detections.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::world) struct PoseSolution {
-    pub(in crate::world) world_from_camera: Rigid,
+pub(crate) struct PoseSolution {
+    pub(crate) world_from_camera: Rigid,
     /// Parts of the covariance by the detections and by the landmarks.
-    pub(in crate::world) observed: Covariance6,
-    pub(in crate::world) stated_covariance: Covariance6,
+    pub(crate) observed: Covariance6,
+    pub(crate) stated_covariance: Covariance6,
     /// -2 ln likelihood up to a constant.
-    pub(in crate::world) cost: f64,
+    pub(crate) cost: f64,
 }
 
 impl PoseSolution {
-    pub(in crate::world) fn covariance(&self) -> Covariance6 {
+    pub(crate) fn covariance(&self) -> Covariance6 {
         self.observed + self.stated_covariance
     }
 }
@@ -112,7 +112,7 @@ struct Residual {
 
 /// The poses that explain the detections of landmarks, best first, at most two. Empty if they contradict each
 /// other or determine too little. Removes landmarks from `pairs` that contradict the others.
-pub(in crate::world) fn solve_camera_pose(
+pub(crate) fn solve_camera_pose(
     pairs: &mut Vec<LandmarkMatch>,
     expected: Option<&Rigid>,
 ) -> Vec<PoseSolution> {
@@ -176,7 +176,7 @@ fn solutions(pairs: &[LandmarkMatch], expected: Option<&Rigid>) -> Vec<PoseSolut
 }
 
 /// Difference of two poses: translation, and rotation vector in the world.
-pub(in crate::world) fn pose_difference(from: &Rigid, to: &Rigid) -> Vector6<f64> {
+pub(crate) fn pose_difference(from: &Rigid, to: &Rigid) -> Vector6<f64> {
     let moved = to.translation.vector - from.translation.vector;
     let turned = (to.rotation * from.rotation.inverse()).scaled_axis();
     Vector6::new(moved.x, moved.y, moved.z, turned.x, turned.y, turned.z)

@@ -60,31 +60,31 @@ struct Ambiguity {
 
 /// Memory of one camera between frames.
 #[derive(Clone, Copy, Debug, Default)]
-pub(in crate::world) struct Localizer {
+pub(crate) struct Localizer {
     ambiguity: Option<Ambiguity>,
 }
 
 /// Result of a frame.
-pub(in crate::world) struct Localization {
+pub(crate) struct Localization {
     /// Measurement of the carrier; `None` if its pose is undetermined.
-    pub(in crate::world) sighting: Option<Sighting>,
+    pub(crate) sighting: Option<Sighting>,
     /// Detections of landmarks.
-    pub(in crate::world) landmarks: Vec<TrackNumber>,
+    pub(crate) landmarks: Vec<TrackNumber>,
 }
 
 /// A frame of a camera that localizes.
-pub(in crate::world) struct LocalizationInput<'a> {
-    pub(in crate::world) frame: &'a FrameObservations,
-    pub(in crate::world) correction: StampCorrection,
-    pub(in crate::world) mount: CameraMount,
+pub(crate) struct LocalizationInput<'a> {
+    pub(crate) frame: &'a FrameObservations,
+    pub(crate) correction: StampCorrection,
+    pub(crate) mount: CameraMount,
     /// Subject of its carrier.
-    pub(in crate::world) subject: Subject,
+    pub(crate) subject: Subject,
     /// Code of its carrier.
-    pub(in crate::world) code: Option<Code>,
+    pub(crate) code: Option<Code>,
     /// Predicted state of its carrier, if it is tracked.
-    pub(in crate::world) carrier: Option<CarrierState>,
-    pub(in crate::world) landmarks: &'a [Landmark],
-    pub(in crate::world) params: &'a FusionParams,
+    pub(crate) carrier: Option<CarrierState>,
+    pub(crate) landmarks: &'a [Landmark],
+    pub(crate) params: &'a FusionParams,
 }
 
 /// Detection without a code, which only its position can identify.
@@ -96,7 +96,7 @@ struct UncodedDetection {
 
 impl Localizer {
     /// Pose of the carrier by one frame.
-    pub(in crate::world) fn localize(&mut self, input: &LocalizationInput<'_>) -> Localization {
+    pub(crate) fn localize(&mut self, input: &LocalizationInput<'_>) -> Localization {
         let mut pairs = input.pairs();
         let landmarks = pairs.iter().map(|pair| pair.number).collect();
         let expected = input.carrier.as_ref().map(CarrierState::mean_pose);

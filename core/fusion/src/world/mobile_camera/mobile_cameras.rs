@@ -13,20 +13,20 @@ use roundel_vision::{id::CameraId, marker::Code, time::Timestamp};
 const MAX_ROTATION_DEVIATION_RAD: f64 = 0.2;
 
 #[derive(Clone, Debug)]
-pub(in crate::world) struct MobileCamera {
-    pub(in crate::world) mount: CameraMount,
-    pub(in crate::world) localizer: Localizer,
+pub(crate) struct MobileCamera {
+    pub(crate) mount: CameraMount,
+    pub(crate) localizer: Localizer,
     last_exposure: Option<Timestamp>,
     period_s: Option<f64>,
 }
 
 #[derive(Clone, Debug, Default)]
-pub(in crate::world) struct MobileCameras {
+pub(crate) struct MobileCameras {
     cameras: BTreeMap<CameraId, MobileCamera>,
 }
 
 impl MobileCameras {
-    pub(in crate::world) fn set(&mut self, camera: CameraId, mount: Option<CameraMount>) {
+    pub(crate) fn set(&mut self, camera: CameraId, mount: Option<CameraMount>) {
         match mount {
             Some(mount) => {
                 let localizer = Localizer::default();
@@ -39,25 +39,25 @@ impl MobileCameras {
         }
     }
 
-    pub(in crate::world) fn get_mut(&mut self, camera: CameraId) -> Option<&mut MobileCamera> {
+    pub(crate) fn get_mut(&mut self, camera: CameraId) -> Option<&mut MobileCamera> {
         self.cameras.get_mut(&camera)
     }
 
-    pub(in crate::world) fn mounts_mut(&mut self) -> impl Iterator<Item = &mut CameraMount> {
+    pub(crate) fn mounts_mut(&mut self) -> impl Iterator<Item = &mut CameraMount> {
         self.cameras.values_mut().map(|mobile| &mut mobile.mount)
     }
 
-    pub(in crate::world) fn contains(&self, camera: CameraId) -> bool {
+    pub(crate) fn contains(&self, camera: CameraId) -> bool {
         self.cameras.contains_key(&camera)
     }
 
     /// Whether a subject with this code carries a camera.
-    pub(in crate::world) fn is_carrier(&self, subject: &Subject, code: Option<Code>) -> bool {
+    pub(crate) fn is_carrier(&self, subject: &Subject, code: Option<Code>) -> bool {
         self.cameras.values().any(|mobile| mobile.mount.carrier.is(subject, code))
     }
 
     /// Notes the exposure of a frame.
-    pub(in crate::world) fn note_exposure(&mut self, camera: CameraId, time: Timestamp) {
+    pub(crate) fn note_exposure(&mut self, camera: CameraId, time: Timestamp) {
         let Some(mobile) = self.cameras.get_mut(&camera) else { return };
         if let Some(last_exposure) = mobile.last_exposure {
             mobile.period_s = Some(time.seconds_since(last_exposure).abs());
@@ -66,7 +66,7 @@ impl MobileCameras {
     }
 
     /// State of a camera's carrier at `time`. `clock_s` is the standard deviation of the camera's clock.
-    pub(in crate::world) fn carrier_state(
+    pub(crate) fn carrier_state(
         &self,
         camera: CameraId,
         tracks: &mut [Track],

@@ -85,7 +85,7 @@ pub enum Unplaced {
 
 /// State of a carrier at the time of a frame.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::world) struct CarrierState {
+pub(crate) struct CarrierState {
     pub(super) state: FilterState,
     pub(super) model: MotionModel,
     pub(super) mount: CameraMount,
@@ -108,7 +108,7 @@ impl Carrier {
 }
 
 /// The track of a carrier; `None` if there are two.
-pub(in crate::world) fn find_carrier_track(carrier: &Carrier, tracks: &[Track]) -> Option<usize> {
+pub(crate) fn find_carrier_track(carrier: &Carrier, tracks: &[Track]) -> Option<usize> {
     let is_carrier = |track: &Track| {
         let is_followed = matches!(track.stage, LifeStage::Tracked | LifeStage::Predicted);
         is_followed && carrier.is(&track.subject, track.codes.settled())
@@ -120,7 +120,7 @@ pub(in crate::world) fn find_carrier_track(carrier: &Carrier, tracks: &[Track]) 
 
 impl CarrierState {
     /// Camera pose at the exposure of a row.
-    pub(in crate::world) fn pose_at(&self, time: Timestamp) -> ExposurePose {
+    pub(crate) fn pose_at(&self, time: Timestamp) -> ExposurePose {
         let mut state = self.state;
         state.predict(time, &self.model);
         let Estimate { motion, attitude, .. } = state.estimate(time, &self.model);
@@ -152,14 +152,14 @@ impl CarrierState {
     }
 
     /// Camera pose at the frame's time, with the covariance of its whole error.
-    pub(in crate::world) fn mean_pose(&self) -> (Rigid, Covariance6) {
+    pub(crate) fn mean_pose(&self) -> (Rigid, Covariance6) {
         let alone = Self { period_s: None, ..*self };
         let camera_pose = alone.pose_at(self.state.time);
         (camera_pose.world_from_camera, camera_pose.systematic + camera_pose.fresh)
     }
 
     /// Standard deviations of the carrier's velocity, m/s, and angular velocity, rad/s, per axis.
-    pub(in crate::world) fn rate_deviations(&self) -> (f64, f64) {
+    pub(crate) fn rate_deviations(&self) -> (f64, f64) {
         let motion = self.state.motion.estimate(0.0, &self.model).covariance.rate;
         let turning = self.state.attitude.estimate(0.0, &self.model).covariance;
         let turning = turning.fixed_view::<3, 3>(3, 3).trace();

@@ -19,25 +19,25 @@ const MIN_STEP: f64 = 1e-7;
 
 /// One of a roundel's two normals.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::world) struct Normal {
-    pub(in crate::world) orientation: UnitQuaternion<f64>,
-    pub(in crate::world) information: Matrix3<f64>,
+pub(crate) struct Normal {
+    pub(crate) orientation: UnitQuaternion<f64>,
+    pub(crate) information: Matrix3<f64>,
     /// -2 ln of its likelihood.
-    pub(in crate::world) cost: f64,
+    pub(crate) cost: f64,
 }
 
 /// A roundel of the object at the frame's time.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::world) struct RoundelTerm {
-    pub(in crate::world) mount: Rigid,
-    pub(in crate::world) position_m: Vector3<f64>,
-    pub(in crate::world) information: Matrix3<f64>,
-    pub(in crate::world) normals: [Normal; 2],
-    pub(in crate::world) yaw_symmetry: Option<u32>,
+pub(crate) struct RoundelTerm {
+    pub(crate) mount: Rigid,
+    pub(crate) position_m: Vector3<f64>,
+    pub(crate) information: Matrix3<f64>,
+    pub(crate) normals: [Normal; 2],
+    pub(crate) yaw_symmetry: Option<u32>,
 }
 
 impl RoundelTerm {
-    pub(in crate::world) fn new(
+    pub(crate) fn new(
         part: &PartMeasurement,
         dt: f64,
         prediction: Option<&PredictedPose>,
@@ -69,7 +69,7 @@ impl RoundelTerm {
         })
     }
 
-    pub(in crate::world) fn residual_count(&self) -> f64 {
+    pub(crate) fn residual_count(&self) -> f64 {
         if self.yaw_symmetry.is_some() { 6.0 } else { 5.0 }
     }
 
@@ -91,29 +91,26 @@ impl RoundelTerm {
 
 /// Pose for one choice of normals.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::world) struct Fit {
-    pub(in crate::world) position_m: Vector3<f64>,
-    pub(in crate::world) orientation: UnitQuaternion<f64>,
+pub(crate) struct Fit {
+    pub(crate) position_m: Vector3<f64>,
+    pub(crate) orientation: UnitQuaternion<f64>,
     /// Over (position, rotation).
-    pub(in crate::world) information: Matrix6<f64>,
+    pub(crate) information: Matrix6<f64>,
     /// Sum of squared residuals.
-    pub(in crate::world) misfit: f64,
+    pub(crate) misfit: f64,
     /// `misfit` and -2 ln of the likelihood of the normals.
-    pub(in crate::world) cost: f64,
+    pub(crate) cost: f64,
 }
 
 /// Fits of the best and of the second best choice of normals, if there is one.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::world) struct Fits {
-    pub(in crate::world) best: Fit,
-    pub(in crate::world) second: Option<Fit>,
+pub(crate) struct Fits {
+    pub(crate) best: Fit,
+    pub(crate) second: Option<Fit>,
 }
 
 /// Fits of the best and the second best choice of normals.
-pub(in crate::world) fn best_fits(
-    terms: &[RoundelTerm],
-    prediction: Option<&PredictedPose>,
-) -> Option<Fits> {
+pub(crate) fn best_fits(terms: &[RoundelTerm], prediction: Option<&PredictedPose>) -> Option<Fits> {
     let count = terms.len();
     if count > MAX_EXHAUSTIVE {
         return greedy(terms, prediction).map(|best| Fits { best, second: None });
@@ -199,12 +196,12 @@ impl Fit {
     }
 }
 
-pub(in crate::world) fn add(whole: &mut Matrix6<f64>, at: (usize, usize), part: &Matrix3<f64>) {
+pub(crate) fn add(whole: &mut Matrix6<f64>, at: (usize, usize), part: &Matrix3<f64>) {
     let mut block = whole.fixed_view_mut::<3, 3>(at.0, at.1);
     block += part;
 }
 
-pub(in crate::world) fn block(whole: &Matrix6<f64>, from: usize) -> Matrix3<f64> {
+pub(crate) fn block(whole: &Matrix6<f64>, from: usize) -> Matrix3<f64> {
     whole.fixed_view::<3, 3>(from, from).into_owned()
 }
 
