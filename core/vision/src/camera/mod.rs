@@ -7,7 +7,6 @@
 
 mod lens;
 mod nearby_rays;
-mod project_lanes;
 
 use nalgebra::{Matrix2x3, Vector2, Vector3};
 use thiserror::Error;

@@ -6,14 +6,13 @@
 //! px up to 110 px at 45° off the axis (test `the_polynomial_is_the_lens`). The effect of a rolling
 //! shutter on a moving ring, linear in the image, is included.
 
-use fearless_simd::{Level, Simd, SimdBase, SimdFrom, dispatch, f64x8};
+use fearless_simd::{Level, Simd, dispatch};
 use fearless_simd_macros::simd;
 use nalgebra::{Matrix2, Matrix3, SMatrix, Vector3};
 
 use crate::{
     camera::{Camera, LensError, PixelPoint},
     pose::Skew,
-    simd::{Mask, Vec3},
 };
 
 /// Coefficients of a polynomial of fifth order in two variables, of t₁ⁱ t₂ʲ by rising i, then j.
@@ -78,45 +77,6 @@ impl SamplingPlan {
     }
 }
 
-const SIMD_RAYS: usize = 8;
-
-/// Pixels of all samples; false where the lens has no vectorized projection, or none for some
-/// sample.
-#[simd]
-fn sample_all<S: Simd>(
-    simd: S,
-    camera: &Camera,
-    camera_from_local: &Matrix3<f64>,
-    spread: f64,
-    plan: &SamplingPlan,
-    samples: &mut [[f64; 2]; SAMPLES],
-) -> bool {
-    let m = camera_from_local;
-    for (samples, places) in samples.chunks_mut(SIMD_RAYS).zip(plan.places.chunks(SIMD_RAYS)) {
-        let (mut x, mut y) = ([0.0; SIMD_RAYS], [0.0; SIMD_RAYS]);
-        for (k, [along, across]) in places.iter().enumerate() {
-            (x[k], y[k]) = (spread * along, spread * across);
-        }
-        let (x, y) = (f64x8::simd_from(simd, x), f64x8::simd_from(simd, y));
-        let ray = Vec3::new(
-            x * m.m11 + y * m.m12 + m.m13,
-            x * m.m21 + y * m.m22 + m.m23,
-            x * m.m31 + y * m.m32 + m.m33,
-        );
-        let Some((pixel, valid)) = camera.project_each(ray) else { return false };
-        if (!valid).any() {
-            return false;
-        }
-        let (mut u, mut v) = ([0.0; SIMD_RAYS], [0.0; SIMD_RAYS]);
-        pixel.x.store_slice(&mut u);
-        pixel.y.store_slice(&mut v);
-        for (k, sample) in samples.iter_mut().enumerate() {
-            *sample = [u[k], v[k]];
-        }
-    }
-    true
-}
-
 /// The lens around one ray.
 #[derive(Clone, Debug)]
 pub struct LocalLens {
@@ -145,22 +105,13 @@ impl LocalLens {
         let camera_from_local = local_from_camera.transpose();
         let image = |ray: &Vector3<f64>| {
             let pixel = camera.project(ray)?;
-            Ok(skew.map_or(pixel, |skew| skew.image(pixel)))
+            Ok::<_, LensError>(skew.map_or(pixel, |skew| skew.image(pixel)))
         };
         let middle = image(&camera_from_local.column(2).into_owned())?;
         let origin = PixelPoint { u: middle.u.round(), v: middle.v.round() };
         let mut samples = [[0.0; 2]; SAMPLES];
-        if !dispatch!(level, simd => sample_all(simd, camera, &camera_from_local, spread, plan, &mut samples))
-        {
-            for (sample, [x, y]) in samples.iter_mut().zip(&plan.places) {
-                let ray = camera_from_local * Vector3::new(spread * x, spread * y, 1.0);
-                let pixel = camera.project(&ray)?;
-                *sample = [pixel.u, pixel.v];
-            }
-        }
-        for sample in &mut samples {
-            let [u, v] = *sample;
-            let pixel = skew.map_or(PixelPoint { u, v }, |skew| skew.image(PixelPoint { u, v }));
+        for (sample, [x, y]) in samples.iter_mut().zip(&plan.places) {
+            let pixel = image(&(camera_from_local * Vector3::new(spread * x, spread * y, 1.0)))?;
             *sample = [pixel.u - origin.u, pixel.v - origin.v];
         }
         let found = dispatch!(level, simd => plan.terms_of(simd, &samples));
