@@ -23,9 +23,7 @@ use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Vector2, Vector3};
 
-use super::{
-    DEFAULT_BLUR_PX, Outcome, Start, Teeth, solver::normal_equation_cache::NormalEquationCache,
-};
+use super::{DEFAULT_BLUR_PX, Outcome, Start, Teeth};
 use crate::{
     camera::PixelPoint,
     pose::{RoundelPose, yaw},
@@ -40,7 +38,6 @@ pub struct FitHistory {
     center: PixelPoint,
     motion_test: MotionTest,
     code: Option<TeethMotion>,
-    cache: Option<NormalEquationCache>,
 }
 
 /// Rotation of a coded ring.
@@ -71,13 +68,7 @@ impl FitHistory {
             center: fit.ring.outer.center,
             motion_test,
             code,
-            // A fit with free motion fills no cache.
-            cache: outcome.cache.or(before.and_then(|before| before.cache)),
         }
-    }
-
-    pub(super) fn cache(&self) -> Option<&NormalEquationCache> {
-        self.cache.as_ref()
     }
 
     pub fn without_teeth(self) -> Self {

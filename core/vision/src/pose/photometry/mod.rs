@@ -23,10 +23,6 @@
 //! the ring (prior of a tenth), which would otherwise pass for tilt. Gauss-Newton steps, damped
 //! where they fail.
 //!
-//! **Frames.** For a tracked ring that hardly changes, the products of the columns are those of an
-//! earlier frame (`solver::normal_equation_cache`), and only their products with the residual are
-//! summed.
-//!
 //! **Two normals** (`hypotheses`). Mirrored along the line of sight, a roundel looks nearly the
 //! same. The residual of the mirrored pose is projected with the information of the first; if it
 //! promises a smaller misfit, it is fitted as well. The likelihoods of the two follow from the
@@ -81,7 +77,6 @@ use model::{
 };
 pub use scratch::FitScratch;
 use solver::{
-    normal_equation_cache::NormalEquationCache,
     problem::Problem,
     solution::{self, PoseEstimate},
     state::State,
@@ -150,7 +145,6 @@ struct Outcome {
     /// was held.
     motion_variance_px4: Option<f64>,
     teeth: Option<Teeth>,
-    cache: Option<NormalEquationCache>,
 }
 
 /// Why a ring has no fitted pose.
@@ -193,7 +187,7 @@ const MIN_REACH_PX: f64 = 0.6;
 
 /// Fits the pose of a single roundel of a known kind to the frame's pixels.
 pub fn fit(input: &FitInput, start: &Start, scratch: &mut FitScratch) -> Result<Fit, FitError> {
-    fit_with_cache(input, start, None, scratch).map(|outcome| outcome.fit)
+    fit_outcome(input, start, scratch).map(|outcome| outcome.fit)
 }
 
 /// Fits a tracked roundel, whose rims have this pose, from the state that its last fit left.
@@ -205,16 +199,14 @@ pub(super) fn fit_tracked(
     scratch: &mut FitScratch,
 ) -> Result<(Fit, FitHistory), FitError> {
     let start = history::start(pose, &input.ring.outer.center, history);
-    let cache = history.and_then(FitHistory::cache);
-    let outcome = fit_with_cache(input, &start, cache, scratch)?;
+    let outcome = fit_outcome(input, &start, scratch)?;
     let next = FitHistory::new(&outcome, start.moved_px, history);
     Ok((outcome.fit, next))
 }
 
-fn fit_with_cache(
+fn fit_outcome(
     input: &FitInput,
     start: &Start,
-    cache: Option<&NormalEquationCache>,
     scratch: &mut FitScratch,
 ) -> Result<Outcome, FitError> {
     let FitInput { frame, camera, kind, ring, skew } = *input;
@@ -258,7 +250,6 @@ fn fit_with_cache(
         lens: &lens,
         motion_prior: motion::prior(start.moved_px),
         is_still: start.is_still,
-        cache,
     };
     let normal = &start.pose.normal;
     let axes = match heading_rad {
@@ -276,7 +267,6 @@ fn fit_with_cache(
             fit,
             motion_variance_px4: estimate.motion_variance,
             teeth,
-            cache: estimate.cache,
         }),
     }
 }

@@ -194,7 +194,6 @@ fn the_mirrored_pose_is_predicted() {
     let problem = Problem {
         kind: &kind,
         teeth: None,
-        cache: None,
         radius_m,
         lens: &lens,
         motion_prior: 1.0,
@@ -251,54 +250,5 @@ fn a_coded_roundel_is_fitted_with_its_yaw() {
         assert!(error_rad < 4e-3 && pose.normal.angle(&normal) < 0.02, "{error_rad}");
         let variance = yaw::deviation_rad(&pose).powi(2);
         assert!((1e-8..1e-5).contains(&variance), "{variance}");
-    }
-}
-
-/// The cache changes nothing where a ring hardly changes, and is not used where it does.
-#[test]
-fn the_cache_is_used_where_it_is_valid() {
-    let (camera, kind) = (camera(), Kind::plain("", 0.16, 0.064));
-    let ring = Ring { black: 45.0, white: 205.0, ..ring() };
-    let start = Start { is_still: true, moved_px: 0.0, ..start(&camera, &kind, &ring) };
-    let (position_m, normal) = (start.pose.position_m, start.pose.normal);
-    let mut scratch = FitScratch::default();
-    let mut fit_at = |position_m: &Vector3<f64>, turn_rad: f64, blur_px, cache| {
-        let normal = nalgebra::Rotation3::new(Vector3::x() * turn_rad) * normal;
-        let mut pixels = picture(&camera, &kind, position_m, &normal);
-        // Mean 5 and standard deviation 3: without noise every step would be significant.
-        for (at, pixel) in pixels.iter_mut().enumerate() {
-            *pixel += (at as u32).wrapping_mul(2_654_435_761).rotate_left(8) as u8 % 11;
-        }
-        let frame = Frame::new(&pixels, SIDE, SIDE, SIDE).unwrap();
-        // Accurate to a hundredth of a pixel, as rims are.
-        let position_m = position_m * 1.0001;
-        let pose = RoundelPose { position_m, normal, ..start.pose.clone() };
-        let start = Start { pose, blur_px, ..start.clone() };
-        let input = input(&frame, &camera, &kind, &ring);
-        let cache: Option<NormalEquationCache> = cache;
-        let Outcome { fit, cache, .. } =
-            fit_with_cache(&input, &start, cache.as_ref(), &mut scratch).unwrap();
-        (fit, cache)
-    };
-    let (Fit { blur_px, .. }, cache) = fit_at(&position_m, 0.0, DEFAULT_BLUR_PX, None);
-    assert!(cache.is_some());
-
-    let near_m = position_m + Vector3::new(1e-3, -6e-4, 2e-3);
-    let [fresh, cached] = [None, cache].map(|cache| fit_at(&near_m, 0.01, blur_px, cache));
-    assert_eq!(cached.1, cache, "the cache stays that of the first frame");
-    assert_ne!(fresh.1, cache);
-    let [fresh, cached] = [fresh.0, cached.0];
-    let deviation = |fit: &Fit, axis: usize| fit.pose.covariance[(axis, axis)].sqrt();
-    for axis in 0..3 {
-        let other_offset_m = (cached.pose.position_m - fresh.pose.position_m)[axis].abs();
-        assert!(other_offset_m < 0.1 * deviation(&fresh, axis), "{axis}: {other_offset_m}");
-        let ratio = deviation(&cached, axis) / deviation(&fresh, axis);
-        assert!((ratio - 1.0).abs() < 0.05, "{axis}: {ratio}");
-    }
-
-    for (position_m, turn_rad) in [(position_m, 0.15), (position_m * 1.04, 0.0)] {
-        let [fresh, cached] =
-            [None, cache].map(|cache| fit_at(&position_m, turn_rad, blur_px, cache));
-        assert_eq!(cached.0, fresh.0, "{turn_rad}");
     }
 }

@@ -91,7 +91,6 @@ fn frontal_pose(
         noise2: solution.noise2,
         motion_variance: solution.motion_variance(),
         iterations: solution.iterations,
-        cache: None,
         state,
     }
 }
@@ -168,7 +167,6 @@ fn tilted_pose(
         noise2: solution.noise2,
         motion_variance: solution.motion_variance(),
         iterations: solution.iterations,
-        cache: solution.cache(problem),
         state: solution.state.clone(),
     })
 }

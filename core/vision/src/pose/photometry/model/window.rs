@@ -127,11 +127,6 @@ impl Window {
         }
     }
 
-    /// Number of counted pixels.
-    pub fn pixels(&self) -> usize {
-        self.spans.iter().map(|(from, to)| to - from).sum()
-    }
-
     /// Rows and columns that the nodes reach; `None` if a node reaches beyond the window.
     fn reached(&self, level: Level, nodes: &Nodes, reach: usize) -> Option<[Range<usize>; 2]> {
         let half = (reach / 2) as i32;

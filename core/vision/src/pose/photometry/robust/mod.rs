@@ -170,7 +170,6 @@ fn estimate(
         noise2: *noise2,
         motion_variance: None,
         iterations: solution.iterations,
-        cache: None,
         state: solution.state,
     })
 }

@@ -5,7 +5,7 @@
 //! tested as well ([`super::mirror`]).
 
 use super::{
-    linearize::{linearize, linearize_start},
+    linearize::linearize,
     mirror::{evaluate_mirrored, is_linear},
     problem::Problem,
     solution::Solution,
@@ -54,7 +54,7 @@ pub fn solve(
     scratch: &mut ModelScratch,
 ) -> Result<Solution, FitError> {
     let mut state = start;
-    let mut equations = linearize_start(problem, &state, scratch)?;
+    let mut equations = linearize(problem, &state, None, scratch)?;
     let mut damping = Damping::default();
     for step in 1..=MAX_STEPS {
         let noise2 = equations.noise2();
@@ -92,9 +92,7 @@ pub fn solve(
         }
         // The information hardly changes over a small step; the residual does.
         let small = gain < SMALL_STEP * noise2 && damping.is_none() && state.is_small_turn(&change);
-        // Cached information is as good at the second linearization as at the first.
-        let is_fresh = !equations.reused || (equations.cached && step == 1);
-        let reused = (small && is_fresh).then_some(&equations);
+        let reused = (small && !equations.reused).then_some(&equations);
         match linearize(problem, &next, reused, scratch) {
             // A change of the kernel table moves the misfit by less than a variance.
             Ok(found) if found.misfit <= equations.misfit + noise2 => {

@@ -3,7 +3,6 @@
 use nalgebra::{Vector2, Vector3};
 
 use super::{
-    normal_equation_cache::NormalEquationCache,
     normal_equations::{NormalEquations, ProblemScale},
     problem::Problem,
     state::State,
@@ -23,42 +22,12 @@ use crate::pose::photometry::{
 
 const MIN_PIXELS: f64 = 30.0;
 
-/// Information that is reused; the pixels then give the gradient only.
-#[derive(Clone, Copy)]
-enum Reuse<'a> {
-    /// That of a state nearby.
-    Near(&'a NormalEquations),
-    /// That of an earlier frame.
-    Cached(&'a NormalEquationCache),
-}
-
-/// Linearizes at the start of a fit, with the cache where it is valid.
-pub fn linearize_start(
-    problem: &Problem,
-    state: &State,
-    scratch: &mut ModelScratch,
-) -> Result<NormalEquations, FitError> {
-    let pixels = scratch.window.pixels();
-    let cache = problem
-        .cache
-        .filter(|cache| problem.allows_cache() && cache.is_valid_for(state, problem.lens, pixels));
-    assemble(problem, state, cache.map(Reuse::Cached), scratch)
-}
-
-/// Linearizes at a state, with the information of a state nearby if given.
+/// Linearizes at a state; with the information of a state nearby, if given, the pixels give the
+/// gradient only.
 pub fn linearize(
     problem: &Problem,
     state: &State,
     reuse: Option<&NormalEquations>,
-    scratch: &mut ModelScratch,
-) -> Result<NormalEquations, FitError> {
-    assemble(problem, state, reuse.map(Reuse::Near), scratch)
-}
-
-fn assemble(
-    problem: &Problem,
-    state: &State,
-    reuse: Option<Reuse>,
     scratch: &mut ModelScratch,
 ) -> Result<NormalEquations, FitError> {
     let model = draw(problem, state, 0.0, scratch)?;
@@ -66,15 +35,7 @@ fn assemble(
     scratch.window.gather(scratch.level, &model, sums, reuse.is_none());
     let mut equations = match reuse {
         None => NormalEquations::new(state, &sums.products, &scale(problem, state, &model)),
-        Some(Reuse::Near(reuse)) => reuse.updated(&sums.products),
-        Some(Reuse::Cached(cache)) => {
-            cache.write_to(&mut sums.products);
-            let mut equations =
-                NormalEquations::new(state, &sums.products, &scale(problem, state, &model));
-            equations.pixels = scratch.window.pixels() as f64;
-            (equations.reused, equations.cached) = (true, true);
-            equations
-        }
+        Some(reuse) => reuse.updated(&sums.products),
     };
     equations.patch_ratio =
         residual_patches::correlation_ratio(f64::from(sums.patches), equations.misfit);

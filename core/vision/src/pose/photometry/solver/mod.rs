@@ -1,15 +1,13 @@
 //! The least-squares problem of one ring, and its solution.
 //!
-//! [`linearize`] turns a [`state`] into [`normal_equations`], reusing those of a state nearby or of
-//! an earlier frame ([`normal_equation_cache`]) where possible. [`gauss_newton`] steps to the
-//! minimum with [`cholesky`]. [`mirror`] estimates the mirrored pose from the same equations.
-//! [`solution`] gives covariance and rims.
+//! [`linearize`] turns a [`state`] into [`normal_equations`], reusing those of a state nearby where
+//! possible. [`gauss_newton`] steps to the minimum with [`cholesky`]. [`mirror`] estimates the
+//! mirrored pose from the same equations. [`solution`] gives covariance and rims.
 
 pub mod cholesky;
 pub mod gauss_newton;
 pub mod linearize;
 pub mod mirror;
-pub mod normal_equation_cache;
 pub mod normal_equations;
 pub mod problem;
 pub mod solution;

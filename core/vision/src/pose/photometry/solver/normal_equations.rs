@@ -22,10 +22,8 @@ pub struct NormalEquations {
     pub mirror: MirrorProducts,
     /// Displacement of the outer rim by the mirrored pose, pixels.
     pub mirror_px: f64,
-    /// Whether the information is that of an earlier state …
+    /// Whether the information is that of an earlier state.
     pub reused: bool,
-    /// … and of an earlier frame.
-    pub cached: bool,
     /// Variance of μ besides its own size, px⁴; `None` where the motion is held.
     pub motion_prior: Option<f64>,
     /// Information about a displacement of both rims.
@@ -128,7 +126,6 @@ impl NormalEquations {
             pixels: products[(column::WHITE, column::WHITE)],
             patch_ratio: 1.0,
             reused: false,
-            cached: false,
             motion_prior,
             elongation: around * radius_px * (1.0 + disc_ratio * disc_ratio),
             unit_m,

@@ -1,8 +1,7 @@
 //! What stays constant during a fit.
 
-use super::normal_equation_cache::NormalEquationCache;
 use crate::{
-    marker::{Kind, Pattern},
+    marker::Kind,
     pose::photometry::model::{local_lens::LocalLens, teeth::Teeth},
 };
 
@@ -20,14 +19,4 @@ pub struct Problem<'a> {
     pub motion_prior: f64,
     /// Whether the motion is held at zero.
     pub is_still: bool,
-    /// From an earlier frame.
-    pub cache: Option<&'a NormalEquationCache>,
-}
-
-impl Problem<'_> {
-    /// Whether the cache applies. Columns of other prints, and with motion, depend on more than it
-    /// compares.
-    pub fn allows_cache(&self) -> bool {
-        self.is_still && matches!(self.kind.pattern, Pattern::Plain)
-    }
 }

@@ -5,7 +5,6 @@ use nalgebra::{SMatrix, Vector3};
 use super::{
     cholesky::{Cholesky, MAX_UNKNOWNS},
     linearize::project,
-    normal_equation_cache::NormalEquationCache,
     normal_equations::NormalEquations,
     problem::Problem,
     state::{MOTION, State},
@@ -40,8 +39,6 @@ pub struct PoseEstimate {
     /// Variance of either component of the motion's square by noise, px⁴.
     pub motion_variance: Option<f64>,
     pub iterations: usize,
-    /// For later frames.
-    pub cache: Option<NormalEquationCache>,
 }
 
 /// Over two shifts, logarithm of the range and two rotations.
@@ -72,17 +69,6 @@ impl Solution {
         let axes = &self.state.pose.axes;
         let turns = [0, 1].map(|axis| axes.column(axis).into_owned());
         self.in_camera_frame(problem, &self.state, &own, &turns)
-    }
-
-    /// Cache for later frames: the one that was used, or a new one.
-    pub fn cache(&self, problem: &Problem) -> Option<NormalEquationCache> {
-        if self.equations.cached {
-            problem.cache.copied()
-        } else if problem.allows_cache() {
-            NormalEquationCache::new(&self.state, &self.equations, problem.lens)
-        } else {
-            None
-        }
     }
 
     /// Variance by noise of either component of the motion's square, px⁴, without the prior's part;
