@@ -205,7 +205,7 @@ fn the_mirrored_pose_is_predicted() {
     let state = State::new(at, &first.ring, first.blur_px, &first.motion_px);
     let solution = gauss_newton::solve(&problem, state, model).unwrap();
     let Solution { state, equations, noise2, .. } = &solution;
-    let promised = evaluate_mirrored(&problem, state, equations, *noise2, None, model).unwrap();
+    let promised = evaluate_mirrored(&problem, state, equations, *noise2, model).unwrap();
     let found = gauss_newton::solve(&problem, solution.state.mirrored(), model).unwrap();
     let (promised_m, found_m) = (promised.state.pose.position_m, found.state.pose.position_m);
     let [promised, found] = [promised.misfit, found.misfit].map(|misfit| misfit - solution.misfit);

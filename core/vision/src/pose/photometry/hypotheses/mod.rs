@@ -102,15 +102,8 @@ fn tilted_pose(
     solution: &mut Solution,
     scratch: &mut FitScratch,
 ) -> Result<PoseEstimate, FitError> {
-    let mut factor = solution.factor();
-    let mut other = evaluate_mirrored(
-        problem,
-        &solution.state,
-        &solution.equations,
-        solution.noise2,
-        factor.as_ref(),
-        &mut scratch.model,
-    );
+    let Solution { state, equations, noise2, .. } = &*solution;
+    let mut other = evaluate_mirrored(problem, state, equations, *noise2, &mut scratch.model);
     if let Some(better) = &other
         && better.misfit < solution.misfit
         && let Ok(found) = gauss_newton::solve(problem, better.state.clone(), &mut scratch.model)
@@ -134,7 +127,6 @@ fn tilted_pose(
         });
         if better {
             *solution = found;
-            factor = solution.factor();
         }
     }
     if !solution.is_plain() {
@@ -163,7 +155,7 @@ fn tilted_pose(
         other_normal: solution.state.mirrored().pose.axes.column(2).into_owned(),
         likelihood,
         other_offset_m: other.map_or(Vector3::zeros(), |other| other.other_offset_m),
-        covariance: solution.covariance(problem, &factor.ok_or(FitError::Uninformative)?),
+        covariance: solution.covariance(problem).ok_or(FitError::Uninformative)?,
         noise2: solution.noise2,
         motion_variance: solution.motion_variance(),
         iterations: solution.iterations,

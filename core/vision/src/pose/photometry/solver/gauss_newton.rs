@@ -82,7 +82,7 @@ pub fn solve(
             behind.advance(&change, left);
             let left2 = equations.noise2_for(left);
             // A start at the wrong one of two poses shows in the first step.
-            if let Some(other) = evaluate_mirrored(problem, &next, &behind, left2, None, scratch)
+            if let Some(other) = evaluate_mirrored(problem, &next, &behind, left2, scratch)
                 && other.misfit < left - MIRRORED * left2
                 && let Ok(found) = linearize(problem, &other.state, None, scratch)
             {

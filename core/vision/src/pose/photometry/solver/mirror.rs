@@ -13,7 +13,7 @@
 use nalgebra::Vector3;
 
 use super::{
-    cholesky::{Cholesky, MAX_UNKNOWNS},
+    cholesky::MAX_UNKNOWNS,
     linearize::linearize,
     normal_equations::{MirrorProducts, NormalEquations},
     problem::Problem,
@@ -40,19 +40,17 @@ pub struct MirrorEstimate {
 }
 
 /// The mirrored pose after one step; `None` where there is none. `equations` is the problem at the
-/// state, `noise2` the variance of a pixel, and `factor` that of its information with priors, if
-/// available.
+/// state, and `noise2` the variance of a pixel.
 pub fn evaluate_mirrored(
     problem: &Problem,
     state: &State,
     equations: &NormalEquations,
     noise2: f64,
-    factor: Option<&Cholesky>,
     scratch: &mut ModelScratch,
 ) -> Option<MirrorEstimate> {
     let mirrored = state.mirrored();
     let own = equations.mirrored(state);
-    let found = step(&mirrored, &own, noise2, factor)?;
+    let found = step(&mirrored, &own, noise2)?;
     if is_linear(state, equations) || found.misfit > equations.misfit + EXCLUDED * noise2 {
         return Some(found);
     }
@@ -60,7 +58,7 @@ pub fn evaluate_mirrored(
     negate_turns(&mut own.gradient);
     // The information does not hold this far: the step decides which pose is closer, and is not
     // taken.
-    let found = step(&mirrored, &own, noise2, factor)?;
+    let found = step(&mirrored, &own, noise2)?;
     Some(MirrorEstimate { state: mirrored, ..found })
 }
 
@@ -70,17 +68,8 @@ pub fn is_linear(state: &State, equations: &NormalEquations) -> bool {
 }
 
 /// One step from the mirrored pose, with the information and in the rotations of the other.
-fn step(
-    mirrored: &State,
-    equations: &NormalEquations,
-    noise2: f64,
-    factor: Option<&Cholesky>,
-) -> Option<MirrorEstimate> {
-    // Only the information of the tilts differs.
-    let mut change = match factor {
-        Some(factor) => equations.step_beside(mirrored, noise2, factor)?,
-        None => equations.step(mirrored, noise2, 0.0)?,
-    };
+fn step(mirrored: &State, equations: &NormalEquations, noise2: f64) -> Option<MirrorEstimate> {
+    let mut change = equations.step(mirrored, noise2, 0.0)?;
     let gain = equations.gain(&change);
     negate_turns(&mut change);
     let other_offset_m = Vector3::new(change[SHIFT], change[SHIFT + 1], 0.0) * equations.unit_m

@@ -236,20 +236,6 @@ impl NormalEquations {
         (information, gradient)
     }
 
-    /// Information and gradient for a step.
-    fn with_curvature(
-        &self,
-        state: &State,
-        noise2: f64,
-    ) -> ([[f64; MAX_UNKNOWNS]; MAX_UNKNOWNS], [f64; MAX_UNKNOWNS]) {
-        let (mut information, gradient) = self.with_prior(state, noise2);
-        let curvature = self.tilt_curvature(state, noise2);
-        for axis in 0..2 {
-            information[TILT + axis][TILT + axis] += curvature;
-        }
-        (information, gradient)
-    }
-
     /// Factor of the information for a step, and the gradient.
     pub fn factor(
         &self,
@@ -257,7 +243,11 @@ impl NormalEquations {
         noise2: f64,
         damping: f64,
     ) -> Option<(Cholesky, [f64; MAX_UNKNOWNS])> {
-        let (mut information, gradient) = self.with_curvature(state, noise2);
+        let (mut information, gradient) = self.with_prior(state, noise2);
+        let curvature = self.tilt_curvature(state, noise2);
+        for axis in 0..2 {
+            information[TILT + axis][TILT + axis] += curvature;
+        }
         for (i, row) in information.iter_mut().enumerate() {
             row[i] *= 1.0 + damping;
         }
@@ -287,17 +277,6 @@ impl NormalEquations {
     /// Decrease of the misfit that a step promises.
     pub fn gain(&self, change: &[f64; MAX_UNKNOWNS]) -> f64 {
         change.iter().zip(&self.gradient).map(|(x, g)| x * g).sum()
-    }
-
-    /// A step, from the factor of information that differs in the tilts only.
-    pub fn step_beside(
-        &self,
-        state: &State,
-        noise2: f64,
-        neighbor: &Cholesky,
-    ) -> Option<[f64; MAX_UNKNOWNS]> {
-        let (information, gradient) = self.with_curvature(state, noise2);
-        Some(neighbor.with_last::<2>(&information)?.solve(&gradient))
     }
 
     /// Information about the tilt about either axis, for a noise of one grey level.

@@ -58,17 +58,17 @@ impl Solution {
     }
 
     /// Factor of the information with priors.
-    pub fn factor(&self) -> Option<Cholesky> {
+    fn factor(&self) -> Option<Cholesky> {
         let (information, _) = self.equations.with_prior(&self.state, self.noise2);
         Cholesky::new(&information, self.equations.free_unknowns())
     }
 
-    /// Covariance of (position, rotation) in the camera frame, from [`Self::factor`].
-    pub fn covariance(&self, problem: &Problem, factor: &Cholesky) -> Covariance6 {
-        let own: Covariance5 = factor.inverse_of_last() * self.noise2;
+    /// Covariance of (position, rotation) in the camera frame.
+    pub fn covariance(&self, problem: &Problem) -> Option<Covariance6> {
+        let own: Covariance5 = self.factor()?.inverse_of_last() * self.noise2;
         let axes = &self.state.pose.axes;
         let turns = [0, 1].map(|axis| axes.column(axis).into_owned());
-        self.in_camera_frame(problem, &self.state, &own, &turns)
+        Some(self.in_camera_frame(problem, &self.state, &own, &turns))
     }
 
     /// Variance by noise of either component of the motion's square, px⁴, without the prior's part;
