@@ -3,7 +3,7 @@
 //! Pixels arrive in vectors and are buffered. Every [`PIXELS`] of them are multiplied, three
 //! columns by three, which keeps sums and factors in registers.
 
-use fearless_simd::{Level, dispatch, prelude::*};
+use fearless_simd::prelude::*;
 use fearless_simd_macros::simd;
 use nalgebra::SMatrix;
 
@@ -13,7 +13,6 @@ pub const COLUMNS: usize = 14;
 pub const STILL: usize = 12;
 /// Columns multiplied at once.
 const GROUP: usize = 3;
-const GROUPS: usize = STILL / GROUP;
 /// Capacity of the buffer.
 const PIXELS: usize = 256;
 /// Lanes of the widest vector.
@@ -97,36 +96,32 @@ impl ProductSums {
         }
     }
 
-    /// Stores sums of the products with the residual; all others keep their values.
-    pub fn take_gradient<S: Simd, const MOTION: bool>(&mut self, gradient: &[S::f32s; COLUMNS]) {
-        for (column, lanes) in gradient.iter().enumerate().take(column_count(MOTION)) {
-            lanes.store_slice(&mut self.lanes[column][..S::f32s::LEN]);
-        }
-    }
-
-    /// Adds up the lanes that [`ProductSums::take_gradient`] stored.
-    pub fn finish_gradient(&mut self, with_motion: bool) {
-        for column in 0..column_count(with_motion) {
-            let sum = sum_of(self.lanes[column]);
-            self.products[(0, column)] = sum;
-            self.products[(column, 0)] = sum;
+    /// Sets the products with the residual; all others keep their values.
+    #[inline(always)]
+    pub fn set_gradient<S: Simd, const MOTION: bool>(&mut self, gradient: &[S::f32s; COLUMNS]) {
+        for (column, product) in gradient.iter().enumerate().take(column_count(MOTION)) {
+            let mut lanes = [0.0; LANES];
+            product.store_slice(&mut lanes[..S::f32s::LEN]);
+            self.set(0, column, lanes);
         }
     }
 
     /// Multiplies the rest of the buffer, and adds up the lanes.
-    pub fn finish(&mut self, level: Level, with_motion: bool) {
-        if with_motion {
-            dispatch!(level, simd => multiply::<_, true>(simd, self));
-        } else {
-            dispatch!(level, simd => multiply::<_, false>(simd, self));
-        }
-        for row in 0..column_count(with_motion) {
-            for column in row..column_count(with_motion) {
-                let sum = sum_of(self.lanes[row * COLUMNS + column]);
-                self.products[(row, column)] = sum;
-                self.products[(column, row)] = sum;
+    #[inline(always)]
+    pub fn finish<S: Simd, const MOTION: bool>(&mut self, simd: S) {
+        multiply::<S, MOTION>(simd, self);
+        for row in 0..column_count(MOTION) {
+            for column in row..column_count(MOTION) {
+                self.set(row, column, self.lanes[row * COLUMNS + column]);
             }
         }
+    }
+
+    #[inline(always)]
+    fn set(&mut self, row: usize, column: usize, lanes: [f32; LANES]) {
+        let sum = sum_of(lanes);
+        self.products[(row, column)] = sum;
+        self.products[(column, row)] = sum;
     }
 }
 
@@ -152,122 +147,62 @@ fn multiply<S: Simd, const MOTION: bool>(simd: S, sums: &mut ProductSums) {
         S::f32s::splat(simd, 0.0).store_slice(&mut column[count..count + lanes]);
     }
     sums.count = count.next_multiple_of(lanes);
-    for first in 0..GROUPS {
-        for second in first..GROUPS {
-            if first == second {
-                multiply_group(simd, sums, GROUP * first);
-            } else {
-                multiply_groups(simd, sums, GROUP * first, GROUP * second);
-            }
+    for first in (0..STILL).step_by(GROUP) {
+        multiply_block::<S, GROUP, GROUP, true>(simd, sums, first, first);
+        for second in (first + GROUP..STILL).step_by(GROUP) {
+            multiply_block::<S, GROUP, GROUP, false>(simd, sums, first, second);
         }
         if MOTION {
-            multiply_motion::<S, 0>(simd, sums, GROUP * first);
+            multiply_block::<S, GROUP, 2, false>(simd, sums, first, column::MOTION);
         }
     }
     if MOTION {
-        multiply_motion::<S, 1>(simd, sums, STILL - 1);
+        multiply_block::<S, 2, 2, true>(simd, sums, column::MOTION, column::MOTION);
     }
     sums.count = 0;
     sums.is_stale = false;
 }
 
-/// Adds a block of products, or overwrites a stale sum.
+/// Adds the products of `A` columns from `first` on with `B` columns from `second` on; only those
+/// on and above the diagonal if both are the same.
 #[inline(always)]
-fn accumulate<S: Simd>(simd: S, sums: &mut ProductSums, place: usize, product: S::f32s) {
-    let sum = &mut sums.lanes[place][..S::f32s::LEN];
-    let before =
-        if sums.is_stale { S::f32s::splat(simd, 0.0) } else { S::f32s::from_slice(simd, sum) };
-    (before + product).store_slice(sum);
-}
-
-/// Products of the three columns from `first` on with each other.
-#[inline(always)]
-fn multiply_group<S: Simd>(simd: S, sums: &mut ProductSums, first: usize) {
-    let width = S::f32s::LEN;
-    let count = sums.count;
-    let column = |index: usize| &sums.buffer[index * STRIDE..][..count];
-    let (a0, a1, a2) = (column(first), column(first + 1), column(first + 2));
-    let mut block = [S::f32s::splat(simd, 0.0); GROUP * (GROUP + 1) / 2];
-    let lists = a0.chunks_exact(width).zip(a1.chunks_exact(width)).zip(a2.chunks_exact(width));
-    for ((a0, a1), a2) in lists {
-        let a0 = S::f32s::from_slice(simd, a0);
-        let a1 = S::f32s::from_slice(simd, a1);
-        let a2 = S::f32s::from_slice(simd, a2);
-        block[0] = a0.mul_add(a0, block[0]);
-        block[1] = a0.mul_add(a1, block[1]);
-        block[2] = a0.mul_add(a2, block[2]);
-        block[3] = a1.mul_add(a1, block[3]);
-        block[4] = a1.mul_add(a2, block[4]);
-        block[5] = a2.mul_add(a2, block[5]);
+fn multiply_block<S: Simd, const A: usize, const B: usize, const SAME: bool>(
+    simd: S,
+    sums: &mut ProductSums,
+    first: usize,
+    second: usize,
+) {
+    let (count, width) = (sums.count, S::f32s::LEN);
+    let (mut lefts, mut rights) = ([&sums.buffer[..0]; A], [&sums.buffer[..0]; B]);
+    for (i, left) in lefts.iter_mut().enumerate() {
+        *left = &sums.buffer[(first + i) * STRIDE..][..count];
     }
-    for (product, (i, j)) in block.into_iter().zip([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)])
-    {
-        accumulate(simd, sums, (first + i) * COLUMNS + first + j, product);
+    for (j, right) in rights.iter_mut().enumerate() {
+        *right = &sums.buffer[(second + j) * STRIDE..][..count];
     }
-}
-
-/// Products of the three columns from `first` on with the three from `second` on.
-#[inline(always)]
-fn multiply_groups<S: Simd>(simd: S, sums: &mut ProductSums, first: usize, second: usize) {
-    let width = S::f32s::LEN;
-    let count = sums.count;
-    let column = |index: usize| &sums.buffer[index * STRIDE..][..count];
-    let (a0, a1, a2) = (column(first), column(first + 1), column(first + 2));
-    let (b0, b1, b2) = (column(second), column(second + 1), column(second + 2));
-    let mut block = [S::f32s::splat(simd, 0.0); GROUP * GROUP];
-    let lists = a0.chunks_exact(width).zip(a1.chunks_exact(width)).zip(a2.chunks_exact(width));
-    let lists = lists.zip(b0.chunks_exact(width)).zip(b1.chunks_exact(width));
-    for (((((a0, a1), a2), b0), b1), b2) in lists.zip(b2.chunks_exact(width)) {
-        let a0 = S::f32s::from_slice(simd, a0);
-        let a1 = S::f32s::from_slice(simd, a1);
-        let a2 = S::f32s::from_slice(simd, a2);
-        let b0 = S::f32s::from_slice(simd, b0);
-        let b1 = S::f32s::from_slice(simd, b1);
-        let b2 = S::f32s::from_slice(simd, b2);
-        block[0] = a0.mul_add(b0, block[0]);
-        block[1] = a0.mul_add(b1, block[1]);
-        block[2] = a0.mul_add(b2, block[2]);
-        block[3] = a1.mul_add(b0, block[3]);
-        block[4] = a1.mul_add(b1, block[4]);
-        block[5] = a1.mul_add(b2, block[5]);
-        block[6] = a2.mul_add(b0, block[6]);
-        block[7] = a2.mul_add(b1, block[7]);
-        block[8] = a2.mul_add(b2, block[8]);
-    }
-    for i in 0..GROUP {
-        for j in 0..GROUP {
-            accumulate(simd, sums, (first + i) * COLUMNS + second + j, block[GROUP * i + j]);
+    let zero = S::f32s::splat(simd, 0.0);
+    let mut block = [[zero; B]; A];
+    let mut start = 0;
+    while start + width <= count {
+        let (mut a, mut b) = ([zero; A], [zero; B]);
+        for (a, left) in a.iter_mut().zip(lefts) {
+            *a = S::f32s::from_slice(simd, &left[start..start + width]);
         }
+        for (b, right) in b.iter_mut().zip(rights) {
+            *b = S::f32s::from_slice(simd, &right[start..start + width]);
+        }
+        for i in 0..A {
+            for j in if SAME { i } else { 0 }..B {
+                block[i][j] = a[i].mul_add(b[j], block[i][j]);
+            }
+        }
+        start += width;
     }
-}
-
-/// Products of three columns, without the first `SKIP`, with the two of the motion.
-#[inline(always)]
-fn multiply_motion<S: Simd, const SKIP: usize>(simd: S, sums: &mut ProductSums, first: usize) {
-    let width = S::f32s::LEN;
-    let count = sums.count;
-    let column = |index: usize| &sums.buffer[index * STRIDE..][..count];
-    let (a0, a1, a2) = (column(first), column(first + 1), column(first + 2));
-    let (b0, b1) = (column(column::MOTION), column(column::MOTION + 1));
-    let mut block = [S::f32s::splat(simd, 0.0); 2 * GROUP];
-    let lists = a0.chunks_exact(width).zip(a1.chunks_exact(width)).zip(a2.chunks_exact(width));
-    for ((((a0, a1), a2), b0), b1) in lists.zip(b0.chunks_exact(width)).zip(b1.chunks_exact(width))
-    {
-        let a0 = S::f32s::from_slice(simd, a0);
-        let a1 = S::f32s::from_slice(simd, a1);
-        let a2 = S::f32s::from_slice(simd, a2);
-        let b0 = S::f32s::from_slice(simd, b0);
-        let b1 = S::f32s::from_slice(simd, b1);
-        block[0] = a0.mul_add(b0, block[0]);
-        block[1] = a0.mul_add(b1, block[1]);
-        block[2] = a1.mul_add(b0, block[2]);
-        block[3] = a1.mul_add(b1, block[3]);
-        block[4] = a2.mul_add(b0, block[4]);
-        block[5] = a2.mul_add(b1, block[5]);
-    }
-    for i in SKIP..GROUP {
-        for j in 0..2 {
-            accumulate(simd, sums, (first + i) * COLUMNS + column::MOTION + j, block[2 * i + j]);
+    for i in 0..A {
+        for j in if SAME { i } else { 0 }..B {
+            let sum = &mut sums.lanes[(first + i) * COLUMNS + second + j][..width];
+            let before = if sums.is_stale { zero } else { S::f32s::from_slice(simd, sum) };
+            (before + block[i][j]).store_slice(sum);
         }
     }
 }

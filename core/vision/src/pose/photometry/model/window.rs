@@ -165,28 +165,19 @@ impl Window {
         sums: &mut ProductSums,
         products: bool,
     ) {
-        let with_motion = model.motion.is_some();
-        if products {
-            sums.clear();
-            match with_motion {
-                true => {
-                    dispatch!(level, simd => gather_all::<_, true, true>(simd, self, model, sums))
-                }
-                false => {
-                    dispatch!(level, simd => gather_all::<_, true, false>(simd, self, model, sums))
-                }
+        match (products, model.motion.is_some()) {
+            (true, true) => {
+                dispatch!(level, simd => gather_all::<_, true, true>(simd, self, model, sums))
             }
-            sums.finish(level, with_motion);
-        } else {
-            match with_motion {
-                true => {
-                    dispatch!(level, simd => gather_all::<_, false, true>(simd, self, model, sums))
-                }
-                false => {
-                    dispatch!(level, simd => gather_all::<_, false, false>(simd, self, model, sums))
-                }
+            (true, false) => {
+                dispatch!(level, simd => gather_all::<_, true, false>(simd, self, model, sums))
             }
-            sums.finish_gradient(with_motion);
+            (false, true) => {
+                dispatch!(level, simd => gather_all::<_, false, true>(simd, self, model, sums))
+            }
+            (false, false) => {
+                dispatch!(level, simd => gather_all::<_, false, false>(simd, self, model, sums))
+            }
         }
     }
 }
@@ -319,6 +310,9 @@ fn gather_all<S: Simd, const PRODUCTS: bool, const MOTION: bool>(
     sums: &mut ProductSums,
 ) {
     let width = window.width;
+    if PRODUCTS {
+        sums.clear();
+    }
     window.draw(simd);
     let mut gradient = [S::f32s::splat(simd, 0.0); COLUMNS];
     for (row, &(from, to)) in (window.first..).zip(&window.spans) {
@@ -351,8 +345,10 @@ fn gather_all<S: Simd, const PRODUCTS: bool, const MOTION: bool>(
         let whole = (to - from).next_multiple_of(S::f32s::LEN);
         window.patches.add_row(simd, &window.grey[from..from + whole], from, to);
     }
-    if !PRODUCTS {
-        sums.take_gradient::<S, MOTION>(&gradient);
+    if PRODUCTS {
+        sums.finish::<S, MOTION>(simd);
+    } else {
+        sums.set_gradient::<S, MOTION>(&gradient);
     }
     window.clear(simd);
     sums.patches = window.patches.finish(simd);
