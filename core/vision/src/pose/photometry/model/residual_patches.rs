@@ -17,75 +17,58 @@ const SIDE: usize = 4;
 /// Lanes of the widest vector.
 const LANES: usize = 16;
 
+/// Sums of the current group of rows, and of those before.
 #[derive(Clone, Debug, Default)]
 pub struct Patches {
-    /// The current group of rows and the one before, whose sums are read after they have left the
-    /// store buffer.
-    groups: [Group; 2],
-    total: f32,
-}
-
-/// Sums of up to four rows.
-#[derive(Clone, Debug, Default)]
-struct Group {
-    /// Residuals by column; zero while there are no rows.
+    /// Residuals of the group by column; zero while it has no rows.
     columns: Vec<f32>,
     /// Range of the columns in use.
     from: usize,
     to: usize,
     rows: usize,
+    /// Σ (Σ r)² of the groups before.
+    total: f32,
 }
 
 impl Patches {
     /// Reserves memory for rows of this width.
     pub fn reserve(&mut self, width: usize) {
-        for group in &mut self.groups {
-            reserve_total(&mut group.columns, width + 2 * LANES);
-        }
+        reserve_total(&mut self.columns, width + 2 * LANES);
     }
 
     pub fn set_width(&mut self, width: usize) {
-        for Group { columns, .. } in &mut self.groups {
-            columns.resize((width + 2 * LANES).max(columns.len()), 0.0);
-        }
+        self.columns.resize((width + 2 * LANES).max(self.columns.len()), 0.0);
     }
 
     /// Adds a row's residuals, columns `from` to `to`, padded with zeros to whole vectors.
     #[inline(always)]
     pub fn add_row<S: Simd>(&mut self, simd: S, residuals: &[f32], from: usize, to: usize) {
         let lanes = S::f32s::LEN;
-        let group = &mut self.groups[0];
-        (group.from, group.to) =
-            if group.rows == 0 { (from, to) } else { (group.from.min(from), group.to.max(to)) };
-        let columns = &mut group.columns[from + SIDE..from + SIDE + residuals.len()];
+        (self.from, self.to) =
+            if self.rows == 0 { (from, to) } else { (self.from.min(from), self.to.max(to)) };
+        let columns = &mut self.columns[from + SIDE..from + SIDE + residuals.len()];
         let residuals = residuals.chunks_exact(lanes);
         for (column, residual) in columns.chunks_exact_mut(lanes).zip(residuals) {
             let sum = S::f32s::from_slice(simd, column) + S::f32s::from_slice(simd, residual);
             sum.store_slice(column);
         }
-        group.rows += 1;
-        if group.rows == SIDE {
-            self.total += self.groups[1].take_sum(simd);
-            self.groups.swap(0, 1);
+        self.rows += 1;
+        if self.rows == SIDE {
+            self.finish_group(simd);
         }
     }
 
     /// Σ (Σ r)² of all rows since the last call.
     #[inline(always)]
     pub fn finish<S: Simd>(&mut self, simd: S) -> f32 {
-        self.total += self.groups[1].take_sum(simd);
-        self.total += self.groups[0].take_sum(simd);
+        if self.rows > 0 {
+            self.finish_group(simd);
+        }
         std::mem::take(&mut self.total)
     }
-}
 
-impl Group {
-    /// Σ (Σ r)² of its rows; empties the group.
     #[inline(always)]
-    fn take_sum<S: Simd>(&mut self, simd: S) -> f32 {
-        if self.rows == 0 {
-            return 0.0;
-        }
+    fn finish_group<S: Simd>(&mut self, simd: S) {
         self.rows = 0;
         let lanes = S::f32s::LEN;
         let zero = S::f32s::splat(simd, 0.0);
@@ -104,7 +87,7 @@ impl Group {
         }
         let mut list = [0.0; LANES];
         total.store_slice(&mut list[..lanes]);
-        list.iter().sum::<f32>()
+        self.total += list.iter().sum::<f32>();
     }
 }
 
