@@ -251,15 +251,8 @@ impl Chords {
 
     /// Where row `v` enters and leaves the ellipse; the same column twice if it misses it.
     pub fn span(&self, v: f64) -> (f64, f64) {
-        self.span_each(v)
-    }
-
-    /// [`Chords::span`] of one row per lane.
-    #[inline(always)]
-    pub(crate) fn span_each<T: Lane>(&self, v: T) -> (T, T) {
         let dv = v - self.center.v;
-        let share = -(dv * dv * self.inverse_vv) + 1.0;
-        let half = share.larger(v.splat(0.0)).root() * self.half_max;
+        let half = (1.0 - dv * dv * self.inverse_vv).max(0.0).sqrt() * self.half_max;
         let middle = dv * self.slope + self.center.u;
         (middle - half, middle + half)
     }

@@ -63,7 +63,6 @@ use thiserror::Error;
 
 use crate::{
     camera::{Camera, LensError},
-    ellipse::Chords,
     frame::Frame,
     marker::{Kind, Pattern, Ring},
     pose::{RoundelPose, Skew, frame_along, yaw},
@@ -73,7 +72,6 @@ use hypotheses::estimate_pose;
 pub use model::teeth::Teeth;
 use model::{
     blur_kernel::BLUR_LIMITS_PX, local_lens::LocalLens, motion, projection::PrintPose,
-    window::Region,
 };
 pub use scratch::FitScratch;
 use solver::{
@@ -239,9 +237,7 @@ fn fit_outcome(
     let max_px = if start.is_still { 0.0 } else { MAX_MOTION_PX };
     let motion_px = start.motion_px.cap_magnitude(max_px);
     let reach_px = (REACH.0.max(REACH.1 * blur_px) + 0.5 * motion_px.norm()).min(margin_px);
-    let counted = ring.outer.grown(reach_px);
-    let chords = Chords::new(&counted);
-    model.window.set_region(model.level, frame, &Region::around(&counted), &chords);
+    model.window.set_region(frame, &ring.outer.grown(reach_px));
     let problem = Problem {
         kind,
         teeth,

@@ -188,9 +188,7 @@ fn the_mirrored_pose_is_predicted() {
         &model.plan,
     )
     .unwrap();
-    let counted = ring.outer.grown(3.0);
-    let chords = Chords::new(&counted);
-    model.window.set_region(model.level, &frame, &Region::around(&counted), &chords);
+    model.window.set_region(&frame, &ring.outer.grown(3.0));
     let problem = Problem {
         kind: &kind,
         teeth: None,

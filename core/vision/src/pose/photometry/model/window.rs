@@ -11,7 +11,7 @@
 
 use std::ops::Range;
 
-use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
+use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use fearless_simd_macros::simd;
 
 use super::{
@@ -29,9 +29,8 @@ use crate::{
     scratch::reserve_total,
 };
 
-/// Rows whose spans are computed at once.
-const SPAN_ROWS: usize = 8;
-const ROW: [f64; SPAN_ROWS] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
+/// Margin of the window around the counted pixels, into which contours may move.
+const SLACK_PX: f64 = 9.0;
 
 #[derive(Clone, Debug, Default)]
 pub struct Window {
@@ -55,32 +54,6 @@ pub struct Window {
     patches: Patches,
 }
 
-/// Columns and rows of a frame, which may extend beyond it.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Region {
-    /// Column and row at the top left.
-    pub origin: (i64, i64),
-    pub width: usize,
-    pub height: usize,
-}
-
-/// Margin of a region around the counted pixels, into which contours may move.
-const SLACK_PX: f64 = 9.0;
-
-impl Region {
-    /// Region around the counted pixels.
-    pub fn around(counted: &Ellipse) -> Self {
-        let (half_u, half_v) = counted.half_box_px();
-        let range = |center: f64, half: f64| {
-            let first = (center - half - SLACK_PX).floor() as i64;
-            (first, ((center + half + SLACK_PX).ceil() as i64 - first + 1) as usize)
-        };
-        let (left, width) = range(counted.center.u, half_u);
-        let (top, height) = range(counted.center.v, half_v);
-        Self { origin: (left, top), width, height }
-    }
-}
-
 impl Window {
     /// Reserves memory for windows of this size.
     pub fn reserve(&mut self, columns: usize, rows: usize) {
@@ -92,12 +65,18 @@ impl Window {
         self.patches.reserve(width);
     }
 
-    /// Places the window over columns and rows of the frame, inclusive. Pixels within the chords
-    /// are counted.
-    pub fn set_region(&mut self, level: Level, frame: &Frame, region: &Region, chords: &Chords) {
-        self.origin = region.origin;
-        self.width = region.width.next_multiple_of(LANES);
-        self.height = region.height;
+    /// Places the window around an ellipse, whose pixels in the frame are counted.
+    pub fn set_region(&mut self, frame: &Frame, counted: &Ellipse) {
+        let (half_u, half_v) = counted.half_box_px();
+        let range = |center: f64, half: f64| {
+            let first = (center - half - SLACK_PX).floor() as i64;
+            (first, ((center + half + SLACK_PX).ceil() as i64 - first + 1) as usize)
+        };
+        let (left, width) = range(counted.center.u, half_u);
+        let (top, height) = range(counted.center.v, half_v);
+        self.origin = (left, top);
+        self.width = width.next_multiple_of(LANES);
+        self.height = height;
         // Gather leaves zeros behind, so only the extension needs filling. The last vector of a row
         // may extend beyond it.
         let needed = self.width * self.height + LANES;
@@ -107,23 +86,34 @@ impl Window {
         }
         self.grey.resize((self.width + LANES).max(self.grey.len()), 0.0);
         self.patches.set_width(self.width);
+        self.copy_counted(frame, &Chords::new(counted));
+    }
+
+    /// Copies the pixels within the chords.
+    fn copy_counted(&mut self, frame: &Frame, chords: &Chords) {
+        let (left, top) = self.origin;
         let (begin, end) = chords.rows();
         let inner = DIFFERENCE as i64..self.height as i64 - DIFFERENCE as i64 - 1;
-        let row_of = |v: f64| (ceil(v) - self.origin.1).clamp(inner.start, inner.end) as usize;
+        let row_of = |v: f64| (ceil(v) - top).clamp(inner.start, inner.end) as usize;
         self.first = row_of(begin);
-        let last = row_of(end);
+        // The window's margin exceeds what the differences need.
+        let min = (-left).max(DIFFERENCE as i64);
+        let max = frame.width() as i64 - left;
+        let max = max.clamp(min, (self.width - DIFFERENCE) as i64);
         self.spans.clear();
-        dispatch!(level, simd => spans(simd, self, last, frame, chords));
-        for (row, &(from, to)) in (self.first..).zip(&self.spans) {
-            let v = self.origin.1 + row as i64;
-            if from < to {
-                let first = (self.origin.0 + from as i64) as usize;
-                copy_packed(
-                    &frame.row(v as usize)[first..],
-                    &mut self.pixels[row * self.width + from..],
-                    to - from,
-                );
+        for row in self.first..=row_of(end) {
+            let v = top + row as i64;
+            if !(0..frame.height() as i64).contains(&v) {
+                self.spans.push((0, 0));
+                continue;
             }
+            let (begin, end) = chords.span(v as f64);
+            let from = (ceil(begin) - left).clamp(min, max);
+            let to = (ceil(end) - left).clamp(from, max) as usize;
+            let (first, from) = ((left + from) as usize, from as usize);
+            self.spans.push((from, to));
+            self.pixels[row * self.width..][from..to]
+                .copy_from_slice(&frame.row(v as usize)[first..][..to - from]);
         }
     }
 
@@ -241,43 +231,15 @@ fn around(row: usize, width: usize) -> Range<usize> {
     (row - DIFFERENCE) * width..(row + DIFFERENCE + 1) * width + LANES
 }
 
-/// Spans of the rows up to `last`, within the chords and the frame.
-#[simd]
-fn spans<S: Simd>(simd: S, window: &mut Window, last: usize, frame: &Frame, chords: &Chords) {
-    let (left, top) = window.origin;
-    // The window's margin exceeds what the differences need.
-    let min = (-left).max(DIFFERENCE as i64);
-    let max = frame.width() as i64 - left;
-    let max = max.clamp(min, (window.width - DIFFERENCE) as i64);
-    for first in (window.first..=last).step_by(SPAN_ROWS) {
-        let v = (top + first as i64) as f64;
-        let (begin, end) = chords.span_each(f64x8::simd_from(simd, ROW) + v);
-        let (mut begins, mut ends) = ([0.0; SPAN_ROWS], [0.0; SPAN_ROWS]);
-        begin.ceil().store_slice(&mut begins);
-        end.ceil().store_slice(&mut ends);
-        for (row, (begin, end)) in (first..=last).zip(begins.into_iter().zip(ends)) {
-            let is_inside = (0..frame.height() as i64).contains(&(top + row as i64));
-            let from = (begin as i64 - left).clamp(min, max);
-            let to = (end as i64 - left).clamp(from, max);
-            window.spans.push(if is_inside { (from as usize, to as usize) } else { (0, 0) });
-        }
-    }
-}
-
 /// Minimum and maximum.
 #[simd]
 fn bounds<S: Simd>(simd: S, steps: &[i32]) -> (i32, i32) {
-    let lanes = S::i32s::LEN;
-    let (mut min, mut max) = (S::i32s::splat(simd, i32::MAX), S::i32s::splat(simd, i32::MIN));
-    // Nodes are padded to whole packs.
-    for steps in steps.chunks_exact(lanes) {
-        let steps = S::i32s::from_slice(simd, steps);
-        (min, max) = (min.min(steps), max.max(steps));
+    let _ = simd;
+    let (mut min, mut max) = (i32::MAX, i32::MIN);
+    for &step in steps {
+        (min, max) = (min.min(step), max.max(step));
     }
-    let (mut low, mut high) = ([i32::MAX; LANES], [i32::MIN; LANES]);
-    min.store_slice(&mut low[..lanes]);
-    max.store_slice(&mut high[..lanes]);
-    (low.into_iter().fold(i32::MAX, i32::min), high.into_iter().fold(i32::MIN, i32::max))
+    (min, max)
 }
 
 /// That of the standard library is a function call without SSE 4.1.
@@ -285,21 +247,6 @@ fn bounds<S: Simd>(simd: S, steps: &[i32]) -> (i32, i32) {
 fn ceil(value: f64) -> i64 {
     let cut = value as i64;
     cut + i64::from(value > cut as f64)
-}
-
-/// Copies `count` bytes, rounded up to whole packs where both slices are long enough, which avoids
-/// a call.
-#[inline(always)]
-fn copy_packed(from: &[u8], to: &mut [u8], count: usize) {
-    let packs = count.next_multiple_of(LANES);
-    if from.len() < packs || to.len() < packs {
-        to[..count].copy_from_slice(&from[..count]);
-        return;
-    }
-    let (from, to) = (&from[..packs], &mut to[..packs]);
-    for (from, to) in from.chunks_exact(LANES).zip(to.chunks_exact_mut(LANES)) {
-        to.copy_from_slice(from);
-    }
 }
 
 #[simd]
@@ -354,31 +301,15 @@ fn gather_all<S: Simd, const PRODUCTS: bool, const MOTION: bool>(
     sums.patches = window.patches.finish(simd);
 }
 
-/// Vectors of a row summed at once, since each sum waits for the row above.
-const COLUMN_VECTORS: usize = 4;
-
 /// Sums rows from the top down, in these columns.
 #[inline(always)]
 fn add_up<S: Simd>(simd: S, image: &mut [f32], width: usize, columns: Range<usize>) {
     let lanes = S::f32s::LEN;
-    let mut column = columns.start;
-    while column + COLUMN_VECTORS * lanes <= columns.end {
-        let mut sums = [S::f32s::splat(simd, 0.0); COLUMN_VECTORS];
-        for row in image.chunks_exact_mut(width) {
-            let pixels = &mut row[column..column + COLUMN_VECTORS * lanes];
-            for (sum, pixels) in sums.iter_mut().zip(pixels.chunks_exact_mut(lanes)) {
-                *sum += S::f32s::from_slice(simd, pixels);
-                sum.store_slice(pixels);
-            }
-        }
-        column += COLUMN_VECTORS * lanes;
-    }
-    for column in (column..columns.end).step_by(lanes) {
-        let mut sum = S::f32s::splat(simd, 0.0);
-        for row in image.chunks_exact_mut(width) {
-            let pixels = &mut row[column..column + lanes];
-            sum += S::f32s::from_slice(simd, pixels);
-            sum.store_slice(pixels);
+    for row in (width..image.len()).step_by(width) {
+        let (above, below) = image.split_at_mut(row);
+        let above = above[row - width..][columns.clone()].chunks_exact(lanes);
+        for (sum, above) in below[columns.clone()].chunks_exact_mut(lanes).zip(above) {
+            (S::f32s::from_slice(simd, sum) + S::f32s::from_slice(simd, above)).store_slice(sum);
         }
     }
 }
