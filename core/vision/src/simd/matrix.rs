@@ -280,6 +280,16 @@ impl<T: Lane> Mul<Vec3<T>> for Mat3<T> {
     }
 }
 
+/// Sum of the products of two lists.
+#[inline(always)]
+pub fn dot<T: Lane, const N: usize>(a: &[T; N], b: &[T; N]) -> T {
+    let mut sum = a[0] * b[0];
+    for i in 1..N {
+        sum = sum + a[i] * b[i];
+    }
+    sum
+}
+
 impl From<Vec2<f64>> for Vector2<f64> {
     #[inline(always)]
     fn from(v: Vec2<f64>) -> Self {

@@ -23,7 +23,7 @@ use fearless_simd::{
     Select, Simd, SimdBase, SimdFloat, SimdMask, f64x4, f64x8, mask64x4, mask64x8,
 };
 
-pub use matrix::{Mat2, Mat3, Vec2, Vec3};
+pub use matrix::{Mat2, Mat3, Vec2, Vec3, dot};
 
 /// A truth value per lane.
 pub trait Mask: Copy + BitAnd<Output = Self> + BitOr<Output = Self> + Not<Output = Self> {

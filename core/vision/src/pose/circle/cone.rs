@@ -153,11 +153,12 @@ fn harmonics<T: Lane>(rim: &Rim<T>, center: Vec2<T>, [m11, m12, m22]: [T; 3]) ->
     let n11 = p * i.m11 + q * i.m12;
     let n12 = p * i.m21 + q * i.m22;
     let n22 = s * i.m21 + t * i.m22;
-    [
-        (n11 + n22) * 0.25,
-        (i.m11 * center.x + i.m12 * center.y) * PER_ROOT,
-        (i.m21 * center.x + i.m22 * center.y) * PER_ROOT,
-        (n11 - n22) * (0.25 * PER_ROOT),
-        n12 * (0.5 * PER_ROOT),
-    ]
+    let (shift, shape) = (*i * center, shape_harmonics(n11, n12, n22));
+    [shape.x, shift.x * PER_ROOT, shift.y * PER_ROOT, shape.y, shape.z]
+}
+
+/// Size, elongation and turn of N.
+#[inline(always)]
+pub fn shape_harmonics<T: Lane>(n11: T, n12: T, n22: T) -> Vec3<T> {
+    Vec3::new((n11 + n22) * 0.25, (n11 - n22) * (0.25 * PER_ROOT), n12 * (0.5 * PER_ROOT))
 }

@@ -13,12 +13,12 @@
 //! and the lean.
 
 use super::{
-    cone::{Circle, PER_ROOT},
+    cone::{Circle, PER_ROOT, shape_harmonics},
     motion_blur::{self, Covariance5, MotionBlur},
 };
 use crate::{
     pose::rim::projection::Rim,
-    simd::{Lane, Mat2, Vec2, Vec3},
+    simd::{Lane, Mat2, Vec2, Vec3, dot},
 };
 
 /// Normal matrix at a circle, with the Jacobians that it is made of.
@@ -128,11 +128,7 @@ impl<T: Lane> RimJacobian<T> {
         for (shape, p) in shape_by_lean.iter_mut().zip(i.columns()) {
             let (n11, n22) = (p.x * v.x * -2.0, p.y * v.y * -2.0);
             let n12 = -(p.x * v.y + p.y * v.x);
-            *shape = Vec3::new(
-                (n11 + n22) * 0.25,
-                (n11 - n22) * (0.25 * PER_ROOT),
-                n12 * (0.5 * PER_ROOT),
-            );
+            *shape = shape_harmonics(n11, n12, n22);
         }
         let blur = MotionBlur::new(rim, &shape_by_lean);
         Self { by_depth: w * (level * -2.0), by_lean, shape_by_lean, blur }
@@ -152,15 +148,7 @@ impl<T: Lane> RimJacobian<T> {
         let [t1, t2] = self.by_lean.columns();
         let (pt1, pt2) = (plane * t1, plane * t2);
         let shape = self.shape_by_lean;
-        let mut weighted = shape;
-        for (weighted, of) in weighted.iter_mut().zip(shape) {
-            *weighted = Vec3::new(
-                w.size * of.x + w.size_and_elongation * of.y,
-                w.size_and_elongation * of.x + w.elongation * of.y,
-                w.turn * of.z,
-            );
-        }
-        let [first, second] = weighted;
+        let (first, second) = (w.times_shape(shape[0]), w.times_shape(shape[1]));
         NormalMatrix {
             place: [p11, p12, by_depth.x, p22, by_depth.y, self.by_depth.dot(by_depth) + w.size],
             between: [
@@ -181,11 +169,7 @@ impl<T: Lane> RimJacobian<T> {
     pub fn gradient(&self, circle: &Circle<T>, rim: &Rim<T>, sign: f64) -> ([T; 5], [T; 2], T) {
         let left = circle.residuals(rim);
         let weighted = rim.information.times(&left);
-        let square = left[0] * weighted[0]
-            + left[1] * weighted[1]
-            + left[2] * weighted[2]
-            + left[3] * weighted[3]
-            + left[4] * weighted[4];
+        let square = dot(&left, &weighted);
         // Contributions of the centre, in the plane, and of the shape.
         let i = &rim.inverse;
         let gradient = Vec2::new(

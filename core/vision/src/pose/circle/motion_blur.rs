@@ -29,7 +29,7 @@
 //! **Limits.** Rotation within the exposure is not modelled, nor is motion of coded and elliptical
 //! discs.
 
-use super::cone::PER_ROOT;
+use super::cone::shape_harmonics;
 use crate::{
     pose::rim::projection::Rim,
     simd::{Lane, Mat2, Vec3},
@@ -67,16 +67,17 @@ pub struct MotionBlur<T: Lane> {
 /// s of a rim: size, elongation and turn by either component of ν.
 #[inline(always)]
 fn shape<T: Lane>(i: &Mat2<T>) -> [Vec3<T>; 2] {
-    let of = |n11: T, n12: T, n22: T| {
-        Vec3::new((n11 + n22) * 0.25, (n11 - n22) * (0.25 * PER_ROOT), n12 * (0.5 * PER_ROOT))
-    };
     [
-        of(
+        shape_harmonics(
             i.m11 * i.m11 - i.m12 * i.m12,
             i.m11 * i.m21 - i.m12 * i.m22,
             i.m21 * i.m21 - i.m22 * i.m22,
         ),
-        of(i.m11 * i.m12 * 2.0, i.m11 * i.m22 + i.m12 * i.m21, i.m21 * i.m22 * 2.0),
+        shape_harmonics(
+            i.m11 * i.m12 * 2.0,
+            i.m11 * i.m22 + i.m12 * i.m21,
+            i.m21 * i.m22 * 2.0,
+        ),
     ]
 }
 
@@ -87,25 +88,16 @@ impl<T: Lane> MotionBlur<T> {
     pub fn new(rim: &Rim<T>, by_lean: &[Vec3<T>; 2]) -> (Self, Weighted<T>) {
         let w = &rim.information;
         let shape = shape(&rim.inverse);
-        let mut weighted = shape;
-        for (weighted, of) in weighted.iter_mut().zip(shape) {
-            *weighted = Vec3::new(
-                w.size * of.x + w.size_and_elongation * of.y,
-                w.size_and_elongation * of.x + w.elongation * of.y,
-                w.turn * of.z,
-            );
-        }
-        let [one, two] = weighted;
+        let (one, two) = (w.times_shape(shape[0]), w.times_shape(shape[1]));
         let own = [shape[0].dot(one), shape[0].dot(two), shape[1].dot(two)];
         let with = [
             [-one.x, by_lean[0].dot(one), by_lean[1].dot(one)],
             [-two.x, by_lean[0].dot(two), by_lean[1].dot(two)],
         ];
-        let i = &rim.inverse;
-        let scale_px2 = (i.m11 * i.m22 - i.m12 * i.m21).size() * rim.area_px2;
-        let shape = &rim.shape;
-        let lens_part = rim.residual_shape * (shape.m11 * shape.m22 - shape.m12 * shape.m21);
-        (Self { own, with, scale_px2, lens_part, has_shape: w.elongation.is_positive() }, weighted)
+        let scale_px2 = rim.inverse.determinant().size() * rim.area_px2;
+        let lens_part = rim.residual_shape * rim.shape.determinant();
+        let has_shape = w.elongation.is_positive();
+        (Self { own, with, scale_px2, lens_part, has_shape }, [one, two])
     }
 
     #[inline(always)]

@@ -17,7 +17,7 @@
 use super::{cone::Circle, jacobian::Linearization, motion_blur::Covariance5, tilt_posterior};
 use crate::{
     pose::rim::projection::Rim,
-    simd::{Lane, Vec2, Vec3},
+    simd::{Lane, Vec2, Vec3, dot},
 };
 
 #[derive(Clone, Copy, Debug)]
@@ -152,18 +152,9 @@ impl<T: Lane> GaussNewtonStep<T> {
         }
         let mut change = right;
         for row in 0..5 {
-            let c = &covariance[row];
-            change[row] = c[0] * right[0]
-                + c[1] * right[1]
-                + c[2] * right[2]
-                + c[3] * right[3]
-                + c[4] * right[4];
+            change[row] = dot(&covariance[row], &right);
         }
-        let explained = change[0] * right[0]
-            + change[1] * right[1]
-            + change[2] * right[2]
-            + change[3] * right[3]
-            + change[4] * right[4];
+        let explained = dot(&change, &right);
         let mut covariance = *covariance;
         let fall = linear.blur.marginalize(blur_gradient, sign, &mut change, &mut covariance);
         let tilted = circle.lean.square();

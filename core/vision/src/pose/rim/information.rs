@@ -10,7 +10,7 @@ use super::{
     noise::{DiscWeights, RimErrors},
     rim_pair::RimEllipse,
 };
-use crate::simd::Lane;
+use crate::simd::{Lane, Vec3};
 
 /// Size, shift along either axis, elongation and turn.
 pub type Harmonics<T> = [T; 5];
@@ -97,6 +97,16 @@ impl<T: Lane> Information<T> {
             self.size_and_elongation * h[0] + self.elongation * h[3],
             self.turn * h[4],
         ]
+    }
+
+    /// As [`Self::times`], of size, elongation and turn.
+    #[inline(always)]
+    pub fn times_shape(&self, h: Vec3<T>) -> Vec3<T> {
+        Vec3::new(
+            self.size * h.x + self.size_and_elongation * h.y,
+            self.size_and_elongation * h.x + self.elongation * h.y,
+            self.turn * h.z,
+        )
     }
 
     #[inline(always)]
