@@ -73,11 +73,7 @@ fn shape<T: Lane>(i: &Mat2<T>) -> [Vec3<T>; 2] {
             i.m11 * i.m21 - i.m12 * i.m22,
             i.m21 * i.m21 - i.m22 * i.m22,
         ),
-        shape_harmonics(
-            i.m11 * i.m12 * 2.0,
-            i.m11 * i.m22 + i.m12 * i.m21,
-            i.m21 * i.m22 * 2.0,
-        ),
+        shape_harmonics(i.m11 * i.m12 * 2.0, i.m11 * i.m22 + i.m12 * i.m21, i.m21 * i.m22 * 2.0),
     ]
 }
 

@@ -70,9 +70,7 @@ use crate::{
 pub(super) use history::FitHistory;
 use hypotheses::estimate_pose;
 pub use model::teeth::Teeth;
-use model::{
-    blur_kernel::BLUR_LIMITS_PX, local_lens::LocalLens, motion, projection::PrintPose,
-};
+use model::{blur_kernel::BLUR_LIMITS_PX, local_lens::LocalLens, motion, projection::PrintPose};
 pub use scratch::FitScratch;
 use solver::{
     problem::Problem,
@@ -259,11 +257,7 @@ fn fit_outcome(
     let fit = finish(&problem, ring, &estimate, scratch);
     match teeth {
         Some(teeth) if teeth_are_predicted && !fit.resolves(teeth) => Err(FitError::Uninformative),
-        _ => Ok(Outcome {
-            fit,
-            motion_variance_px4: estimate.motion_variance,
-            teeth,
-        }),
+        _ => Ok(Outcome { fit, motion_variance_px4: estimate.motion_variance, teeth }),
     }
 }
 

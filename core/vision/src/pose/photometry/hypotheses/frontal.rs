@@ -27,7 +27,7 @@ use crate::pose::{
     photometry::{
         model::{projection::PrintPose, scratch::ModelScratch},
         solver::{
-            cholesky::{Cholesky, MAX_UNKNOWNS},
+            cholesky::{Cholesky, UNKNOWNS, Unknowns},
             linearize,
             problem::Problem,
             solution::{Covariance5, Solution},
@@ -71,7 +71,7 @@ pub fn estimate(
     let frame = frame_along(&state.pose.position_m);
     let share = linear_over_squared(problem, state);
     let lean = lean_of(state, &frame);
-    let squared_information = solution.equations.information[RANGE][RANGE] / RANGE_OVER_SQUARED;
+    let squared_information = solution.equations.information[(RANGE, RANGE)] / RANGE_OVER_SQUARED;
     let linear_information = share * squared_information;
     let sigma = (noise2 / squared_information).sqrt();
     let applies =
@@ -88,14 +88,14 @@ pub fn estimate(
     let (Some(plus), Some(minus)) = (at(probe), at(-probe)) else {
         return FrontalResult::Tilted;
     };
-    let half_sum = (plus.gradient + minus.gradient) * 0.5;
+    let middle = Marginal::mean(&plus, &minus);
     let pull = (plus.gradient - minus.gradient) * 0.5 + probe * linear_information;
     // Division by the conjugate of w₀ is multiplication by w₀ over its square.
     let away = times(&probe) * pull / (2.0 * squared_information * probe.norm_squared());
     let evidence = Evidence {
         squared: times(&probe) * probe + away,
         squared_sigma: sigma,
-        linear: half_sum / linear_information,
+        linear: middle.gradient / linear_information,
         linear_information: linear_information / noise2,
     };
     if !applies(evidence.squared.norm()) {
@@ -110,7 +110,6 @@ pub fn estimate(
         };
     }
     let leans = tilt_posterior::leans(&evidence);
-    let middle = Middle::between([&plus, &minus], noise2);
     let make = |lean: &Lean| middle.at_lean(solution, &frame, lean);
     let other = leans.other.map(|lean| make(&lean));
     FrontalResult::Facing(make(&leans.first), other, leans.likelihood)
@@ -154,9 +153,9 @@ struct Marginal {
     /// g, over the information of one grey level.
     gradient: Vector2<f64>,
     /// Step of the other unknowns with the lean held …
-    step: [f64; MAX_UNKNOWNS],
+    step: Unknowns,
     /// … and their derivatives by the components of w.
-    follow: [[f64; MAX_UNKNOWNS]; 2],
+    follow: SMatrix<f64, UNKNOWNS, 2>,
     /// Inverse information about shift and range with the lean held.
     shift_and_range: Matrix3<f64>,
 }
@@ -178,83 +177,67 @@ impl Marginal {
         // A rotation τ about the axes a and b changes the lean by M τ.
         let [a, b] = [0, 1].map(|axis| (frame * state.pose.axes.column(axis)).xy());
         let turns = Matrix2::from_columns(&[-b, a]).try_inverse()?;
-        let by_lean = |row: &[f64; MAX_UNKNOWNS]| {
+        let by_lean = |row: &Unknowns| {
             let t = Vector2::new(row[TILT], row[TILT + 1]);
             turns.transpose() * t - lean * (0.5 * row[RANGE])
         };
-        let mut tilts = [[0.0; MAX_UNKNOWNS]; 2];
-        for (other, row) in information.iter().enumerate().take(OTHERS) {
-            let of_tilts = by_lean(row);
-            (tilts[0][other], tilts[1][other]) = (of_tilts.x, of_tilts.y);
+        let mut tilts = SMatrix::<f64, UNKNOWNS, 2>::zeros();
+        for other in 0..OTHERS {
+            let of_tilts = by_lean(&information.column(other).into_owned());
+            tilts.set_row(other, &of_tilts.transpose());
         }
-        let own = by_lean(&gradient);
         let others = Cholesky::new(&information, equations.free_unknowns().start..OTHERS)?;
         let step = others.solve(&gradient);
-        let follow = tilts.map(|tilt| others.solve(&tilt));
-        let dot = |one: &[f64; MAX_UNKNOWNS], other: &[f64; MAX_UNKNOWNS]| -> f64 {
-            one.iter().zip(other).take(OTHERS).map(|(a, b)| a * b).sum()
-        };
+        let follow = [0, 1].map(|component| others.solve(&tilts.column(component).into_owned()));
         Some(Self {
-            gradient: Vector2::from_fn(|i, _| own[i] - dot(&tilts[i], &step)),
+            gradient: by_lean(&gradient) - tilts.transpose() * step,
             step,
-            follow,
+            follow: SMatrix::from_columns(&follow),
             // Shift and range are the last of the others.
             shift_and_range: others.inverse_of_last(),
         })
     }
-}
 
-/// Mean of both probes.
-struct Middle {
-    step: [f64; MAX_UNKNOWNS],
-    follow: [[f64; MAX_UNKNOWNS]; 2],
-    /// Covariance of shift and range with the lean held.
-    shift_and_range: Matrix3<f64>,
-}
-
-impl Middle {
-    fn between([plus, minus]: [&Marginal; 2], noise2: f64) -> Self {
-        let mean = |one: &[f64; MAX_UNKNOWNS], other: &[f64; MAX_UNKNOWNS]| {
-            std::array::from_fn(|i| 0.5 * (one[i] + other[i]))
-        };
+    /// Mean of both probes.
+    fn mean(one: &Self, other: &Self) -> Self {
         Self {
-            step: mean(&plus.step, &minus.step),
-            follow: [0, 1].map(|k| mean(&plus.follow[k], &minus.follow[k])),
-            shift_and_range: (plus.shift_and_range + minus.shift_and_range) * (0.5 * noise2),
+            gradient: (one.gradient + other.gradient) * 0.5,
+            step: (one.step + other.step) * 0.5,
+            follow: (one.follow + other.follow) * 0.5,
+            shift_and_range: (one.shift_and_range + other.shift_and_range) * 0.5,
         }
     }
 
     /// The solution moved to one lean of the posterior.
     fn at_lean(&self, solution: &Solution, frame: &Matrix3<f64>, lean: &Lean) -> FrontalPose {
-        let [by_x, by_y] = &self.follow;
-        let change = |i: usize| self.step[i] - by_x[i] * lean.mean.x - by_y[i] * lean.mean.y;
+        let change = self.step - self.follow * lean.mean;
         let mut state = solution.state.clone();
-        state.white += change(WHITE);
-        state.step += change(STEP);
-        state.change_blur(change(BLUR), Vector2::new(change(MOTION), change(MOTION + 1)));
+        state.white += change[WHITE];
+        state.step += change[STEP];
+        state.change_blur(change[BLUR], Vector2::new(change[MOTION], change[MOTION + 1]));
         let before = lean_of(&state, frame).norm_squared();
         let normal = normal_of(&lean.mean, frame);
         let pose = &mut state.pose;
-        pose.position_m *= (change(RANGE) + 0.25 * (before - lean.squared)).exp();
+        pose.position_m *= (change[RANGE] + 0.25 * (before - lean.squared)).exp();
         pose.position_m +=
-            Vector3::new(change(SHIFT), change(SHIFT + 1), 0.0) * solution.equations.unit_m;
+            Vector3::new(change[SHIFT], change[SHIFT + 1], 0.0) * solution.equations.unit_m;
         pose.axes = pose.axes_with_normal(&normal);
         let facing = (1.0 - lean.mean.norm_squared()).max(0.0).sqrt();
         let turns = [Vector2::x(), Vector2::y()].map(|along| {
             let change = along.push(lean.mean.dot(&along) / facing);
             normal.cross(&(frame.transpose() * change))
         });
-        FrontalPose { state, covariance: self.covariance(lean), turns }
+        FrontalPose { state, covariance: self.covariance(lean, solution.noise2), turns }
     }
 
     /// Over shift, logarithm of the range, and w. Shift and range depend on w, the range also on -¼
     /// |w|².
-    fn covariance(&self, lean: &Lean) -> Covariance5 {
-        let moved = SMatrix::<f64, 3, 2>::from_fn(|i, k| -self.follow[k][SHIFT + i]);
+    fn covariance(&self, lean: &Lean, noise2: f64) -> Covariance5 {
+        let moved = -self.follow.fixed_rows::<3>(SHIFT);
         let by_square = Vector3::new(0.0, 0.0, -0.25);
         let with_lean = moved * lean.covariance + by_square * lean.cross.transpose();
         let with_square = moved * lean.cross * by_square.transpose();
-        let pose = self.shift_and_range
+        let pose = self.shift_and_range * noise2
             + moved * lean.covariance * moved.transpose()
             + with_square
             + with_square.transpose()

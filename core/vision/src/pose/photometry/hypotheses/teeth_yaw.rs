@@ -22,7 +22,7 @@ use crate::pose::photometry::{
     FitError,
     model::scratch::ModelScratch,
     solver::{
-        cholesky::MAX_UNKNOWNS,
+        cholesky::Unknowns,
         gauss_newton, linearize,
         normal_equations::NormalEquations,
         problem::Problem,
@@ -116,9 +116,9 @@ struct YawStep {
     /// Variance of the yaw over that of a pixel, 1/grey levels².
     variance: f64,
     /// Step of all other unknowns.
-    change: [f64; MAX_UNKNOWNS],
+    change: Unknowns,
     /// Derivatives of all other unknowns by the yaw.
-    follow: [f64; MAX_UNKNOWNS],
+    follow: Unknowns,
     /// Decrease of the misfit.
     gain: f64,
     /// Product of the mirrored pose's column with the remaining residual.
@@ -141,7 +141,7 @@ impl YawStep {
             (0.5 * (of(&ahead) + of(&behind)), 0.5 * (of(&behind) - of(&ahead)) / offset_rad)
         };
         let (factor, _) = equations.factor(state, *noise2, 0.0).ok_or(FitError::Uninformative)?;
-        let (mut gradient, mut with_turn) = ([0.0; MAX_UNKNOWNS], [0.0; MAX_UNKNOWNS]);
+        let (mut gradient, mut with_turn) = (Unknowns::zeros(), Unknowns::zeros());
         let (_, pulled) = equations.with_prior(state, *noise2);
         for unknown in
             equations.free_unknowns().filter(|&unknown| unknown != BLUR || !equations.is_held(BLUR))
@@ -152,24 +152,21 @@ impl YawStep {
         let own = 0.5 * half(&|probe| probe.misfit).1;
         let square = (half(&|probe| probe.misfit).0 - equations.misfit) / (offset_rad * offset_rad);
         let (step, follow) = (factor.solve(&gradient), factor.solve(&with_turn));
-        let dot = |one: &[f64; MAX_UNKNOWNS], other: &[f64; MAX_UNKNOWNS]| -> f64 {
-            one.iter().zip(other).map(|(a, b)| a * b).sum()
-        };
-        let information = square - dot(&with_turn, &follow);
+        let information = square - with_turn.dot(&follow);
         if information.is_nan() || information <= 0.0 {
             return Err(FitError::Uninformative);
         }
-        let left = own - dot(&with_turn, &step);
+        let left = own - with_turn.dot(&step);
         let by_rad = left / information;
-        let change: [f64; MAX_UNKNOWNS] = std::array::from_fn(|i| step[i] - follow[i] * by_rad);
+        let change = step - follow * by_rad;
         let (mirror, mirror_turn) = half(&|probe| probe.mirror.with_residual);
         Ok(Self {
             by_rad,
             variance: 1.0 / information,
-            mirror: mirror - dot(&equations.mirror.with_unknowns, &change) - mirror_turn * by_rad,
-            gain: dot(&gradient, &step) + left * by_rad,
+            mirror: mirror - equations.mirror.with_unknowns.dot(&change) - mirror_turn * by_rad,
+            gain: gradient.dot(&step) + left * by_rad,
             change,
-            follow: follow.map(|value| -value),
+            follow: -follow,
         })
     }
 
@@ -178,7 +175,7 @@ impl YawStep {
         let mut next = state.rotated(self.by_rad).moved(equations.unit_m, &self.change)?;
         let mut equations = equations.clone();
         equations.misfit = (equations.misfit - self.gain).max(0.0);
-        equations.gradient = [0.0; MAX_UNKNOWNS];
+        equations.gradient = Unknowns::zeros();
         equations.mirror.with_residual = self.mirror;
         let noise2 = equations.noise2();
         let pose = &mut next.pose;

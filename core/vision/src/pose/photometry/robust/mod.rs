@@ -37,6 +37,7 @@ use super::{
         scratch::ModelScratch,
     },
     solver::{
+        cholesky::Unknowns,
         gauss_newton::{Damping, SETTLED},
         linearize,
         mirror::MirrorEstimate,
@@ -311,7 +312,7 @@ impl RobustFit<'_> {
     }
 
     /// Updates bloom and the cells' levels for a step of the shared unknowns.
-    fn update_levels(&mut self, equations: &NormalEquations, change: &[f64]) {
+    fn update_levels(&mut self, equations: &NormalEquations, change: &Unknowns) {
         let mut coefficients = SVector::<f64, STILL>::zeros();
         coefficients[0] = 1.0;
         for unknown in WHITE..UNKNOWNS {

@@ -4,32 +4,34 @@ use std::ops::Range;
 
 use fearless_simd::{Level, Simd, dispatch};
 use fearless_simd_macros::simd;
-use nalgebra::SMatrix;
+use nalgebra::{SMatrix, SVector};
 
-pub const MAX_UNKNOWNS: usize = 12;
+pub const UNKNOWNS: usize = 12;
+pub type Unknowns = SVector<f64, UNKNOWNS>;
+/// Symmetric.
+pub type Information = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
 /// Cholesky factor of a matrix that is first scaled to a unit diagonal.
 #[derive(Clone, Debug)]
 pub struct Cholesky {
     /// Factored rows and columns.
     range: Range<usize>,
-    scale: [f64; MAX_UNKNOWNS],
+    scale: [f64; UNKNOWNS],
     /// Upper triangle; the diagonal holds inverses, the rest is scratch.
-    upper: [[f64; MAX_UNKNOWNS]; MAX_UNKNOWNS],
+    upper: [[f64; UNKNOWNS]; UNKNOWNS],
 }
 
 impl Cholesky {
     /// Factors a range of rows and columns; `None` unless it is positive definite.
-    pub fn new(matrix: &[[f64; MAX_UNKNOWNS]; MAX_UNKNOWNS], range: Range<usize>) -> Option<Self> {
-        let mut factor =
-            Self { range, scale: [0.0; MAX_UNKNOWNS], upper: [[0.0; MAX_UNKNOWNS]; MAX_UNKNOWNS] };
+    pub fn new(matrix: &Information, range: Range<usize>) -> Option<Self> {
+        let mut factor = Self { range, scale: [0.0; UNKNOWNS], upper: [[0.0; UNKNOWNS]; UNKNOWNS] };
         let is_one = dispatch!(Level::new(), simd => eliminate(simd, matrix, &mut factor));
         is_one.then_some(factor)
     }
 
     /// Solves matrix · x = right; unknowns outside the range are zero.
-    pub fn solve(&self, right: &[f64; MAX_UNKNOWNS]) -> [f64; MAX_UNKNOWNS] {
-        let mut x: [f64; MAX_UNKNOWNS] = std::array::from_fn(|i| right[i] * self.scale[i]);
+    pub fn solve(&self, right: &Unknowns) -> Unknowns {
+        let mut x: [f64; UNKNOWNS] = std::array::from_fn(|i| right[i] * self.scale[i]);
         for j in self.range.clone() {
             x[j] *= self.upper[j][j];
             let by = x[j];
@@ -49,7 +51,7 @@ impl Cholesky {
         for (value, scale) in x.iter_mut().zip(self.scale) {
             *value *= scale;
         }
-        x
+        x.into()
     }
 
     /// The last `COUNT` rows and columns of the inverse, from the last rows of the factor.
@@ -80,12 +82,9 @@ impl Cholesky {
 
 /// One division per row waits for the row before; divisions and roots dominate the time.
 #[simd]
-fn eliminate<S: Simd>(
-    simd: S,
-    matrix: &[[f64; MAX_UNKNOWNS]; MAX_UNKNOWNS],
-    factor: &mut Cholesky,
-) -> bool {
+fn eliminate<S: Simd>(simd: S, matrix: &Information, factor: &mut Cholesky) -> bool {
     let _ = simd;
+    let matrix = &matrix.data.0;
     let Cholesky { range, scale, upper } = factor;
     for i in range.clone() {
         if !(matrix[i][i] > 0.0 && matrix[i][i].is_finite()) {
@@ -94,11 +93,11 @@ fn eliminate<S: Simd>(
         scale[i] = 1.0 / matrix[i][i].sqrt();
     }
     for i in range.clone() {
-        for j in 0..MAX_UNKNOWNS {
+        for j in 0..UNKNOWNS {
             upper[i][j] = matrix[i][j] * scale[i] * scale[j];
         }
     }
-    let mut inverse = [0.0; MAX_UNKNOWNS];
+    let mut inverse = [0.0; UNKNOWNS];
     for j in range.clone() {
         let row = upper[j];
         if row[j].is_nan() || row[j] <= 1e-12 {
@@ -108,7 +107,7 @@ fn eliminate<S: Simd>(
         // Whole rows vectorize; entries below the diagonal are not read.
         for i in j + 1..range.end {
             let by = row[i] * inverse[j];
-            for k in 0..MAX_UNKNOWNS {
+            for k in 0..UNKNOWNS {
                 upper[i][k] -= by * row[k];
             }
         }
@@ -130,23 +129,23 @@ mod tests {
     #[test]
     fn solutions_solve() {
         let size = 7;
-        let mut matrix = [[0.0; MAX_UNKNOWNS]; MAX_UNKNOWNS];
-        for (i, row) in matrix.iter_mut().enumerate().take(size) {
-            for (j, value) in row.iter_mut().enumerate().take(size) {
+        let mut matrix = Information::zeros();
+        for i in 0..size {
+            for j in 0..size {
                 let near = 1.0 / (1.0 + (i as f64 - j as f64).abs());
-                *value = near * 10f64.powi(i as i32 + j as i32);
+                matrix[(i, j)] = near * 10f64.powi(i as i32 + j as i32);
             }
         }
         let factor = Cholesky::new(&matrix, 0..size).unwrap();
-        let right = std::array::from_fn(|i| if i < size { (i as f64).cos() } else { 0.0 });
-        let x = factor.solve(&right);
-        for (row, right) in matrix.iter().zip(right).take(size) {
-            let left: f64 = row.iter().zip(x).map(|(a, b)| a * b).sum();
+        let right = Unknowns::from_fn(|i, _| if i < size { (i as f64).cos() } else { 0.0 });
+        let left = matrix * factor.solve(&right);
+        for (left, right) in left.iter().zip(&right) {
             assert!((left - right).abs() < 1e-9 * (1.0 + right.abs()));
         }
         let corner = factor.inverse_of_last::<3>();
         for column in 0..3 {
-            let unit = std::array::from_fn(|i| f64::from(u8::from(i == size - 3 + column)));
+            let mut unit = Unknowns::zeros();
+            unit[size - 3 + column] = 1.0;
             let inverse = factor.solve(&unit);
             for row in 0..3 {
                 let expected = inverse[size - 3 + row];
@@ -155,12 +154,12 @@ mod tests {
         }
         // A part, as if there were nothing else.
         let part = Cholesky::new(&matrix, 2..5).unwrap().solve(&right);
-        for (row, (values, right)) in matrix.iter().zip(right).enumerate() {
-            let left: f64 = values.iter().zip(part).map(|(a, b)| a * b).sum();
-            let off = if (2..5).contains(&row) { left - right } else { part[row] };
+        let left = matrix * part;
+        for row in 0..size {
+            let off = if (2..5).contains(&row) { left[row] - right[row] } else { part[row] };
             assert!(off.abs() < 1e-9, "{row}: {off}");
         }
-        matrix[3][3] = -1.0;
+        matrix[(3, 3)] = -1.0;
         assert!(Cholesky::new(&matrix, 0..size).is_none());
     }
 }

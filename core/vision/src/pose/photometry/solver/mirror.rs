@@ -13,7 +13,7 @@
 use nalgebra::Vector3;
 
 use super::{
-    cholesky::MAX_UNKNOWNS,
+    cholesky::Unknowns,
     linearize::linearize,
     normal_equations::{MirrorProducts, NormalEquations},
     problem::Problem,
@@ -89,16 +89,9 @@ impl NormalEquations {
         let mut other = self.clone();
         let MirrorProducts { with_unknowns, with_residual, own } = &self.mirror;
         let grown = state.mirror_growth();
-        for (i, row) in other.information.iter_mut().enumerate() {
-            for (j, value) in row.iter_mut().enumerate() {
-                *value += with_unknowns[i] * grown[j]
-                    + grown[i] * with_unknowns[j]
-                    + grown[i] * grown[j] * own;
-            }
-        }
-        for (i, gradient) in other.gradient.iter_mut().enumerate() {
-            *gradient += grown[i] * (with_residual - own) - with_unknowns[i];
-        }
+        let cross = with_unknowns * grown.transpose();
+        other.information += cross + cross.transpose() + grown * grown.transpose() * *own;
+        other.gradient += grown * (with_residual - own) - with_unknowns;
         other.misfit += own - 2.0 * with_residual;
         other
     }
@@ -106,11 +99,11 @@ impl NormalEquations {
 
 impl State {
     /// κ: relative growth of m by each unknown.
-    fn mirror_growth(&self) -> [f64; MAX_UNKNOWNS] {
+    fn mirror_growth(&self) -> Unknowns {
         let PrintPose { position_m, axes } = &self.pose;
         let along = axes.transpose() * position_m.normalize();
         let across2 = along.x * along.x + along.y * along.y;
-        let mut growth = [0.0; MAX_UNKNOWNS];
+        let mut growth = Unknowns::zeros();
         if across2 > 0.0 {
             growth[TILT] = along.y / (along.z * across2);
             growth[TILT + 1] = -along.x / (along.z * across2);
@@ -120,7 +113,7 @@ impl State {
 }
 
 /// Converts between the rotations of the two poses.
-fn negate_turns(unknowns: &mut [f64; MAX_UNKNOWNS]) {
+fn negate_turns(unknowns: &mut Unknowns) {
     unknowns[TILT] *= -1.0;
     unknowns[TILT + 1] *= -1.0;
 }

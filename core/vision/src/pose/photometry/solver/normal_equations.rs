@@ -3,17 +3,17 @@
 use std::ops::Range;
 
 use super::{
-    cholesky::{Cholesky, MAX_UNKNOWNS},
+    cholesky::{Cholesky, Information, Unknowns},
     state::{BLUR, LIGHT, MOTION, SHIFT, STEP, State, TILT, UNKNOWNS, WHITE, column_of},
 };
 use crate::pose::photometry::model::column_products::{COLUMNS, Products, column};
 
 #[derive(Clone, Debug)]
 pub struct NormalEquations {
-    pub information: [[f64; MAX_UNKNOWNS]; MAX_UNKNOWNS],
+    pub information: Information,
     /// From columns to unknowns.
-    pub scale: [f64; MAX_UNKNOWNS],
-    pub gradient: [f64; MAX_UNKNOWNS],
+    pub scale: Unknowns,
+    pub gradient: Unknowns,
     /// Sum of squared residuals, grey levels².
     pub misfit: f64,
     pub pixels: f64,
@@ -38,7 +38,7 @@ pub struct NormalEquations {
 /// Products of the mirrored pose's column.
 #[derive(Clone, Debug)]
 pub struct MirrorProducts {
-    pub with_unknowns: [f64; MAX_UNKNOWNS],
+    pub with_unknowns: Unknowns,
     pub with_residual: f64,
     pub own: f64,
 }
@@ -91,17 +91,17 @@ impl NormalEquations {
         let ProblemScale { radius_px, disc_ratio, mirror_px, unit_m, motion_prior } = *scale;
         let motion_prior = motion_prior.filter(|_| COUNT == COLUMNS);
         let step = state.step;
-        let mut scale = [1.0; MAX_UNKNOWNS];
+        let mut scale = Unknowns::repeat(1.0);
         scale[BLUR] = 0.5 * step;
-        scale[MOTION..MOTION + 2].fill(step / 48.0);
-        scale[SHIFT..UNKNOWNS].fill(step);
-        let mut information = [[0.0; MAX_UNKNOWNS]; MAX_UNKNOWNS];
-        let (mut gradient, mut mirror) = ([0.0; MAX_UNKNOWNS], [0.0; MAX_UNKNOWNS]);
+        scale.fixed_rows_mut::<2>(MOTION).fill(step / 48.0);
+        scale.fixed_rows_mut::<5>(SHIFT).fill(step);
+        let mut information = Information::zeros();
+        let (mut gradient, mut mirror) = (Unknowns::zeros(), Unknowns::zeros());
         let first = if motion_prior.is_some() { MOTION } else { WHITE };
         for i in first..UNKNOWNS {
             let column = column_of(i);
             for j in first..UNKNOWNS {
-                information[i][j] = products[(column, column_of(j))] * scale[i] * scale[j];
+                information[(i, j)] = products[(column, column_of(j))] * scale[i] * scale[j];
             }
             gradient[i] = products[(0, column)] * scale[i];
             mirror[i] = products[(column, MIRROR)] * scale[i] * step;
@@ -145,21 +145,16 @@ impl NormalEquations {
     }
 
     /// Whether a step is the last: the problem is linear over it, and the residual is noise.
-    pub fn is_converged_by(&self, state: &State, change: &[f64; MAX_UNKNOWNS]) -> bool {
-        let shape = SHIFT..UNKNOWNS;
-        let moved: f64 = shape
-            .clone()
-            .map(|i| {
-                change[i] * shape.clone().map(|j| self.information[i][j] * change[j]).sum::<f64>()
-            })
-            .sum();
+    pub fn is_converged_by(&self, state: &State, change: &Unknowns) -> bool {
+        let shape = change.fixed_rows::<5>(SHIFT);
+        let moved = shape.dot(&(self.information.fixed_view::<5, 5>(SHIFT, SHIFT) * shape));
         let turn2 = change[TILT].powi(2) + change[TILT + 1].powi(2);
         let motion2 = change[MOTION].powi(2) + change[MOTION + 1].powi(2);
         moved < (LAST_MOVE * self.noise2()).min(LAST_MOVE_PX * LAST_MOVE_PX * self.edge_information)
             && 0.5 * turn2 * self.radius_px < LAST_BEND_PX
             && change[BLUR].abs() < LAST_BLUR_PX * self.radius_px
             && motion2 < LAST_MOTION_PX2 * LAST_MOTION_PX2
-            && motion2 * self.information[MOTION][MOTION] < LAST_MOVE * self.noise2()
+            && motion2 * self.information[(MOTION, MOTION)] < LAST_MOVE * self.noise2()
             && self.is_noise_only()
             && state.is_small_turn(change)
     }
@@ -175,29 +170,24 @@ impl NormalEquations {
     }
 
     /// Updates gradient and misfit for a step.
-    pub fn advance(&mut self, change: &[f64; MAX_UNKNOWNS], misfit: f64) {
-        for (gradient, row) in self.gradient.iter_mut().zip(&self.information) {
-            *gradient -= row.iter().zip(change).map(|(a, b)| a * b).sum::<f64>();
-        }
-        self.mirror.with_residual -=
-            self.mirror.with_unknowns.iter().zip(change).map(|(a, b)| a * b).sum::<f64>();
+    pub fn advance(&mut self, change: &Unknowns, misfit: f64) {
+        self.gradient -= self.information * change;
+        self.mirror.with_residual -= self.mirror.with_unknowns.dot(change);
         self.misfit = misfit;
     }
 
     /// Fixes an unknown.
     pub fn hold(&mut self, unknown: usize) {
-        for other in self.free_unknowns() {
-            self.information[unknown][other] = 0.0;
-            self.information[other][unknown] = 0.0;
-        }
-        self.information[unknown][unknown] = 1.0;
+        self.information.fill_row(unknown, 0.0);
+        self.information.fill_column(unknown, 0.0);
+        self.information[(unknown, unknown)] = 1.0;
         self.gradient[unknown] = 0.0;
         self.mirror.with_unknowns[unknown] = 0.0;
     }
 
     /// A free unknown is always correlated with the black level.
     pub fn is_held(&self, unknown: usize) -> bool {
-        self.information[unknown][STEP] == 0.0
+        self.information[(unknown, STEP)] == 0.0
     }
 
     /// All unknowns, without a held motion.
@@ -215,21 +205,17 @@ impl NormalEquations {
     }
 
     /// Information and gradient with the priors.
-    pub fn with_prior(
-        &self,
-        state: &State,
-        noise2: f64,
-    ) -> ([[f64; MAX_UNKNOWNS]; MAX_UNKNOWNS], [f64; MAX_UNKNOWNS]) {
+    pub fn with_prior(&self, state: &State, noise2: f64) -> (Information, Unknowns) {
         let (mut information, mut gradient) = (self.information, self.gradient);
         let prior = noise2 / (LIGHT_PRIOR * LIGHT_PRIOR);
         for axis in 0..2 {
-            information[LIGHT + axis][LIGHT + axis] += prior;
+            information[(LIGHT + axis, LIGHT + axis)] += prior;
             gradient[LIGHT + axis] -= prior * state.light[axis];
         }
         if let Some(prior) = self.motion_prior {
             let prior = noise2 / (prior + state.motion2.norm_squared());
             for axis in 0..2 {
-                information[MOTION + axis][MOTION + axis] += prior;
+                information[(MOTION + axis, MOTION + axis)] += prior;
                 gradient[MOTION + axis] -= prior * state.motion2[axis];
             }
         }
@@ -237,35 +223,23 @@ impl NormalEquations {
     }
 
     /// Factor of the information for a step, and the gradient.
-    pub fn factor(
-        &self,
-        state: &State,
-        noise2: f64,
-        damping: f64,
-    ) -> Option<(Cholesky, [f64; MAX_UNKNOWNS])> {
+    pub fn factor(&self, state: &State, noise2: f64, damping: f64) -> Option<(Cholesky, Unknowns)> {
         let (mut information, gradient) = self.with_prior(state, noise2);
         let curvature = self.tilt_curvature(state, noise2);
         for axis in 0..2 {
-            information[TILT + axis][TILT + axis] += curvature;
+            information[(TILT + axis, TILT + axis)] += curvature;
         }
-        for (i, row) in information.iter_mut().enumerate() {
-            row[i] *= 1.0 + damping;
-        }
+        information.set_diagonal(&(information.diagonal() * (1.0 + damping)));
         Some((Cholesky::new(&information, self.free_unknowns())?, gradient))
     }
 
-    pub fn step(&self, state: &State, noise2: f64, damping: f64) -> Option<[f64; MAX_UNKNOWNS]> {
+    pub fn step(&self, state: &State, noise2: f64, damping: f64) -> Option<Unknowns> {
         let (factor, gradient) = self.factor(state, noise2, damping)?;
         Some(factor.solve(&gradient))
     }
 
     /// A step that keeps the blur within its limits, by holding it there if necessary.
-    pub fn bounded_step(
-        &mut self,
-        state: &State,
-        noise2: f64,
-        damping: f64,
-    ) -> Option<[f64; MAX_UNKNOWNS]> {
+    pub fn bounded_step(&mut self, state: &State, noise2: f64, damping: f64) -> Option<Unknowns> {
         let change = self.step(state, noise2, damping)?;
         if !state.blur_at_limit(change[BLUR]) {
             return Some(change);
@@ -275,15 +249,13 @@ impl NormalEquations {
     }
 
     /// Decrease of the misfit that a step promises.
-    pub fn gain(&self, change: &[f64; MAX_UNKNOWNS]) -> f64 {
-        change.iter().zip(&self.gradient).map(|(x, g)| x * g).sum()
+    pub fn gain(&self, change: &Unknowns) -> f64 {
+        change.dot(&self.gradient)
     }
 
     /// Information about the tilt about either axis, for a noise of one grey level.
     pub fn tilt_information(&self, state: &State) -> f64 {
-        let pose = &state.pose;
-        let cosine = pose.axes.column(2).dot(&pose.position_m.normalize());
-        self.elongation * (1.0 - cosine * cosine) / 8.0
+        self.elongation * state.tilt_sine2() / 8.0
     }
 
     /// Contribution of the elongation's curvature to the information about the tilt.

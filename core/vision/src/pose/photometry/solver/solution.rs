@@ -3,7 +3,7 @@
 use nalgebra::{SMatrix, Vector3};
 
 use super::{
-    cholesky::{Cholesky, MAX_UNKNOWNS},
+    cholesky::{Cholesky, Unknowns},
     linearize::project,
     normal_equations::NormalEquations,
     problem::Problem,
@@ -77,7 +77,7 @@ impl Solution {
         let prior = self.equations.motion_prior?;
         let factor = self.factor()?;
         let variance = |unknown: usize| {
-            let mut unit = [0.0; MAX_UNKNOWNS];
+            let mut unit = Unknowns::zeros();
             unit[unknown] = self.noise2;
             factor.solve(&unit)[unknown]
         };

@@ -2,7 +2,8 @@
 
 use nalgebra::{Matrix3, Rotation3, Vector2, Vector3};
 
-use super::cholesky::MAX_UNKNOWNS;
+pub use super::cholesky::UNKNOWNS;
+use super::cholesky::Unknowns;
 use crate::{
     marker::Ring,
     pose::photometry::model::{
@@ -27,7 +28,6 @@ pub struct State {
 }
 
 /// Indices of the unknowns.
-pub const UNKNOWNS: usize = MAX_UNKNOWNS;
 /// The first two, since their columns are the last and may be left out.
 pub const MOTION: usize = 0;
 /// First of the unknowns that are always free, in the order of their columns.
@@ -114,22 +114,25 @@ impl State {
         next
     }
 
-    pub fn is_small_turn(&self, change: &[f64; MAX_UNKNOWNS]) -> bool {
+    /// Square of the tilt's sine.
+    pub fn tilt_sine2(&self) -> f64 {
         let cosine = self.pose.axes.column(2).dot(&self.pose.position_m.normalize());
+        1.0 - cosine * cosine
+    }
+
+    pub fn is_small_turn(&self, change: &Unknowns) -> bool {
         let turn2 = change[TILT].powi(2) + change[TILT + 1].powi(2);
-        turn2 < SMALL_TURN * SMALL_TURN * (1.0 - cosine * cosine)
+        turn2 < SMALL_TURN * SMALL_TURN * self.tilt_sine2()
     }
 
     /// Whether the two normals differ by more than a first step; nearer to face-on its estimate of
     /// the other one is useless.
     pub fn is_tilted(&self) -> bool {
-        let pose = &self.pose;
-        let cosine = pose.axes.column(2).dot(&pose.position_m.normalize());
-        1.0 - cosine * cosine > MIN_TILT_SINE * MIN_TILT_SINE
+        self.tilt_sine2() > MIN_TILT_SINE * MIN_TILT_SINE
     }
 
     /// After a step, with `unit_m` metres per unit of shift; `None` unless that is a roundel in front of the camera.
-    pub fn moved(&self, unit_m: f64, change: &[f64; MAX_UNKNOWNS]) -> Option<Self> {
+    pub fn moved(&self, unit_m: f64, change: &Unknowns) -> Option<Self> {
         let mut next = self.clone();
         next.white += change[WHITE];
         next.step += change[STEP];
