@@ -29,7 +29,7 @@ use crate::{
         locate, locate_each,
         photometry::{self, FitHistory, FitInput, FitScratch},
         recent_tracks::RecentTracks,
-        shutter::{Shutter, Skew},
+        shutter::Shutter,
         yaw,
     },
     time::Timestamp,
@@ -132,7 +132,9 @@ impl Locator {
         tracked: &[TrackedRing],
         located: &mut Vec<Result<Located, PoseError>>,
     ) {
-        self.locate_each(frame, None, tracked, located);
+        self.locate_pending(frame, None, tracked);
+        located.clear();
+        located.extend(self.pending.drain(..).map(|one| one.located));
     }
 
     /// As [`Self::locate_all`] for a frame whose middle row was exposed at `time`. Each pose is
@@ -144,51 +146,14 @@ impl Locator {
         tracked: &[TrackedRing],
         located: &mut Vec<Result<Located, PoseError>>,
     ) {
-        self.locate_each(frame, Some(time), tracked, located);
-    }
-
-    fn locate_each(
-        &mut self,
-        frame: &Frame,
-        time: Option<Timestamp>,
-        tracked: &[TrackedRing],
-        located: &mut Vec<Result<Located, PoseError>>,
-    ) {
+        self.locate_pending(frame, Some(time), tracked);
         located.clear();
-        self.update_shutter(frame, time, tracked);
-        self.pending.clear();
-        let skews = self.shutter.as_ref().map(Shutter::skews);
-        let mut poses = [const { Err(PoseError::NoCircle) }; LANES];
-        for (chunk, tracked) in tracked.chunks(LANES).enumerate() {
-            let mut deskewed = [None; LANES];
-            let skews = skews.map_or(&[][..], |skews| &skews[chunk * LANES..]);
-            for ((deskewed, skew), one) in deskewed.iter_mut().zip(skews).zip(tracked) {
-                *deskewed = Some(skew.ring(&one.ring));
-            }
-            let rings = tracked.iter().zip(&deskewed).map(|(one, deskewed)| {
-                let ring = deskewed.as_ref().unwrap_or(&one.ring);
-                Ok((kind_of(&self.kinds, ring.kind)?, ring))
-            });
-            locate_each(&self.camera, rings, &self.noise, &mut poses);
-            self.pending.extend(tracked.iter().zip(&mut poses).map(|(one, pose)| {
-                let pose = std::mem::replace(pose, Err(PoseError::NoCircle));
-                PendingRing::new(pose.map(|pose| Located::from_rims(&one.ring, pose)))
-            }));
-        }
-        self.refine_all(frame, tracked);
         located.extend(self.pending.drain(..).map(|one| one.located));
     }
 
     /// Pose of one tracked ring, in the frame that it was found in.
     pub fn locate(&mut self, frame: &Frame, tracked: &TrackedRing) -> Result<Located, PoseError> {
-        self.update_shutter(frame, None, std::slice::from_ref(tracked));
-        let kind = kind_of(&self.kinds, tracked.ring.kind)?;
-        let deskewed = self.skew(0).map(|skew| skew.ring(&tracked.ring));
-        let ring = deskewed.as_ref().unwrap_or(&tracked.ring);
-        let pose = locate(&self.camera, kind, ring, &self.noise)?;
-        self.pending.clear();
-        self.pending.push(PendingRing::new(Ok(Located::from_rims(&tracked.ring, pose))));
-        self.refine_all(frame, std::slice::from_ref(tracked));
+        self.locate_pending(frame, None, std::slice::from_ref(tracked));
         self.pending.pop().map_or(Err(PoseError::NoCircle), |one| one.located)
     }
 
@@ -206,15 +171,32 @@ impl Locator {
         Ok(located)
     }
 
-    /// Updates the motion of the rings, for a rolling shutter.
-    fn update_shutter(&mut self, frame: &Frame, time: Option<Timestamp>, tracked: &[TrackedRing]) {
+    /// Fills `pending` with the poses of a frame's rings.
+    fn locate_pending(&mut self, frame: &Frame, time: Option<Timestamp>, tracked: &[TrackedRing]) {
         if let Some(shutter) = &mut self.shutter {
             shutter.update(time, frame.height(), tracked, &self.kinds, &self.noise);
         }
-    }
-
-    fn skew(&self, index: usize) -> Option<Skew> {
-        self.shutter.as_ref().map(|shutter| shutter.skews()[index])
+        self.pending.clear();
+        let skews = self.shutter.as_ref().map(Shutter::skews);
+        let mut poses = [const { Err(PoseError::NoCircle) }; LANES];
+        for (chunk, tracked) in tracked.chunks(LANES).enumerate() {
+            let mut deskewed = [None; LANES];
+            let skews = skews.map_or(&[][..], |skews| &skews[chunk * LANES..]);
+            for ((deskewed, skew), one) in deskewed.iter_mut().zip(skews).zip(tracked) {
+                *deskewed = Some(skew.ring(&one.ring));
+            }
+            let rings = tracked.iter().zip(&deskewed).map(|(one, deskewed)| {
+                let ring = deskewed.as_ref().unwrap_or(&one.ring);
+                Ok((kind_of(&self.kinds, ring.kind)?, ring))
+            });
+            locate_each(&self.camera, rings, &self.noise, &mut poses);
+            self.pending.extend(tracked.iter().zip(&mut poses).map(|(one, pose)| {
+                let pose = std::mem::replace(pose, Err(PoseError::NoCircle));
+                let located = pose.map(|pose| Located::from_rims(&one.ring, pose));
+                PendingRing { located, history: None }
+            }));
+        }
+        self.refine_all(frame, tracked);
     }
 
     /// Refines the closed-form poses of the frame's rings as the mode demands.
@@ -249,12 +231,6 @@ impl Locator {
                 histories.update(tracked.track, one.history.take());
             }
         }
-    }
-}
-
-impl PendingRing {
-    fn new(located: Result<Located, PoseError>) -> Self {
-        Self { located, history: None }
     }
 }
 

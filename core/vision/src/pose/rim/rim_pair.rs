@@ -32,15 +32,14 @@ pub struct RimPair<T> {
 /// A detected ring, with all else that its pose depends on.
 #[derive(Clone, Copy, Debug)]
 pub struct RingMeasurement {
-    outer: Ellipse,
-    inner: Ellipse,
+    rims: [Ellipse; 2],
     radii_m: [f64; 2],
     noise: RingNoise<f64>,
 }
 
 impl RingMeasurement {
     pub fn new(ring: &Ring, radii_m: [f64; 2], noise: RingNoise<f64>) -> Self {
-        Self { outer: ring.outer, inner: ring.inner, radii_m, noise }
+        Self { rims: [ring.outer, ring.inner], radii_m, noise }
     }
 
     #[inline(always)]
@@ -53,12 +52,13 @@ impl<T: Lane> RimPair<T> {
     /// One ring per lane of `like`.
     #[inline(always)]
     pub fn gather(like: T, rings: &[&RingMeasurement]) -> Self {
-        let [outer_m, inner_m, size, shape] = like.each(
+        let radii_m = like.each(
             #[inline(always)]
-            |lane| {
-                let RingMeasurement { radii_m, noise, .. } = rings[lane];
-                [radii_m[0], radii_m[1], noise.disc.size, noise.disc.shape]
-            },
+            |lane| rings[lane].radii_m,
+        );
+        let [size, shape] = like.each(
+            #[inline(always)]
+            |lane| [rings[lane].noise.disc.size, rings[lane].noise.disc.shape],
         );
         let errors = [0, 1].map(
             #[inline(always)]
@@ -74,16 +74,17 @@ impl<T: Lane> RimPair<T> {
                 RimErrors { edge_px, floor_px, uneven_px }
             },
         );
-        let outer = RimEllipse::from_numbers(like.each(
+        let rims = [0, 1].map(
             #[inline(always)]
-            |lane| numbers(&rings[lane].outer),
-        ));
-        let inner = RimEllipse::from_numbers(like.each(
-            #[inline(always)]
-            |lane| numbers(&rings[lane].inner),
-        ));
+            |rim| {
+                RimEllipse::from_numbers(like.each(
+                    #[inline(always)]
+                    |lane| numbers(&rings[lane].rims[rim]),
+                ))
+            },
+        );
         let noise = RingNoise { rims: errors, disc: DiscWeights { size, shape } };
-        Self { rims: [outer, inner], radii_m: [outer_m, inner_m], noise }
+        Self { rims, radii_m, noise }
     }
 }
 
