@@ -53,11 +53,11 @@ mod history;
 mod hypotheses;
 mod model;
 mod robust;
-mod scratch;
 mod solver;
 #[cfg(test)]
 mod tests;
 
+use fearless_simd::Level;
 use nalgebra::{Matrix3, Vector2, Vector3};
 use thiserror::Error;
 
@@ -70,12 +70,13 @@ use crate::{
 pub(super) use history::FitHistory;
 use hypotheses::estimate_pose;
 pub use model::teeth::Teeth;
-use model::{blur_kernel::BLUR_LIMITS_PX, local_lens::LocalLens, motion, projection::PrintPose};
-pub use scratch::FitScratch;
+use model::{
+    ModelScratch, blur_kernel::BLUR_LIMITS_PX, local_lens::LocalLens, motion, projection::PrintPose,
+};
+use robust::RobustScratch;
 use solver::{
-    problem::Problem,
     solution::{self, PoseEstimate},
-    state::State,
+    state::{Problem, State},
 };
 
 /// A ring in a frame.
@@ -169,6 +170,43 @@ pub enum FitError {
     /// Too much of the rims is occluded or otherwise not as printed.
     #[error("expected rims that agree with each other, found too many stretches that do not")]
     Obstructed,
+}
+
+/// Working memory of fits, reused from fit to fit. The first fit reserves memory for rings as large
+/// as the frame, so that later ones allocate nothing (`tests/allocation.rs`).
+#[derive(Clone, Debug)]
+pub struct FitScratch {
+    model: ModelScratch,
+    robust: RobustScratch,
+    /// Width and height of the frames that memory is reserved for.
+    size: [usize; 2],
+}
+
+impl Default for FitScratch {
+    fn default() -> Self {
+        Self::with_level(Level::new())
+    }
+}
+
+/// Margin of the window around a ring as large as the frame.
+const MARGIN_PX: usize = 64;
+
+impl FitScratch {
+    fn with_level(level: Level) -> Self {
+        Self { model: ModelScratch::new(level), robust: RobustScratch::default(), size: [0; 2] }
+    }
+
+    /// Reserves memory for any ring in the frame; pages that no ring uses are not touched.
+    fn reserve(&mut self, frame: &Frame) {
+        let size = [frame.width(), frame.height()];
+        if self.size == size {
+            return;
+        }
+        self.size = size;
+        let [columns, rows] = size.map(|side| side + MARGIN_PX);
+        self.model.window.reserve(columns, rows);
+        self.robust.reserve(columns * rows);
+    }
 }
 
 /// Reach of the counted pixels beyond the outer rim: pixels, and in blurs.

@@ -21,12 +21,11 @@ use nalgebra::Vector3;
 use crate::{
     pose::photometry::{
         FitError,
-        model::scratch::ModelScratch,
+        model::ModelScratch,
         solver::{
             gauss_newton,
-            problem::Problem,
             solution::{PoseEstimate, Solution},
-            state::State,
+            state::{Problem, State},
         },
     },
     rigid::UNKNOWN_ANGLE_VARIANCE_RAD2,

@@ -25,13 +25,12 @@ use crate::pose::{
     circle::tilt_posterior::{self, Evidence, Lean},
     frame_along,
     photometry::{
-        model::{projection::PrintPose, scratch::ModelScratch},
+        model::{ModelScratch, projection::PrintPose},
         solver::{
             cholesky::{Cholesky, UNKNOWNS, Unknowns},
             linearize,
-            problem::Problem,
             solution::{Covariance5, Solution},
-            state::{BLUR, MOTION, RANGE, SHIFT, STEP, State, TILT, WHITE},
+            state::{BLUR, MOTION, Problem, RANGE, SHIFT, STEP, State, TILT, WHITE},
         },
     },
 };

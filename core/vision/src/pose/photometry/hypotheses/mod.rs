@@ -12,9 +12,8 @@ use super::{
     solver::{
         gauss_newton,
         mirror::{MirrorEstimate, evaluate_mirrored},
-        problem::Problem,
         solution::{PoseEstimate, Solution},
-        state::State,
+        state::{Problem, State},
     },
 };
 use crate::marker::Pattern;

@@ -20,14 +20,13 @@ use nalgebra::Vector3;
 use super::disc_heading::YawEstimate;
 use crate::pose::photometry::{
     FitError,
-    model::scratch::ModelScratch,
+    model::ModelScratch,
     solver::{
         cholesky::Unknowns,
         gauss_newton, linearize,
         normal_equations::NormalEquations,
-        problem::Problem,
         solution::Solution,
-        state::{BLUR, RANGE, SHIFT, State, TILT},
+        state::{BLUR, Problem, RANGE, SHIFT, State, TILT},
     },
 };
 

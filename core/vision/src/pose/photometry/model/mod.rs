@@ -16,6 +16,40 @@ pub mod motion;
 pub mod projection;
 pub mod residual_patches;
 pub mod scatter;
-pub mod scratch;
 pub mod teeth;
 pub mod window;
+
+use fearless_simd::Level;
+
+use blur_kernel::Kernels;
+use column_products::ProductSums;
+use contour::Contours;
+use local_lens::SamplingPlan;
+use projection::Nodes;
+use window::Window;
+
+/// Tables, contours and images that linearizations reuse.
+#[derive(Clone, Debug)]
+pub struct ModelScratch {
+    pub level: Level,
+    pub plan: SamplingPlan,
+    pub kernels: Kernels,
+    pub contours: Contours,
+    pub nodes: Nodes,
+    pub window: Window,
+    pub sums: ProductSums,
+}
+
+impl ModelScratch {
+    pub fn new(level: Level) -> Self {
+        Self {
+            level,
+            plan: SamplingPlan::default(),
+            kernels: Kernels::default(),
+            contours: Contours::default(),
+            nodes: Nodes::default(),
+            window: Window::default(),
+            sums: ProductSums::default(),
+        }
+    }
+}

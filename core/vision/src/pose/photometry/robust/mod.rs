@@ -33,8 +33,8 @@ use nalgebra::{SVector, Vector3};
 use super::{
     FitError, FitScratch,
     model::{
+        ModelScratch,
         column_products::{STILL, column},
-        scratch::ModelScratch,
     },
     solver::{
         cholesky::Unknowns,
@@ -42,9 +42,8 @@ use super::{
         linearize,
         mirror::MirrorEstimate,
         normal_equations::NormalEquations,
-        problem::Problem,
         solution::{Covariance5, PoseEstimate, Solution},
-        state::{State, UNKNOWNS, WHITE},
+        state::{Problem, State, UNKNOWNS, WHITE},
     },
 };
 use crate::scratch::reserve_total;

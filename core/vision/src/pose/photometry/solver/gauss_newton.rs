@@ -7,11 +7,10 @@
 use super::{
     linearize::linearize,
     mirror::{evaluate_mirrored, is_linear},
-    problem::Problem,
     solution::Solution,
-    state::State,
+    state::{Problem, State},
 };
-use crate::pose::photometry::{FitError, model::scratch::ModelScratch};
+use crate::pose::photometry::{FitError, model::ModelScratch};
 
 const MAX_STEPS: usize = 16;
 /// A step that decreases the misfit by fewer variances is the last one.

@@ -4,19 +4,18 @@ use nalgebra::{Vector2, Vector3};
 
 use super::{
     normal_equations::{NormalEquations, ProblemScale},
-    problem::Problem,
-    state::State,
+    state::{Problem, State},
 };
 use crate::pose::photometry::{
     FitError,
     model::{
+        ModelScratch,
         blur_kernel::DifferenceWeights,
         columns::PixelModel,
         contour::SPACING_BLURS,
         motion,
         projection::{self, PrintPose, ProjectedPrint},
         residual_patches,
-        scratch::ModelScratch,
     },
 };
 

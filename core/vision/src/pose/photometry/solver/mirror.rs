@@ -16,10 +16,9 @@ use super::{
     cholesky::Unknowns,
     linearize::linearize,
     normal_equations::{MirrorProducts, NormalEquations},
-    problem::Problem,
-    state::{RANGE, SHIFT, State, TILT},
+    state::{Problem, RANGE, SHIFT, State, TILT},
 };
-use crate::pose::photometry::model::{projection::PrintPose, scratch::ModelScratch};
+use crate::pose::photometry::model::{ModelScratch, projection::PrintPose};
 
 /// Displacement of the outer rim up to which the image is linear in it, in standard deviations of
 /// its edges.

@@ -9,6 +9,5 @@ pub mod gauss_newton;
 pub mod linearize;
 pub mod mirror;
 pub mod normal_equations;
-pub mod problem;
 pub mod solution;
 pub mod state;

@@ -6,12 +6,11 @@ use super::{
     cholesky::{Cholesky, Unknowns},
     linearize::project,
     normal_equations::NormalEquations,
-    problem::Problem,
-    state::{MOTION, State},
+    state::{MOTION, Problem, State},
 };
 use crate::{
     ellipse::{Ellipse, Shape},
-    pose::photometry::model::scratch::ModelScratch,
+    pose::photometry::model::ModelScratch,
     rigid::{Covariance6, UNKNOWN_ANGLE_VARIANCE_RAD2},
 };
 

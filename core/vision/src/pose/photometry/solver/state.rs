@@ -1,15 +1,32 @@
-//! The unknowns of a fit.
+//! What stays constant during a fit, and its unknowns.
 
 use nalgebra::{Matrix3, Rotation3, Vector2, Vector3};
 
 pub use super::cholesky::UNKNOWNS;
 use super::cholesky::Unknowns;
 use crate::{
-    marker::Ring,
+    marker::{Kind, Ring},
     pose::photometry::model::{
-        blur_kernel::BLUR_LIMITS_PX, column_products::column, motion, projection::PrintPose,
+        blur_kernel::BLUR_LIMITS_PX, column_products::column, local_lens::LocalLens, motion,
+        projection::PrintPose, teeth::Teeth,
     },
 };
+
+/// Constants of one fit.
+#[derive(Clone, Copy)]
+pub struct Problem<'a> {
+    pub kind: &'a Kind,
+    /// Teeth of a coded print.
+    pub teeth: Option<Teeth>,
+    /// Whether the teeth are those of earlier frames.
+    pub teeth_are_predicted: bool,
+    pub radius_m: f64,
+    pub lens: &'a LocalLens,
+    /// Variance of μ besides its own size, px⁴.
+    pub motion_prior: f64,
+    /// Whether the motion is held at zero.
+    pub is_still: bool,
+}
 
 /// The unknowns.
 #[derive(Clone, Debug)]
