@@ -217,11 +217,11 @@ impl Camera {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn camera(lens: Lens) -> Camera {
+    pub fn camera(lens: Lens) -> Camera {
         Camera::new(Intrinsics {
             width: 1280,
             height: 720,
@@ -234,7 +234,7 @@ mod tests {
         .unwrap()
     }
 
-    fn lenses() -> [Lens; 6] {
+    pub fn lenses() -> [Lens; 6] {
         [
             Lens::PlumbBob([0.0; 5]),
             Lens::PlumbBob([-0.28, 0.09, 0.0012, -0.0008, -0.012]),

@@ -13,7 +13,7 @@
 //! by the addition theorem.
 
 use super::{Camera, Intrinsics, Lens, LensError, PixelPoint, lens::Planar};
-use crate::simd::{Lane, Mask, Mat2, Vec2, Vec3};
+use crate::simd::{Lane, Mask, Vec2, Vec3};
 
 /// Iterations before each pixel is solved separately.
 const MAX_TURNS: usize = 12;
@@ -127,7 +127,22 @@ impl Camera {
             size,
             found & regular,
             #[inline(always)]
-            |open| planar_turn(lens, inverse, &wanted, &mut points, open),
+            |open| {
+                let mut steps = [zero; N];
+                for i in 0..N {
+                    let point = Vec2::new(points[0][i], points[1][i]);
+                    let (image, ..) = lens.distort(point);
+                    let by = inverse * (Vec2::new(wanted[0][i], wanted[1][i]) - image);
+                    points[0][i] = T::choose(open, point.x + by.x, point.x);
+                    points[1][i] = T::choose(open, point.y + by.y, point.y);
+                    steps[i] = by.x.size() + by.y.size();
+                }
+                let mut max = zero;
+                for step in steps {
+                    max = largest(max, step);
+                }
+                max
+            },
         );
         let limit = zero.splat(self.reach * self.reach);
         for (x, y) in points[0].iter().zip(&points[1]) {
@@ -221,49 +236,6 @@ impl Camera {
     }
 }
 
-/// One iteration of all points where `open`; returns the largest step.
-#[inline(always)]
-fn planar_turn<T: Lane, const N: usize>(
-    lens: &Planar,
-    inverse: Mat2<T>,
-    wanted: &[[T; N]; 2],
-    points: &mut [[T; N]; 2],
-    open: T::Mask,
-) -> T {
-    let (above, p1, p2) = (lens.above, lens.p1, lens.p2);
-    let [x, y] = points;
-    let mut gains = *x;
-    for i in 0..N {
-        let s = x[i] * x[i] + y[i] * y[i];
-        gains[i] = s * (s * (s * above[2] + above[1]) + above[0]) + 1.0;
-    }
-    if let Some(below) = lens.below {
-        for i in 0..N {
-            let s = x[i] * x[i] + y[i] * y[i];
-            gains[i] = gains[i] / (s * (s * (s * below[2] + below[1]) + below[0]) + 1.0);
-        }
-    }
-    let mut steps = *x;
-    for i in 0..N {
-        let (px, py) = (x[i], y[i]);
-        let (xx, xy, yy) = (px * px, px * py, py * py);
-        let s = xx + yy;
-        let miss = Vec2::new(
-            wanted[0][i] - px * gains[i] - xy * (2.0 * p1) - (s + xx * 2.0) * p2,
-            wanted[1][i] - py * gains[i] - (s + yy * 2.0) * p1 - xy * (2.0 * p2),
-        );
-        let by = inverse * miss;
-        x[i] = T::choose(open, px + by.x, px);
-        y[i] = T::choose(open, py + by.y, py);
-        steps[i] = by.x.size() + by.y.size();
-    }
-    let mut max = inverse.m11.splat(0.0);
-    for step in steps {
-        max = largest(max, step);
-    }
-    max
-}
-
 /// The larger of both; NaN if the second is NaN.
 #[inline(always)]
 fn largest<T: Lane>(one: T, other: T) -> T {
@@ -294,35 +266,15 @@ fn settles<T: Lane>(size: T, open: T::Mask, mut turn: impl FnMut(T::Mask) -> T) 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::Intrinsics;
+    use crate::camera::tests::{camera, lenses};
     use proptest::prelude::*;
-
-    fn camera(lens: Lens) -> Camera {
-        Camera::new(Intrinsics {
-            width: 1280,
-            height: 720,
-            fx_px: 700.0,
-            fy_px: 710.0,
-            cx_px: 645.0,
-            cy_px: 352.0,
-            lens,
-        })
-        .unwrap()
-    }
 
     proptest! {
         #[test]
         fn nearby_rays_equal_single_rays(
             u in 0.0..1279.0f64, v in 0.0..719.0f64, radius_px in 1.0..120.0f64,
         ) {
-            for lens in [
-                Lens::PlumbBob([0.0; 5]),
-                Lens::PlumbBob([-0.28, 0.09, 0.0012, -0.0008, -0.012]),
-                Lens::PlumbBob([0.35, 0.12, -0.002, 0.003, 0.05]),
-                Lens::Rational([8.1, 5.2, 0.0004, -0.0002, 0.21, 8.4, 8.0, 1.3]),
-                Lens::Equidistant([0.0; 4]),
-                Lens::Equidistant([-0.02, 0.011, -0.007, 0.0013]),
-            ] {
+            for lens in lenses() {
                 let camera = camera(lens);
                 let middle = PixelPoint { u, v };
                 let angles: [f64; 8] = std::array::from_fn(|i| i as f64);

@@ -146,36 +146,21 @@ mod tests {
 
     use super::*;
     use crate::{
-        camera::{Intrinsics, Lens},
+        camera::tests::{camera, lenses},
         marker::Code,
     };
-
-    fn camera() -> Camera {
-        Camera::new(Intrinsics {
-            width: 1280,
-            height: 720,
-            fx_px: 800.0,
-            fy_px: 805.0,
-            cx_px: 640.0,
-            cy_px: 355.0,
-            lens: Lens::PlumbBob([-0.2, 0.05, 0.001, -0.001, 0.0]),
-        })
-        .unwrap()
-    }
 
     fn plain(position_m: Vector3<f64>, normal: Vector3<f64>) -> RoundelPose {
         let mut covariance = Covariance6::identity() * 1e-6;
         let mut rotation = covariance.fixed_view_mut::<3, 3>(3, 3);
         rotation += normal * normal.transpose() * UNKNOWN_ANGLE_VARIANCE_RAD2;
-        let (normal_likelihood, other_normal, yaw_rad) = (1.0, normal, None);
-        let yaw_symmetry = 1;
         RoundelPose {
             position_m,
             normal,
-            normal_likelihood,
-            other_normal,
-            yaw_rad,
-            yaw_symmetry,
+            normal_likelihood: 1.0,
+            other_normal: normal,
+            yaw_rad: None,
+            yaw_symmetry: 1,
             covariance,
         }
     }
@@ -191,7 +176,7 @@ mod tests {
 
     #[test]
     fn the_yaw_of_a_drawn_code_is_recovered() {
-        let camera = camera();
+        let camera = camera(lenses()[1]);
         let normal = Vector3::new(0.5, -0.3, -0.8).normalize();
         let pose = plain(Vector3::new(0.4, 0.2, 1.5), normal);
         for yaw_rad in [-3.0, -1.2, 0.0, 0.7, 2.9] {
@@ -212,7 +197,7 @@ mod tests {
 
     #[test]
     fn covariance_contains_the_rotation_by_a_wrong_normal() {
-        let camera = camera();
+        let camera = camera(lenses()[1]);
         let normal = Vector3::new(0.5, -0.3, -0.8).normalize();
         let truth = plain(Vector3::new(0.4, 0.2, 1.5), normal);
         let drawn = reading(&camera, &truth, 0.7);
