@@ -53,17 +53,7 @@ pub struct PoseLanes<T> {
 }
 
 pub fn locate(camera: &Camera, measured: &RingMeasurement) -> Result<RoundelPose, PoseError> {
-    dispatch!(Level::new(), simd => locate_with(simd, camera, measured))
-}
-
-#[simd]
-fn locate_with<S: Simd>(
-    simd: S,
-    camera: &Camera,
-    measured: &RingMeasurement,
-) -> Result<RoundelPose, PoseError> {
-    let _ = simd;
-    fit(&projection::project(camera, &measured.rim_pair())?)
+    dispatch!(Level::new(), _ => fit(&projection::project(camera, &measured.rim_pair())?))
 }
 
 /// As [`locate`] for each ring that is present; the other entries of `poses` keep their values.
@@ -107,21 +97,11 @@ fn locate_each_with<S: Simd>(
         *pose = if valid.is_set(lane) {
             Ok(lanes.pose(lane))
         } else if projected.valid.is_set(lane) {
-            fit_alone(&projected.lane(lane))
+            fit(&projected.lane(lane))
         } else {
             locate(camera, measured[lane])
         };
     }
-}
-
-fn fit_alone(projected: &ConeFrameRims<f64>) -> Result<RoundelPose, PoseError> {
-    dispatch!(Level::new(), simd => fit_with(simd, projected))
-}
-
-#[simd]
-fn fit_with<S: Simd>(simd: S, projected: &ConeFrameRims<f64>) -> Result<RoundelPose, PoseError> {
-    let _ = simd;
-    fit(projected)
 }
 
 /// Vector from the position with the more likely normal to that with the other one, camera frame,

@@ -6,8 +6,7 @@
 //! px up to 110 px at 45° off the axis (test `the_polynomial_is_the_lens`). The effect of a rolling
 //! shutter on a moving ring, linear in the image, is included.
 
-use fearless_simd::{Level, Simd, dispatch};
-use fearless_simd_macros::simd;
+use fearless_simd::{Level, dispatch};
 use nalgebra::{Matrix2, Matrix3, SMatrix, Vector3};
 
 use crate::{
@@ -62,9 +61,8 @@ fn powers() -> impl Iterator<Item = (i32, i32)> {
 
 impl SamplingPlan {
     /// Polynomials of both coordinates.
-    #[simd]
-    fn terms_of<S: Simd>(&self, simd: S, samples: &[[f64; 2]; SAMPLES]) -> [[f64; TERMS]; 2] {
-        let _ = simd;
+    #[inline(always)]
+    fn terms_of(&self, samples: &[[f64; 2]; SAMPLES]) -> [[f64; TERMS]; 2] {
         let mut terms = [[0.0; TERMS]; 2];
         for (row, sample) in self.terms_from_samples.iter().zip(samples) {
             for (terms, value) in terms.iter_mut().zip(sample) {
@@ -114,7 +112,7 @@ impl LocalLens {
             let pixel = image(&(camera_from_local * Vector3::new(spread * x, spread * y, 1.0)))?;
             *sample = [pixel.u - origin.u, pixel.v - origin.v];
         }
-        let found = dispatch!(level, simd => plan.terms_of(simd, &samples));
+        let found = dispatch!(level, _ => plan.terms_of(&samples));
         let mut terms = [[0.0; TERMS]; 2];
         for (axis, terms) in terms.iter_mut().enumerate() {
             for (term, value) in terms.iter_mut().zip(&found[axis]) {

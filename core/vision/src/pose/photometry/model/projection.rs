@@ -147,14 +147,13 @@ fn smear_all<S: Simd>(simd: S, nodes: &mut Nodes, copy: &NodeCopy, by: [f32; 2])
         let of = |list: &[f32]| S::f32s::from_slice(simd, &list[from..from + width]);
         let (u, v) = (of(&nodes.x) + by[0], of(&nodes.y) + by[1]);
         let (du, dv) = (of(&nodes.dx) * copy.share, of(&nodes.dy) * copy.share);
-        store(simd, nodes, to, [u, v, du, dv]);
+        store::<S>(nodes, to, [u, v, du, dv]);
     }
 }
 
 /// Stores column, row and shares of the contour at `start`.
 #[inline(always)]
-fn store<S: Simd>(simd: S, nodes: &mut Nodes, start: usize, [u, v, du, dv]: [S::f32s; 4]) {
-    let _ = simd;
+fn store<S: Simd>(nodes: &mut Nodes, start: usize, [u, v, du, dv]: [S::f32s; 4]) {
     let end = start + S::f32s::LEN;
     u.store_slice(&mut nodes.x[start..end]);
     v.store_slice(&mut nodes.y[start..end]);
@@ -234,7 +233,7 @@ fn project_all<S: Simd>(simd: S, view: &ProjectionTerms, contour: Contour, nodes
         let (v, v1, v2) = polynomial(simd, &view.terms[1], t1, t2);
         let du = (u1 * dt1 + u2 * dt2) * view.sign;
         let dv = (v1 * dt1 + v2 * dt2) * view.sign;
-        store(simd, nodes, start, [u + view.shift[0], v + view.shift[1], du, dv]);
+        store::<S>(nodes, start, [u + view.shift[0], v + view.shift[1], du, dv]);
     }
 }
 

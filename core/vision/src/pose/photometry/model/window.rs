@@ -122,7 +122,7 @@ impl Window {
         let half = (reach / 2) as i32;
         let [(left, right), (top, bottom)] = [0, 1].map(|axis| {
             let steps = &nodes.steps[axis][..];
-            let (min, max) = dispatch!(level, simd => bounds(simd, steps));
+            let (min, max) = dispatch!(level, _ => bounds(steps));
             // NaN has become a step outside the window.
             (min >> PHASES.ilog2(), max >> PHASES.ilog2())
         });
@@ -232,9 +232,8 @@ fn around(row: usize, width: usize) -> Range<usize> {
 }
 
 /// Minimum and maximum.
-#[simd]
-fn bounds<S: Simd>(simd: S, steps: &[i32]) -> (i32, i32) {
-    let _ = simd;
+#[inline(always)]
+fn bounds(steps: &[i32]) -> (i32, i32) {
     let (mut min, mut max) = (i32::MAX, i32::MIN);
     for &step in steps {
         (min, max) = (min.min(step), max.max(step));

@@ -2,8 +2,7 @@
 
 use std::ops::Range;
 
-use fearless_simd::{Level, Simd, dispatch};
-use fearless_simd_macros::simd;
+use fearless_simd::{Level, dispatch};
 use nalgebra::{SMatrix, SVector};
 
 pub const UNKNOWNS: usize = 12;
@@ -25,7 +24,7 @@ impl Cholesky {
     /// Factors a range of rows and columns; `None` unless it is positive definite.
     pub fn new(matrix: &Information, range: Range<usize>) -> Option<Self> {
         let mut factor = Self { range, scale: [0.0; UNKNOWNS], upper: [[0.0; UNKNOWNS]; UNKNOWNS] };
-        let is_one = dispatch!(Level::new(), simd => eliminate(simd, matrix, &mut factor));
+        let is_one = dispatch!(Level::new(), _ => eliminate(&matrix.data.0, &mut factor));
         is_one.then_some(factor)
     }
 
@@ -81,10 +80,8 @@ impl Cholesky {
 }
 
 /// One division per row waits for the row before; divisions and roots dominate the time.
-#[simd]
-fn eliminate<S: Simd>(simd: S, matrix: &Information, factor: &mut Cholesky) -> bool {
-    let _ = simd;
-    let matrix = &matrix.data.0;
+#[inline(always)]
+fn eliminate(matrix: &[[f64; UNKNOWNS]; UNKNOWNS], factor: &mut Cholesky) -> bool {
     let Cholesky { range, scale, upper } = factor;
     for i in range.clone() {
         if !(matrix[i][i] > 0.0 && matrix[i][i].is_finite()) {
