@@ -3,7 +3,7 @@
 //! Nalgebra's types need a `Zero` that a runtime-sized vector does not have. Sums are evaluated in the order written, so
 //! that each lane equals the scalar result.
 
-use std::ops::{Add, Mul, Neg, Sub};
+use std::ops::Mul;
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
@@ -37,12 +37,85 @@ pub struct Mat2<T> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mat3<T>(pub [Vec3<T>; 3]);
 
-impl<T: Lane> Vec2<T> {
-    #[inline(always)]
-    pub fn new(x: T, y: T) -> Self {
-        Self { x, y }
-    }
+/// Implements `lane` by that of each field.
+macro_rules! lane_by_field {
+    ($type:ident { $($field:ident),* }) => {
+        impl<T: Lane> $type<T> {
+            #[inline(always)]
+            pub fn lane(&self, lane: usize) -> $type<f64> {
+                $type { $($field: self.$field.lane(lane)),* }
+            }
+        }
+    };
+}
+pub(crate) use lane_by_field;
 
+/// Implements sums and multiples by component.
+macro_rules! arithmetic {
+    ($type:ident { $($field:ident),* }) => {
+        impl<T: Lane> std::ops::Add for $type<T> {
+            type Output = Self;
+
+            #[inline(always)]
+            fn add(self, other: Self) -> Self {
+                Self { $($field: self.$field + other.$field),* }
+            }
+        }
+
+        impl<T: Lane> std::ops::Sub for $type<T> {
+            type Output = Self;
+
+            #[inline(always)]
+            fn sub(self, other: Self) -> Self {
+                Self { $($field: self.$field - other.$field),* }
+            }
+        }
+
+        impl<T: Lane> std::ops::Neg for $type<T> {
+            type Output = Self;
+
+            #[inline(always)]
+            fn neg(self) -> Self {
+                Self { $($field: -self.$field),* }
+            }
+        }
+
+        impl<T: Lane> std::ops::Mul<T> for $type<T> {
+            type Output = Self;
+
+            #[inline(always)]
+            fn mul(self, by: T) -> Self {
+                Self { $($field: self.$field * by),* }
+            }
+        }
+    };
+}
+pub(crate) use arithmetic;
+
+/// Implements what a vector does by component.
+macro_rules! vector {
+    ($type:ident { $($field:ident),* }) => {
+        arithmetic!($type { $($field),* });
+        lane_by_field!($type { $($field),* });
+
+        impl<T: Lane> $type<T> {
+            #[inline(always)]
+            pub fn new($($field: T),*) -> Self {
+                Self { $($field),* }
+            }
+
+            #[inline(always)]
+            pub fn choose(mask: T::Mask, yes: Self, no: Self) -> Self {
+                Self { $($field: T::choose(mask, yes.$field, no.$field)),* }
+            }
+        }
+    };
+}
+vector!(Vec2 { x, y });
+vector!(Vec3 { x, y, z });
+lane_by_field!(Mat2 { m11, m12, m21, m22 });
+
+impl<T: Lane> Vec2<T> {
     #[inline(always)]
     pub fn dot(self, other: Self) -> T {
         self.x * other.x + self.y * other.y
@@ -57,60 +130,9 @@ impl<T: Lane> Vec2<T> {
     pub fn push(self, z: T) -> Vec3<T> {
         Vec3 { x: self.x, y: self.y, z }
     }
-
-    #[inline(always)]
-    pub fn choose(mask: T::Mask, yes: Self, no: Self) -> Self {
-        Self { x: T::choose(mask, yes.x, no.x), y: T::choose(mask, yes.y, no.y) }
-    }
-
-    #[inline(always)]
-    pub fn lane(self, lane: usize) -> Vec2<f64> {
-        Vec2 { x: self.x.lane(lane), y: self.y.lane(lane) }
-    }
-}
-
-impl<T: Lane> Add for Vec2<T> {
-    type Output = Self;
-
-    #[inline(always)]
-    fn add(self, other: Self) -> Self {
-        Self { x: self.x + other.x, y: self.y + other.y }
-    }
-}
-
-impl<T: Lane> Sub for Vec2<T> {
-    type Output = Self;
-
-    #[inline(always)]
-    fn sub(self, other: Self) -> Self {
-        Self { x: self.x - other.x, y: self.y - other.y }
-    }
-}
-
-impl<T: Lane> Neg for Vec2<T> {
-    type Output = Self;
-
-    #[inline(always)]
-    fn neg(self) -> Self {
-        Self { x: -self.x, y: -self.y }
-    }
-}
-
-impl<T: Lane> Mul<T> for Vec2<T> {
-    type Output = Self;
-
-    #[inline(always)]
-    fn mul(self, by: T) -> Self {
-        Self { x: self.x * by, y: self.y * by }
-    }
 }
 
 impl<T: Lane> Vec3<T> {
-    #[inline(always)]
-    pub fn new(x: T, y: T, z: T) -> Self {
-        Self { x, y, z }
-    }
-
     #[inline(always)]
     pub fn dot(self, other: Self) -> T {
         self.x * other.x + self.y * other.y + self.z * other.z
@@ -133,47 +155,6 @@ impl<T: Lane> Vec3<T> {
     #[inline(always)]
     pub fn xy(self) -> Vec2<T> {
         Vec2 { x: self.x, y: self.y }
-    }
-
-    #[inline(always)]
-    pub fn choose(mask: T::Mask, yes: Self, no: Self) -> Self {
-        Self {
-            x: T::choose(mask, yes.x, no.x),
-            y: T::choose(mask, yes.y, no.y),
-            z: T::choose(mask, yes.z, no.z),
-        }
-    }
-
-    #[inline(always)]
-    pub fn lane(self, lane: usize) -> Vec3<f64> {
-        Vec3 { x: self.x.lane(lane), y: self.y.lane(lane), z: self.z.lane(lane) }
-    }
-}
-
-impl<T: Lane> Add for Vec3<T> {
-    type Output = Self;
-
-    #[inline(always)]
-    fn add(self, other: Self) -> Self {
-        Self { x: self.x + other.x, y: self.y + other.y, z: self.z + other.z }
-    }
-}
-
-impl<T: Lane> Sub for Vec3<T> {
-    type Output = Self;
-
-    #[inline(always)]
-    fn sub(self, other: Self) -> Self {
-        Self { x: self.x - other.x, y: self.y - other.y, z: self.z - other.z }
-    }
-}
-
-impl<T: Lane> Mul<T> for Vec3<T> {
-    type Output = Self;
-
-    #[inline(always)]
-    fn mul(self, by: T) -> Self {
-        Self { x: self.x * by, y: self.y * by, z: self.z * by }
     }
 }
 
@@ -230,16 +211,6 @@ impl<T: Lane> Mat2<T> {
         let [a, b] = yes.columns();
         let [c, d] = no.columns();
         Self::of_columns(Vec2::choose(mask, a, c), Vec2::choose(mask, b, d))
-    }
-
-    #[inline(always)]
-    pub fn lane(self, lane: usize) -> Mat2<f64> {
-        Mat2 {
-            m11: self.m11.lane(lane),
-            m12: self.m12.lane(lane),
-            m21: self.m21.lane(lane),
-            m22: self.m22.lane(lane),
-        }
     }
 }
 

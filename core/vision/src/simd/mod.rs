@@ -24,6 +24,7 @@ use fearless_simd::{
 };
 
 pub use matrix::{Mat2, Mat3, Vec2, Vec3, dot};
+pub(crate) use matrix::{arithmetic, lane_by_field};
 
 /// A truth value per lane.
 pub trait Mask: Copy + BitAnd<Output = Self> + BitOr<Output = Self> + Not<Output = Self> {

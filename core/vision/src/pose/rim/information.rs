@@ -10,7 +10,7 @@ use super::{
     noise::{DiscWeights, RimErrors},
     rim_pair::RimEllipse,
 };
-use crate::simd::{Lane, Vec3};
+use crate::simd::{Lane, Vec3, lane_by_field};
 
 /// Size, shift along either axis, elongation and turn.
 pub type Harmonics<T> = [T; 5];
@@ -29,6 +29,8 @@ pub struct Information<T> {
     pub across: T,
     pub turn: T,
 }
+
+lane_by_field!(Information { size, size_and_elongation, elongation, along, across, turn });
 
 impl<T: Lane> Information<T> {
     /// Also returns where the rim is valid.
@@ -107,17 +109,5 @@ impl<T: Lane> Information<T> {
             self.size_and_elongation * h.x + self.elongation * h.y,
             self.turn * h.z,
         )
-    }
-
-    #[inline(always)]
-    pub fn lane(&self, lane: usize) -> Information<f64> {
-        Information {
-            size: self.size.lane(lane),
-            size_and_elongation: self.size_and_elongation.lane(lane),
-            elongation: self.elongation.lane(lane),
-            along: self.along.lane(lane),
-            across: self.across.lane(lane),
-            turn: self.turn.lane(lane),
-        }
     }
 }

@@ -18,13 +18,13 @@
 //! The omitted third order is limited by [`MAX_BEND`] and [`MAX_CUBIC`]: less than 1e-5 of the rim
 //! (`tests::the_series_agrees_with_the_iteration`, against [`super::lens_iteration`]).
 
-use std::ops::{Add, Mul, Sub};
+use std::ops::Mul;
 
 use super::{
     plane_ellipse::{POINTS, PlaneEllipse},
     rim_pair::RimEllipse,
 };
-use crate::simd::{Lane, Mat2, Vec2};
+use crate::simd::{Lane, Mat2, Vec2, arithmetic};
 
 /// Limits of |a| + |b| + |c| …
 const MAX_BEND: f64 = 6e-3;
@@ -70,6 +70,8 @@ struct HarmonicEllipse<T> {
     r: Complex<T>,
 }
 
+arithmetic!(Complex { re, im });
+
 impl<T: Lane> Complex<T> {
     #[inline(always)]
     fn new(re: T, im: T) -> Self {
@@ -92,11 +94,6 @@ impl<T: Lane> Complex<T> {
     }
 
     #[inline(always)]
-    fn scaled(self, by: T) -> Self {
-        Self { re: self.re * by, im: self.im * by }
-    }
-
-    #[inline(always)]
     fn times(self, by: f64) -> Self {
         Self { re: self.re * by, im: self.im * by }
     }
@@ -105,24 +102,6 @@ impl<T: Lane> Complex<T> {
     #[inline(always)]
     fn size(self) -> T {
         self.re.size() + self.im.size()
-    }
-}
-
-impl<T: Lane> Add for Complex<T> {
-    type Output = Self;
-
-    #[inline(always)]
-    fn add(self, other: Self) -> Self {
-        Self { re: self.re + other.re, im: self.im + other.im }
-    }
-}
-
-impl<T: Lane> Sub for Complex<T> {
-    type Output = Self;
-
-    #[inline(always)]
-    fn sub(self, other: Self) -> Self {
-        Self { re: self.re - other.re, im: self.im - other.im }
     }
 }
 
@@ -243,7 +222,7 @@ impl<T: Lane> Terms<T> {
     fn image_of(&self, of: &HarmonicEllipse<T>) -> HarmonicEllipse<T> {
         let Self { a, b, c, d, e, f, g } = *self;
         let HarmonicEllipse { m: z, p: alpha, r: beta } = *of;
-        let m = z + a * z * z + b.scaled(z.norm_sqr()) + c * (z * z).conj();
+        let m = z + a * z * z + b * z.norm_sqr() + c * (z * z).conj();
         // Derivatives by z and by z̄, without z² times the cubic terms; below, the images of w and
         // w̄ by them.
         let mut straight = (a * z).times(2.0) + b * z.conj();
@@ -257,18 +236,18 @@ impl<T: Lane> Terms<T> {
         let r = straight * beta + mirror * alpha.conj();
         let own_a = a * alpha * alpha + b * alpha * beta.conj() + c * (beta * beta).conj();
         let own_b = (a * alpha * beta + c * (alpha * beta).conj()).times(2.0)
-            + b.scaled(alpha.norm_sqr() + beta.norm_sqr());
+            + b * (alpha.norm_sqr() + beta.norm_sqr());
         let own_c = a * beta * beta + b * beta * alpha.conj() + c * (alpha * alpha).conj();
         // Divided by that image, x ↦ p x + r x̄.
         let per = (p.norm_sqr() - r.norm_sqr()).under(1.0);
-        let (q, s) = (p.conj().scaled(per), r.scaled(per));
+        let (q, s) = (p.conj() * per, r * per);
         let square = alpha.norm_sqr();
         let own = Terms {
             a: q * own_a - s * own_c.conj(),
             b: q * own_b - s * own_b.conj(),
             c: q * own_c - s * own_a.conj(),
             d: d * alpha * alpha,
-            e: e.scaled(square),
+            e: e * square,
             f: f * (alpha * alpha).conj(),
             g,
         };
@@ -276,8 +255,8 @@ impl<T: Lane> Terms<T> {
         let shift = own.a.conj() + own.b;
         HarmonicEllipse {
             m: m + p * shift + r * shift.conj(),
-            p: p.scaled(h0 + 1.0) + r * h.conj(),
-            r: p * h + r.scaled(h0 + 1.0),
+            p: p * (h0 + 1.0) + r * h.conj(),
+            r: p * h + r * (h0 + 1.0),
         }
     }
 }

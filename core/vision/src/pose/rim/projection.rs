@@ -25,7 +25,7 @@ use super::{
 use crate::{
     camera::{Camera, LensError},
     pose::PoseError,
-    simd::{Lane, Mask, Mat2, Mat3, Vec2, Vec3},
+    simd::{Lane, Mask, Mat2, Mat3, Vec2, Vec3, lane_by_field},
 };
 
 /// A rim in the plane z = 1 of a local frame.
@@ -46,6 +46,8 @@ pub struct Rim<T> {
     /// Information about the five harmonics.
     pub information: Information<T>,
 }
+
+lane_by_field!(Rim { radius_m, center, shape, inverse, area_px2, residual_shape, information });
 
 /// Both rims in a frame whose z is the axis of the outer rim's cone, near which the circle lies.
 #[derive(Clone, Copy, Debug)]
@@ -214,21 +216,6 @@ impl<T: Lane> ConeFrameRims<T> {
             local_from_camera: self.local_from_camera.lane(lane),
             rims: [self.rims[0].lane(lane), self.rims[1].lane(lane)],
             valid: self.valid.is_set(lane),
-        }
-    }
-}
-
-impl<T: Lane> Rim<T> {
-    #[inline(always)]
-    fn lane(&self, lane: usize) -> Rim<f64> {
-        Rim {
-            radius_m: self.radius_m.lane(lane),
-            center: self.center.lane(lane),
-            shape: self.shape.lane(lane),
-            inverse: self.inverse.lane(lane),
-            area_px2: self.area_px2.lane(lane),
-            residual_shape: self.residual_shape.lane(lane),
-            information: self.information.lane(lane),
         }
     }
 }
