@@ -5,11 +5,11 @@
 //! depth once |w|² is known, their elongations give w², and the distance of their centres gives w.
 //! Each is a weighted mean, and the tilt follows from the posterior of [`super::tilt_posterior`].
 
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2, Vector3};
 
 use super::{
     cone::Circle,
-    motion_blur::{Covariance5, MODEL_ERROR},
+    motion_blur::MODEL_ERROR,
     refine::{Estimate, Estimates},
     tilt_posterior::{self, Evidence, Lean},
 };
@@ -96,7 +96,10 @@ pub fn estimate(about: &Circle<f64>, rims: &[Rim<f64>; 2]) -> Estimates<f64> {
             depth_m: about.depth_m * (-size - 0.25 * lean.squared).exp(),
             lean: Circle::clamped(Vec2::new(lean.mean.x, lean.mean.y)),
         };
-        let covariance = covariance(lean, per_center, 1.0 / size_information, follow);
+        // α = centre + `follow` w, ln d = size - ¼ |w|².
+        let variances = Vector3::new(per_center, per_center, 1.0 / size_information);
+        let follow = Matrix3x2::new(follow, 0.0, 0.0, follow, 0.0, 0.0);
+        let covariance = lean.joint_covariance(&Matrix3::from_diagonal(&variances), &follow).into();
         // Five of ten numbers are fitted. The misfit comes from the other five: differences of size
         // and elongation, and the distance of the centres against this lean.
         let between = |weights: &[f64; 2]| weights[0] * weights[1] / (weights[0] + weights[1]);
@@ -145,25 +148,4 @@ impl ElongationWeights {
         let weights = [(inner - both) / apart, (outer - both) / apart];
         Self { weights, sigma: ((outer * inner - both * both) / apart).sqrt(), apart }
     }
-}
-
-/// Over (α, ln d, w), with α = centre + `follow` w and ln d = size - ¼ |w|².
-fn covariance(lean: &Lean, center: f64, size: f64, follow: f64) -> Covariance5<f64> {
-    let mut all = [[0.0; 5]; 5];
-    for row in 0..2 {
-        for column in 0..2 {
-            let own = lean.covariance[(row, column)];
-            all[row][column] = own * follow * follow;
-            (all[row][3 + column], all[3 + column][row]) = (own * follow, own * follow);
-            all[3 + row][3 + column] = own;
-        }
-        all[row][row] += center;
-    }
-    all[2][2] = size + 0.0625 * lean.squared_variance;
-    let with_depth = lean.cross * -0.25;
-    for k in 0..2 {
-        (all[2][3 + k], all[3 + k][2]) = (with_depth[k], with_depth[k]);
-        (all[2][k], all[k][2]) = (follow * with_depth[k], follow * with_depth[k]);
-    }
-    all
 }

@@ -28,7 +28,7 @@
 //! bias is then within a third of its rms everywhere (`tests::covariance_matches_the_errors`),
 //! and the stated variance is about that value.
 
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, Matrix3, Matrix3x2, SMatrix, Vector2, Vector3};
 
 use crate::simd::{Lane, Vec2};
 
@@ -55,6 +55,31 @@ pub struct Lean {
     pub squared_variance: f64,
     /// Covariance of `squared` with w.
     pub cross: Vector2<f64>,
+}
+
+impl Lean {
+    /// Covariance of three numbers and the lean. `own` is that of the numbers with the lean held,
+    /// `follow` their derivatives by it; the third one depends on -¼ |w|² as well.
+    pub fn joint_covariance(
+        &self,
+        own: &Matrix3<f64>,
+        follow: &Matrix3x2<f64>,
+    ) -> SMatrix<f64, 5, 5> {
+        let by_square = Vector3::new(0.0, 0.0, -0.25);
+        let with_lean = follow * self.covariance + by_square * self.cross.transpose();
+        let with_square = follow * self.cross * by_square.transpose();
+        let numbers = own
+            + follow * self.covariance * follow.transpose()
+            + with_square
+            + with_square.transpose()
+            + by_square * by_square.transpose() * self.squared_variance;
+        let mut covariance = SMatrix::<f64, 5, 5>::zeros();
+        covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&numbers);
+        covariance.fixed_view_mut::<3, 2>(0, 3).copy_from(&with_lean);
+        covariance.fixed_view_mut::<2, 3>(3, 0).copy_from(&with_lean.transpose());
+        covariance.fixed_view_mut::<2, 2>(3, 3).copy_from(&self.covariance);
+        covariance
+    }
 }
 
 /// One lean, or two hypotheses.

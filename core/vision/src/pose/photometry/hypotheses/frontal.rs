@@ -226,26 +226,8 @@ impl Marginal {
             let change = along.push(lean.mean.dot(&along) / facing);
             normal.cross(&(frame.transpose() * change))
         });
-        FrontalPose { state, covariance: self.covariance(lean, solution.noise2), turns }
-    }
-
-    /// Over shift, logarithm of the range, and w. Shift and range depend on w, the range also on -¼
-    /// |w|².
-    fn covariance(&self, lean: &Lean, noise2: f64) -> Covariance5 {
-        let moved = -self.follow.fixed_rows::<3>(SHIFT);
-        let by_square = Vector3::new(0.0, 0.0, -0.25);
-        let with_lean = moved * lean.covariance + by_square * lean.cross.transpose();
-        let with_square = moved * lean.cross * by_square.transpose();
-        let pose = self.shift_and_range * noise2
-            + moved * lean.covariance * moved.transpose()
-            + with_square
-            + with_square.transpose()
-            + by_square * by_square.transpose() * lean.squared_variance;
-        let mut covariance = Covariance5::zeros();
-        covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&pose);
-        covariance.fixed_view_mut::<3, 2>(0, 3).copy_from(&with_lean);
-        covariance.fixed_view_mut::<2, 3>(3, 0).copy_from(&with_lean.transpose());
-        covariance.fixed_view_mut::<2, 2>(3, 3).copy_from(&lean.covariance);
-        covariance
+        let follow = -self.follow.fixed_rows::<3>(SHIFT);
+        let covariance = lean.joint_covariance(&(self.shift_and_range * solution.noise2), &follow);
+        FrontalPose { state, covariance, turns }
     }
 }
