@@ -219,7 +219,7 @@ impl Marginal {
         let pose = &mut state.pose;
         pose.position_m *= (change[RANGE] + 0.25 * (before - lean.squared)).exp();
         pose.position_m +=
-            Vector3::new(change[SHIFT], change[SHIFT + 1], 0.0) * solution.equations.unit_m;
+            Vector3::new(change[SHIFT], change[SHIFT + 1], 0.0) * solution.equations.ring.unit_m;
         pose.axes = pose.axes_with_normal(&normal);
         let facing = (1.0 - lean.mean.norm_squared()).max(0.0).sqrt();
         let turns = [Vector2::x(), Vector2::y()].map(|along| {

@@ -171,7 +171,7 @@ impl YawStep {
 
     fn applied(&self, solution: Solution) -> Option<(Solution, YawEstimate)> {
         let Solution { state, equations, .. } = &solution;
-        let mut next = state.rotated(self.by_rad).moved(equations.unit_m, &self.change)?;
+        let mut next = state.rotated(self.by_rad).moved(equations.ring.unit_m, &self.change)?;
         let mut equations = equations.clone();
         equations.misfit = (equations.misfit - self.gain).max(0.0);
         equations.gradient = Unknowns::zeros();
@@ -180,7 +180,7 @@ impl YawStep {
         let pose = &mut next.pose;
         let along = |axis: usize| pose.axes.column(axis).into_owned();
         let follow = &self.follow;
-        let across = Vector3::new(follow[SHIFT], follow[SHIFT + 1], 0.0) * equations.unit_m;
+        let across = Vector3::new(follow[SHIFT], follow[SHIFT + 1], 0.0) * equations.ring.unit_m;
         let heading = YawEstimate::new(
             self.variance * noise2,
             across + pose.position_m * follow[RANGE],

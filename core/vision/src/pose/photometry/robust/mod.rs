@@ -246,25 +246,17 @@ impl RobustFit<'_> {
             return (first, None);
         };
         equations.elongation = first.equations.elongation;
-        let other_offset_m = state.pose.position_m - first.state.pose.position_m;
-        let misfit = equations.misfit;
-        if misfit >= first.misfit {
-            return (
-                first,
-                Some(MirrorEstimate { misfit, initial_misfit: misfit, other_offset_m, state }),
-            );
-        }
-        let evaluate_mirrored = MirrorEstimate {
-            misfit: first.misfit,
-            initial_misfit: first.misfit,
-            other_offset_m: -other_offset_m,
-            state: first.state,
+        let (misfit, noise2, iterations) = (equations.misfit, first.noise2, self.iterations);
+        let second = Solution { state, misfit, noise2, iterations, equations };
+        let other_offset_m = second.state.pose.position_m - first.state.pose.position_m;
+        let (better, worse, other_offset_m) = if second.misfit < first.misfit {
+            (second, first, -other_offset_m)
+        } else {
+            (first, second, other_offset_m)
         };
-        let noise2 = first.noise2;
-        (
-            Solution { state, misfit, noise2, iterations: self.iterations, equations },
-            Some(evaluate_mirrored),
-        )
+        let (misfit, state) = (worse.misfit, worse.state);
+        let other = MirrorEstimate { misfit, initial_misfit: misfit, other_offset_m, state };
+        (better, Some(other))
     }
 
     /// Damped Gauss-Newton steps; the flag is set if they converged.
@@ -285,7 +277,7 @@ impl RobustFit<'_> {
             if damping.is_none() && gain < LAST_STEP * noise2 {
                 return Ok((state, equations, true));
             }
-            let next = state.moved(equations.unit_m, &change).ok_or(FitError::OutOfWindow)?;
+            let next = state.moved(equations.ring.unit_m, &change).ok_or(FitError::OutOfWindow)?;
             let bloom_px = self.bloom_px;
             let RobustScratch { cells, saved, .. } = &mut *self.scratch;
             saved.clone_from(cells);
@@ -345,8 +337,8 @@ impl RobustFit<'_> {
         let ModelScratch { level, window, .. } = &mut *self.model;
         pixels::add_all(*level, &model, deviation, window, self.scratch);
         let products = self.summed_products();
-        let scale = linearize::scale(self.problem, state, &model);
-        Ok(NormalEquations::new(state, &products, &scale))
+        let ring = linearize::scale(self.problem, state, &model);
+        Ok(NormalEquations::new(state, &products, ring))
     }
 
     /// Products of the kept cells, with the bloom eliminated where it is free.

@@ -60,7 +60,7 @@ pub fn solve(
         let change =
             equations.bounded_step(&state, noise2, damping.0).ok_or(FitError::Uninformative)?;
         let gain = equations.gain(&change);
-        let next = state.moved(equations.unit_m, &change).ok_or(FitError::OutOfWindow)?;
+        let next = state.moved(equations.ring.unit_m, &change).ok_or(FitError::OutOfWindow)?;
         let left = (equations.misfit - gain).max(0.0);
         let settled = gain < LAST_STEP * equations.noise2_for(left);
         let last = damping.is_none() && (settled || equations.is_converged_by(&state, &change));

@@ -3,7 +3,7 @@
 use nalgebra::{Vector2, Vector3};
 
 use super::{
-    normal_equations::{NormalEquations, ProblemScale},
+    normal_equations::{NormalEquations, RingScale},
     state::{Problem, State},
 };
 use crate::pose::photometry::{
@@ -33,7 +33,7 @@ pub fn linearize(
     let sums = &mut scratch.sums;
     scratch.window.gather(scratch.level, &model, sums, reuse.is_none());
     let mut equations = match reuse {
-        None => NormalEquations::new(state, &sums.products, &scale(problem, state, &model)),
+        None => NormalEquations::new(state, &sums.products, scale(problem, state, &model)),
         Some(reuse) => reuse.updated(&sums.products),
     };
     equations.patch_ratio =
@@ -74,9 +74,9 @@ pub fn radius_px(problem: &Problem, state: &State) -> f64 {
     scale_px * problem.radius_m / (state.pose.position_m.z * problem.lens.spread)
 }
 
-pub fn scale(problem: &Problem, state: &State, model: &PixelModel) -> ProblemScale {
+pub fn scale(problem: &Problem, state: &State, model: &PixelModel) -> RingScale {
     let radius_px = radius_px(problem, state);
-    ProblemScale {
+    RingScale {
         radius_px,
         disc_ratio: problem.kind.mean_ratio(),
         mirror_px: 2.0 * radius_px * model.nearness[1].hypot(model.nearness[2]) as f64,

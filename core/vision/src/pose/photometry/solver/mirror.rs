@@ -63,7 +63,7 @@ pub fn evaluate_mirrored(
 
 /// Whether the mirrored pose displaces the rims by so little that the image is linear in it.
 pub fn is_linear(state: &State, equations: &NormalEquations) -> bool {
-    equations.mirror_px < LINEAR_BLURS * state.edge_px()
+    equations.ring.mirror_px < LINEAR_BLURS * state.edge_px()
 }
 
 /// One step from the mirrored pose, with the information and in the rotations of the other.
@@ -71,9 +71,10 @@ fn step(mirrored: &State, equations: &NormalEquations, noise2: f64) -> Option<Mi
     let mut change = equations.step(mirrored, noise2, 0.0)?;
     let gain = equations.gain(&change);
     negate_turns(&mut change);
-    let other_offset_m = Vector3::new(change[SHIFT], change[SHIFT + 1], 0.0) * equations.unit_m
+    let other_offset_m = Vector3::new(change[SHIFT], change[SHIFT + 1], 0.0)
+        * equations.ring.unit_m
         + mirrored.pose.position_m * change[RANGE];
-    let state = mirrored.moved(equations.unit_m, &change)?;
+    let state = mirrored.moved(equations.ring.unit_m, &change)?;
     Some(MirrorEstimate {
         misfit: equations.misfit - gain,
         initial_misfit: equations.misfit,

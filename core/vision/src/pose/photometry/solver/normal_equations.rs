@@ -6,7 +6,7 @@ use super::{
     cholesky::{Cholesky, Information, Unknowns},
     state::{BLUR, LIGHT, MOTION, SHIFT, STEP, State, TILT, UNKNOWNS, WHITE, column_of},
 };
-use crate::pose::photometry::model::column_products::{COLUMNS, Products, column};
+use crate::pose::photometry::model::column_products::{Products, column};
 
 #[derive(Clone, Debug)]
 pub struct NormalEquations {
@@ -20,19 +20,13 @@ pub struct NormalEquations {
     /// Correlation of the residuals ([`residual_patches`](super::super::model::residual_patches)).
     pub patch_ratio: f64,
     pub mirror: MirrorProducts,
-    /// Displacement of the outer rim by the mirrored pose, pixels.
-    pub mirror_px: f64,
+    pub ring: RingScale,
     /// Whether the information is that of an earlier state.
     pub reused: bool,
-    /// Variance of μ besides its own size, px⁴; `None` where the motion is held.
-    pub motion_prior: Option<f64>,
     /// Information about a displacement of both rims.
     edge_information: f64,
-    radius_px: f64,
     /// Information about the elongation of both rims.
     pub elongation: f64,
-    /// p₃ s: metres per unit of shift.
-    pub unit_m: f64,
 }
 
 /// Products of the mirrored pose's column.
@@ -44,7 +38,8 @@ pub struct MirrorProducts {
 }
 
 /// Size of a ring in the image, and prior of its motion.
-pub struct ProblemScale {
+#[derive(Clone, Copy, Debug)]
+pub struct RingScale {
     /// Radius of the outer rim.
     pub radius_px: f64,
     /// Radius of the disc over that of the outer rim.
@@ -86,10 +81,9 @@ impl NormalEquations {
     pub fn new<const COUNT: usize>(
         state: &State,
         products: &Products<COUNT>,
-        scale: &ProblemScale,
+        ring: RingScale,
     ) -> Self {
-        let ProblemScale { radius_px, disc_ratio, mirror_px, unit_m, motion_prior } = *scale;
-        let motion_prior = motion_prior.filter(|_| COUNT == COLUMNS);
+        let RingScale { radius_px, disc_ratio, motion_prior, .. } = ring;
         let step = state.step;
         let mut scale = Unknowns::repeat(1.0);
         scale[BLUR] = 0.5 * step;
@@ -112,7 +106,6 @@ impl NormalEquations {
         let around = std::f64::consts::TAU * edge * radius_px;
         Self {
             edge_information: around * (1.0 + disc_ratio),
-            radius_px,
             information,
             scale,
             gradient,
@@ -122,13 +115,11 @@ impl NormalEquations {
                 with_residual: products[(0, MIRROR)] * step,
                 own: products[(MIRROR, MIRROR)] * step * step,
             },
-            mirror_px,
+            ring,
             pixels: products[(column::WHITE, column::WHITE)],
             patch_ratio: 1.0,
             reused: false,
-            motion_prior,
             elongation: around * radius_px * (1.0 + disc_ratio * disc_ratio),
-            unit_m,
         }
     }
 
@@ -151,8 +142,8 @@ impl NormalEquations {
         let turn2 = change[TILT].powi(2) + change[TILT + 1].powi(2);
         let motion2 = change[MOTION].powi(2) + change[MOTION + 1].powi(2);
         moved < (LAST_MOVE * self.noise2()).min(LAST_MOVE_PX * LAST_MOVE_PX * self.edge_information)
-            && 0.5 * turn2 * self.radius_px < LAST_BEND_PX
-            && change[BLUR].abs() < LAST_BLUR_PX * self.radius_px
+            && 0.5 * turn2 * self.ring.radius_px < LAST_BEND_PX
+            && change[BLUR].abs() < LAST_BLUR_PX * self.ring.radius_px
             && motion2 < LAST_MOTION_PX2 * LAST_MOTION_PX2
             && motion2 * self.information[(MOTION, MOTION)] < LAST_MOVE * self.noise2()
             && self.is_noise_only()
@@ -192,7 +183,7 @@ impl NormalEquations {
 
     /// All unknowns, without a held motion.
     pub fn free_unknowns(&self) -> Range<usize> {
-        if self.motion_prior.is_some() { MOTION..UNKNOWNS } else { WHITE..UNKNOWNS }
+        if self.ring.motion_prior.is_some() { MOTION..UNKNOWNS } else { WHITE..UNKNOWNS }
     }
 
     pub fn noise2(&self) -> f64 {
@@ -212,7 +203,7 @@ impl NormalEquations {
             information[(LIGHT + axis, LIGHT + axis)] += prior;
             gradient[LIGHT + axis] -= prior * state.light[axis];
         }
-        if let Some(prior) = self.motion_prior {
+        if let Some(prior) = self.ring.motion_prior {
             let prior = noise2 / (prior + state.motion2.norm_squared());
             for axis in 0..2 {
                 information[(MOTION + axis, MOTION + axis)] += prior;

@@ -73,7 +73,7 @@ impl Solution {
     /// Variance by noise of either component of the motion's square, px⁴, without the prior's part;
     /// `None` where the motion was held.
     pub fn motion_variance(&self) -> Option<f64> {
-        let prior = self.equations.motion_prior?;
+        let prior = self.equations.ring.motion_prior?;
         let factor = self.factor()?;
         let variance = |unknown: usize| {
             let mut unit = Unknowns::zeros();
@@ -95,7 +95,7 @@ impl Solution {
         turns: &[Vector3<f64>; 2],
     ) -> Covariance6 {
         let camera_from_local = problem.lens.local_from_camera.transpose();
-        let (unit_m, pose) = (self.equations.unit_m, &state.pose);
+        let (unit_m, pose) = (self.equations.ring.unit_m, &state.pose);
         let mut map = SMatrix::<f64, 6, 5>::zeros();
         let along = [Vector3::x() * unit_m, Vector3::y() * unit_m, pose.position_m];
         for (column, along) in along.into_iter().enumerate() {
