@@ -28,10 +28,8 @@ pub const MAX_NODES: usize = 2 * MAX_RIM_NODES;
 /// Nodes of both rims of a print.
 #[derive(Clone, Copy, Debug)]
 pub struct Contour<'a> {
-    pub x: &'a [f32],
-    pub y: &'a [f32],
-    pub dx: &'a [f32],
-    pub dy: &'a [f32],
+    /// x, y, dx and dy.
+    pub nodes: [&'a [f32]; 4],
     /// Number of nodes of the outer rim, which come first.
     pub outer: usize,
 }
@@ -51,16 +49,13 @@ pub struct Contours {
     /// Ranges of the nodes.
     cached: Vec<(Key, Range<usize>)>,
     /// Nodes of all contours, as in [`Contour`].
-    x: Vec<f32>,
-    y: Vec<f32>,
-    dx: Vec<f32>,
-    dy: Vec<f32>,
+    nodes: [Vec<f32>; 4],
 }
 
 impl Default for Contours {
     fn default() -> Self {
-        let [x, y, dx, dy] = [(); 4].map(|()| Vec::with_capacity(MAX_NODES));
-        Self { cached: Vec::with_capacity(MAX_CONTOURS), x, y, dx, dy }
+        let nodes = [(); 4].map(|()| Vec::with_capacity(MAX_NODES));
+        Self { cached: Vec::with_capacity(MAX_CONTOURS), nodes }
     }
 }
 
@@ -90,10 +85,7 @@ impl Contours {
             None => self.add(key),
         };
         Contour {
-            x: &self.x[range.clone()],
-            y: &self.y[range.clone()],
-            dx: &self.dx[range.clone()],
-            dy: &self.dy[range],
+            nodes: self.nodes.each_ref().map(|list| &list[range.clone()]),
             outer: key.outer_packs * PACK,
         }
     }
@@ -103,13 +95,11 @@ impl Contours {
             teeth.nodes(key.inner[0], spacing(key.outer_packs * PACK)).count().div_ceil(PACK)
         });
         let count = (key.outer_packs + inner_packs) * PACK;
-        if self.cached.len() == MAX_CONTOURS || self.x.len() + count > MAX_NODES {
+        if self.cached.len() == MAX_CONTOURS || self.nodes[0].len() + count > MAX_NODES {
             self.cached.clear();
-            for list in [&mut self.x, &mut self.y, &mut self.dx, &mut self.dy] {
-                list.clear();
-            }
+            self.nodes.iter_mut().for_each(Vec::clear);
         }
-        let first = self.x.len();
+        let first = self.nodes[0].len();
         self.push_ellipse([1.0, 1.0], key.outer_packs * PACK, 1.0);
         match key.teeth {
             None => self.push_ellipse(key.inner, key.inner_packs * PACK, -1.0),
@@ -125,12 +115,9 @@ impl Contours {
     /// The white disc's rim with its teeth, padded with nodes of zero length.
     fn push_teeth(&mut self, teeth: Teeth, ratio: f64, spacing: f64, end: usize) {
         for [x, y, dx, dy] in teeth.nodes(ratio, spacing) {
-            self.x.push(x as f32);
-            self.y.push(y as f32);
-            self.dx.push(-dx as f32);
-            self.dy.push(-dy as f32);
+            self.push([x, y, -dx, -dy]);
         }
-        for list in [&mut self.x, &mut self.y, &mut self.dx, &mut self.dy] {
+        for list in &mut self.nodes {
             list.resize(end, 0.0);
         }
     }
@@ -139,10 +126,13 @@ impl Contours {
         let step = std::f64::consts::TAU / count as f64;
         for i in 0..count {
             let (sin, cos) = (step * i as f64).sin_cos();
-            self.x.push((a * cos) as f32);
-            self.y.push((b * sin) as f32);
-            self.dx.push((-sign * step * a * sin) as f32);
-            self.dy.push((sign * step * b * cos) as f32);
+            self.push([a * cos, b * sin, -sign * step * a * sin, sign * step * b * cos]);
+        }
+    }
+
+    fn push(&mut self, node: [f64; 4]) {
+        for (list, value) in self.nodes.iter_mut().zip(node) {
+            list.push(value as f32);
         }
     }
 }
@@ -162,7 +152,8 @@ mod tests {
         let mut contours = Contours::default();
         let kind = Kind::plain("", 0.2, 0.08);
         let contour = contours.get(&kind, None, 90.0, 0.8);
-        let terms = contour.x.iter().zip(contour.dy);
+        let [x, _, _, dy] = contour.nodes;
+        let terms = x.iter().zip(dy);
         let area: f64 = terms.map(|(x, dy)| f64::from(x * dy)).sum();
         assert!((area - std::f64::consts::PI * (1.0 - 0.16)).abs() < 1e-5, "{area}");
         let pattern = Pattern::Elliptical { minor_diameter_m: 0.06 };
@@ -172,7 +163,8 @@ mod tests {
         };
         // ∬ x² of an ellipse is π a³ b/4; its longer axis lies along x.
         let expected = std::f64::consts::FRAC_PI_4 * (1.0 - 0.4f64.powi(3) * 0.3);
-        assert!((moment(contour.x, contour.dy) - expected).abs() < 1e-5);
+        let [x, _, _, dy] = contour.nodes;
+        assert!((moment(x, dy) - expected).abs() < 1e-5);
     }
 
     #[test]
@@ -180,18 +172,18 @@ mod tests {
         let mut contours = Contours::default();
         let kind = Kind::plain("", 0.2, 0.08);
         let first = |contours: &mut Contours| {
-            let Contour { x, y, dx, dy, outer } = contours.get(&kind, None, 90.0, 0.8);
-            ([x, y, dx, dy].map(<[f32]>::to_vec), outer)
+            let Contour { nodes, outer } = contours.get(&kind, None, 90.0, 0.8);
+            (nodes.map(<[f32]>::to_vec), outer)
         };
         let before = first(&mut contours);
         // The cache holds two of them.
         for around_px in [41_000.0, 40_000.0, 42_000.0] {
             contours.get(&kind, None, around_px, 1.0);
-            assert!(contours.x.len() <= MAX_NODES);
+            assert!(contours.nodes[0].len() <= MAX_NODES);
         }
         assert!(contours.cached.len() < 4);
         assert_eq!(first(&mut contours), before);
         let for_rim = contours.get(&kind, None, f64::INFINITY, 1.0);
-        assert!(for_rim.outer == MAX_RIM_NODES && for_rim.x.len() <= MAX_NODES);
+        assert!(for_rim.outer == MAX_RIM_NODES && for_rim.nodes[0].len() <= MAX_NODES);
     }
 }

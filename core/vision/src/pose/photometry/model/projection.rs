@@ -206,7 +206,7 @@ pub fn project(level: Level, print: &ProjectedPrint, contour: Contour, nodes: &m
         shift: [(lens.origin.u as i64 - window.0) as f32, (lens.origin.v as i64 - window.1) as f32],
         sign: if turn * slope.determinant() > 0.0 { 1.0 } else { -1.0 },
     };
-    nodes.resize(contour.x.len());
+    nodes.resize(contour.nodes[0].len());
     nodes.outer = contour.outer;
     dispatch!(level, simd => project_all(simd, &view, contour, nodes));
 }
@@ -217,12 +217,13 @@ fn project_all<S: Simd>(simd: S, view: &ProjectionTerms, contour: Contour, nodes
     debug_assert!(PACK.is_multiple_of(width));
     let one = S::f32s::splat(simd, 1.0);
     let [[c1, x1, y1], [c2, x2, y2]] = view.above;
-    for start in (0..contour.x.len()).step_by(width) {
+    let [x, y, dx, dy] = contour.nodes;
+    for start in (0..x.len()).step_by(width) {
         let end = start + width;
-        let x = S::f32s::from_slice(simd, &contour.x[start..end]);
-        let y = S::f32s::from_slice(simd, &contour.y[start..end]);
-        let dx = S::f32s::from_slice(simd, &contour.dx[start..end]);
-        let dy = S::f32s::from_slice(simd, &contour.dy[start..end]);
+        let x = S::f32s::from_slice(simd, &x[start..end]);
+        let y = S::f32s::from_slice(simd, &y[start..end]);
+        let dx = S::f32s::from_slice(simd, &dx[start..end]);
+        let dy = S::f32s::from_slice(simd, &dy[start..end]);
         let per_below = one / (x * view.below[0] + y * view.below[1] + one);
         let along_below = dx * view.below[0] + dy * view.below[1];
         let t1 = (x * x1 + y * y1 + c1) * per_below;
