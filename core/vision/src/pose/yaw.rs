@@ -64,7 +64,6 @@ pub fn axes(normal: &Vector3<f64>, yaw_rad: f64) -> Matrix3<f64> {
     turn.to_rotation_matrix().into_inner()
 }
 
-/// The yaw of these axes.
 pub fn from_axes_rad(axes: &Matrix3<f64>) -> f64 {
     let [x, normal] = [0, 2].map(|axis| axes.column(axis).into_owned());
     let x = orientation_of_normal(&normal).inverse() * x;
@@ -111,7 +110,6 @@ pub fn transferred_rad(pose: &RoundelPose, yaw_rad: f64, normal: &Vector3<f64>) 
     x.y.atan2(x.x)
 }
 
-/// Standard deviation of the yaw.
 pub fn deviation_rad(pose: &RoundelPose) -> f64 {
     let rotation = pose.covariance.fixed_view::<3, 3>(3, 3);
     pose.normal.dot(&(rotation * pose.normal)).max(0.0).sqrt()

@@ -91,7 +91,6 @@ impl<T: Lane> Estimates<T> {
     }
 }
 
-/// Result of one Gauss-Newton step.
 #[derive(Clone, Copy)]
 struct GaussNewtonStep<T: Lane> {
     estimate: Estimate<T>,

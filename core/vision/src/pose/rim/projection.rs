@@ -31,7 +31,6 @@ use crate::{
 /// A rim in the plane z = 1 of a local frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Rim<T> {
-    /// Radius of the circle.
     pub radius_m: T,
     /// Centre of the ellipse.
     pub center: Vec2<T>,
@@ -43,7 +42,6 @@ pub struct Rim<T> {
     pub area_px2: T,
     /// Squared relative error of the shape by lens distortion.
     pub residual_shape: T,
-    /// Information about the five harmonics.
     pub information: Information<T>,
 }
 

@@ -9,7 +9,6 @@ use crate::{
     simd::{Lane, Vec2},
 };
 
-/// A rim in the image.
 #[derive(Clone, Copy, Debug)]
 pub struct RimEllipse<T> {
     pub center: Vec2<T>,

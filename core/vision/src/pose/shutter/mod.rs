@@ -142,7 +142,6 @@ impl Shutter {
         &self.skews
     }
 
-    /// Discards all motion.
     pub fn reset(&mut self) {
         self.motions.clear();
     }

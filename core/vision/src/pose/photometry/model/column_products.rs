@@ -11,7 +11,6 @@ use nalgebra::SMatrix;
 pub const COLUMNS: usize = 14;
 /// Columns without those of the motion, which are the last.
 pub const STILL: usize = 12;
-/// Columns multiplied at once.
 const GROUP: usize = 3;
 /// Capacity of the buffer.
 const PIXELS: usize = 256;

@@ -130,7 +130,6 @@ impl Nodes {
     }
 }
 
-/// Range of nodes to copy.
 struct NodeCopy {
     from: usize,
     to: usize,
@@ -190,7 +189,6 @@ pub struct ProjectedPrint<'a> {
     pub window: (i64, i64),
 }
 
-/// Projects a contour into the window.
 pub fn project(level: Level, print: &ProjectedPrint, contour: Contour, nodes: &mut Nodes) {
     let ProjectedPrint { lens, pose, radius_m, window } = *print;
     let (p, axes) = (&pose.position_m, &pose.axes);

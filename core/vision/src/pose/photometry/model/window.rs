@@ -89,7 +89,6 @@ impl Window {
         self.copy_counted(frame, &Chords::new(counted));
     }
 
-    /// Copies the pixels within the chords.
     fn copy_counted(&mut self, frame: &Frame, chords: &Chords) {
         let (left, top) = self.origin;
         let (begin, end) = chords.rows();
@@ -172,7 +171,6 @@ impl Window {
     }
 }
 
-/// Counted pixels of one row.
 #[derive(Clone, Copy)]
 pub struct CountedRow<'a> {
     pub row: usize,
@@ -181,7 +179,6 @@ pub struct CountedRow<'a> {
 }
 
 impl Window {
-    /// The rows that have counted pixels.
     pub fn counted_rows(&self) -> impl Iterator<Item = CountedRow<'_>> {
         let spans = (self.first..).zip(&self.spans).filter(|(_, (from, to))| from < to);
         spans.map(|(row, &(from, to))| {
@@ -204,7 +201,6 @@ impl Window {
         add_up(simd, image, self.width, self.touched[1].clone());
     }
 
-    /// Clears the image.
     #[inline(always)]
     pub fn clear<S: Simd>(&mut self, simd: S) {
         let zero = S::f32s::splat(simd, 0.0);
@@ -231,7 +227,6 @@ fn around(row: usize, width: usize) -> Range<usize> {
     (row - DIFFERENCE) * width..(row + DIFFERENCE + 1) * width + LANES
 }
 
-/// Minimum and maximum.
 #[inline(always)]
 fn bounds(steps: &[i32]) -> (i32, i32) {
     let (mut min, mut max) = (i32::MAX, i32::MIN);

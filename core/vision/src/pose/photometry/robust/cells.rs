@@ -55,7 +55,6 @@ pub struct CellFit {
     pub contrast: f64,
 }
 
-/// Number of cells of a rim.
 pub fn count(around_px: f64) -> usize {
     (around_px / LENGTH_PX).clamp(COUNT.0, COUNT.1).round() as usize
 }
@@ -113,7 +112,6 @@ impl Cell {
         f64::from(self.sums[0][0]) + prior * (off(0) + off(1))
     }
 
-    /// Products with the levels eliminated.
     pub fn marginalized(&self, reference: &Reference) -> Option<Products> {
         let mut products = self.products(reference.levels[1]);
         let (inverse, pull) = self.level_inverse(&products, reference)?;

@@ -55,7 +55,6 @@ const BLOOM_PRIOR_PX: f64 = 0.3;
 const CUT_OFF: f64 = 0.02;
 /// Share of each rim's cells that must agree.
 const MIN_KEPT: f64 = 0.4;
-/// Rounds of rejecting cells.
 const ROUNDS: usize = 6;
 /// Steps of one round.
 const STEPS: usize = 8;
@@ -120,7 +119,6 @@ struct RobustFit<'a> {
     iterations: usize,
 }
 
-/// Fits from a state.
 pub fn solve(
     problem: &Problem,
     start: &State,
@@ -175,7 +173,6 @@ fn estimate(
 }
 
 impl RobustFit<'_> {
-    /// Assigns pixels to cells.
     fn assign_cells(&mut self, state: &State) {
         let RobustScratch { assignment, cells, .. } = &mut *self.scratch;
         let window = &self.model.window;
@@ -323,7 +320,6 @@ impl RobustFit<'_> {
         }
     }
 
-    /// The linear problem at a state.
     fn assemble(&mut self, state: &State) -> Result<NormalEquations, FitError> {
         self.iterations += 1;
         let model = linearize::draw(self.problem, state, self.bloom_px, self.model)?;

@@ -17,7 +17,6 @@ const MAX_STEPS: usize = 16;
 const LAST_STEP: f64 = 0.5;
 /// After a step that promises fewer variances the information is reused.
 const SMALL_STEP: f64 = 100.0;
-/// Smallest damping other than zero.
 const MIN_DAMPING: f64 = 0.01;
 /// A step that promises fewer variances, and does not deliver them, is ignored.
 pub const SETTLED: f64 = 4.0;
@@ -46,7 +45,6 @@ impl Damping {
     }
 }
 
-/// Finds the unknowns from a start.
 pub fn solve(
     problem: &Problem,
     start: State,

@@ -12,11 +12,9 @@ use crate::{
     },
 };
 
-/// Constants of one fit.
 #[derive(Clone, Copy)]
 pub struct Problem<'a> {
     pub kind: &'a Kind,
-    /// Teeth of a coded print.
     pub teeth: Option<Teeth>,
     /// Whether the teeth are those of earlier frames.
     pub teeth_are_predicted: bool,
@@ -28,7 +26,6 @@ pub struct Problem<'a> {
     pub is_still: bool,
 }
 
-/// The unknowns.
 #[derive(Clone, Debug)]
 pub struct State {
     pub pose: PrintPose,
