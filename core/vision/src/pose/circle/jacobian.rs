@@ -8,9 +8,6 @@
 //! | α | I | – | – |
 //! | ln d | -2 r² n_z w | -1 | – |
 //! | w | r² (n_z I - w wᵀ/n_z) | of N = -r² A⁻¹ (e wᵀ + w eᵀ) A⁻ᵀ | likewise |
-//!
-//! With the rims' information W, Σ Jᵀ W J and its inverse consist of blocks for the place (α, ln d)
-//! and the lean.
 
 use super::{
     cone::{Circle, PER_ROOT, shape_harmonics},
@@ -21,21 +18,13 @@ use crate::{
     simd::{Lane, Mat2, Vec2, Vec3, dot},
 };
 
-/// Normal matrix at a circle, with the Jacobians that it is made of.
+/// Jacobians at a circle, and the inverse of Σ Jᵀ W J with the rims' information W.
 pub struct Linearization<T: Lane> {
     pub rims: [RimJacobian<T>; 2],
-    normal: NormalMatrix<T>,
+    pub covariance: Covariance5<T>,
+    /// Where the normal matrix is positive definite.
+    pub valid: T::Mask,
     pub blur: MotionBlur<T>,
-}
-
-/// Blocks of Σ Jᵀ W J.
-#[derive(Clone, Copy)]
-struct NormalMatrix<T> {
-    /// 11, 12, 13, 22, 23 and 33.
-    place: [T; 6],
-    between: [[T; 2]; 3],
-    /// 11, 12 and 22.
-    lean: [T; 3],
 }
 
 #[derive(Clone, Copy)]
@@ -53,65 +42,47 @@ impl<T: Lane> Linearization<T> {
     #[inline(always)]
     pub fn new(circle: &Circle<T>, rims: &[Rim<T>; 2]) -> Self {
         let linear = [RimJacobian::new(circle, &rims[0]), RimJacobian::new(circle, &rims[1])];
-        let normal = linear[0].normal(&rims[0]).plus(&linear[1].normal(&rims[1]));
+        let (mut normal, inner) = (linear[0].normal(&rims[0]), linear[1].normal(&rims[1]));
+        for row in 0..5 {
+            for column in 0..5 {
+                normal[row][column] = normal[row][column] + inner[row][column];
+            }
+        }
         let blur = linear[0].blur.0.plus(&linear[1].blur.0);
-        Self { rims: linear, normal, blur }
-    }
-
-    /// Inverse by the Schur complement of the place, and where the matrix is positive definite.
-    #[inline(always)]
-    pub fn covariance(&self) -> (Covariance5<T>, T::Mask) {
-        let NormalMatrix { place, between: b, lean } = &self.normal;
-        let (place, place_valid) = inverse3(place);
-        let mut follow = *b;
-        for row in 0..3 {
-            for k in 0..2 {
-                follow[row][k] =
-                    place[row][0] * b[0][k] + place[row][1] * b[1][k] + place[row][2] * b[2][k];
+        let valid = sweep::<T, 0>(&mut normal)
+            & sweep::<T, 1>(&mut normal)
+            & sweep::<T, 2>(&mut normal)
+            & sweep::<T, 3>(&mut normal)
+            & sweep::<T, 4>(&mut normal);
+        let mut covariance = normal;
+        for row in 0..5 {
+            for column in 0..5 {
+                covariance[row][column] = -normal[row][column];
             }
         }
-        let mut rest = *lean;
-        for (rest, (k, l)) in rest.iter_mut().zip([(0, 0), (0, 1), (1, 1)]) {
-            *rest =
-                *rest - b[0][k] * follow[0][l] - b[1][k] * follow[1][l] - b[2][k] * follow[2][l];
-        }
-        let [r11, r12, r22] = rest;
-        let determinant = r11 * r22 - r12 * r12;
-        let per = determinant.under(1.0);
-        let (l11, l12, l22) = (r22 * per, -r12 * per, r11 * per);
-        let mut all = [[per; 5]; 5];
-        (all[3][3], all[3][4], all[4][3], all[4][4]) = (l11, l12, l12, l22);
-        for row in 0..3 {
-            let cross = (
-                -(follow[row][0] * l11 + follow[row][1] * l12),
-                -(follow[row][0] * l12 + follow[row][1] * l22),
-            );
-            (all[row][3], all[3][row]) = (cross.0, cross.0);
-            (all[row][4], all[4][row]) = (cross.1, cross.1);
-            for column in row..3 {
-                let own =
-                    place[row][column] - cross.0 * follow[column][0] - cross.1 * follow[column][1];
-                (all[row][column], all[column][row]) = (own, own);
-            }
-        }
-        (all, place_valid & determinant.is_positive() & r11.is_positive())
+        Self { rims: linear, covariance, valid, blur }
     }
 }
 
-impl<T: Lane> NormalMatrix<T> {
-    #[inline(always)]
-    fn plus(mut self, other: &Self) -> Self {
-        for k in 0..6 {
-            self.place[k] = self.place[k] + other.place[k];
+/// The sweep operator on a symmetric matrix; returns where the pivot is positive. After all pivots
+/// the matrix is its inverse with the opposite sign.
+#[inline(always)]
+fn sweep<T: Lane, const PIVOT: usize>(matrix: &mut Covariance5<T>) -> T::Mask {
+    let row = matrix[PIVOT];
+    let per_pivot = row[PIVOT].under(1.0);
+    for i in 0..5 {
+        let by = row[i] * per_pivot;
+        for j in i..5 {
+            let value = matrix[i][j] - by * row[j];
+            (matrix[i][j], matrix[j][i]) = (value, value);
         }
-        for row in 0..3 {
-            for k in 0..2 {
-                self.between[row][k] = self.between[row][k] + other.between[row][k];
-            }
-            self.lean[row] = self.lean[row] + other.lean[row];
-        }
-        self
     }
+    for i in 0..5 {
+        let value = row[i] * per_pivot;
+        (matrix[i][PIVOT], matrix[PIVOT][i]) = (value, value);
+    }
+    matrix[PIVOT][PIVOT] = -per_pivot;
+    row[PIVOT].is_positive()
 }
 
 impl<T: Lane> RimJacobian<T> {
@@ -136,7 +107,7 @@ impl<T: Lane> RimJacobian<T> {
 
     /// This rim's part of Σ Jᵀ W J.
     #[inline(always)]
-    fn normal(&self, rim: &Rim<T>) -> NormalMatrix<T> {
+    fn normal(&self, rim: &Rim<T>) -> [[T; 5]; 5] {
         let (w, i) = (&rim.information, &rim.inverse);
         // Information about the centre in the plane.
         let (along, across) = (w.along * 0.5, w.across * 0.5);
@@ -149,19 +120,16 @@ impl<T: Lane> RimJacobian<T> {
         let (pt1, pt2) = (plane * t1, plane * t2);
         let shape = self.shape_by_lean;
         let (first, second) = (w.times_shape(shape[0]), w.times_shape(shape[1]));
-        NormalMatrix {
-            place: [p11, p12, by_depth.x, p22, by_depth.y, self.by_depth.dot(by_depth) + w.size],
-            between: [
-                [pt1.x, pt2.x],
-                [pt1.y, pt2.y],
-                [by_depth.dot(t1) - first.x, by_depth.dot(t2) - second.x],
-            ],
-            lean: [
-                t1.dot(pt1) + shape[0].dot(first),
-                t1.dot(pt2) + shape[0].dot(second),
-                t2.dot(pt2) + shape[1].dot(second),
-            ],
-        }
+        let (d1, d2) = (by_depth.dot(t1) - first.x, by_depth.dot(t2) - second.x);
+        let t12 = t1.dot(pt2) + shape[0].dot(second);
+        let (d, p, q) = (by_depth, pt1, pt2);
+        [
+            [p11, p12, d.x, p.x, q.x],
+            [p12, p22, d.y, p.y, q.y],
+            [d.x, d.y, self.by_depth.dot(d) + w.size, d1, d2],
+            [p.x, p.y, d1, t1.dot(p) + shape[0].dot(first), t12],
+            [q.x, q.y, d2, t12, t2.dot(q) + shape[1].dot(second)],
+        ]
     }
 
     /// This rim's parts of Σ Jᵀ W h, Σ sᵀ W h and Σ hᵀ W h.
@@ -189,22 +157,4 @@ impl<T: Lane> RimJacobian<T> {
         let blur_gradient = [shape.dot(self.blur.1[0]), shape.dot(self.blur.1[1])];
         (right, blur_gradient, square)
     }
-}
-
-/// Inverse of a symmetric 3 × 3 matrix, given by its upper triangle, and where it is positive
-/// definite.
-#[inline(always)]
-fn inverse3<T: Lane>([m11, m12, m13, m22, m23, m33]: &[T; 6]) -> ([[T; 3]; 3], T::Mask) {
-    let (m11, m12, m13, m22, m23, m33) = (*m11, *m12, *m13, *m22, *m23, *m33);
-    let c11 = m22 * m33 - m23 * m23;
-    let c12 = m13 * m23 - m12 * m33;
-    let c13 = m12 * m23 - m13 * m22;
-    let determinant = m11 * c11 + m12 * c12 + m13 * c13;
-    let c22 = m11 * m33 - m13 * m13;
-    let c23 = m12 * m13 - m11 * m23;
-    let c33 = m11 * m22 - m12 * m12;
-    let per = determinant.under(1.0);
-    let (c12, c13, c23) = (c12 * per, c13 * per, c23 * per);
-    let inverse = [[c11 * per, c12, c13], [c12, c22 * per, c23], [c13, c23, c33 * per]];
-    (inverse, determinant.is_positive() & c33.is_positive() & m11.is_positive())
 }

@@ -109,9 +109,7 @@ impl GaussNewtonStep<f64> {
             }
             let circle = &step.estimate.circle;
             let linear = Linearization::new(circle, rims);
-            let (covariance, valid) = linear.covariance();
-            step = GaussNewtonStep::from(circle, rims, &linear, &covariance, 1.0);
-            step.valid &= valid;
+            step = GaussNewtonStep::from(circle, rims, &linear, 1.0);
         }
         step.valid.then_some(step.estimate)
     }
@@ -121,23 +119,14 @@ impl<T: Lane> GaussNewtonStep<T> {
     #[inline(always)]
     fn both(starts: &[Circle<T>; 2], rims: &[Rim<T>; 2]) -> [Self; 2] {
         let linear = Linearization::new(&starts[0], rims);
-        let (covariance, valid) = linear.covariance();
-        let mirrored = mirrored(&covariance);
-        let mut first = Self::from(&starts[0], rims, &linear, &covariance, 1.0);
-        let mut second = Self::from(&starts[1], rims, &linear, &mirrored, -1.0);
-        (first.valid, second.valid) = (first.valid & valid, second.valid & valid);
+        let first = Self::from(&starts[0], rims, &linear, 1.0);
+        let second = Self::from(&starts[1], rims, &linear, -1.0);
         [first, second]
     }
 
     /// With the derivatives at this circle (`sign` 1) or at its mirror image (-1).
     #[inline(always)]
-    fn from(
-        circle: &Circle<T>,
-        rims: &[Rim<T>; 2],
-        linear: &Linearization<T>,
-        covariance: &Covariance5<T>,
-        sign: f64,
-    ) -> Self {
+    fn from(circle: &Circle<T>, rims: &[Rim<T>; 2], linear: &Linearization<T>, sign: f64) -> Self {
         let (mut right, mut blur_gradient, mut square) =
             linear.rims[0].gradient(circle, &rims[0], sign);
         let (right_inner, smeared_inner, square_inner) =
@@ -149,12 +138,17 @@ impl<T: Lane> GaussNewtonStep<T> {
         for k in 0..5 {
             right[k] = right[k] + right_inner[k];
         }
+        let mut covariance = linear.covariance;
+        // With the mirrored lean only the terms of ln d with α and w change sign.
+        for k in [0, 1, 3, 4] {
+            covariance[2][k] = covariance[2][k] * sign;
+            covariance[k][2] = covariance[k][2] * sign;
+        }
         let mut change = right;
         for row in 0..5 {
             change[row] = dot(&covariance[row], &right);
         }
         let explained = dot(&change, &right);
-        let mut covariance = *covariance;
         let fall = linear.blur.marginalize(blur_gradient, sign, &mut change, &mut covariance);
         let tilted = circle.lean.square();
         let (circle, valid) = circle.moved(&change);
@@ -162,19 +156,9 @@ impl<T: Lane> GaussNewtonStep<T> {
         let misfit = (square - explained - fall).larger(square.splat(0.0));
         // The constant, a microradian squared, ends the iteration for upright circles.
         let is_last = turned.at_most(tilted * LAST_STEP + 1e-12);
+        let valid = valid & linear.valid;
         Self { estimate: Estimate { circle, covariance, misfit }, valid, is_last }
     }
-}
-
-/// The covariance of the circle with the mirrored lean.
-#[inline(always)]
-fn mirrored<T: Lane>(covariance: &Covariance5<T>) -> Covariance5<T> {
-    let mut mirrored = *covariance;
-    for k in [0, 1, 3, 4] {
-        mirrored[2][k] = -mirrored[2][k];
-        mirrored[k][2] = -mirrored[k][2];
-    }
-    mirrored
 }
 
 impl<T: Lane> Estimate<T> {
