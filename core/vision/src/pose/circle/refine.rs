@@ -14,10 +14,15 @@
 //! With the mirrored lean -w only the terms of ln d with α and w change sign, so one normal matrix
 //! and one inverse serve both circles.
 
-use super::{cone::Circle, jacobian::Linearization, motion_blur::Covariance5, tilt_posterior};
+use super::{
+    cone::Circle,
+    jacobian::Linearization,
+    motion_blur::Covariance5,
+    tilt_posterior::{self, LeanSpread},
+};
 use crate::{
     pose::rim::projection::Rim,
-    simd::{Lane, Vec2, Vec3, dot},
+    simd::{Lane, Vec3, dot},
 };
 
 #[derive(Clone, Copy, Debug)]
@@ -162,11 +167,10 @@ impl<T: Lane> GaussNewtonStep<T> {
 }
 
 impl<T: Lane> Estimate<T> {
-    /// Mean of the lean, and 11, 12 and 22 of its covariance.
     #[inline(always)]
-    fn lean(&self) -> (Vec2<T>, [T; 3]) {
+    fn lean(&self) -> LeanSpread<T> {
         let c = &self.covariance;
-        (self.circle.lean, [c[3][3], c[3][4], c[4][4]])
+        LeanSpread { mean: self.circle.lean, covariance: [c[3][3], c[3][4], c[4][4]] }
     }
 
     /// Derivatives of the position by (α, ln d), and of the rotation by w, in the local frame.

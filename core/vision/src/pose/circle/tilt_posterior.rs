@@ -150,7 +150,7 @@ pub fn leans(evidence: &Evidence) -> Leans {
     let lean = |half: &Half| half.lean(bias, root, &along);
     let spread = |half: &Half| {
         let (mean, c) = half.moments();
-        (Vec2::new(mean.x, mean.y), [c.m11, c.m12, c.m22])
+        LeanSpread { mean: Vec2::new(mean.x, mean.y), covariance: [c.m11, c.m12, c.m22] }
     };
     let are_two = are_distinct(&spread(&left), &spread(&right));
     let smaller = left.weight.min(right.weight);
@@ -162,12 +162,20 @@ pub fn leans(evidence: &Evidence) -> Leans {
     Leans { first: lean(&first), other: Some(lean(&other)), likelihood }
 }
 
-/// Where two leans, mean and covariance (11, 12 and 22) each, are two hypotheses and not a broad
-/// one.
+/// Mean of a lean, and 11, 12 and 22 of its covariance.
+#[derive(Clone, Copy)]
+pub struct LeanSpread<T> {
+    pub mean: Vec2<T>,
+    pub covariance: [T; 3],
+}
+
+/// Where two leans are two hypotheses and not a broad one.
 #[inline(always)]
-pub fn are_distinct<T: Lane>(one: &(Vec2<T>, [T; 3]), other: &(Vec2<T>, [T; 3])) -> T::Mask {
-    let apart = one.0 - other.0;
-    let (s11, s12, s22) = (one.1[0] + other.1[0], one.1[1] + other.1[1], one.1[2] + other.1[2]);
+pub fn are_distinct<T: Lane>(one: &LeanSpread<T>, other: &LeanSpread<T>) -> T::Mask {
+    let apart = one.mean - other.mean;
+    let [a11, a12, a22] = one.covariance;
+    let [b11, b12, b22] = other.covariance;
+    let (s11, s12, s22) = (a11 + b11, a12 + b12, a22 + b22);
     let across = s22 * apart.x * apart.x - s12 * apart.x * apart.y * 2.0 + s11 * apart.y * apart.y;
     ((s11 * s22 - s12 * s12) * SEPARATION).below(across)
 }

@@ -66,11 +66,7 @@ fn linear<S: Simd>(simd: S, terms: &[f32; 3], t1: S::f32s, t2: S::f32s) -> S::f3
 
 /// Change of d as the plane's points move along a vector; `radial` is g·t.
 #[inline(always)]
-fn moved<S: Simd>(
-    simd: S,
-    along: &[f32; 3],
-    (g1, g2, radial): (S::f32s, S::f32s, S::f32s),
-) -> S::f32s {
+fn moved<S: Simd>(simd: S, along: &[f32; 3], [g1, g2, radial]: [S::f32s; 3]) -> S::f32s {
     let across = g2.mul_add(S::f32s::splat(simd, along[1]), radial * -along[2]);
     g1.mul_add(S::f32s::splat(simd, along[0]), across)
 }
@@ -120,9 +116,9 @@ pub fn add_row<S: Simd, const MOTION: bool>(
         let x = linear(simd, &model.plane[0], t1, t2);
         let y = linear(simd, &model.plane[1], t1, t2);
         let radial = t1.mul_add(g1, t2 * g2);
-        let lift = moved(simd, &model.lift, (g1, g2, radial));
+        let lift = moved(simd, &model.lift, [g1, g2, radial]);
         let [middle_1, middle_2] = model.middle;
-        let to_middle = moved(simd, &[middle_1, middle_2, 1.0], (g1, g2, radial));
+        let to_middle = moved(simd, &[middle_1, middle_2, 1.0], [g1, g2, radial]);
         let lit = level * weight;
         // In the mirrored pose a point's ray t grows by 1/(2 nearness - 1), from the middle. With x
         // = 2 nearness - 2 this moves it by x/(1 + x); x is a tenth or less, so the series is
