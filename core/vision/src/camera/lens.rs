@@ -99,14 +99,10 @@ impl Lens {
     /// The distorted radius and its derivative at radius r (planar) or angle θ (equidistant), without
     /// tangential terms; `None` past a pole.
     fn radial(&self, radius: f64) -> Option<(f64, f64)> {
-        let s = radius * radius;
         match self {
-            Lens::Equidistant([k1, k2, k3, k4]) => {
-                let scale = 1.0 + s * (k1 + s * (k2 + s * (k3 + s * k4)));
-                let slope = 1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * (7.0 * k3 + s * 9.0 * k4)));
-                Some((radius * scale, slope))
-            }
+            Lens::Equidistant(k) => Some(equidistant_radius(k, radius)),
             _ => {
+                let s = radius * radius;
                 let (g, dg_ds, is_known) = self.planar()?.gain(s);
                 is_known.then_some((radius * g, g + 2.0 * s * dg_ds))
             }
@@ -316,6 +312,16 @@ impl Lens {
             by_image: [along * ux - across * uy, along * uy + across * ux],
         })
     }
+}
+
+/// Radius of the image at an angle to the axis, in focal lengths, and its derivative.
+#[inline(always)]
+pub(super) fn equidistant_radius<T: Lane>(k: &[f64; 4], angle_rad: T) -> (T, T) {
+    let [k1, k2, k3, k4] = *k;
+    let s = angle_rad * angle_rad;
+    let scale = s * (s * (s * (s * k4 + k3) + k2) + k1) + 1.0;
+    let slope = s * (s * (s * (s * (9.0 * k4) + 7.0 * k3) + 5.0 * k2) + 3.0 * k1) + 1.0;
+    (angle_rad * scale, slope)
 }
 
 /// A direction, with its derivative by the image point, in focal lengths.

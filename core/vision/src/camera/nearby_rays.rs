@@ -12,7 +12,10 @@
 //! For `equidistant` the same iteration runs on the angle θ to the axis; sine and cosine follow from the middle's angle
 //! by the addition theorem.
 
-use super::{Camera, Intrinsics, Lens, LensError, PixelPoint, lens::Planar};
+use super::{
+    Camera, Intrinsics, Lens, LensError, PixelPoint,
+    lens::{Planar, equidistant_radius},
+};
 use crate::simd::{Lane, Mask, Vec2, Vec3};
 
 /// Iterations before each pixel is solved separately.
@@ -193,9 +196,7 @@ impl Camera {
             |open| {
                 let mut max = zero;
                 for i in 0..N {
-                    let angle = angle_rad + turned[i];
-                    let s = angle * angle;
-                    let value = angle * (s * (s * (s * (s * k[3] + k[2]) + k[1]) + k[0]) + 1.0);
+                    let (value, _) = equidistant_radius(k, angle_rad + turned[i]);
                     let by = (radius[i] - value) * per_slope;
                     turned[i] = T::choose(open, turned[i] + by, turned[i]);
                     max = largest(max, by.size());
