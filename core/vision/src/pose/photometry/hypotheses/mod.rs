@@ -5,8 +5,6 @@ mod disc_heading;
 mod frontal;
 mod teeth_yaw;
 
-use nalgebra::Vector3;
-
 use super::{
     FitError, FitScratch, robust,
     solver::{
@@ -62,7 +60,7 @@ pub fn estimate_pose(
                 Some(heading) if !solution.is_plain() => Some(heading.inflated(&solution)),
                 _ => heading,
             };
-            (tilted_pose(problem, &mut solution, scratch)?, heading)
+            (tilted_pose(problem, solution, scratch)?, heading)
         }
     };
     if let Some(heading) = heading {
@@ -98,17 +96,17 @@ fn frontal_pose(
 /// explains neither.
 fn tilted_pose(
     problem: &Problem,
-    solution: &mut Solution,
+    mut solution: Solution,
     scratch: &mut FitScratch,
 ) -> Result<PoseEstimate, FitError> {
-    let Solution { state, equations, noise2, .. } = &*solution;
+    let Solution { state, equations, noise2, .. } = &solution;
     let mut other = evaluate_mirrored(problem, state, equations, *noise2, &mut scratch.model);
     if let Some(better) = &other
         && better.misfit < solution.misfit
         && let Ok(found) = gauss_newton::solve(problem, better.state.clone(), &mut scratch.model)
     {
         let normal = |solution: &Solution| solution.state.pose.axes.column(2).into_owned();
-        let back = normal(&found).dot(&normal(solution));
+        let back = normal(&found).dot(&normal(&solution));
         // Near face-on the mirrored pose may have no minimum of its own; then its initial misfit
         // counts.
         let own = back < normal(&found).dot(&solution.state.mirrored().pose.axes.column(2));
@@ -125,7 +123,7 @@ fn tilted_pose(
             state: found.state.clone(),
         });
         if better {
-            *solution = found;
+            solution = found;
         }
     }
     if !solution.is_plain() {
@@ -146,18 +144,7 @@ fn tilted_pose(
         }
         return Ok(estimate);
     }
-    let likelihood = other.as_ref().map_or(1.0, |other| {
-        let worse = (other.misfit - solution.misfit).max(0.0) / solution.noise2;
-        1.0 / (1.0 + (-0.5 * worse).exp())
-    });
-    Ok(PoseEstimate {
-        other_normal: solution.state.mirrored().pose.axes.column(2).into_owned(),
-        likelihood,
-        other_offset_m: other.map_or(Vector3::zeros(), |other| other.other_offset_m),
-        covariance: solution.covariance(problem).ok_or(FitError::Uninformative)?,
-        noise2: solution.noise2,
-        motion_variance: solution.motion_variance(),
-        iterations: solution.iterations,
-        state: solution.state.clone(),
-    })
+    let factor = solution.factor().ok_or(FitError::Uninformative)?;
+    let own = factor.inverse_of_last() * solution.noise2;
+    Ok(solution.estimate(problem, &own, other))
 }

@@ -28,7 +28,7 @@ mod cell_outliers;
 mod cells;
 mod pixels;
 
-use nalgebra::{SVector, Vector3};
+use nalgebra::SVector;
 
 use super::{
     FitError, FitScratch,
@@ -156,20 +156,7 @@ fn estimate(
     let face_on = FACE_ON * (-(tilt / FACE_ON_END).powi(4)).exp() * unit;
     own[(3, 3)] += face_on;
     own[(4, 4)] += face_on;
-    let turns = [0, 1].map(|axis| state.pose.axes.column(axis).into_owned());
-    let worse = second
-        .as_ref()
-        .map_or(f64::INFINITY, |other| (other.misfit - solution.misfit).max(0.0) / noise2);
-    Ok(PoseEstimate {
-        other_normal: state.mirrored().pose.axes.column(2).into_owned(),
-        likelihood: 1.0 / (1.0 + (-0.5 * worse).exp()),
-        other_offset_m: second.map_or(Vector3::zeros(), |other| other.other_offset_m),
-        covariance: solution.in_camera_frame(problem, state, &own, &turns),
-        noise2: *noise2,
-        motion_variance: None,
-        iterations: solution.iterations,
-        state: solution.state,
-    })
+    Ok(solution.estimate(problem, &own, second))
 }
 
 impl RobustFit<'_> {

@@ -5,6 +5,7 @@ use nalgebra::{SMatrix, Vector3};
 use super::{
     cholesky::{Cholesky, Unknowns},
     linearize::project,
+    mirror::MirrorEstimate,
     normal_equations::NormalEquations,
     state::{MOTION, Problem, State},
 };
@@ -57,17 +58,32 @@ impl Solution {
     }
 
     /// Factor of the information with priors.
-    fn factor(&self) -> Option<Cholesky> {
+    pub fn factor(&self) -> Option<Cholesky> {
         let (information, _) = self.equations.with_prior(&self.state, self.noise2);
         Cholesky::new(&information, self.equations.free_unknowns())
     }
 
-    /// Covariance of (position, rotation) in the camera frame.
-    pub fn covariance(&self, problem: &Problem) -> Option<Covariance6> {
-        let own: Covariance5 = self.factor()?.inverse_of_last() * self.noise2;
-        let axes = &self.state.pose.axes;
-        let turns = [0, 1].map(|axis| axes.column(axis).into_owned());
-        Some(self.in_camera_frame(problem, &self.state, &own, &turns))
+    /// This pose with its covariance over shift, range and rotations, and the mirrored one.
+    pub fn estimate(
+        self,
+        problem: &Problem,
+        own: &Covariance5,
+        other: Option<MirrorEstimate>,
+    ) -> PoseEstimate {
+        let turns = [0, 1].map(|axis| self.state.pose.axes.column(axis).into_owned());
+        let worse = other
+            .as_ref()
+            .map_or(f64::INFINITY, |other| (other.misfit - self.misfit).max(0.0) / self.noise2);
+        PoseEstimate {
+            other_normal: self.state.mirrored().pose.axes.column(2).into_owned(),
+            likelihood: 1.0 / (1.0 + (-0.5 * worse).exp()),
+            other_offset_m: other.map_or(Vector3::zeros(), |other| other.other_offset_m),
+            covariance: self.in_camera_frame(problem, &self.state, own, &turns),
+            noise2: self.noise2,
+            motion_variance: self.motion_variance(),
+            iterations: self.iterations,
+            state: self.state,
+        }
     }
 
     /// Variance by noise of either component of the motion's square, px⁴, without the prior's part;
