@@ -125,6 +125,7 @@ impl SetUp {
         let Imaging { noise, blur_px, black, white, .. } = self.imaging;
         Sensor {
             camera: core_camera(&self.camera).expect("a camera as drawn"),
+            lens_uncertainty: None,
             imaging: PlannedImaging { noise, blur_px, black, white },
             mode: self.mode,
             trials: TrialCache::default(),
@@ -168,7 +169,7 @@ impl SetUp {
             let poses = self.course(&mut random);
             let last = poses[poses.len() - 1];
             let truth = last.translation.vector;
-            let Some(expected) = predict(&sensor, None, &kind, &last) else {
+            let Some(expected) = predict(&sensor, &kind, &last) else {
                 missed += 1;
                 continue;
             };

@@ -36,6 +36,8 @@ pub mod visibility;
 pub use monte_carlo::TrialCache;
 use thiserror::Error;
 
+use precision::LensUncertainty;
+
 use roundel_vision::{
     camera::Camera,
     marker::{DetectorError, Kind, Mode, Params},
@@ -64,11 +66,13 @@ impl Default for Imaging {
     }
 }
 
-/// A camera with its image quality and the mode of its detector.
+/// A camera with its lens uncertainty, its image quality and the mode of its detector.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sensor {
     /// Intrinsics.
     pub camera: Camera,
+    /// Uncertainty of the intrinsics; `None` if they are exact.
+    pub lens_uncertainty: Option<LensUncertainty>,
     /// Image quality.
     pub imaging: Imaging,
     /// Mode of the detector.
@@ -163,7 +167,6 @@ mod tests {
 
     use super::{
         map::{MapArea, PlacedCamera, map},
-        precision::LensUncertainty,
         range::detection_range,
         search::{
             Requirements, fewest_cameras, fewest_cameras_of_any_size, scaled, smallest_diameter_m,
@@ -191,6 +194,7 @@ mod tests {
         let camera = Camera::new(intrinsics).unwrap();
         Sensor {
             camera,
+            lens_uncertainty: None,
             imaging: Imaging::default(),
             mode: Mode::Precise,
             trials: TrialCache::default(),
@@ -251,7 +255,7 @@ mod tests {
     fn coverage_of_coded_roundels_requires_reading_the_code() {
         let at = (4.0, 0.0);
         let [plain_m, coded_m] = [kind(), coded(8)]
-            .map(|kind| smallest_diameter_m(&sensor(), None, &kind, at.0, at.1, None).unwrap());
+            .map(|kind| smallest_diameter_m(&sensor(), &kind, at.0, at.1, None).unwrap());
         assert!(plain_m < 0.5 * coded_m && (coded_m / (36.0 * 4.0 / 700.0) - 1.0).abs() < 0.02);
         // From 3.5 m the ring is 32 px wide.
         let mut stations = row(&[0.0]);
@@ -264,13 +268,12 @@ mod tests {
         assert_eq!([plain, unread, read], [1.0, 0.0, 1.0]);
         let requirements =
             Requirements { area, mount_m: [3.0, 3.5], views: 1, share: 1.0, max_m: None };
-        let grid = fewest_cameras(&sensor(), None, &coded(8), &requirements).unwrap();
+        let grid = fewest_cameras(&sensor(), &coded(8), &requirements).unwrap();
         assert!(grid.mount_m < 3.2, "{}", grid.mount_m);
-        let refused =
-            fewest_cameras(&sensor(), None, &coded(12), &requirements).unwrap_err().to_string();
+        let refused = fewest_cameras(&sensor(), &coded(12), &requirements).unwrap_err().to_string();
         assert!(refused.contains("is found and its code read from"), "{refused}");
         assert!(refused.contains("hang 3.00 to 3.50 m above it"), "{refused}");
-        let refused = smallest_diameter_m(&sensor(), None, &coded(8), 1e4, 0.0, None).unwrap_err();
+        let refused = smallest_diameter_m(&sensor(), &coded(8), 1e4, 0.0, None).unwrap_err();
         assert!(refused.to_string().contains("found and its code read at 10000 m"), "{refused}");
     }
 
@@ -280,15 +283,14 @@ mod tests {
         let max_m = Some(1.5e-3);
         let requirements = Requirements { area, mount_m: [2.0, 3.5], views: 1, share: 0.95, max_m };
         let (outer_m, grid) =
-            fewest_cameras_of_any_size(&sensor(), None, &kind(), &requirements).unwrap();
+            fewest_cameras_of_any_size(&sensor(), &kind(), &requirements).unwrap();
         // It meets the requirements with the same number of cameras.
-        let own =
-            fewest_cameras(&sensor(), None, &scaled(&kind(), outer_m), &requirements).unwrap();
+        let own = fewest_cameras(&sensor(), &scaled(&kind(), outer_m), &requirements).unwrap();
         assert_eq!(own.stations.len(), grid.stations.len(), "{outer_m}");
         // No larger roundel needs fewer cameras.
         for larger in [1.0, 1.5, 2.5, 4.0] {
             let found =
-                fewest_cameras(&sensor(), None, &scaled(&kind(), larger * outer_m), &requirements);
+                fewest_cameras(&sensor(), &scaled(&kind(), larger * outer_m), &requirements);
             assert!(found.map_or(usize::MAX, |it| it.stations.len()) >= grid.stations.len());
         }
     }
@@ -329,17 +331,15 @@ mod tests {
     #[test]
     fn the_smallest_roundel_is_just_sufficient() {
         let at = (8.0, 0.3);
-        let outer_m =
-            smallest_diameter_m(&sensor(), None, &kind(), at.0, at.1, Some(2e-3)).unwrap();
+        let outer_m = smallest_diameter_m(&sensor(), &kind(), at.0, at.1, Some(2e-3)).unwrap();
         let error_m = |outer_m: f64| {
             let pose = range::pose_in_front(NormalizedPoint::default(), at.0, at.1);
             let kind = scaled(&kind(), outer_m);
-            precision::predict(&sensor(), None, &kind, &pose).map(|it| it.position_m())
+            precision::predict(&sensor(), &kind, &pose).map(|it| it.position_m())
         };
         assert!(error_m(outer_m).unwrap() <= 2e-3);
         assert!(error_m(0.98 * outer_m).is_none_or(|error_m| error_m > 2e-3));
-        let refused =
-            smallest_diameter_m(&sensor(), None, &kind(), at.0, at.1, Some(1e-6)).unwrap_err();
+        let refused = smallest_diameter_m(&sensor(), &kind(), at.0, at.1, Some(1e-6)).unwrap_err();
         assert!(refused.to_string().contains("the best of this camera is"), "{refused}");
     }
 
@@ -348,7 +348,6 @@ mod tests {
         let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
         let station = |&x_m: &f64| PlacedCamera {
             sensor: sensor(),
-            lens_uncertainty: None,
             place: CameraPlacement {
                 world_from_camera: Rigid::from_parts(Translation3::new(x_m, 0.0, 3.0), down),
                 covariance: Covariance6::zeros(),
@@ -397,7 +396,7 @@ mod tests {
             let mut stations = row(places_m);
             stations
                 .iter_mut()
-                .for_each(|station| station.lens_uncertainty = lens_uncertainty.cloned());
+                .for_each(|station| station.sensor.lens_uncertainty = lens_uncertainty.cloned());
             map(&stations, &kind(), area).unwrap().spots[49].deviation.unwrap().upright_m
         };
         let (exact_m, doubtful_m) =
@@ -414,32 +413,29 @@ mod tests {
         let area = MapArea { min_m: [-2.0, -0.85], max_m: [2.0, 0.85], height_m: 0.0, step_m: 0.1 };
         let requirements =
             Requirements { area, mount_m: [3.0, 3.0], views: 1, share: 0.98, max_m: None };
-        let grid = fewest_cameras(&sensor(), None, &kind(), &requirements).unwrap();
+        let grid = fewest_cameras(&sensor(), &kind(), &requirements).unwrap();
         // A picture covers 2.74 x 2.06 m of the floor.
         assert_eq!(grid.counts, [2, 1], "{:?}", grid.map.summary());
         assert!(grid.map.summary().seen_share >= 0.98);
         let twice =
-            fewest_cameras(&sensor(), None, &kind(), &Requirements { views: 2, ..requirements })
-                .unwrap();
+            fewest_cameras(&sensor(), &kind(), &Requirements { views: 2, ..requirements }).unwrap();
         assert!(twice.stations.len() > 2 && twice.map.summary().twice_share >= 0.98);
         let refused =
-            fewest_cameras(&sensor(), None, &scaled(&kind(), 0.008), &requirements).unwrap_err();
+            fewest_cameras(&sensor(), &scaled(&kind(), 0.008), &requirements).unwrap_err();
         assert!(refused.to_string().contains("hang 3.00 to 3.00 m above it"), "{refused}");
         let low = fewest_cameras(
             &sensor(),
-            None,
             &kind(),
             &Requirements { mount_m: [-1.0, 2.0], ..requirements },
         );
         assert!(low.unwrap_err().to_string().starts_with("mount: expected metres, 0.05"));
         // The lowest mount is too near, a higher one suffices.
         let wide = Requirements { mount_m: [0.1, 3.0], share: 0.6, ..requirements };
-        assert!(fewest_cameras(&sensor(), None, &kind(), &wide).unwrap().mount_m > 1.0);
+        assert!(fewest_cameras(&sensor(), &kind(), &wide).unwrap().mount_m > 1.0);
         // An arena too large for the maximum number of cameras.
         let area = MapArea { min_m: [-400.0; 2], max_m: [400.0; 2], ..requirements.area };
         let refused =
-            fewest_cameras(&sensor(), None, &kind(), &Requirements { area, ..requirements })
-                .unwrap_err();
+            fewest_cameras(&sensor(), &kind(), &Requirements { area, ..requirements }).unwrap_err();
         assert!(
             refused.to_string().contains("64 times the 6 m² that one sees from 3 m"),
             "{refused}"

@@ -13,11 +13,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use nalgebra::{Matrix3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 
-use super::{
-    PlanError, Sensor,
-    precision::{LensUncertainty, predict},
-    within,
-};
+use super::{PlanError, Sensor, precision::predict, within};
 use roundel_fusion::world::{CameraPlacement, FusionParams, seen_in_world};
 use roundel_vision::{
     camera::PixelPoint,
@@ -37,8 +33,6 @@ const MAX_DISTANCE_M: f64 = 60.0;
 pub struct PlacedCamera {
     /// The camera.
     pub sensor: Sensor,
-    /// Uncertainty of its lens; `None` if it is exact.
-    pub lens_uncertainty: Option<LensUncertainty>,
     /// Its pose with covariance.
     pub place: CameraPlacement,
     /// Parts of the picture that are ignored.
@@ -175,8 +169,7 @@ impl PlacedCamera {
         params: &FusionParams,
     ) -> Option<Matrix3<f64>> {
         let camera_from_roundel = self.place.world_from_camera.inv_mul(world_from_roundel);
-        let expected =
-            predict(&self.sensor, self.lens_uncertainty.as_ref(), kind, &camera_from_roundel)?;
+        let expected = predict(&self.sensor, kind, &camera_from_roundel)?;
         if !expected.is_readable || self.mask.covers(expected.image.ring.outer.center) {
             return None;
         }

@@ -424,7 +424,7 @@ mod tests {
             assert!(is_detected(&sensor, &kind(), &seen));
             let factors = factors(&sensor, &kind(), &seen, &pose.translation.vector);
             let by_formula = predict_pose(&sensor, &kind(), &seen).unwrap();
-            let expected = predict(&sensor, None, &kind(), &pose).unwrap();
+            let expected = predict(&sensor, &kind(), &pose).unwrap();
             let by_formula: Matrix3<f64> = by_formula.covariance.fixed_view::<3, 3>(0, 0).into();
             let ratio = expected.depth_m() / along_m(&by_formula, &pose.translation.vector);
             assert!((ratio / factors.along - 1.0).abs() < 1e-9, "{ratio} {factors:?}");

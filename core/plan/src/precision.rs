@@ -59,12 +59,7 @@ pub struct Prediction {
 }
 
 /// Predicts the detection of a roundel at a pose; `None` if it is not detected.
-pub fn predict(
-    sensor: &Sensor,
-    lens_uncertainty: Option<&LensUncertainty>,
-    kind: &Kind,
-    camera_from_roundel: &Rigid,
-) -> Option<Prediction> {
+pub fn predict(sensor: &Sensor, kind: &Kind, camera_from_roundel: &Rigid) -> Option<Prediction> {
     // The centre alone excludes most roundels outside of the view.
     let center = sensor.camera.project(&camera_from_roundel.translation.vector).ok()?;
     if !sensor.camera.contains(center) {
@@ -83,7 +78,7 @@ pub fn predict(
     block.copy_from(&(scaled * &block));
     let mut block = pose.covariance.fixed_view_mut::<6, 3>(0, 0);
     block.copy_from(&(&block * scaled));
-    let by_lens_m2 = match lens_uncertainty {
+    let by_lens_m2 = match &sensor.lens_uncertainty {
         Some(lens_uncertainty) => {
             let (solid_kind, noise) = (without_teeth(kind), rim_noise(sensor, kind, &image));
             let located = |camera: &Camera| locate(camera, &solid_kind, &image.ring, &noise);
@@ -177,22 +172,18 @@ mod tests {
     use super::*;
     use roundel_vision::camera::NormalizedPoint;
 
-    fn face_on(
-        sensor: &Sensor,
-        lens_uncertainty: Option<&LensUncertainty>,
-        diameter_px: f64,
-    ) -> Prediction {
+    fn face_on(sensor: &Sensor, diameter_px: f64) -> Prediction {
         let kind = Kind::plain("", 0.16, 0.064);
         let distance_m = sensor.camera.intrinsics().fx_px * 0.16 / diameter_px;
         let pose = pose_in_front(NormalizedPoint::default(), distance_m, 0.0);
-        predict(sensor, lens_uncertainty, &kind, &pose).unwrap()
+        predict(sensor, &kind, &pose).unwrap()
     }
 
     /// With a known tilt it would be 1/7000 (the Cramér-Rao bound of the pixels); face-on, the unknown tilt adds to
     /// it.
     #[test]
     fn the_distance_error_at_30_px_is_a_fortieth_of_a_percent() {
-        let expected = face_on(&sensor(), None, 30.5);
+        let expected = face_on(&sensor(), 30.5);
         let share = expected.depth_m() / expected.pose.position_m.norm();
         assert!((1.42e-4..2.9e-4).contains(&share), "{share}");
         // Half of the rim's length, 30.5 π 1.4 px, contributes to each direction.
@@ -202,16 +193,16 @@ mod tests {
 
     #[test]
     fn noise_and_an_uncertain_lens_reduce_precision() {
-        let clean = face_on(&sensor(), None, 30.0).depth_m();
+        let clean = face_on(&sensor(), 30.0).depth_m();
         let mut noisy = sensor();
         noisy.imaging.noise = 4.0;
-        let ratio = face_on(&noisy, None, 30.0).depth_m() / clean;
+        let ratio = face_on(&noisy, 30.0).depth_m() / clean;
         assert!((1.3..3.0).contains(&ratio), "{ratio}");
         // Both focal lengths are off by one thousandth, and so is the distance.
         let mut covariance = DMatrix::zeros(4, 4);
         covariance.view_mut((0, 0), (2, 2)).fill(0.7f64.powi(2));
-        let lens_uncertainty = LensUncertainty { free: Vec::new(), covariance };
-        let expected = face_on(&sensor(), Some(&lens_uncertainty), 30.0);
+        let lens_uncertainty = Some(LensUncertainty { free: Vec::new(), covariance });
+        let expected = face_on(&Sensor { lens_uncertainty, ..sensor() }, 30.0);
         let by_lens = expected.depth_m().powi(2) - clean.powi(2);
         let share = by_lens.sqrt() / expected.pose.position_m.norm();
         assert!((share / 1e-3 - 1.0).abs() < 0.1, "{share}");

@@ -66,7 +66,8 @@ impl TrialSetup {
     /// For a kind with the outer diameter [`OUTER_M`].
     pub fn new(focal_px: f64, imaging: Imaging, mode: Mode, kind: Kind) -> Self {
         let camera = square(focal_px, 1, 0.0);
-        Self { sensor: Sensor { camera, imaging, mode, trials: TrialCache::default() }, kind }
+        let trials = TrialCache::default();
+        Self { sensor: Sensor { camera, lens_uncertainty: None, imaging, mode, trials }, kind }
     }
 
     /// Runs the trials of a geometry and passes each counted frame with the located position, if any, until

@@ -10,7 +10,7 @@ use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use super::{
     PlanError, Sensor,
     map::{Map, MapArea, PlacedCamera, Summary, map},
-    precision::{LensUncertainty, predict},
+    precision::predict,
     range::{detection_range, pose_in_front},
     visibility::requirement,
     within,
@@ -55,7 +55,6 @@ pub fn scaled(kind: &Kind, outer_m: f64) -> Kind {
 /// the optical axis, with code read if coded, and located with an rms error of at most `max_m`.
 pub fn smallest_diameter_m(
     sensor: &Sensor,
-    lens_uncertainty: Option<&LensUncertainty>,
     kind: &Kind,
     distance_m: f64,
     tilt_rad: f64,
@@ -68,7 +67,7 @@ pub fn smallest_diameter_m(
     }
     let error_m = |outer_m: f64| {
         let pose = pose_in_front(NormalizedPoint::default(), distance_m, tilt_rad);
-        let expected = predict(sensor, lens_uncertainty, &scaled(kind, outer_m), &pose)?;
+        let expected = predict(sensor, &scaled(kind, outer_m), &pose)?;
         expected.is_readable.then(|| expected.position_m())
     };
     let is_sufficient = |outer_m: f64| {
@@ -138,7 +137,6 @@ pub struct Grid {
 /// The fewest cameras that meet the requirements, and among equal numbers the most precise grid.
 pub fn fewest_cameras(
     sensor: &Sensor,
-    lens_uncertainty: Option<&LensUncertainty>,
     kind: &Kind,
     requirements: &Requirements,
 ) -> Result<Grid, PlanError> {
@@ -146,8 +144,7 @@ pub fn fewest_cameras(
     let area = requirements.check()?;
     let is_sufficient = |mount_m: f64| {
         let straight = pose_in_front(NormalizedPoint::default(), mount_m - area.height_m, 0.0);
-        predict(sensor, lens_uncertainty, kind, &straight)
-            .is_some_and(|expected| expected.is_readable)
+        predict(sensor, kind, &straight).is_some_and(|expected| expected.is_readable)
     };
     if !heights(requirements.mount_m).any(is_sufficient) {
         let range = detection_range(sensor, kind, 0.0)?;
@@ -164,7 +161,7 @@ pub fn fewest_cameras(
             requirements.mount_m[1],
         )));
     }
-    search_grids(sensor, lens_uncertainty, requirements, |grid, found: Option<&Grid>, closest| {
+    search_grids(sensor, requirements, |grid, found: Option<&Grid>, closest| {
         let (share, grid) = requirements.judged(grid, kind, area)?;
         closest.offer(share, &grid);
         let p95_m = |grid: &Grid| grid.map.summary().p95_m;
@@ -176,7 +173,6 @@ pub fn fewest_cameras(
 /// The fewest cameras that meet the requirements with roundels of any size, and the required diameter, metres.
 pub fn fewest_cameras_of_any_size(
     sensor: &Sensor,
-    lens_uncertainty: Option<&LensUncertainty>,
     kind: &Kind,
     requirements: &Requirements,
 ) -> Result<(f64, Grid), PlanError> {
@@ -184,50 +180,37 @@ pub fn fewest_cameras_of_any_size(
     let area = requirements.check()?;
     // Returns the reason if no roundel suffices.
     let lowest_m = requirements.mount_m[0] - area.height_m;
-    smallest_diameter_m(sensor, lens_uncertainty, kind, lowest_m, 0.0, requirements.max_m)?;
-    search_grids(
-        sensor,
-        lens_uncertainty,
-        requirements,
-        |grid, found: Option<&(f64, Grid)>, closest| {
-            let straight_m = grid.mount_m - area.height_m;
-            let min_m = smallest_diameter_m(
-                sensor,
-                lens_uncertainty,
-                kind,
-                straight_m,
-                0.0,
-                requirements.max_m,
-            );
-            let Ok(min_m) = min_m else { return Ok(None) };
-            let judged =
-                |outer_m: f64| requirements.judged(grid.clone(), &scaled(kind, outer_m), area);
-            let mut bad_m = min_m;
-            for outer_m in DIAMETER_STEPS.map(|step| min_m * step) {
-                if found.is_some_and(|(smallest_m, _)| *smallest_m <= outer_m) {
-                    break;
-                }
-                let (share, judged_grid) = judged(outer_m)?;
-                closest.offer(share, &judged_grid);
-                if share < requirements.share {
-                    bad_m = outer_m;
-                    continue;
-                }
-                let (mut good_m, mut good) = (outer_m, judged_grid);
-                while (good_m / bad_m).ln() > GRID_SHARE {
-                    let middle_m = (good_m * bad_m).sqrt();
-                    let (share, judged_grid) = judged(middle_m)?;
-                    if share >= requirements.share {
-                        (good_m, good) = (middle_m, judged_grid);
-                    } else {
-                        bad_m = middle_m;
-                    }
-                }
-                return Ok(Some((good_m, good)));
+    smallest_diameter_m(sensor, kind, lowest_m, 0.0, requirements.max_m)?;
+    search_grids(sensor, requirements, |grid, found: Option<&(f64, Grid)>, closest| {
+        let straight_m = grid.mount_m - area.height_m;
+        let min_m = smallest_diameter_m(sensor, kind, straight_m, 0.0, requirements.max_m);
+        let Ok(min_m) = min_m else { return Ok(None) };
+        let judged = |outer_m: f64| requirements.judged(grid.clone(), &scaled(kind, outer_m), area);
+        let mut bad_m = min_m;
+        for outer_m in DIAMETER_STEPS.map(|step| min_m * step) {
+            if found.is_some_and(|(smallest_m, _)| *smallest_m <= outer_m) {
+                break;
             }
-            Ok(None)
-        },
-    )
+            let (share, judged_grid) = judged(outer_m)?;
+            closest.offer(share, &judged_grid);
+            if share < requirements.share {
+                bad_m = outer_m;
+                continue;
+            }
+            let (mut good_m, mut good) = (outer_m, judged_grid);
+            while (good_m / bad_m).ln() > GRID_SHARE {
+                let middle_m = (good_m * bad_m).sqrt();
+                let (share, judged_grid) = judged(middle_m)?;
+                if share >= requirements.share {
+                    (good_m, good) = (middle_m, judged_grid);
+                } else {
+                    bad_m = middle_m;
+                }
+            }
+            return Ok(Some((good_m, good)));
+        }
+        Ok(None)
+    })
 }
 
 /// The grid that comes closest to the requirements, with its share of sufficient spots.
@@ -246,14 +229,13 @@ impl Closest {
 /// so far with as many cameras.
 fn search_grids<T>(
     sensor: &Sensor,
-    lens_uncertainty: Option<&LensUncertainty>,
     requirements: &Requirements,
     mut improve: impl FnMut(Grid, Option<&T>, &mut Closest) -> Result<Option<T>, PlanError>,
 ) -> Result<T, PlanError> {
     let mut closest = Closest::default();
     for count in 1..=MAX_CAMERAS {
         let mut found = None;
-        for grid in candidate_grids(count, requirements, sensor, lens_uncertainty) {
+        for grid in candidate_grids(count, requirements, sensor) {
             if let Some(better) = improve(grid, found.as_ref(), &mut closest)? {
                 found = Some(better);
             }
@@ -356,7 +338,6 @@ fn candidate_grids<'a>(
     count: usize,
     requirements: &'a Requirements,
     sensor: &'a Sensor,
-    lens_uncertainty: Option<&'a LensUncertainty>,
 ) -> impl Iterator<Item = Grid> + 'a {
     let pairs = (1..=count).filter(move |columns| count.is_multiple_of(*columns));
     let grids = pairs.flat_map(move |columns| {
@@ -368,8 +349,7 @@ fn candidate_grids<'a>(
         if !could_cover(requirements, sensor, counts, mount_m) {
             return None;
         }
-        let stations =
-            downward_cameras(requirements, sensor, lens_uncertainty, counts, mount_m, is_turned);
+        let stations = downward_cameras(requirements, sensor, counts, mount_m, is_turned);
         let (area, spots, seen_shares) = (requirements.area, Vec::new(), Vec::new());
         let map = Map { area, columns: 0, rows: 0, spots, seen_shares };
         Some(Grid { counts, mount_m, is_turned, stations, map })
@@ -409,7 +389,6 @@ fn could_cover(
 fn downward_cameras(
     requirements: &Requirements,
     sensor: &Sensor,
-    lens_uncertainty: Option<&LensUncertainty>,
     counts: [usize; 2],
     mount_m: f64,
     is_turned: bool,
@@ -428,7 +407,6 @@ fn downward_cameras(
     (0..counts[0] * counts[1])
         .map(|index| PlacedCamera {
             sensor: sensor.clone(),
-            lens_uncertainty: lens_uncertainty.cloned(),
             place: CameraPlacement {
                 world_from_camera: place(index),
                 covariance: Covariance6::zeros(),

@@ -205,6 +205,7 @@ fn predict_errors(lens: &Calibrated, distance_m: f64) -> anyhow::Result<Predicte
         let blur_px = (imaging.blur_px.powi(2) + smear_px * smear_px / 24.0).sqrt();
         let sensor = Sensor {
             camera: core_camera(&lens.optics)?,
+            lens_uncertainty: None,
             imaging: PlannedImaging {
                 noise: imaging.noise,
                 blur_px,
@@ -214,8 +215,7 @@ fn predict_errors(lens: &Calibrated, distance_m: f64) -> anyhow::Result<Predicte
             mode: Mode::Precise,
             trials: trials.clone(),
         };
-        let expected =
-            predict(&sensor, None, &kind, &pose).context("a target that would be found")?;
+        let expected = predict(&sensor, &kind, &pose).context("a target that would be found")?;
         anyhow::Ok([expected.across_m(), expected.depth_m()])
     };
     // Means of distances on a plane and along a line, with the contribution of the four that define the frame, 0.48

@@ -51,15 +51,15 @@ pub fn from_config(camera: &CameraConfig, imaging: Imaging, trials: &TrialCache)
             }
             PoseConfig::Mounted(_) => return Err("it is mounted on an object".to_owned()),
         };
-        let (calibration, mode) = (camera.calibration.clone(), camera.mode);
-        let sensor = Sensor { camera: calibration, imaging, mode, trials: trials.clone() };
         let mask = Mask::of_polygons(&camera.mask).map_err(|error| error.to_string())?;
-        Ok(Box::new(PlacedCamera {
-            sensor,
+        let sensor = Sensor {
+            camera: camera.calibration.clone(),
             lens_uncertainty: camera.lens_uncertainty.clone(),
-            place,
-            mask,
-        }))
+            imaging,
+            mode: camera.mode,
+            trials: trials.clone(),
+        };
+        Ok(Box::new(PlacedCamera { sensor, place, mask }))
     };
     PlannedCamera { name: camera.name.clone(), station: station() }
 }
@@ -91,8 +91,8 @@ pub fn from_running(
         let mode = if is_fast { Mode::Fast } else { Mode::Precise };
         let mask = Mask::of_polygons(&info.mask).map_err(|error| error.to_string())?;
         let lens_uncertainty = info.lens_uncertainty.clone();
-        let sensor = Sensor { camera, imaging, mode, trials: trials.clone() };
-        Ok(Box::new(PlacedCamera { sensor, lens_uncertainty, place, mask }))
+        let sensor = Sensor { camera, lens_uncertainty, imaging, mode, trials: trials.clone() };
+        Ok(Box::new(PlacedCamera { sensor, place, mask }))
     };
     PlannedCamera { name: info.name.clone(), station: station() }
 }

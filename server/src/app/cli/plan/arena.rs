@@ -86,7 +86,7 @@ pub(super) fn plan_arena(
     arguments: &PlanArgs,
     arena_m: [f64; 2],
 ) -> anyhow::Result<(String, PlanMap)> {
-    let (sensor, doubt, _) = optics::sensor(arguments)?;
+    let (sensor, _) = optics::sensor(arguments)?;
     let kind = Kind { name: "the roundel".to_owned(), ..arguments.kind()? };
     let Some(mount_m) = arguments.mount else {
         bail!(
@@ -111,12 +111,12 @@ pub(super) fn plan_arena(
     };
     let (kind, size, grid) = match (arguments.marker, most_m) {
         (None, Some(_)) => {
-            let (outer_m, grid) = search_with_size(&sensor, doubt.as_ref(), &kind, &requirements)?;
+            let (outer_m, grid) = search_with_size(&sensor, &kind, &requirements)?;
             (scaled(&kind, outer_m), Size::Searched, grid)
         }
         (marker, _) => {
             let size = if marker.is_some() { Size::Given } else { Size::Assumed };
-            let grid = search(&sensor, doubt.as_ref(), &kind, &requirements)?;
+            let grid = search(&sensor, &kind, &requirements)?;
             (kind, size, grid)
         }
     };

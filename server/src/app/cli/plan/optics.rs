@@ -3,7 +3,7 @@
 use anyhow::{Context, bail};
 use roundel_core::{
     camera::{Camera, Intrinsics, Lens, PixelPoint},
-    plan::{Sensor, TrialCache, precision::LensUncertainty},
+    plan::{Sensor, TrialCache},
 };
 
 use super::PlanArgs;
@@ -12,11 +12,9 @@ use crate::model::camera_file;
 /// Allowed horizontal fields of view of a pinhole camera, degrees.
 const FOV_RANGE_DEG: std::ops::RangeInclusive<f64> = 1.0..=150.0;
 
-/// The camera, the uncertainty of its lens, and its name in the report.
-pub(super) fn sensor(
-    arguments: &PlanArgs,
-) -> anyhow::Result<(Sensor, Option<LensUncertainty>, String)> {
-    let (camera, uncertainty, name) = if let Some(path) = &arguments.camera {
+/// The camera, and its name in the report.
+pub(super) fn sensor(arguments: &PlanArgs) -> anyhow::Result<(Sensor, String)> {
+    let (camera, lens_uncertainty, name) = if let Some(path) = &arguments.camera {
         let (camera, uncertainty) = camera_file::load_with_uncertainty(path)?;
         (camera, uncertainty, path.display().to_string())
     } else if let (Some(size), Some(fov_deg)) = (arguments.resolution, arguments.fov) {
@@ -28,8 +26,8 @@ pub(super) fn sensor(
         );
     };
     let (imaging, mode) = (arguments.imaging(), arguments.mode.unwrap_or_default());
-    let sensor = Sensor { camera, imaging, mode, trials: TrialCache::default() };
-    Ok((sensor, uncertainty, name))
+    let trials = TrialCache::default();
+    Ok((Sensor { camera, lens_uncertainty, imaging, mode, trials }, name))
 }
 
 fn pinhole((width, height): (usize, usize), fov_deg: f64) -> anyhow::Result<Camera> {

@@ -31,7 +31,6 @@ struct PlanResult {
     range: DetectionRange,
     distance_m: f64,
     expected: Prediction,
-    has_doubt: bool,
     motion_px: f64,
     times: FrameTimes,
     paper: paper::Pinhole,
@@ -46,7 +45,7 @@ pub(super) fn run(arguments: &PlanArgs) -> anyhow::Result<String> {
 }
 
 fn plan_camera(arguments: &PlanArgs) -> anyhow::Result<PlanResult> {
-    let (sensor, doubt, name) = optics::sensor(arguments)?;
+    let (sensor, name) = optics::sensor(arguments)?;
     let mut kind = arguments.kind()?;
     let tilt_rad = arguments.tilt().to_radians();
     let was_searched = arguments.precision.is_some() && arguments.marker.is_none();
@@ -55,8 +54,7 @@ fn plan_camera(arguments: &PlanArgs) -> anyhow::Result<PlanResult> {
             bail!("--precision: the required roundel depends on its distance: add --distance M");
         };
         let most_m = arguments.most_m();
-        let doubt = doubt.as_ref();
-        let outer_m = smallest_diameter_m(&sensor, doubt, &kind, distance_m, tilt_rad, most_m)?;
+        let outer_m = smallest_diameter_m(&sensor, &kind, distance_m, tilt_rad, most_m)?;
         kind = scaled(&kind, outer_m);
     }
     let range = detection_range(&sensor, &kind, tilt_rad)?;
@@ -65,7 +63,7 @@ fn plan_camera(arguments: &PlanArgs) -> anyhow::Result<PlanResult> {
         bail!("--distance: expected metres above 0, found {distance_m}");
     }
     let pose = pose_in_front(NormalizedPoint::default(), distance_m, tilt_rad);
-    let expected = predict(&sensor, doubt.as_ref(), &kind, &pose).with_context(|| {
+    let expected = predict(&sensor, &kind, &pose).with_context(|| {
         format!(
             "--distance: a roundel of {:.0} mm tilted by {:.0}° is detected from {:.2} to {:.2} m, not at {distance_m} m",
             kind.outer_diameter_m * 1e3,
@@ -88,7 +86,6 @@ fn plan_camera(arguments: &PlanArgs) -> anyhow::Result<PlanResult> {
         range,
         distance_m,
         expected,
-        has_doubt: doubt.is_some(),
         motion_px: case.motion_px,
         times: case.measure()?,
     })
@@ -194,7 +191,7 @@ impl PlanResult {
         row("  frames per second, one core", format!("{:.0}", 1.0 / frame_s), None);
         lines.push(String::new());
         lines.push(format!("Times are {}.", times_source(arguments, &self.times)));
-        lines.push(if self.has_doubt {
+        lines.push(if sensor.lens_uncertainty.is_some() {
             "The errors include the uncertainty of the lens.".to_owned()
         } else {
             "The lens is assumed to be exact: the camera file has no uncertainty.".to_owned()
@@ -233,7 +230,7 @@ impl PlanResult {
             "frames_per_s": 1.0 / frame_s,
             "roundels_timed": self.times.followed,
             "times": times_source(arguments, &self.times),
-            "lens_uncertainty_known": self.has_doubt,
+            "lens_uncertainty_known": self.sensor.lens_uncertainty.is_some(),
             "paper": {
                 "least_distance_m": paper.min_distance_m(),
                 "most_distance_m": paper.max_distance_m(),
