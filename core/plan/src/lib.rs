@@ -97,25 +97,7 @@ pub enum PlanError {
     /// The detector does not support the kind.
     #[error(transparent)]
     Kind(#[from] DetectorError),
-    /// The roundel is not detected, or its code not read, at any distance.
-    #[error(
-        "a roundel of {outer_mm} mm tilted by {tilt_deg:.0}° is {requirement} at no distance from this camera, in which it \
-         is at most {max_px:.1} px wide where it fits in, of {min_px:.1} that it takes; take a longer focal length, \
-         more pixels or less tilt"
-    )]
-    NoReach {
-        /// Outer diameter, millimetres.
-        outer_mm: f64,
-        /// Tilt, degrees.
-        tilt_deg: f64,
-        /// What is required of the roundel.
-        requirement: &'static str,
-        /// Maximum diameter within the picture, pixels.
-        max_px: f64,
-        /// Required shorter diameter, pixels.
-        min_px: f64,
-    },
-    /// The search found no solution.
+    /// No distance, roundel or grid of cameras meets the requirements.
     #[error("{0}")]
     Unreachable(String),
 }

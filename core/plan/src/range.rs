@@ -64,12 +64,15 @@ pub fn detection_range(
     let needed_px = min_required_px(sensor, kind, tilt_rad);
     let farthest =
         |place: NormalizedPoint, min_px: f64| farthest(sensor, kind, tilt_rad, min_px, place);
-    let max_m = farthest(middle, needed_px).ok_or_else(|| PlanError::NoReach {
-        outer_mm: kind.outer_diameter_m * 1e3,
-        tilt_deg: tilt_rad.to_degrees(),
-        requirement: requirement(kind),
-        max_px: sensor.camera.width().min(sensor.camera.height()) as f64 - 2.0 * EDGE_PX,
-        min_px: needed_px,
+    let max_m = farthest(middle, needed_px).ok_or_else(|| {
+        PlanError::Unreachable(format!(
+            "a roundel of {} mm tilted by {:.0}° is {} at no distance from this camera, in which it is at most {:.1} px \
+             wide where it fits in, of {needed_px:.1} that it takes; take a longer focal length, more pixels or less tilt",
+            kind.outer_diameter_m * 1e3,
+            tilt_rad.to_degrees(),
+            requirement(kind),
+            sensor.camera.width().min(sensor.camera.height()) as f64 - 2.0 * EDGE_PX
+        ))
     })?;
     let is_complete = |distance_m: f64| {
         let pose = pose_in_front(middle, distance_m, 0.0);
