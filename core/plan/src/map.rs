@@ -8,7 +8,10 @@
 //! positions. A camera that does not read the code is left out, although fusion may use its detection of a roundel that
 //! another camera has identified.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::{
+    f64::consts::{FRAC_PI_2, PI},
+    sync::atomic::{AtomicUsize, Ordering},
+};
 
 use nalgebra::{Matrix3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
@@ -18,7 +21,7 @@ use roundel_fusion::world::{CameraPlacement, FusionParams, seen_in_world};
 use roundel_vision::{
     camera::PixelPoint,
     marker::{Kind, Mask},
-    rigid::Rigid,
+    rigid::{Covariance6, Rigid},
 };
 
 /// Maximum number of spots.
@@ -104,28 +107,37 @@ impl MapArea {
     /// Valid heights of roundels, metres.
     pub const HEIGHTS_M: [f64; 2] = [-1e3, 1e3];
 
-    /// Bounding box of all footprints at this height, with about `spots` spots; `None` if no camera looks there.
-    pub fn seen_by(stations: &[PlacedCamera], height_m: f64, spots: usize) -> Option<Self> {
-        let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-        for station in stations {
-            for point in station.footprint(height_m) {
-                for axis in 0..2 {
-                    low[axis] = low[axis].min(point[axis]);
-                    high[axis] = high[axis].max(point[axis]);
-                }
-            }
-        }
-        let sides = [high[0] - low[0], high[1] - low[1]];
-        if !sides.iter().all(|side| side.is_finite() && *side > 0.0) {
-            return None;
-        }
-        let step_m = (sides[0] * sides[1] / spots.max(4) as f64).sqrt();
-        Some(Self { min_m: low, max_m: high, height_m, step_m })
+    /// An area between two corners with about this number of spots.
+    pub fn with_spots([min_m, max_m]: [[f64; 2]; 2], height_m: f64, spots: usize) -> Self {
+        let area = Self { min_m, max_m, height_m, step_m: 0.0 };
+        Self { step_m: (area.area_m2() / spots as f64).sqrt(), ..area }
+    }
+
+    /// Corners of the bounding box of all footprints at this height; `None` if no camera looks there.
+    pub fn seen_corners_m(stations: &[PlacedCamera], height_m: f64) -> Option<[[f64; 2]; 2]> {
+        let points: Vec<[f64; 2]> =
+            stations.iter().flat_map(|station| station.footprint(height_m)).collect();
+        let corner = |start: f64, pick: fn(f64, f64) -> f64| {
+            [0, 1].map(|axis| points.iter().map(|point| point[axis]).fold(start, pick))
+        };
+        let (low, high) = (corner(f64::INFINITY, f64::min), corner(f64::NEG_INFINITY, f64::max));
+        (low[0] < high[0] && low[1] < high[1]).then_some([low, high])
+    }
+
+    /// Lengths along x and y, metres.
+    pub(super) fn sides_m(&self) -> [f64; 2] {
+        [0, 1].map(|axis| self.max_m[axis] - self.min_m[axis])
+    }
+
+    /// Area, square metres.
+    pub(super) fn area_m2(&self) -> f64 {
+        let [along_x, along_y] = self.sides_m();
+        along_x * along_y
     }
 
     /// Spots along x and y.
     pub fn counts(&self) -> Result<[usize; 2], PlanError> {
-        let sides = [0, 1].map(|axis| self.max_m[axis] - self.min_m[axis]);
+        let sides = self.sides_m();
         for (name, side) in ["arena along x", "arena along y"].into_iter().zip(sides) {
             within(name, side, [1e-3, 1e4], "a side of 0.001 to 10000 m")?;
         }
@@ -139,6 +151,16 @@ impl MapArea {
 }
 
 impl PlacedCamera {
+    /// A camera that looks straight down. The top of its image is towards +y, or towards -x if it is turned.
+    pub(super) fn downward(sensor: Sensor, position_m: Vector3<f64>, is_turned: bool) -> Self {
+        let yaw_rad = if is_turned { FRAC_PI_2 } else { 0.0 };
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad)
+            * UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
+        let world_from_camera = Rigid::from_parts(Translation3::from(position_m), rotation);
+        let place = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
+        Self { sensor, place, mask: Mask::default() }
+    }
+
     /// Points of the picture's border in a plane of this height below the camera.
     fn footprint(&self, height_m: f64) -> Vec<[f64; 2]> {
         let camera = &self.sensor.camera;

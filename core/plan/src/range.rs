@@ -6,7 +6,7 @@
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 use super::{
-    PlanError, Sensor,
+    PlanError, Sensor, bisect,
     monte_carlo::min_detected_px,
     roundel_image::{EDGE_PX, image_roundel},
     visibility::{is_detected, min_readable_px, min_required_px, requirement},
@@ -79,7 +79,7 @@ pub fn detection_range(
         let seen = image_roundel(&sensor.camera, kind, &sensor.imaging, &pose);
         seen.is_some_and(|seen| seen.is_complete)
     };
-    let min_m = bisect(max_m, SEARCHED_DIAMETERS.0 * kind.outer_diameter_m, is_complete);
+    let min_m = bisect(max_m, SEARCHED_DIAMETERS.0 * kind.outer_diameter_m, SHARE, is_complete);
     // Longer diameter of the smallest roundel that suffices.
     let widest_px = needed_px / tilt_rad.cos();
     let corners = corners(sensor, widest_px);
@@ -132,17 +132,7 @@ fn farthest(
     let by_pinhole_m = focal_px * kind.outer_diameter_m * tilt_rad.cos() / min_px;
     let near_m =
         (1..12).map(|step| by_pinhole_m * 0.8f64.powi(step)).find(|&d| is_sufficient(d))?;
-    Some(bisect(near_m, SEARCHED_DIAMETERS.1 * kind.outer_diameter_m, is_sufficient))
-}
-
-/// Last point at which `holds` is true, from a point where it is true towards one where it is not.
-fn bisect(from: f64, to: f64, holds: impl Fn(f64) -> bool) -> f64 {
-    let (mut good, mut bad) = (from, to);
-    while (good / bad).ln().abs() > SHARE {
-        let middle = (good * bad).sqrt();
-        if holds(middle) { good = middle } else { bad = middle }
-    }
-    good
+    Some(bisect(near_m, SEARCHED_DIAMETERS.1 * kind.outer_diameter_m, SHARE, is_sufficient))
 }
 
 /// Half the width of a roundel with its white margin, pixels.

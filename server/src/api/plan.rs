@@ -26,7 +26,7 @@ use super::{
 use crate::{
     lab::{
         plan::{
-            DEFAULT_SPOTS,
+            map_area,
             map_drawing::{self, MapFormat},
             plan_map::{MapLayer, PlanMap},
             planned_camera::{self, usable_stations},
@@ -154,10 +154,9 @@ fn field(
     [low, high]: [Option<[f64; 2]>; 2],
     step_m: Option<f64>,
 ) -> Result<MapArea, ApiError> {
-    let seen = MapArea::seen_by(stations, height_m, DEFAULT_SPOTS);
-    let (min_m, max_m) = match (low.zip(high), &seen) {
-        (Some(corners), _) => corners,
-        (None, Some(seen)) => (low.unwrap_or(seen.min_m), high.unwrap_or(seen.max_m)),
+    let corners_m = match (low.zip(high), MapArea::seen_corners_m(stations, height_m)) {
+        (Some((low, high)), _) => [low, high],
+        (None, Some([min_m, max_m])) => [low.unwrap_or(min_m), high.unwrap_or(max_m)],
         (None, None) => {
             let message = format!(
                 "no camera sees the plane at a height of {height_m} m from above: set `min` and `max`, or another height"
@@ -165,9 +164,7 @@ fn field(
             return Err(ApiError::Invalid { field: "height", message });
         }
     };
-    let sides = [max_m[0] - min_m[0], max_m[1] - min_m[1]];
-    let usual_m = (sides[0] * sides[1] / DEFAULT_SPOTS as f64).max(0.0).sqrt();
-    let field = MapArea { min_m, max_m, height_m, step_m: step_m.unwrap_or(usual_m) };
+    let field = map_area(corners_m, height_m, step_m);
     let [columns, rows] = field.counts().map_err(wrong_query)?;
     if columns * rows > MAX_SPOTS {
         let expected = format!("a step that gives at most {MAX_SPOTS} spots");

@@ -15,5 +15,13 @@ pub mod plan_map;
 pub mod planned_camera;
 pub mod timing;
 
+use roundel_core::plan::map::MapArea;
+
 /// Approximate number of spots of a map without an explicit step.
-pub const DEFAULT_SPOTS: usize = 2400;
+const DEFAULT_SPOTS: usize = 2400;
+
+/// The area between two corners, with spots at this distance.
+pub fn map_area(corners_m: [[f64; 2]; 2], height_m: f64, step_m: Option<f64>) -> MapArea {
+    let area = MapArea::with_spots(corners_m, height_m, DEFAULT_SPOTS);
+    MapArea { step_m: step_m.unwrap_or(area.step_m), ..area }
+}

@@ -8,10 +8,7 @@ use roundel_core::{
     plan::{
         TrialCache,
         map::{MapArea, map},
-        search::{
-            Grid, Requirements, fewest_cameras as search,
-            fewest_cameras_of_any_size as search_with_size, scaled,
-        },
+        search::{Layout, Requirements, fewest_cameras, fewest_cameras_of_any_size, scaled},
     },
 };
 use serde_json::{Value, json};
@@ -23,7 +20,7 @@ use super::{
 use crate::{
     fusion::calibration::file::CalibrationFile,
     lab::plan::{
-        DEFAULT_SPOTS,
+        map_area,
         plan_map::{PlanMap, PlanSummary},
         planned_camera::{PlannedCamera, from_config as planned_camera, usable_stations},
         timing::{FrameTimes, TimingCase},
@@ -52,11 +49,10 @@ pub(super) fn plan_installation(
     let cameras: Vec<PlannedCamera> =
         config.cameras.iter().map(|camera| planned_camera(camera, imaging, &trials)).collect();
     let stations = usable_stations(&cameras).map_err(anyhow::Error::msg)?;
-    let seen =
-        MapArea::seen_by(&stations, arguments.height(), DEFAULT_SPOTS).with_context(|| {
-            format!("no camera sees the plane --height {} m from above", arguments.height())
-        })?;
-    let area = MapArea { step_m: arguments.step.unwrap_or(seen.step_m), ..seen };
+    let height_m = arguments.height();
+    let corners_m = MapArea::seen_corners_m(&stations, height_m)
+        .with_context(|| format!("no camera sees the plane --height {height_m} m from above"))?;
+    let area = map_area(corners_m, height_m, arguments.step);
     let map = PlanMap::of(&map(&stations, &kind, area)?, &kind.name, &cameras);
     ArenaPlan { kind, size: Size::Given, map, grid: None }.report(arguments, &cameras)
 }
@@ -93,33 +89,23 @@ pub(super) fn plan_arena(
             "--arena: expected the mounting height of the cameras: add --mount M, or --mount LOWEST:HIGHEST"
         );
     };
-    let half_m = arena_m.map(|side| 0.5 * side);
-    let step_m = arguments.step.unwrap_or((arena_m[0] * arena_m[1] / DEFAULT_SPOTS as f64).sqrt());
-    let area = MapArea {
-        min_m: half_m.map(|half| -half),
-        max_m: half_m,
-        height_m: arguments.height(),
-        step_m,
-    };
-    let most_m = arguments.most_m();
+    let corners_m = [-0.5, 0.5].map(|share| arena_m.map(|side| share * side));
+    let area = map_area(corners_m, arguments.height(), arguments.step);
     let requirements = Requirements {
         area,
         mount_m,
         views: arguments.views,
         share: arguments.share,
-        max_m: most_m,
+        max_m: arguments.most_m(),
     };
-    let (kind, size, grid) = match (arguments.marker, most_m) {
-        (None, Some(_)) => {
-            let (outer_m, grid) = search_with_size(&sensor, &kind, &requirements)?;
-            (scaled(&kind, outer_m), Size::Searched, grid)
+    let (size, grid) = match arguments.marker {
+        None if requirements.max_m.is_some() => {
+            (Size::Searched, fewest_cameras_of_any_size(&sensor, &kind, &requirements)?)
         }
-        (marker, _) => {
-            let size = if marker.is_some() { Size::Given } else { Size::Assumed };
-            let grid = search(&sensor, &kind, &requirements)?;
-            (kind, size, grid)
-        }
+        None => (Size::Assumed, fewest_cameras(&sensor, &kind, &requirements)?),
+        Some(_) => (Size::Given, fewest_cameras(&sensor, &kind, &requirements)?),
     };
+    let kind = scaled(&kind, grid.outer_m);
     let cameras: Vec<PlannedCamera> = (1..)
         .zip(&grid.stations)
         .map(|(number, station)| PlannedCamera {
@@ -128,7 +114,7 @@ pub(super) fn plan_arena(
         })
         .collect();
     let map = PlanMap::of(&map(&grid.stations, &kind, area)?, &kind.name, &cameras);
-    ArenaPlan { kind, size, map, grid: Some(grid) }.report(arguments, &cameras)
+    ArenaPlan { kind, size, map, grid: Some(grid.layout) }.report(arguments, &cameras)
 }
 
 /// Origin of the roundel's size.
@@ -144,7 +130,7 @@ struct ArenaPlan {
     kind: Kind,
     size: Size,
     map: PlanMap,
-    grid: Option<Grid>,
+    grid: Option<Layout>,
 }
 
 /// Measures each camera's frames with `--count` roundels straight below it, where they appear largest.
