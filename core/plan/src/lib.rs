@@ -67,7 +67,7 @@ impl Default for Imaging {
 }
 
 /// A camera with its lens uncertainty, its image quality and the mode of its detector.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Sensor {
     /// Intrinsics.
     pub camera: Camera,

@@ -15,23 +15,19 @@
 //! Limits: the floor around the sheet is midway between black and white, and the margin 0.4 ring diameters. Errors of coded
 //! rings are not measured.
 
-use std::{
-    collections::HashMap,
-    sync::{Arc, Mutex, OnceLock, PoisonError},
-};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use nalgebra::{Matrix3, Vector3};
-use rayon::prelude::*;
 
 use super::{
-    FULL_SCALE, Imaging, Sensor,
+    FULL_SCALE, Imaging, Sensor, bisect,
     pose_model::{along_m, predict_pose},
-    ring_trial::{OUTER_M, TrialLength, TrialSetup, ViewGeometry},
+    ring_trial::{OUTER_M, RingTrial, TrialSetup, ViewGeometry},
     roundel_image::RoundelImage,
 };
 use roundel_vision::{
     camera::Camera,
-    marker::{Kind, Mode, Params, Pattern, Polarity},
+    marker::{Kind, Mode, Params, Pattern},
 };
 
 /// Tilts of the error table and of the detection table, degrees. Near face-on, errors of the tilt change the
@@ -59,12 +55,14 @@ const FOCAL_STEP: f64 = 0.2;
 /// Quantization of ratios of diameters.
 const RATIO_STEP: f64 = 1e-4;
 /// Maximum number of cached tables.
-const MAX_KEYS: usize = 64;
+const MAX_TABLES: usize = 64;
 
-/// Trials of an error ratio: 300 errors give the rms to 4 %, or 10 % where a few wrong normals dominate.
-const ERROR_TRIALS: TrialLength = TrialLength { rings: 150, frames: 3, counted: 2 };
+/// Trials of an error ratio, and frames of each, of which all but the first count: 300 errors give the rms to 4 %, or
+/// 10 % where a few wrong normals dominate.
+const ERROR_TRIALS: u64 = 150;
+const ERROR_FRAMES: usize = 3;
 /// Trials of a detection limit, and the maximum number of misses (one in twenty).
-const DETECTION_TRIALS: TrialLength = TrialLength { rings: 120, frames: 1, counted: 1 };
+const DETECTION_TRIALS: u64 = 120;
 const MAX_MISSED: usize = 6;
 /// Relative precision of the detection limit, step of the coarse search, and its maximum in multiples of the
 /// detector's limit.
@@ -74,7 +72,7 @@ const MAX_LIMIT_RATIO: f64 = 30.0;
 
 /// Cache of trials, shared by clones. It affects the time of a prediction but not its result.
 #[derive(Clone, Debug, Default)]
-pub struct TrialCache(Arc<Mutex<HashMap<TrialKey, Arc<TrialTable>>>>);
+pub struct TrialCache(Arc<Mutex<Vec<Arc<TrialTable>>>>);
 
 /// Ratio of actual to predicted errors along and across the line of sight.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -83,18 +81,7 @@ pub(super) struct ErrorFactors {
     pub across: f64,
 }
 
-/// Quantized properties of pictures.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-struct TrialKey {
-    mode: Mode,
-    polarity: Polarity,
-    ratios: [i32; 2],
-    blur: i32,
-    noise: i32,
-    contrast: i32,
-    focal: i32,
-}
-
+/// Results of trials, made on demand.
 #[derive(Debug)]
 struct TrialTable {
     setup: TrialSetup,
@@ -102,24 +89,20 @@ struct TrialTable {
     factors: [[[OnceLock<ErrorFactors>; SIZES]; TILTS_DEG.len()]; OFF_AXIS_DEG.len()],
 }
 
-/// Indices of off-axis angle, tilt and diameter.
-type Place = [usize; 3];
-
-/// The cache does not affect results, so all are equal.
-impl PartialEq for TrialCache {
-    fn eq(&self, _: &Self) -> bool {
-        true
-    }
-}
-
 impl TrialCache {
     fn table(&self, sensor: &Sensor, kind: &Kind) -> Arc<TrialTable> {
-        let key = TrialKey::of(sensor, kind);
+        let setup = quantized(sensor, kind);
         let mut tables = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if tables.len() >= MAX_KEYS && !tables.contains_key(&key) {
+        if let Some(known) = tables.iter().find(|table| table.setup == setup) {
+            return known.clone();
+        }
+        if tables.len() >= MAX_TABLES {
             tables.clear();
         }
-        tables.entry(key).or_insert_with(|| Arc::new(TrialTable::new(&key))).clone()
+        let (min_px, factors) = Default::default();
+        let table = Arc::new(TrialTable { setup, min_px, factors });
+        tables.push(table.clone());
+        table
     }
 }
 
@@ -134,7 +117,7 @@ pub(super) fn min_detected_px(sensor: &Sensor, kind: &Kind, tilt_rad: f64) -> f6
 pub(super) fn is_wide_enough(sensor: &Sensor, kind: &Kind, image: &RoundelImage) -> bool {
     let limit_px = 2.0 * Params::default().min_semi_minor_px;
     let is_quiet = sensor.imaging.noise <= CERTAIN_NOISE * sensor.imaging.contrast();
-    let sure_px = blurred_px(sensor, kind).max(CERTAIN_RATIO * limit_px);
+    let sure_px = blurred_px(&sensor.imaging, kind).max(CERTAIN_RATIO * limit_px);
     image.minor_px >= limit_px
         && (is_quiet && image.minor_px >= sure_px
             || image.minor_px >= min_detected_px(sensor, kind, image.tilt_rad))
@@ -149,7 +132,7 @@ pub(super) fn factors(
 ) -> ErrorFactors {
     // Codes are only read at diameters where predictions are good.
     let is_coded = matches!(kind.pattern, Pattern::Coded(_));
-    if is_coded || image.minor_px >= trusted_px(sensor, kind) {
+    if is_coded || image.minor_px >= trusted_px(&sensor.imaging, sensor.mode, kind) {
         return ErrorFactors::NONE;
     }
     let RoundelImage { minor_px, tilt_rad, .. } = *image;
@@ -168,18 +151,18 @@ fn off_axis_rad(camera: &Camera, center_m: &Vector3<f64>) -> f64 {
 }
 
 /// Shorter diameter from which predictions are good, pixels.
-fn trusted_px(sensor: &Sensor, kind: &Kind) -> f64 {
-    let blurred_px = blurred_px(sensor, kind).min(MAX_TRIAL_PX);
-    match sensor.mode {
+fn trusted_px(imaging: &Imaging, mode: Mode, kind: &Kind) -> f64 {
+    let blurred_px = blurred_px(imaging, kind).min(MAX_TRIAL_PX);
+    match mode {
         Mode::Precise => blurred_px,
         Mode::Fast => blurred_px.max(FAST_PX),
     }
 }
 
 /// Shorter diameter up to which disc or ring are not wide against the blur, pixels.
-fn blurred_px(sensor: &Sensor, kind: &Kind) -> f64 {
+fn blurred_px(imaging: &Imaging, kind: &Kind) -> f64 {
     let (min, max) = kind.ratios();
-    let spread_px = (sensor.imaging.blur_px.powi(2) + 1.0 / 12.0).sqrt();
+    let spread_px = (imaging.blur_px.powi(2) + 1.0 / 12.0).sqrt();
     2.0 * MIN_WIDTH_BLURS * spread_px / min.min(1.0 - max)
 }
 
@@ -187,78 +170,52 @@ impl ErrorFactors {
     const NONE: Self = Self { along: 1.0, across: 1.0 };
 }
 
-impl TrialKey {
-    fn of(sensor: &Sensor, kind: &Kind) -> Self {
-        let Imaging { noise, blur_px, .. } = sensor.imaging;
-        let step = |value: f64, step: f64| (value.ln() / step).round() as i32;
-        let (min, max) = kind.ratios();
-        Self {
-            mode: sensor.mode,
-            polarity: kind.polarity,
-            ratios: [min, max].map(|ratio| (ratio / RATIO_STEP).round() as i32),
-            blur: step(blur_px, BLUR_STEP),
-            noise: step((noise * noise + 1.0 / 12.0).sqrt(), LEVEL_STEP),
-            contrast: step(sensor.imaging.contrast(), LEVEL_STEP),
-            focal: step(sensor.camera.intrinsics().fx_px, FOCAL_STEP),
-        }
-    }
-
-    fn imaging(&self) -> Imaging {
-        let value = |count: i32, step: f64| (f64::from(count) * step).exp();
-        let contrast = value(self.contrast, LEVEL_STEP).min(FULL_SCALE);
-        let noise = (value(self.noise, LEVEL_STEP).powi(2) - 1.0 / 12.0).max(0.0).sqrt();
-        let black = 0.5 * (FULL_SCALE - contrast);
-        Imaging { noise, blur_px: value(self.blur, BLUR_STEP), black, white: black + contrast }
-    }
-
-    fn kind(&self) -> Kind {
-        let [min_m, max_m] = self.ratios.map(|count| f64::from(count) * RATIO_STEP * OUTER_M);
-        let pattern = if min_m < max_m {
-            Pattern::Elliptical { minor_diameter_m: min_m }
-        } else {
-            Pattern::Plain
-        };
-        let plain = Kind::plain("trial", OUTER_M, max_m);
-        Kind { pattern, polarity: self.polarity, ..plain }
+/// The set-up of trials, equal for similar sensors and kinds.
+fn quantized(sensor: &Sensor, kind: &Kind) -> TrialSetup {
+    let Imaging { noise, blur_px, .. } = sensor.imaging;
+    let step = |value: f64, step: f64| ((value.ln() / step).round() * step).exp();
+    let contrast = step(sensor.imaging.contrast(), LEVEL_STEP).min(FULL_SCALE);
+    let noise = step((noise * noise + 1.0 / 12.0).sqrt(), LEVEL_STEP);
+    let noise = (noise.powi(2) - 1.0 / 12.0).max(0.0).sqrt();
+    let black = 0.5 * (FULL_SCALE - contrast);
+    let blur_px = step(blur_px, BLUR_STEP);
+    let (min, max) = kind.ratios();
+    let [min_m, max_m] =
+        [min, max].map(|ratio| (ratio / RATIO_STEP).round() * RATIO_STEP * OUTER_M);
+    let pattern = if min_m < max_m {
+        Pattern::Elliptical { minor_diameter_m: min_m }
+    } else {
+        Pattern::Plain
+    };
+    let plain = Kind::plain("trial", OUTER_M, max_m);
+    TrialSetup {
+        focal_px: step(sensor.camera.intrinsics().fx_px, FOCAL_STEP),
+        imaging: Imaging { noise, blur_px, black, white: black + contrast },
+        mode: sensor.mode,
+        kind: Kind { pattern, polarity: kind.polarity, ..plain },
     }
 }
 
 impl TrialTable {
-    fn new(key: &TrialKey) -> Self {
-        let focal_px = (f64::from(key.focal) * FOCAL_STEP).exp();
-        let setup = TrialSetup::new(focal_px, key.imaging(), key.mode, key.kind());
-        Self { setup, min_px: Default::default(), factors: Default::default() }
-    }
-
     fn min_detected_px(&self, tilt_rad: f64) -> f64 {
-        let ends = between(&DETECTION_TILTS_DEG, tilt_rad);
-        // In parallel, but each on a single thread, so that no thread waits for a nested one.
-        let at = |tilt: usize| {
+        let at = |(tilt, weight): (usize, f64)| {
             let bisect_min_px = || self.bisect_min_px(DETECTION_TILTS_DEG[tilt].to_radians());
-            *self.min_px[tilt].get_or_init(bisect_min_px)
+            weight * self.min_px[tilt].get_or_init(bisect_min_px)
         };
-        if ends.iter().any(|&(tilt, _)| self.min_px[tilt].get().is_none()) {
-            ends.par_iter().filter(|(_, weight)| *weight > 0.0).for_each(|&(tilt, _)| {
-                at(tilt);
-            });
-        }
-        let weighted = |(tilt, weight)| if weight > 0.0 { weight * at(tilt) } else { 0.0 };
-        ends.into_iter().map(weighted).sum()
+        between(&DETECTION_TILTS_DEG, tilt_rad).map(at).sum()
     }
 
     fn bisect_min_px(&self, tilt_rad: f64) -> f64 {
         let limit_px = 2.0 * Params::default().min_semi_minor_px;
         let is_detected = |minor_px: f64| {
-            let mut unreachable = 0;
-            let geometry = ViewGeometry { minor_px, tilt_rad, off_axis_rad: 0.0 };
-            self.setup.run(geometry, DETECTION_TRIALS, |_, position| {
-                unreachable += usize::from(position.is_none());
-                unreachable <= MAX_MISSED
-            });
-            unreachable <= MAX_MISSED
+            let view = ViewGeometry { minor_px, tilt_rad, off_axis_rad: 0.0 };
+            let mut trial = RingTrial::new(&self.setup, view, 1);
+            let is_missed =
+                |&seed: &u64| trial.run(seed).iter().any(|frame| frame.position_m.is_none());
+            (0..DETECTION_TRIALS).filter(is_missed).nth(MAX_MISSED).is_none()
         };
         // From above, since detection is not monotonic at small diameters.
-        let mut good = blurred_px(&self.setup.sensor, &self.setup.kind)
+        let mut good = blurred_px(&self.setup.imaging, &self.setup.kind)
             .min(MAX_TRIAL_PX)
             .max(CERTAIN_RATIO * limit_px);
         while !is_detected(good) {
@@ -274,11 +231,7 @@ impl TrialTable {
                 return limit_px;
             }
         }
-        while (good / bad).ln() > BISECTION_SHARE {
-            let middle = (good * bad).sqrt();
-            if is_detected(middle) { good = middle } else { bad = middle }
-        }
-        good
+        bisect(good, bad, BISECTION_SHARE, is_detected)
     }
 
     /// Diameter of a table entry, pixels.
@@ -286,40 +239,32 @@ impl TrialTable {
         self.min_detected_px(TILTS_DEG[tilt].to_radians()) * SIZE_STEP.powi(size as i32)
     }
 
-    fn factors(&self, geometry: &ViewGeometry) -> ErrorFactors {
-        let mut corners: Vec<(Place, f64)> = Vec::with_capacity(8);
-        for (off_axis, by_aside) in between(&OFF_AXIS_DEG, geometry.off_axis_rad) {
-            for (tilt, by_tilt) in between(&TILTS_DEG, geometry.tilt_rad) {
-                let place = (geometry.minor_px / self.size_px(tilt, 0)).ln() / SIZE_STEP.ln();
+    fn factors(&self, view: &ViewGeometry) -> ErrorFactors {
+        let mut logs = [0.0; 2];
+        for (off_axis, by_off_axis) in between(&OFF_AXIS_DEG, view.off_axis_rad) {
+            for (tilt, by_tilt) in between(&TILTS_DEG, view.tilt_rad) {
+                let place = (view.minor_px / self.size_px(tilt, 0)).ln() / SIZE_STEP.ln();
                 let place = place.clamp(0.0, (SIZES - 2) as f64);
                 let (size, part) = (place.floor() as usize, place.fract());
-                let weight = by_aside * by_tilt;
-                corners.push(([off_axis, tilt, size], weight * (1.0 - part)));
-                corners.push(([off_axis, tilt, size + 1], weight * part));
+                for (size, by_size) in [(size, 1.0 - part), (size + 1, part)] {
+                    let weight = by_off_axis * by_tilt * by_size;
+                    if weight > 0.0 {
+                        let ErrorFactors { along, across } = self.at(off_axis, tilt, size);
+                        logs[0] += weight * along.ln();
+                        logs[1] += weight * across.ln();
+                    }
+                }
             }
-        }
-        corners.retain(|(_, weight)| *weight > 0.0);
-        let is_tried =
-            |&[off_axis, tilt, size]: &Place| self.factors[off_axis][tilt][size].get().is_some();
-        if !corners.iter().all(|(place, _)| is_tried(place)) {
-            corners.par_iter().for_each(|(place, _)| {
-                self.at(*place);
-            });
-        }
-        let mut logs = [0.0; 2];
-        for (place, weight) in corners {
-            let ErrorFactors { along, across } = self.at(place);
-            logs[0] += weight * along.ln();
-            logs[1] += weight * across.ln();
         }
         let [along, across] = logs.map(f64::exp);
         ErrorFactors { along, across }
     }
 
-    fn at(&self, [off_axis, tilt, size]: Place) -> ErrorFactors {
+    fn at(&self, off_axis: usize, tilt: usize, size: usize) -> ErrorFactors {
         *self.factors[off_axis][tilt][size].get_or_init(|| {
             let minor_px = self.size_px(tilt, size);
-            if minor_px >= trusted_px(&self.setup.sensor, &self.setup.kind) {
+            let TrialSetup { imaging, mode, kind, .. } = &self.setup;
+            if minor_px >= trusted_px(imaging, *mode, kind) {
                 return ErrorFactors::NONE;
             }
             let [tilt_rad, off_axis_rad] =
@@ -328,24 +273,27 @@ impl TrialTable {
         })
     }
 
-    fn run_errors(&self, geometry: ViewGeometry) -> ErrorFactors {
+    fn run_errors(&self, view: ViewGeometry) -> ErrorFactors {
         let (mut planned, mut observed) = ([0.0; 2], [0.0; 2]);
-        self.setup.run(geometry, ERROR_TRIALS, |trial, position| {
-            let predicted = predict_pose(trial.sensor, &self.setup.kind, &trial.image);
-            let (Some(position), Some(predicted)) = (position, predicted) else {
-                return true;
-            };
-            let position_m2: Matrix3<f64> = predicted.covariance.fixed_view::<3, 3>(0, 0).into();
-            let truth = trial.pose.translation.vector;
-            let along = along_m(&position_m2, &truth);
-            planned[0] += along * along;
-            planned[1] += position_m2.trace() - along * along;
-            let error = position - truth;
-            let along = error.dot(&truth.normalize());
-            observed[0] += along * along;
-            observed[1] += error.norm_squared() - along * along;
-            true
-        });
+        let mut trial = RingTrial::new(&self.setup, view, ERROR_FRAMES);
+        for seed in 0..ERROR_TRIALS {
+            for frame in trial.run(seed).iter().skip(1) {
+                let predicted = predict_pose(&trial.sensor, &self.setup.kind, &frame.image);
+                let (Some(position_m), Some(predicted)) = (frame.position_m, predicted) else {
+                    continue;
+                };
+                let position_m2: Matrix3<f64> =
+                    predicted.covariance.fixed_view::<3, 3>(0, 0).into();
+                let truth = frame.pose.translation.vector;
+                let along = along_m(&position_m2, &truth);
+                planned[0] += along * along;
+                planned[1] += position_m2.trace() - along * along;
+                let error = position_m - truth;
+                let along = error.dot(&truth.normalize());
+                observed[0] += along * along;
+                observed[1] += error.norm_squared() - along * along;
+            }
+        }
         let [along, across] = [0, 1].map(|axis| {
             let ratio: f64 = observed[axis] / planned[axis];
             if ratio.is_finite() && ratio > 0.0 { ratio.sqrt() } else { 1.0 }
@@ -354,13 +302,14 @@ impl TrialTable {
     }
 }
 
-/// Adjacent known angles with their weights.
-fn between(known_deg: &[f64], angle_rad: f64) -> [(usize, f64); 2] {
+/// Adjacent known angles with their weights, without weights of zero.
+fn between(known_deg: &[f64], angle_rad: f64) -> impl Iterator<Item = (usize, f64)> {
     let deg = angle_rad.to_degrees();
     let after = known_deg.partition_point(|&known| known <= deg).clamp(1, known_deg.len() - 1);
     let [from, to] = [known_deg[after - 1], known_deg[after]];
     let share = ((deg - from) / (to - from)).clamp(0.0, 1.0);
-    [(after - 1, 1.0 - share), (after, share)]
+    let ends = [(after - 1, 1.0 - share), (after, share)];
+    ends.into_iter().filter(|(_, weight)| *weight > 0.0)
 }
 
 #[cfg(test)]
@@ -396,7 +345,6 @@ mod tests {
         }
         let other = Kind::plain("", 0.16, 0.065);
         assert!(!Arc::ptr_eq(&first, &table(&sensor, &other)));
-        assert_eq!(fast(0.7), sensor);
     }
 
     #[test]

@@ -42,87 +42,95 @@ pub(super) struct ViewGeometry {
     pub off_axis_rad: f64,
 }
 
-/// Number of rings, frames of each, and frames that count at the end.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct TrialLength {
-    pub rings: usize,
-    pub frames: usize,
-    pub counted: usize,
-}
-
-#[derive(Debug)]
+/// What pictures depend on besides the geometry.
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct TrialSetup {
-    pub sensor: Sensor,
+    pub focal_px: f64,
+    pub imaging: Imaging,
+    pub mode: Mode,
+    /// Its outer diameter is [`OUTER_M`].
     pub kind: Kind,
 }
 
-pub(super) struct TrialFrame<'a> {
-    pub sensor: &'a Sensor,
-    pub pose: Rigid,
-    pub image: RoundelImage,
+/// Trials of one geometry.
+pub(super) struct RingTrial<'a> {
+    kind: &'a Kind,
+    view: ViewGeometry,
+    frames: usize,
+    /// The part of the camera around the ring.
+    pub sensor: Sensor,
+    tracker: Tracker,
+    locator: Locator,
+    edge: BlurredEdge,
+    pixels: Vec<u8>,
 }
 
-impl TrialSetup {
-    /// For a kind with the outer diameter [`OUTER_M`].
-    pub fn new(focal_px: f64, imaging: Imaging, mode: Mode, kind: Kind) -> Self {
-        let camera = square(focal_px, 1, 0.0);
+/// A ring in a frame.
+pub(super) struct TrialFrame {
+    pub pose: Rigid,
+    pub image: RoundelImage,
+    /// The located position; `None` if the ring was not found.
+    pub position_m: Option<Vector3<f64>>,
+}
+
+impl<'a> RingTrial<'a> {
+    /// For rings in this number of consecutive frames.
+    pub fn new(setup: &'a TrialSetup, view: ViewGeometry, frames: usize) -> Self {
+        let TrialSetup { focal_px, imaging, mode, ref kind } = *setup;
+        let diameter_px = view.minor_px / view.tilt_rad.cos();
+        let page_px = PAGE_PX + PAGE_BLURS * imaging.blur_px + MOVED_PX * frames as f64;
+        let long_px = diameter_px / view.off_axis_rad.cos().sqrt();
+        let side = (long_px + 2.0 * page_px).ceil() as usize;
+        let camera = square(focal_px, side, view.off_axis_rad);
+        let params = Params { mode, ..Params::default() };
+        let detector = Detector::new(vec![kind.clone()], params).expect("a kind as planned with");
         let trials = TrialCache::default();
-        Self { sensor: Sensor { camera, lens_uncertainty: None, imaging, mode, trials }, kind }
+        Self {
+            kind,
+            view,
+            frames,
+            tracker: Tracker::new(detector),
+            locator: Locator::new(camera.clone(), vec![kind.clone()], mode),
+            sensor: Sensor { camera, lens_uncertainty: None, imaging, mode, trials },
+            edge: BlurredEdge::new(imaging.blur_px),
+            pixels: vec![0; side * side],
+        }
     }
 
-    /// Runs the trials of a geometry and passes each counted frame with the located position, if any, until
-    /// `on_frame` returns false.
-    pub fn run(
-        &self,
-        ViewGeometry { minor_px, tilt_rad, off_axis_rad }: ViewGeometry,
-        TrialLength { rings, frames, counted }: TrialLength,
-        mut on_frame: impl FnMut(&TrialFrame, Option<Vector3<f64>>) -> bool,
-    ) {
-        let Self { sensor, kind, .. } = self;
-        let blur_px = sensor.imaging.blur_px;
-        let diameter_px = minor_px / tilt_rad.cos();
-        let page_px = PAGE_PX + PAGE_BLURS * blur_px + MOVED_PX * frames as f64;
-        let side = (diameter_px / off_axis_rad.cos().sqrt() + 2.0 * page_px).ceil() as usize;
-        let focal_px = sensor.camera.intrinsics().fx_px;
-        let camera = square(focal_px, side, off_axis_rad);
-        let sensor = &Sensor { camera: camera.clone(), ..sensor.clone() };
-        let params = Params { mode: sensor.mode, ..Params::default() };
-        let detector = Detector::new(vec![kind.clone()], params).expect("a kind as planned with");
-        let mut tracker = Tracker::new(detector);
-        let mut locator = Locator::new(camera, vec![kind.clone()], sensor.mode);
-        let mut located = Vec::new();
-        let edge = BlurredEdge::new(blur_px);
-        let mut pixels = vec![0; side * side];
+    /// Consecutive frames of a random ring.
+    pub fn run(&mut self, seed: u64) -> Vec<TrialFrame> {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        self.tracker.reset();
+        self.locator.reset();
+        let ViewGeometry { minor_px, tilt_rad, off_axis_rad } = self.view;
         // Geometric mean of the radial and tangential scale, so that a ring has the same size as on the axis.
-        let per_rad_px = focal_px / off_axis_rad.cos().powf(1.5);
-        let depth_m = per_rad_px * OUTER_M / diameter_px;
+        let per_rad_px = self.sensor.camera.intrinsics().fx_px / off_axis_rad.cos().powf(1.5);
+        let depth_m = per_rad_px * OUTER_M / (minor_px / tilt_rad.cos());
+        let per_px = depth_m / per_rad_px;
         let axis = UnitQuaternion::from_scaled_axis(aside_axis() * off_axis_rad);
-        for ring_index in 0..rings {
-            let mut random = ChaCha8Rng::seed_from_u64(ring_index as u64);
-            tracker.reset();
-            locator.reset();
-            let per_px = depth_m / per_rad_px;
-            let mut pose = random_pose(depth_m, per_px, tilt_rad, &mut random);
-            pose = axis * pose;
-            for frame in 0..frames {
-                if frame > 0 {
-                    pose = moved(&pose, per_px, &mut random);
-                }
-                let seen = image_roundel(&sensor.camera, kind, &sensor.imaging, &pose);
-                let Some(image) = seen else { continue };
-                let levels = edge.picture(&image.ring, &sensor.imaging, side);
-                developed(&levels, sensor.imaging.noise, &mut random, &mut pixels);
-                let view = Frame::new(&pixels, side, side, side).expect("a frame of this size");
-                // A single ring is located on this thread; a parallel one could wait for other trials.
-                let tracked = tracker.process(&view);
-                locator.locate_all(&view, &tracked[..tracked.len().min(1)], &mut located);
-                let position = located.iter().flatten().next().map(|it| it.pose.position_m);
-                let counts = frame + counted >= frames;
-                if counts && !on_frame(&TrialFrame { sensor, pose, image }, position) {
-                    return;
-                }
+        let mut pose = axis * random_pose(depth_m, per_px, tilt_rad, &mut random);
+        let mut frames = Vec::with_capacity(self.frames);
+        for frame in 0..self.frames {
+            if frame > 0 {
+                pose = moved(&pose, per_px, &mut random);
             }
+            frames.extend(self.observe(pose, &mut random));
         }
+        frames
+    }
+
+    /// `None` if the ring faces away.
+    fn observe(&mut self, pose: Rigid, random: &mut ChaCha8Rng) -> Option<TrialFrame> {
+        let Sensor { camera, imaging, .. } = &self.sensor;
+        let image = image_roundel(camera, self.kind, imaging, &pose)?;
+        let side = camera.width();
+        let levels = self.edge.picture(&image.ring, imaging, side);
+        developed(&levels, imaging.noise, random, &mut self.pixels);
+        let view = Frame::new(&self.pixels, side, side, side).expect("a frame of this size");
+        let tracked = self.tracker.process(&view).first();
+        let located = tracked.and_then(|ring| self.locator.locate(&view, ring).ok());
+        let position_m = located.map(|located| located.pose.position_m);
+        Some(TrialFrame { pose, image, position_m })
     }
 }
 
@@ -179,54 +187,36 @@ mod tests {
 
     fn setup() -> TrialSetup {
         let kind = Kind::plain("", OUTER_M, 0.4 * OUTER_M);
-        TrialSetup::new(700.0, Imaging::default(), Mode::Fast, kind)
+        TrialSetup { focal_px: 700.0, imaging: Imaging::default(), mode: Mode::Fast, kind }
     }
 
-    const ERROR_TRIALS: TrialLength = TrialLength { rings: 40, frames: 3, counted: 2 };
+    fn frames(view: ViewGeometry) -> Vec<TrialFrame> {
+        let setup = setup();
+        let mut trial = RingTrial::new(&setup, view, 2);
+        (0..40).flat_map(|seed| trial.run(seed)).collect()
+    }
 
     #[test]
     fn rings_have_the_requested_size_and_tilt() {
         for (tilt_rad, off_axis_rad) in [(0.0, 0.0), (0.7, 0.0), (0.1, 0.6), (0.8, 0.6)] {
-            let (mut count, mut ratio) = (0.0, 0.0);
-            setup().run(
-                ViewGeometry { minor_px: 20.0, tilt_rad, off_axis_rad },
-                ERROR_TRIALS,
-                |trial, _| {
-                    let RoundelImage { minor_px, tilt_rad: shown_rad, .. } = trial.image;
-                    assert!((shown_rad - tilt_rad).abs() < 0.06, "{shown_rad} {tilt_rad}");
-                    (count, ratio) = (count + 1.0, ratio + minor_px / 20.0);
-                    true
-                },
-            );
-            assert_eq!(count, 80.0);
-            assert!((ratio / count - 1.0).abs() < 0.1, "{}", ratio / count);
+            let frames = frames(ViewGeometry { minor_px: 20.0, tilt_rad, off_axis_rad });
+            assert_eq!(frames.len(), 80);
+            let mut ratio = 0.0;
+            for TrialFrame { image, .. } in &frames {
+                assert!((image.tilt_rad - tilt_rad).abs() < 0.06, "{} {tilt_rad}", image.tilt_rad);
+                ratio += image.minor_px / 20.0 / frames.len() as f64;
+            }
+            assert!((ratio - 1.0).abs() < 0.1, "{ratio}");
         }
     }
 
     #[test]
     fn trials_are_accurate_and_reproducible() {
-        let geometry = ViewGeometry { minor_px: 24.0, tilt_rad: 0.5, off_axis_rad: 0.5 };
-        let positions = || {
-            let mut all = Vec::new();
-            setup().run(geometry, ERROR_TRIALS, |trial, position| {
-                let (position, truth) = (position.unwrap(), trial.pose.translation.vector);
-                assert!((position - truth).norm() < 0.02 * truth.norm(), "{position} {truth}");
-                all.push(position);
-                true
-            });
-            all
-        };
-        assert_eq!(positions(), positions());
-    }
-
-    #[test]
-    fn a_trial_stops_on_request() {
-        let geometry = ViewGeometry { minor_px: 24.0, tilt_rad: 0.5, off_axis_rad: 0.0 };
-        let mut count = 0;
-        setup().run(geometry, ERROR_TRIALS, |_, _| {
-            count += 1;
-            count < 5
-        });
-        assert_eq!(count, 5);
+        let view = ViewGeometry { minor_px: 24.0, tilt_rad: 0.5, off_axis_rad: 0.5 };
+        for (frame, again) in frames(view).into_iter().zip(frames(view)) {
+            let (position, truth) = (frame.position_m.unwrap(), frame.pose.translation.vector);
+            assert!((position - truth).norm() < 0.02 * truth.norm(), "{position} {truth}");
+            assert_eq!(Some(position), again.position_m);
+        }
     }
 }
