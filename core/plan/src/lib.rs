@@ -26,7 +26,6 @@ pub mod paper;
 mod pose_model;
 pub mod precision;
 pub mod range;
-mod rim_noise;
 mod ring_image;
 mod ring_trial;
 pub mod roundel_image;

@@ -1,6 +1,6 @@
 //! Predicted precision of a roundel's pose.
 //!
-//! - **Picture**: the noise of the rims (`rim_noise`) is carried to the pose by [`roundel_vision::pose::locate`], as for
+//! - **Picture**: the noise of the rims (`pose_model`) is carried to the pose by [`roundel_vision::pose::locate`], as for
 //!   detected rings.
 //! - **Compensation**, in fast mode: it assumes that the rims' areas scale as r². Perspective and lens violate this for
 //!   large tilted or near rings. The error is computed from the projected rims.
@@ -18,8 +18,7 @@ use nalgebra::{DMatrix, Matrix3, Matrix3xX, Vector3};
 use super::{
     Sensor,
     monte_carlo::{ErrorFactors, factors},
-    pose_model::{along_m, predict_pose, without_teeth},
-    rim_noise::rim_noise,
+    pose_model::{along_m, predict_pose, rim_noise, without_teeth},
     roundel_image::{RoundelImage, image_roundel},
     visibility::{is_detected, is_readable},
 };
