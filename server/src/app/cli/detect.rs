@@ -16,7 +16,7 @@ use clap::Args;
 use roundel_core::marker::{CodeLayout, Mode};
 
 use self::search::{ImageDetections, ImageSearch};
-use super::{Format, error_chain, words};
+use super::{Format, MODES, error_chain, words};
 use crate::lab::{
     drawing::Overlay,
     print::spec::{self, Diameters, PolarityArg},
@@ -67,11 +67,6 @@ pub struct DetectArgs {
     #[arg(long, value_enum)]
     format: Option<Format>,
 }
-
-const MODES: [(&str, Mode, &str); 2] = [
-    ("precise", Mode::Precise, "Rims and poses fitted to the grey levels"),
-    ("fast", Mode::Fast, "Rims from moments, poses in closed form"),
-];
 
 /// Searches all images and prints the detections in their order.
 pub(super) fn run(arguments: &DetectArgs) -> anyhow::Result<ExitCode> {

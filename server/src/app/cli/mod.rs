@@ -33,7 +33,7 @@ use clap::{
     builder::{PossibleValue, PossibleValuesParser, TypedValueParser},
 };
 use indicatif::{ProgressBar, ProgressStyle};
-use roundel_core::camera::MAX_SIDE_PX;
+use roundel_core::{camera::MAX_SIDE_PX, marker::Mode};
 use serde::Serialize;
 
 use crate::lab::print::spec;
@@ -90,6 +90,12 @@ impl Format {
         })
     }
 }
+
+/// Modes of the detector.
+const MODES: [(&str, Mode, &str); 2] = [
+    ("precise", Mode::Precise, "Rims and poses fitted to the grey levels"),
+    ("fast", Mode::Fast, "Rims from moments, poses in closed form"),
+];
 
 /// Parses a number within bounds.
 fn number(text: &str, [least, most]: [f64; 2]) -> Result<f64, String> {

@@ -2,28 +2,24 @@
 
 mod arena;
 mod ignored_options;
+mod inputs;
 mod measure;
-mod optics;
-mod roundel;
+mod report;
 mod single;
-mod timing;
 
 use std::{
-    io::Write as _,
     path::{Path, PathBuf},
     process::ExitCode,
 };
 
 use anyhow::{Context, anyhow, bail};
-use clap::{
-    Args, ValueEnum,
-    builder::{PossibleValuesParser, TypedValueParser},
-};
+use clap::{Args, ValueEnum};
 use roundel_core::{
     marker::{CodeLayout, Kind, Mode},
-    plan::{Imaging, map::MapArea, search::Requirements},
+    plan::{Imaging, search::Requirements},
 };
 
+use super::{Format, MODES, words};
 use crate::lab::{
     plan::{
         map_drawing::{self, MapFormat},
@@ -31,10 +27,7 @@ use crate::lab::{
     },
     print::spec::{self, Diameters, PolarityArg, PrintSpec},
 };
-use crate::model::config::MODES;
 
-/// Allowed values of `--precision`, millimetres.
-const PRECISION_RANGE_MM: std::ops::RangeInclusive<f64> = 1e-4..=1e6;
 /// Default ratio of the diameters of a plain roundel.
 const DEFAULT_RATIO: f64 = 0.4;
 
@@ -80,7 +73,7 @@ pub struct PlanArgs {
     polarity: PolarityArg,
     /// How roundels are located: precise (fitted to grey levels) or fast (by moments) [default: precise; with --config:
     /// as configured]
-    #[arg(long, value_parser = PossibleValuesParser::new(MODES.map(|(word, _)| word)).map(mode))]
+    #[arg(long, value_parser = words(&MODES))]
     mode: Option<Mode>,
     /// Distance along the optical axis, metres [default: midway from the nearest to the farthest]
     #[arg(long, value_name = "M")]
@@ -152,17 +145,8 @@ pub struct PlanArgs {
     #[arg(long, value_name = "FILE")]
     machine: Option<PathBuf>,
     /// Format of the report
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_enum, default_value = "table")]
     format: Format,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-enum Format {
-    /// Text
-    #[default]
-    Table,
-    /// One JSON object
-    Json,
 }
 
 /// Prints the report, and writes the map if requested.
@@ -171,22 +155,15 @@ pub(super) fn run(arguments: &PlanArgs) -> anyhow::Result<ExitCode> {
         eprintln!("{line}");
     }
     arguments.check()?;
-    let (text, map) = if arguments.measure {
-        (measure::run(arguments.format)?, None)
-    } else if let Some(config) = &arguments.config {
-        let (text, map) = arena::plan_installation(arguments, config)?;
-        (text, Some(map))
-    } else if let Some(arena_m) = arguments.arena {
-        let (text, map) = arena::plan_arena(arguments, arena_m)?;
-        (text, Some(map))
-    } else if arguments.map.is_some() {
-        bail!(
+    let map = match arguments {
+        PlanArgs { measure: true, .. } => measure::run(arguments.format).map(|()| None)?,
+        PlanArgs { config: Some(config), .. } => Some(arena::plan_installation(arguments, config)?),
+        PlanArgs { arena: Some(arena_m), .. } => Some(arena::plan_arena(arguments, *arena_m)?),
+        PlanArgs { map: Some(_), .. } => bail!(
             "--map: expected cameras with positions: add --config FILE, or --arena WIDTHxDEPTH with --mount"
-        );
-    } else {
-        (single::run(arguments)?, None)
+        ),
+        _ => single::run(arguments).map(|()| None)?,
     };
-    std::io::stdout().write_all(text.as_bytes()).context("cannot write to the standard output")?;
     if let (Some(map), Some(path)) = (&map, &arguments.map) {
         let failed = || format!("cannot write {}", path.display());
         let show = arguments.show.unwrap_or_default();
@@ -203,12 +180,23 @@ impl PlanArgs {
         if let Some(path) = &self.map {
             map_format(path)?;
         }
-        let height = self.height();
-        let [least, most] = MapArea::HEIGHTS_M;
-        if !(least..=most).contains(&height) {
-            bail!("--height: expected {least} to {most} m, found {height}");
+        let limits = [
+            ("--distance", self.distance, f64::MIN_POSITIVE..=f64::MAX, "metres above 0"),
+            ("--fov", self.fov, 1.0..=150.0, "1 to 150 degrees (--camera for a wider lens)"),
+            ("--height", self.height, -1e3..=1e3, "-1000 to 1000 m"),
+            ("--lost", self.lost, 0.0..=1.0, "a share of 0 to 1"),
+            ("--precision", self.precision, 1e-4..=1e6, "0.0001 to 1000000 mm"),
+            ("--rate", self.rate, 0.01..=1e5, "0.01 to 100000 frames per second"),
+            ("--speed", self.speed, 0.0..=1e3, "0 to 1000 m/s"),
+        ];
+        for (option, found, range, expected) in limits {
+            if let Some(found) = found
+                && !range.contains(&found)
+            {
+                bail!("{option}: expected {expected}, found {found}");
+            }
         }
-        let least_above = Requirements::MIN_HEIGHT_ABOVE_M;
+        let (height, least_above) = (self.height(), Requirements::MIN_HEIGHT_ABOVE_M);
         if let (Some(_), Some([low, _])) = (self.arena, self.mount)
             && low < height + least_above
         {
@@ -216,12 +204,6 @@ impl PlanArgs {
                 "--mount: expected cameras at least {least_above} m above the roundels, whose height is {height} m \
                  (--height), found {low} m"
             );
-        }
-        if let Some(precision) = self.precision
-            && !PRECISION_RANGE_MM.contains(&precision)
-        {
-            let (least, most) = (PRECISION_RANGE_MM.start(), PRECISION_RANGE_MM.end());
-            bail!("--precision: expected {least} to {most} mm, found {precision}");
         }
         Ok(())
     }
@@ -275,11 +257,6 @@ fn map_format(path: &Path) -> anyhow::Result<MapFormat> {
     MapFormat::from_str(&ending, true).map_err(|_| {
         anyhow!("--map {}: expected a name that ends in .svg, .png or .json", path.display())
     })
-}
-
-/// The mode of a name in [`MODES`].
-fn mode(word: String) -> Mode {
-    MODES.into_iter().find(|(known, _)| *known == word).map_or(Mode::Precise, |(_, mode)| mode)
 }
 
 /// Reads `WIDTHxDEPTH` in metres.

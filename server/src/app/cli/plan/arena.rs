@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, bail};
 use roundel_core::{
-    marker::Kind,
+    marker::{Kind, Pattern},
     plan::{
         TrialCache,
         map::{MapArea, map},
@@ -14,8 +14,9 @@ use roundel_core::{
 use serde_json::{Value, json};
 
 use super::{
-    Format, PlanArgs, optics, roundel,
-    timing::{times_source, timing_case},
+    PlanArgs,
+    inputs::{self, timing_case},
+    report::{self, times_source},
 };
 use crate::{
     fusion::calibration::file::CalibrationFile,
@@ -29,10 +30,7 @@ use crate::{
 };
 
 /// Plans with the cameras of a configuration.
-pub(super) fn plan_installation(
-    arguments: &PlanArgs,
-    path: &Path,
-) -> anyhow::Result<(String, PlanMap)> {
+pub(super) fn plan_installation(arguments: &PlanArgs, path: &Path) -> anyhow::Result<PlanMap> {
     let mut config = Config::load(path)?;
     // Poses from a stored calibration take precedence, as when the server starts.
     if let Some(path) = config.server.calibration.clone()
@@ -78,17 +76,12 @@ fn configured_kind(arguments: &PlanArgs, config: &Config) -> anyhow::Result<Kind
 }
 
 /// Searches for the fewest cameras, and without `--marker` also for the roundel.
-pub(super) fn plan_arena(
-    arguments: &PlanArgs,
-    arena_m: [f64; 2],
-) -> anyhow::Result<(String, PlanMap)> {
-    let (sensor, _) = optics::sensor(arguments)?;
+pub(super) fn plan_arena(arguments: &PlanArgs, arena_m: [f64; 2]) -> anyhow::Result<PlanMap> {
+    let (sensor, _) = inputs::sensor(arguments)?;
     let kind = Kind { name: "the roundel".to_owned(), ..arguments.kind()? };
-    let Some(mount_m) = arguments.mount else {
-        bail!(
-            "--arena: expected the mounting height of the cameras: add --mount M, or --mount LOWEST:HIGHEST"
-        );
-    };
+    let mount_m = arguments.mount.context(
+        "--arena: expected the mounting height of the cameras: add --mount M, or --mount LOWEST:HIGHEST",
+    )?;
     let corners_m = [-0.5, 0.5].map(|share| arena_m.map(|side| share * side));
     let area = map_area(corners_m, arguments.height(), arguments.step);
     let requirements = Requirements {
@@ -159,33 +152,22 @@ fn measure<'a>(
 }
 
 impl ArenaPlan {
-    fn report(
-        self,
-        arguments: &PlanArgs,
-        cameras: &[PlannedCamera],
-    ) -> anyhow::Result<(String, PlanMap)> {
+    /// Prints the report and returns the map.
+    fn report(self, arguments: &PlanArgs, cameras: &[PlannedCamera]) -> anyhow::Result<PlanMap> {
+        let Self { kind, size, map, grid } = &self;
         let lost = arguments.lost();
-        let all = measure(arguments, &self.kind, cameras)?;
-        let together_s = all.iter().map(|(_, _, times)| times.median_s(lost)).sum();
+        let all = measure(arguments, kind, cameras)?;
+        let together_s: f64 = all.iter().map(|(_, _, times)| times.median_s(lost)).sum();
         let longest = all.iter().max_by(|a, b| a.2.median_s(lost).total_cmp(&b.2.median_s(lost)));
-        let (name, _, times) = longest.context("expected a camera, found none")?;
-        let text = match arguments.format {
-            Format::Json => format!("{:#}\n", self.json(arguments, times, together_s)),
-            Format::Table => self.table(arguments, name, times, together_s),
-        };
-        Ok((text, self.map))
-    }
-
-    fn json(&self, arguments: &PlanArgs, longest: &FrameTimes, together_s: f64) -> Value {
-        let Self { kind, size, map, grid } = self;
-        let grid = grid.as_ref().map(|grid| {
-            json!({"counts": grid.counts, "mount_m": grid.mount_m, "turned": grid.is_turned})
+        let (name, _, longest) = longest.context("expected a camera, found none")?;
+        let grid = grid.map(|Layout { counts, mount_m, is_turned }| {
+            json!({"counts": counts, "mount_m": mount_m, "turned": is_turned})
         });
-        json!({
+        let report = json!({
             "roundel": map.roundel,
             "outer_m": kind.outer_diameter_m,
             "inner_m": kind.inner_diameter_m,
-            "code": roundel::code(kind),
+            "code": report::code(kind),
             "size_is_assumed": *size == Size::Assumed,
             "outer_was_searched": *size == Size::Searched,
             "height_m": map.height_m,
@@ -194,11 +176,14 @@ impl ArenaPlan {
             "summary": map.summary,
             "stations": map.stations,
             "grid": grid,
-            "longest_frame_s": longest.median_s(arguments.lost()),
-            "longest_frame_p95_s": longest.p95_s(arguments.lost()),
+            "longest_frame_s": longest.median_s(lost),
+            "longest_frame_p95_s": longest.p95_s(lost),
             "frames_together_s": together_s,
             "times": times_source(arguments, longest),
-        })
+        });
+        let table = |_: &Value| self.table(arguments, name, longest, together_s);
+        arguments.format.print(&report, table)?;
+        Ok(self.map)
     }
 
     fn table(
@@ -214,17 +199,16 @@ impl ArenaPlan {
             Size::Assumed => " (default size; --marker sets another one)",
             Size::Searched => " (the size that needs the fewest cameras)",
         };
-        let mut lines = vec![format!("{}: {}{size}", map.roundel, roundel::words(kind))];
-        if let Some(grid) = grid {
-            let [columns, rows] = grid.counts;
+        let mut lines = vec![format!("{}: {}{size}", map.roundel, report::roundel(kind))];
+        if let Some(Layout { counts: [columns, rows], mount_m, is_turned }) = *grid {
             lines.push(format!(
                 "{}, at {:.2} m, looking straight down, top of the image towards {}",
                 match columns * rows {
                     1 => "1 camera in the middle".to_owned(),
                     count => format!("{count} cameras: {columns} along x, {rows} along y"),
                 },
-                grid.mount_m,
-                if grid.is_turned { "-x" } else { "+y" }
+                mount_m,
+                if is_turned { "-x" } else { "+y" }
             ));
         }
         for station in &map.stations {
@@ -245,12 +229,13 @@ impl ArenaPlan {
         let millimetres = |value: &Option<f64>| {
             value.map_or("-".to_owned(), |value| format!("{:.3} mm", value * 1e3))
         };
+        let is_coded = matches!(kind.pattern, Pattern::Coded(_));
         let [wide, deep] = [0, 1].map(|axis| map.max_m[axis] - map.min_m[axis]);
         lines.push(format!(
             "{wide:.1} x {deep:.1} m at {} m: {:.1} % {}, {:.1} % by two or more; rms error {} (median), {} (95 %)",
             map.height_m,
         seen_share * 100.0,
-        if roundel::is_coded(kind) { "seen and the code read" } else { "seen" },
+        if is_coded { "seen and the code read" } else { "seen" },
         twice_share * 100.0,
         millimetres(median_m),
         millimetres(p95_m)

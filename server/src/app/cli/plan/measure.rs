@@ -23,8 +23,8 @@ const SITUATIONS: [Situation; 5] = [
     ((1920, 1080), 24, 50.0, 1.5, true),
 ];
 
-/// Returns the report.
-pub(super) fn run(format: Format) -> anyhow::Result<String> {
+/// Prints the report.
+pub(super) fn run(format: Format) -> anyhow::Result<()> {
     let mut rows = Vec::new();
     let mut text = "mode     megapixels  roundels         px  px / frame  searched  median ms  95th percentile ms\n".to_owned();
     for (size, roundels, diameter_px, motion_px, is_coded) in SITUATIONS {
@@ -67,10 +67,6 @@ pub(super) fn run(format: Format) -> anyhow::Result<String> {
             }
         }
     }
-    Ok(match format {
-        Format::Table => text,
-        Format::Json => {
-            format!("{:#}\n", json!({"precise_s": null, "fast_s": null, "measured": rows}))
-        }
-    })
+    let report = json!({"precise_s": null, "fast_s": null, "measured": rows});
+    format.print(&report, |_| text)
 }

@@ -1,16 +1,14 @@
-//! The camera of a plan, from a camera file or from resolution and field of view.
+//! Inputs of a plan: the camera, from a camera file or from resolution and field of view, and the frames to time.
 
 use anyhow::{Context, bail};
 use roundel_core::{
-    camera::{Camera, Intrinsics, Lens, PixelPoint},
+    camera::{Camera, Intrinsics, Lens},
+    marker::Kind,
     plan::{Sensor, TrialCache},
 };
 
 use super::PlanArgs;
-use crate::model::camera_file;
-
-/// Allowed horizontal fields of view of a pinhole camera, degrees.
-const FOV_RANGE_DEG: std::ops::RangeInclusive<f64> = 1.0..=150.0;
+use crate::{lab::plan::timing::TimingCase, model::camera_file};
 
 /// The camera, and its name in the report.
 pub(super) fn sensor(arguments: &PlanArgs) -> anyhow::Result<(Sensor, String)> {
@@ -31,13 +29,6 @@ pub(super) fn sensor(arguments: &PlanArgs) -> anyhow::Result<(Sensor, String)> {
 }
 
 fn pinhole((width, height): (usize, usize), fov_deg: f64) -> anyhow::Result<Camera> {
-    if !FOV_RANGE_DEG.contains(&fov_deg) {
-        bail!(
-            "--fov: expected {} to {} degrees, found {fov_deg}; for a wider lens, use --camera with its calibration",
-            FOV_RANGE_DEG.start(),
-            FOV_RANGE_DEG.end()
-        );
-    }
     let focal_px = 0.5 * width as f64 / (0.5 * fov_deg.to_radians()).tan();
     let middle = |side: usize| 0.5 * (side as f64 - 1.0);
     Camera::new(Intrinsics {
@@ -52,13 +43,30 @@ fn pinhole((width, height): (usize, usize), fov_deg: f64) -> anyhow::Result<Came
     .context("--resolution")
 }
 
-/// Horizontal and vertical field of view, degrees; `None` where the lens model does not reach the picture's edge.
-pub(super) fn fields_deg(camera: &Camera) -> [Option<f64>; 2] {
-    let Intrinsics { width, height, cx_px, cy_px, .. } = *camera.intrinsics();
-    let at = |u: f64, v: f64| camera.bearing(PixelPoint { u, v }).ok();
-    let edges = [
-        at(-0.5, cy_px).zip(at(width as f64 - 0.5, cy_px)),
-        at(cx_px, -0.5).zip(at(cx_px, height as f64 - 0.5)),
-    ];
-    edges.map(|edges| edges.map(|(from, to)| from.angle(&to).to_degrees()))
+/// Frames with `--count` roundels of this mean diameter, at this scale across the line of sight.
+pub(super) fn timing_case(
+    arguments: &PlanArgs,
+    sensor: &Sensor,
+    kind: &Kind,
+    diameter_px: f64,
+    px_per_m: f64,
+) -> anyhow::Result<TimingCase> {
+    let (speed, rate) = (arguments.speed.unwrap_or(0.5), arguments.rate());
+    let motion_px = speed / rate * px_per_m;
+    let size = (sensor.camera.width(), sensor.camera.height());
+    if motion_px > size.0 as f64 {
+        bail!(
+            "--speed: at {speed} m/s and {rate} frames per second a roundel moves by {motion_px:.0} px per frame, \
+             more than the width of the picture: use a lower speed, or a higher --rate"
+        );
+    }
+    Ok(TimingCase {
+        size,
+        kind: kind.clone(),
+        mode: sensor.mode,
+        imaging: sensor.imaging,
+        roundels: arguments.count() as usize,
+        diameter_px,
+        motion_px,
+    })
 }
