@@ -114,10 +114,8 @@ fn cameras(map: &PlanMap, axes: &Axes) -> Vec<Shape> {
     let mut shapes = Vec::new();
     for station in &map.stations {
         let Some([x, y, _]) = station.position_m else { continue };
-        let is_inside =
-            axes.x.start <= x && x <= axes.x.end && axes.y.start <= y && y <= axes.y.end;
-        if is_inside {
-            let at = axes.point(x, y);
+        let at = axes.point(x, y);
+        if axes.area.inflate(0.5, 0.5).contains(at) {
             shapes.push(Shape::fill(Circle::new(at, 4.5), BLACK));
             shapes.push(Shape::fill(Circle::new(at, 3.5), WHITE));
             let corner = at + (6.0, -LETTER_PX / 2.0 - 2.0);
