@@ -24,10 +24,8 @@ use roundel_vision::{
 
 /// Extent of an edge's blur in deviations.
 const REACH_SIGMA: f64 = 4.5;
-/// Resolution of the table of K, which is interpolated linearly.
-const STEPS_PER_PX: f64 = 64.0;
 /// Maximum distance of lines in deviations of blur and pixel, and minimum number of lines.
-const LINES_SIGMA: f64 = 0.5;
+const LINES_SIGMA: f64 = 1.0;
 const MIN_LINES: usize = 8;
 
 /// Diameter of the sheet over that of the ring, and level of the floor from that of the sheet to that of the ring.
@@ -35,97 +33,73 @@ const MIN_LINES: usize = 8;
 const SHEET_SHARE: f64 = 1.8;
 const FLOOR_SHARE: f64 = 0.5;
 
-/// Profile of a blurred edge.
-pub(super) struct BlurredEdge {
-    blur_px: f64,
-    reach_px: f64,
-    /// K from `-reach_px` on.
-    shares: Vec<f64>,
+fn reach_px(blur_px: f64) -> f64 {
+    REACH_SIGMA * blur_px + 0.5
 }
 
-impl BlurredEdge {
-    pub fn new(blur_px: f64) -> Self {
-        let reach_px = REACH_SIGMA * blur_px + 0.5;
-        let beyond = |x_px: f64| Beyond::new(x_px, blur_px).moved_px;
-        let share = |step: usize| {
-            let x_px = step as f64 / STEPS_PER_PX - reach_px;
-            1.0 + beyond(x_px + 0.5) - beyond(x_px - 0.5)
-        };
-        let count = (2.0 * reach_px * STEPS_PER_PX) as usize + 2;
-        Self { blur_px, reach_px, shares: (0..count).map(share).collect() }
+/// K.
+fn share(x_px: f64, blur_px: f64) -> f64 {
+    if x_px.abs() >= reach_px(blur_px) {
+        return if x_px < 0.0 { 0.0 } else { 1.0 };
     }
+    let beyond = |x_px: f64| Beyond::new(x_px, blur_px).moved_px;
+    1.0 + beyond(x_px + 0.5) - beyond(x_px - 0.5)
+}
 
-    /// K.
-    fn share(&self, x_px: f64) -> f64 {
-        let place = (x_px + self.reach_px) * STEPS_PER_PX;
-        if place <= 0.0 {
-            return 0.0;
+/// k.
+fn weight(x_px: f64, blur_px: f64) -> f64 {
+    let below = |x_px: f64| normal_distribution::cumulative(x_px / blur_px);
+    below(x_px + 0.5) - below(x_px - 0.5)
+}
+
+/// Adds `sign` times the coverage of an ellipse to a square picture.
+fn cover(ellipse: &Ellipse, blur_px: f64, sign: f64, side: usize, shares: &mut [f64]) {
+    let shape = ellipse.matrix();
+    let high_px = shape.vv.sqrt();
+    // Length of the longest line, and shear of the lines.
+    let wide_px = (shape.determinant() / shape.vv).sqrt();
+    let aslant = shape.uv / shape.vv;
+    let step_px = LINES_SIGMA * (blur_px.powi(2) + 1.0 / 12.0).sqrt();
+    let lines = ((PI * high_px / step_px).ceil() as usize).max(MIN_LINES);
+    let step = PI / lines as f64;
+    let mut along = vec![0.0; side];
+    for line in 0..lines {
+        let (sin, cos) = ((line as f64 + 0.5) * step - FRAC_PI_2).sin_cos();
+        let (y, half) = (high_px * sin, wide_px * cos);
+        let middle = ellipse.center.u + aslant * y;
+        for (p, along) in along.iter_mut().enumerate() {
+            let x_px = p as f64 - middle;
+            *along = share(x_px + half, blur_px) - share(x_px - half, blur_px);
         }
-        let step = place as usize;
-        match self.shares.get(step + 1) {
-            Some(next) => {
-                let this = self.shares[step];
-                this + (place - step as f64) * (next - this)
-            }
-            None => 1.0,
-        }
-    }
-
-    /// k.
-    fn weight(&self, x_px: f64) -> f64 {
-        let below = |x_px: f64| normal_distribution::cumulative(x_px / self.blur_px);
-        below(x_px + 0.5) - below(x_px - 0.5)
-    }
-
-    /// Adds `sign` times the coverage of an ellipse to a square picture.
-    fn cover(&self, ellipse: &Ellipse, sign: f64, side: usize, shares: &mut [f64]) {
-        let shape = ellipse.matrix();
-        let high_px = shape.vv.sqrt();
-        // Length of the longest line, and shear of the lines.
-        let wide_px = (shape.determinant() / shape.vv).sqrt();
-        let aslant = shape.uv / shape.vv;
-        let step_px = LINES_SIGMA * (self.blur_px.powi(2) + 1.0 / 12.0).sqrt();
-        let lines = ((PI * high_px / step_px).ceil() as usize).max(MIN_LINES);
-        let step = PI / lines as f64;
-        let mut along = vec![0.0; side];
-        for line in 0..lines {
-            let (sin, cos) = ((line as f64 + 0.5) * step - FRAC_PI_2).sin_cos();
-            let (y, half) = (high_px * sin, wide_px * cos);
-            let middle = ellipse.center.u + aslant * y;
-            for (p, share) in along.iter_mut().enumerate() {
-                *share =
-                    self.share(p as f64 - middle + half) - self.share(p as f64 - middle - half);
-            }
-            let v = ellipse.center.v + y;
-            let first = (v - self.reach_px).ceil().max(0.0) as usize;
-            let last = ((v + self.reach_px).floor() + 1.0).clamp(0.0, side as f64) as usize;
-            for q in first..last {
-                let weight = sign * high_px * cos * step * self.weight(q as f64 - v);
-                let row = &mut shares[q * side..][..side];
-                row.iter_mut().zip(&along).for_each(|(sum, share)| *sum += weight * share);
-            }
+        let v = ellipse.center.v + y;
+        let first = (v - reach_px(blur_px)).ceil().max(0.0) as usize;
+        let last = ((v + reach_px(blur_px)).floor() + 1.0).clamp(0.0, side as f64) as usize;
+        for q in first..last {
+            let weight = sign * high_px * cos * step * weight(q as f64 - v, blur_px);
+            let row = &mut shares[q * side..][..side];
+            row.iter_mut().zip(&along).for_each(|(sum, share)| *sum += weight * share);
         }
     }
+}
 
-    /// Grey levels of a ring on its sheet without noise, `side` rows and columns.
-    pub fn picture(&self, ring: &Ring, imaging: &Imaging, side: usize) -> Vec<f64> {
-        let sheet = Ellipse {
-            semi_major_px: SHEET_SHARE * ring.outer.semi_major_px,
-            semi_minor_px: SHEET_SHARE * ring.outer.semi_minor_px,
-            ..ring.outer
-        };
-        // In units of the contrast: 0 is the sheet, 1 the print.
-        let mut levels = vec![FLOOR_SHARE; side * side];
-        self.cover(&sheet, -FLOOR_SHARE, side, &mut levels);
-        self.cover(&ring.outer, 1.0, side, &mut levels);
-        self.cover(&ring.inner, -1.0, side, &mut levels);
-        let (page, step) = match ring.polarity {
-            Polarity::BlackRing => (imaging.white, -imaging.contrast()),
-            Polarity::WhiteRing => (imaging.black, imaging.contrast()),
-        };
-        levels.iter_mut().for_each(|level| *level = page + step * *level);
-        levels
+/// Grey levels of a ring on its sheet without noise, `side` rows and columns.
+pub(super) fn picture(ring: &Ring, imaging: &Imaging, side: usize) -> Vec<f64> {
+    let sheet = Ellipse {
+        semi_major_px: SHEET_SHARE * ring.outer.semi_major_px,
+        semi_minor_px: SHEET_SHARE * ring.outer.semi_minor_px,
+        ..ring.outer
+    };
+    // In units of the contrast: 0 is the sheet, 1 the print.
+    let mut levels = vec![FLOOR_SHARE; side * side];
+    for (ellipse, sign) in [(&sheet, -FLOOR_SHARE), (&ring.outer, 1.0), (&ring.inner, -1.0)] {
+        cover(ellipse, imaging.blur_px, sign, side, &mut levels);
     }
+    let (page, step) = match ring.polarity {
+        Polarity::BlackRing => (imaging.white, -imaging.contrast()),
+        Polarity::WhiteRing => (imaging.black, imaging.contrast()),
+    };
+    levels.iter_mut().for_each(|level| *level = page + step * *level);
+    levels
 }
 
 /// Adds noise and quantizes.
@@ -152,13 +126,6 @@ mod tests {
         Ring::of_rims(ellipse(outer_px), ellipse(inner_px))
     }
 
-    /// Coverage of each pixel by an ellipse.
-    fn shares(edge: &BlurredEdge, ellipse: &Ellipse, side: usize) -> Vec<f64> {
-        let mut shares = vec![0.0; side * side];
-        edge.cover(ellipse, 1.0, side, &mut shares);
-        shares
-    }
-
     /// Area, centre and covariance of a blurred ellipse.
     #[test]
     fn blur_keeps_area_and_centre_and_adds_its_variance() {
@@ -166,7 +133,9 @@ mod tests {
         for (semiaxes_px, angle_rad) in [([2.0, 1.1], 0.4), ([9.0, 6.5], -1.2), ([3.0, 3.0], 0.0)] {
             let Ring { outer, .. } = ring([19.3, 20.6], angle_rad, [semiaxes_px; 2]);
             let mut sums = [0.0; 6];
-            for (index, share) in shares(&BlurredEdge::new(0.7), &outer, side).iter().enumerate() {
+            let mut shares = vec![0.0; side * side];
+            cover(&outer, 0.7, 1.0, side, &mut shares);
+            for (index, share) in shares.iter().enumerate() {
                 let (u, v) = ((index % side) as f64 - 19.3, (index / side) as f64 - 20.6);
                 let moments = [1.0, u, v, u * u, u * v, v * v];
                 sums.iter_mut().zip(moments).for_each(|(sum, of)| *sum += share * of);
@@ -188,14 +157,13 @@ mod tests {
         let side = 64;
         let mut ring = ring([32.0, 31.0], 0.3, [[15.0, 13.0], [6.0, 5.0]]);
         let imaging = Imaging { noise: 0.0, blur_px: 0.7, black: 40.0, white: 200.0 };
-        let edge = BlurredEdge::new(imaging.blur_px);
         let at = |levels: &[f64], u: usize, v: usize| levels[v * side + u];
-        let levels = edge.picture(&ring, &imaging, side);
+        let levels = picture(&ring, &imaging, side);
         for (u, v, expected) in [(2, 2, 120.0), (32, 31, 200.0), (32, 40, 40.0), (12, 25, 200.0)] {
             assert!((at(&levels, u, v) - expected).abs() < 0.05, "{u} {v}");
         }
         ring.polarity = Polarity::WhiteRing;
-        let turned = edge.picture(&ring, &imaging, side);
+        let turned = picture(&ring, &imaging, side);
         assert!(levels.iter().zip(&turned).all(|(one, other)| (one + other - 240.0).abs() < 1e-9));
     }
 }

@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{
     Imaging, Sensor, TrialCache,
-    ring_image::{BlurredEdge, developed},
+    ring_image::{developed, picture},
     roundel_image::{RoundelImage, image_roundel},
 };
 use roundel_vision::{
@@ -61,7 +61,6 @@ pub(super) struct RingTrial<'a> {
     pub sensor: Sensor,
     tracker: Tracker,
     locator: Locator,
-    edge: BlurredEdge,
     pixels: Vec<u8>,
 }
 
@@ -92,7 +91,6 @@ impl<'a> RingTrial<'a> {
             tracker: Tracker::new(detector),
             locator: Locator::new(camera.clone(), vec![kind.clone()], mode),
             sensor: Sensor { camera, lens_uncertainty: None, imaging, mode, trials },
-            edge: BlurredEdge::new(imaging.blur_px),
             pixels: vec![0; side * side],
         }
     }
@@ -124,7 +122,7 @@ impl<'a> RingTrial<'a> {
         let Sensor { camera, imaging, .. } = &self.sensor;
         let image = image_roundel(camera, self.kind, imaging, &pose)?;
         let side = camera.width();
-        let levels = self.edge.picture(&image.ring, imaging, side);
+        let levels = picture(&image.ring, imaging, side);
         developed(&levels, imaging.noise, random, &mut self.pixels);
         let view = Frame::new(&self.pixels, side, side, side).expect("a frame of this size");
         let tracked = self.tracker.process(&view).first();
