@@ -336,7 +336,7 @@ mod tests {
         assert!(deviation.upright_m > 2.0 * deviation.level_m, "{deviation:?}");
         let far = MapArea { min_m: [5.0, 5.0], max_m: [6.0, 6.0], ..area };
         let unseen = map(&row(&[0.0]), &kind(), far).unwrap();
-        assert!(unseen.summary().seen_share == 0.0 && unseen.summary().median_m.is_nan());
+        assert!(unseen.summary().seen_share == 0.0 && unseen.summary().median_m.is_none());
         // The share of each camera is the one it has alone.
         let wide = MapArea { min_m: [-3.0, -1.0], max_m: [2.0, 1.0], ..area };
         let places_m = [1.5, -1.0];

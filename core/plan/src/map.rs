@@ -97,10 +97,10 @@ pub struct Summary {
     pub seen_share: f64,
     /// Share of spots covered by at least two cameras.
     pub twice_share: f64,
-    /// Median deviation of covered spots, metres; NaN without any.
-    pub median_m: f64,
+    /// Median deviation of covered spots, metres; `None` without any.
+    pub median_m: Option<f64>,
     /// 95th percentile, metres.
-    pub p95_m: f64,
+    pub p95_m: Option<f64>,
 }
 
 impl MapArea {
@@ -276,7 +276,7 @@ impl Map {
         deviations.sort_by(f64::total_cmp);
         let quantile = |share: f64| {
             let last = deviations.len().saturating_sub(1) as f64;
-            deviations.get((share * last).round() as usize).copied().unwrap_or(f64::NAN)
+            deviations.get((share * last).round() as usize).copied()
         };
         Summary {
             seen_share: share(1),

@@ -357,7 +357,7 @@ impl<'a> GridSearch<'a> {
                     "the best, {columns} x {rows} at {:.2} m, does it for {:.0} % (median {:.2} mm)",
                     layout.mount_m,
                     share * 100.0,
-                    median_m * 1e3
+                    median_m.unwrap_or(f64::NAN) * 1e3
                 );
                 (reason, larger)
             }

@@ -1,6 +1,6 @@
 //! A map as numbers.
 
-use roundel_core::plan::map::{Deviation, Map};
+use roundel_core::plan::map::{Deviation, Map, Summary};
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -67,8 +67,7 @@ impl PlanMap {
         let each = |value: fn(&Deviation) -> f64| {
             map.spots.iter().map(|spot| spot.deviation.as_ref().map(value)).collect()
         };
-        let summary = map.summary();
-        let finite = |value: f64| Some(value).filter(|value| value.is_finite());
+        let Summary { seen_share, twice_share, median_m, p95_m } = map.summary();
         let mut seen_shares = map.seen_shares.iter().copied();
         let stations = cameras.iter().map(|camera| {
             let name = camera.name.clone();
@@ -95,12 +94,7 @@ impl PlanMap {
             deviation_m: each(|deviation| deviation.total_m),
             level_m: each(|deviation| deviation.level_m),
             upright_m: each(|deviation| deviation.upright_m),
-            summary: PlanSummary {
-                seen_share: summary.seen_share,
-                twice_share: summary.twice_share,
-                median_m: finite(summary.median_m),
-                p95_m: finite(summary.p95_m),
-            },
+            summary: PlanSummary { seen_share, twice_share, median_m, p95_m },
             stations: stations.collect(),
         }
     }
