@@ -28,7 +28,6 @@ use crate::marker::{
     ring::probe::Rules,
     search::{
         chord::{Evenness, RATIO_SLACK},
-        claim::ClaimedPixels,
         cross::CrossRules,
         hits::{HitRules, HitScratch},
         row_edges::{ROW_STEP, RowEdges},
@@ -62,7 +61,6 @@ pub(crate) struct SearchRules {
 pub(crate) struct SearchScratch {
     pub row: RowEdges,
     pub hits: HitScratch,
-    pub claimed: ClaimedPixels,
 }
 
 impl SearchScratch {
