@@ -211,10 +211,13 @@ fn every_camera_stops_for_a_second() {
 #[test]
 fn detections_with_invalid_numbers() {
     type Spoil = fn(&mut roundel_core::pose::RoundelPose);
-    let spoils: [Spoil; 8] = [
+    let spoils: [Spoil; 11] = [
         |pose| pose.position_m.x = f64::NAN,
         |pose| pose.position_m.z = f64::INFINITY,
+        |pose| pose.position_m = Vector3::zeros(),
         |pose| pose.normal = Vector3::zeros(),
+        |pose| pose.normal = -pose.normal,
+        |pose| pose.other_normal = pose.position_m.cross(&pose.normal).normalize(),
         |pose| pose.other_normal.y = f64::NAN,
         |pose| pose.normal_likelihood = f64::NAN,
         |pose| pose.covariance = Covariance6::zeros(),

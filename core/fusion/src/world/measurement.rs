@@ -27,6 +27,8 @@ const CEILING_POSITION_M2: f64 = 1e4;
 const CEILING_ROTATION_RAD2: f64 = 1e4;
 /// Tolerance of a unit normal's length.
 const UNIT_TOLERANCE: f64 = 1e-3;
+/// Smallest cosine between a normal and the direction to the camera.
+const MIN_FACING: f64 = 1e-3;
 
 /// Pose of a stationary camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -88,8 +90,8 @@ pub(super) struct FrameId {
 pub(super) enum MeasurementReject {
     /// No pose.
     NoPose,
-    /// A number is not finite, a normal is no unit vector, or the covariance is out of range or not positive
-    /// definite.
+    /// A number is not finite, a normal is no unit vector or does not face the camera, or the covariance is out of
+    /// range or not positive definite.
     Invalid,
 }
 
@@ -234,14 +236,19 @@ fn symmetric(matrix: Matrix3<f64>) -> Matrix3<f64> {
 }
 
 pub(super) fn is_valid_pose(pose: &RoundelPose) -> bool {
-    let is_unit = |vector: &Vector3<f64>| (vector.norm() - 1.0).abs() < UNIT_TOLERANCE;
+    let distance_m = pose.position_m.norm();
+    // A print that is seen from the side or from behind has no image, so its other normal has no yaw.
+    let faces_camera = |normal: &Vector3<f64>| {
+        (normal.norm() - 1.0).abs() < UNIT_TOLERANCE
+            && normal.dot(&pose.position_m) < -MIN_FACING * distance_m
+    };
     let variances = pose.covariance.diagonal();
     // Without a branch for each number.
     let are_finite = |numbers: &[f64]| numbers.iter().fold(true, |all, one| all & one.is_finite());
     are_finite(pose.position_m.as_slice())
         && are_finite(pose.covariance.as_slice())
-        && is_unit(&pose.normal)
-        && is_unit(&pose.other_normal)
+        && faces_camera(&pose.normal)
+        && faces_camera(&pose.other_normal)
         && (0.0..=1.0).contains(&pose.normal_likelihood)
         && pose.yaw_rad.is_none_or(f64::is_finite)
         && pose.yaw_symmetry >= 1
