@@ -13,7 +13,7 @@
 //! of [`BLOCK_S`] (White 1980; Liang, Zeger 1986), because errors of a roundel in a camera are correlated over about a
 //! second. References and priors contribute to M as stated.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use super::{
