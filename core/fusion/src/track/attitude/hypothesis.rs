@@ -360,8 +360,8 @@ mod tests {
                 (measurement(turn, apart, *likelihood, yaw_symmetry, *deviation_rad), CameraId(*camera))
             };
             let (first, camera) = measured(&steps[0]);
-            let kalman = begin(&first, 0, camera, &model);
-            let mut quick = Hypothesis { orientation: first.full_orientation(0), kalman };
+            let near = first.full_orientation(0);
+            let mut quick = Hypothesis::begin(&first, 0, &near, camera, &model);
             for step in &steps[1..] {
                 let (measurement, camera) = measured(step);
                 let density = model.angular_density_rad2_s3;
