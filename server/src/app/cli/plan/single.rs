@@ -131,6 +131,9 @@ fn paper(sensor: &Sensor, kind: &Kind, tilt_rad: f64, distance_m: f64) -> Value 
     })
 }
 
+/// Label, places of the values of plan and paper in the report, and their format.
+type Row<'a> = (&'a str, &'a str, &'a str, fn(&Value) -> String);
+
 /// A line for each value that the report has, with the paper's prediction beside it.
 fn table(arguments: &PlanArgs, report: &Value) -> String {
     let is_coded = !report["code_unread"].is_null();
@@ -140,7 +143,7 @@ fn table(arguments: &PlanArgs, report: &Value) -> String {
     let read_px = if is_coded { "/least_minor_px" } else { "" };
     let place = format!("diameter at {}", metres(&report["distance_m"]));
     let time = format!("time per frame, {} roundels", arguments.count());
-    let rows: [(&str, &str, &str, fn(&Value) -> String); 17] = [
+    let rows: [Row; 17] = [
         ("minimum distance, any rotation", "/least_distance_m", "/paper/least_distance_m", metres),
         (&on_axis, "/most_distance_m", "/paper/most_distance_m", metres),
         (&corners, "/most_corner_distance_m", "/paper/most_corner_distance_m", metres),

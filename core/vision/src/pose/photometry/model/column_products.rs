@@ -197,11 +197,11 @@ fn multiply_block<S: Simd, const A: usize, const B: usize, const SAME: bool>(
         }
         start += width;
     }
-    for i in 0..A {
-        for j in if SAME { i } else { 0 }..B {
+    for (i, products) in block.iter().enumerate() {
+        for (j, product) in products.iter().enumerate().skip(if SAME { i } else { 0 }) {
             let sum = &mut sums.lanes[(first + i) * COLUMNS + second + j][..width];
             let before = if sums.is_stale { zero } else { S::f32s::from_slice(simd, sum) };
-            (before + block[i][j]).store_slice(sum);
+            (before + *product).store_slice(sum);
         }
     }
 }
