@@ -26,7 +26,7 @@ use crate::{
         },
         search::{
             SearchRules, SearchScratch,
-            claim::ClaimedPixels,
+            claim::Claim,
             cross::{Candidate, cross},
             hits::{Hit, find_hits},
             row_edges::ROW_STEP,
@@ -74,7 +74,7 @@ pub struct Scratch {
     pub(crate) batch: BatchScratch,
     pub(crate) search: SearchScratch,
     pub(crate) found: Vec<Ring>,
-    pub(crate) claimed: ClaimedPixels,
+    pub(crate) claims: Vec<Claim>,
     pub(crate) rejects: Rejects,
 }
 
@@ -91,6 +91,7 @@ impl Scratch {
         self.search.reserve(size.0);
         let max = max_roundels.min(RESERVED_RINGS);
         reserve_total(&mut self.found, max);
+        reserve_total(&mut self.claims, max);
     }
 
     /// Rejected candidates of the newest frame, by stage.
@@ -164,7 +165,7 @@ impl Detector {
     /// All rings of one frame, in the order of the rows in which they were found.
     pub fn detect<'s>(&self, frame: &Frame, scratch: &'s mut Scratch) -> &'s [Ring] {
         scratch.rejects.clear();
-        scratch.claimed.clear((frame.width(), frame.height()));
+        scratch.claims.clear();
         scratch.found.clear();
         self.search(frame, Window::of(frame), self.params.max_roundels, scratch);
         &scratch.found
@@ -218,10 +219,11 @@ impl Detector {
     pub(crate) fn search(&self, frame: &Frame, window: Window, max: usize, scratch: &mut Scratch) {
         scratch.reserve(frame, self.params().max_roundels);
         let mut memory = std::mem::take(&mut scratch.search);
-        let SearchScratch { row, hits } = &mut memory;
+        let SearchScratch { row, hits, claimed } = &mut memory;
+        claimed.clear(window);
+        scratch.claims.iter().for_each(|claim| claimed.add(claim));
         let rules = &self.search_rules.for_width(frame.width());
-        let top = window.top - window.top % ROW_STEP;
-        for v in (top..window.bottom).step_by(ROW_STEP) {
+        for v in (window.top..window.bottom).step_by(ROW_STEP) {
             if scratch.found.len() >= max {
                 break;
             }
@@ -229,11 +231,13 @@ impl Detector {
             for &polarity in &self.polarities {
                 find_hits(row, &rules.hit_in(v), polarity, hits);
                 for hit in &hits.hits {
-                    if scratch.found.len() >= max || scratch.claimed.contains(hit.u, hit.v) {
+                    if scratch.found.len() >= max || claimed.contains(hit.u, hit.v) {
                         continue;
                     }
                     if let Some(ring) = self.measure_hit(frame, hit, polarity, rules, scratch) {
-                        scratch.claimed.add(&ring.outer, ring.outer.half_box_px().1);
+                        let claim = Claim::new(&ring);
+                        claimed.add(&claim);
+                        scratch.claims.push(claim);
                         scratch.found.push(ring);
                     }
                 }
@@ -311,7 +315,8 @@ impl Detector {
             (Pattern::Plain, _) => check_letter(&ring)?,
             _ => (),
         }
-        if scratch.claimed.covers(&ring) { Err(Reject::Claimed) } else { Ok(ring) }
+        let covered = scratch.claims.iter().any(|claim| claim.covers(&ring));
+        if covered { Err(Reject::Claimed) } else { Ok(ring) }
     }
 
     fn kind_of(&self, ring: &Ring) -> Option<&Kind> {

@@ -19,7 +19,7 @@ use crate::{
         kind::Polarity,
         reject::{Reject, RejectCounts, Rejected},
         ring::{pixels::predicted::PredictedRims, probe::Probe},
-        search::row_edges::ROW_STEP,
+        search::{claim::Claim, row_edges::ROW_STEP},
     },
 };
 
@@ -198,7 +198,7 @@ impl Tracker {
             self.size = size;
         }
         self.scratch.rejects.clear();
-        self.scratch.claimed.clear(size);
+        self.scratch.claims.clear();
         self.scratch.found.clear();
         for track in &mut self.tracks {
             track.missed += 1;
@@ -239,7 +239,7 @@ impl Tracker {
                     }
                 };
                 let measured = ring.and_then(|ring| {
-                    if scratch.claimed.covers(ring) {
+                    if scratch.claims.iter().any(|claim| claim.covers(ring)) {
                         return Err(Reject::Claimed);
                     }
                     track.distance_px(ring).map(|_| ring).ok_or(Reject::Gate)
@@ -252,7 +252,7 @@ impl Tracker {
                         };
                         track.update(ring, rims);
                         let half_box_px = track.rims.outer.half_box_px();
-                        scratch.claimed.add(&ring.outer, half_box_px.1);
+                        scratch.claims.push(Claim::with_box(ring, half_box_px));
                     }
                     Err(reject) => {
                         let center = track.predicted();

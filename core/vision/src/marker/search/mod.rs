@@ -28,6 +28,7 @@ use crate::marker::{
     ring::probe::Rules,
     search::{
         chord::{Evenness, RATIO_SLACK},
+        claim::ClaimedPixels,
         cross::CrossRules,
         hits::{HitRules, HitScratch},
         row_edges::{ROW_STEP, RowEdges},
@@ -61,6 +62,7 @@ pub(crate) struct SearchRules {
 pub(crate) struct SearchScratch {
     pub row: RowEdges,
     pub hits: HitScratch,
+    pub claimed: ClaimedPixels,
 }
 
 impl SearchScratch {
