@@ -129,7 +129,6 @@ impl MapArea {
         [0, 1].map(|axis| self.max_m[axis] - self.min_m[axis])
     }
 
-    /// Area, square metres.
     pub(super) fn area_m2(&self) -> f64 {
         let [along_x, along_y] = self.sides_m();
         along_x * along_y

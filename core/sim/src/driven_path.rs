@@ -51,7 +51,7 @@ pub(super) struct Walls {
 /// The path of a robot, and the legs that replace it.
 #[derive(Clone, Debug)]
 pub(super) struct DrivenPath {
-    /// The original path.
+    /// The path without commands.
     pub path: Path,
     legs: VecDeque<Leg>,
     /// Whether old legs were dropped.

@@ -2,7 +2,7 @@
 //! blurred edge lies beyond a cut.
 //!
 //! Φ is the rational approximation of Abramowitz and Stegun, 26.2.17, with an absolute error below 7.5e-8;
-//! [`normal_each`] and [`Beyond`] use 26.2.16, to 1e-5, for code that runs in vector lanes.
+//! `normal_each` and [`Beyond`] use 26.2.16, to 1e-5, for code that runs in vector lanes.
 
 use std::f64::consts::TAU;
 

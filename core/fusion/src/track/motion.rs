@@ -52,7 +52,7 @@ pub struct MotionEstimate {
     /// World frame, m/s.
     pub velocity_m_s: Vector3<f64>,
     /// Change of the velocity over the next tenths of a second, world frame, m/s². Decays as in
-    /// [`integrate_acceleration`].
+    /// `integrate_acceleration`.
     pub acceleration_m_s2: Vector3<f64>,
     /// Over (position, velocity).
     pub covariance: BlockCovariance,

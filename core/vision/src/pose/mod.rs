@@ -1,15 +1,15 @@
 //! Pose of a roundel in the camera frame: from two imaged rims to position, normal and covariance.
 //!
-//! 1. [`rim`]: points of both rims pass through the lens, and the ellipses through their images are
+//! 1. `rim`: points of both rims pass through the lens, and the ellipses through their images are
 //!    expressed in the frame of the outer rim's cone.
-//! 2. [`circle`]: the outer rim's ellipse gives two circles in closed form (paper, eqs. 9 and 10
+//! 2. `circle`: the outer rim's ellipse gives two circles in closed form (paper, eqs. 9 and 10
 //!    and section 4.3 as corrected in [`crate::errata`]). One Gauss-Newton step fits each to both
 //!    rims, weighted by their errors, and gives covariance and likelihood. A roundel that nearly
 //!    faces the camera gets the mean of the posterior of its tilt instead: one broad normal rather
 //!    than two.
 //! 3. [`photometry`]: in precise mode, a least-squares fit of the grey levels that starts from
 //!    there.
-//! 4. [`shutter`]: under a rolling shutter, the rims of a moving ring are first transformed to one
+//! 4. `shutter`: under a rolling shutter, the rims of a moving ring are first transformed to one
 //!    instant.
 //!
 //! [`Locator`] runs these steps for the rings of a frame.
@@ -19,7 +19,7 @@
 //! what the ellipse omits remains as an error. On rims with errors
 //! (`tests::covariance_matches_the_errors`): 95 ± 3 % of position and rotation inside their 95 %
 //! ellipsoid from 12 to 120 px and from 0 to 60°, depth bias below a third of its rms. Time: `cargo
-//! bench -p roundel-core --bench pose`, alone and in a batch ([`circle::closed_form`]).
+//! bench -p roundel-core --bench pose`, alone and in a batch (`circle::closed_form`).
 //!
 //! Rims that contradict each other by more than their errors explain (partial occlusion, more blur
 //! than assumed) widen the covariance accordingly.

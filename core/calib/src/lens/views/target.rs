@@ -36,7 +36,6 @@ impl Target {
         }
     }
 
-    /// Points per row.
     pub fn columns(&self) -> usize {
         self.grid().columns
     }

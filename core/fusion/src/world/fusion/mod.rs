@@ -1,8 +1,13 @@
 //! The fusion state machine: frames in, snapshots and events out.
 //!
-//! `sightings` makes sightings from detections, with the pose of stationary or mobile cameras; `body_parts` joins those
-//! of a body; `lifecycle` starts and ends tracks; `camera_outlier` holds cameras back; `reconfigure` changes the
-//! configuration at run time; `leave_one_out` serves reprojection errors.
+//! | module | content |
+//! | --- | --- |
+//! | `sightings` | from detections to sightings, with the pose of stationary or mobile cameras |
+//! | `body_parts` | joint sighting of a body from those of its roundels |
+//! | `lifecycle` | start and end of tracks |
+//! | `camera_outlier` | cameras that are held back |
+//! | `reconfigure` | changes of the configuration at run time |
+//! | `leave_one_out` | predictions without one camera, for reprojection errors |
 
 mod body_parts;
 mod camera_outlier;

@@ -23,7 +23,6 @@ const SITUATIONS: [Situation; 5] = [
     ((1920, 1080), 24, 50.0, 1.5, true),
 ];
 
-/// Prints the report.
 pub(super) fn run(format: Format) -> anyhow::Result<()> {
     let mut rows = Vec::new();
     let mut text = "mode     megapixels  roundels         px  px / frame  searched  median ms  95th percentile ms\n".to_owned();

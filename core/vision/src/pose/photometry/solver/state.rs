@@ -128,7 +128,6 @@ impl State {
         next
     }
 
-    /// Square of the tilt's sine.
     pub fn tilt_sine2(&self) -> f64 {
         let cosine = self.pose.axes.column(2).dot(&self.pose.position_m.normalize());
         1.0 - cosine * cosine
