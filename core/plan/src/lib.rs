@@ -289,9 +289,26 @@ mod tests {
     }
 
     #[test]
-    fn a_number_that_is_not_finite_is_rejected() {
-        let imaging = Imaging { blur_px: f64::NAN, ..Imaging::default() };
-        assert!(imaging.check().unwrap_err().to_string().starts_with("blur: expected 0.1"));
+    fn errors_name_the_wrong_value() {
+        let refused = |change: &dyn Fn(&mut Sensor), kind: &Kind, tilt_rad: f64| {
+            let mut sensor = sensor();
+            change(&mut sensor);
+            detection_range(&sensor, kind, tilt_rad).unwrap_err().to_string()
+        };
+        let as_is = |_: &mut Sensor| {};
+        assert!(
+            refused(&|s| s.imaging.noise = -1.0, &kind(), 0.0).starts_with("noise: expected 0")
+        );
+        assert!(refused(&|s| s.imaging.blur_px = f64::NAN, &kind(), 0.0).starts_with("blur: "));
+        assert!(refused(&|s| s.imaging.white = 50.0, &kind(), 0.0).starts_with("white less black"));
+        assert!(refused(&as_is, &Kind::plain("dot", 0.16, 0.0), 0.0).contains("inner diameter"));
+        assert!(refused(&as_is, &kind(), 1.5).starts_with("tilt: expected 0 to 75 degrees"));
+        let tiny = |sensor: &mut Sensor| {
+            let intrinsics =
+                Intrinsics { width: 8, height: 8, ..sensor.camera.intrinsics().clone() };
+            sensor.camera = Camera::new(intrinsics).unwrap();
+        };
+        assert!(refused(&tiny, &kind(), 0.0).contains("is found at no distance"));
     }
 
     #[test]
