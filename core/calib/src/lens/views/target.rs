@@ -36,6 +36,7 @@ impl Target {
         }
     }
 
+    /// Points per row.
     pub fn columns(&self) -> usize {
         self.grid().columns
     }
