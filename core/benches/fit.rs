@@ -7,55 +7,19 @@ mod drawing;
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use drawing::{Drawing, frame};
+use drawing::{Drawing, frame, projected};
 use nalgebra::{Vector2, Vector3};
 use roundel_core::{
     camera::{Camera, Intrinsics, Lens, PixelPoint},
-    ellipse::{Ellipse, Shape, Symmetric2},
     marker::{CodeLayout, CodeReader, Kind, Pattern, Ring, Tooth},
     pose::{
-        RimNoise, locate,
+        PrintDeviation, RimNoise, locate,
         photometry::{FitInput, FitScratch, Start, fit},
     },
     rigid::orientation_of_normal,
 };
 
 const SIDE: usize = 240;
-
-/// Ellipse with the area, centre and second moments of the image of an ellipse with yaw 0.
-fn image_of(
-    camera: &Camera,
-    position_m: &Vector3<f64>,
-    normal: &Vector3<f64>,
-    radii_m: [f64; 2],
-) -> Ellipse {
-    const POINTS: usize = 400;
-    let turn = orientation_of_normal(normal);
-    let at = |i: usize| {
-        let (sin, cos) = (std::f64::consts::TAU * i as f64 / POINTS as f64).sin_cos();
-        let point = position_m + turn * Vector3::new(cos * radii_m[0], sin * radii_m[1], 0.0);
-        camera.project(&point).expect("it is in front of the camera")
-    };
-    let middle = camera.project(position_m).expect("it is in front of the camera");
-    let mut sums = [0.0; 6];
-    for i in 0..POINTS {
-        let (here, next) = (at(i), at(i + 1));
-        let (x, y) = (0.5 * (here.u + next.u) - middle.u, 0.5 * (here.v + next.v) - middle.v);
-        let swept = x * (next.v - here.v) - y * (next.u - here.u);
-        for (sum, value) in sums.iter_mut().zip([0.5, x / 3.0, y / 3.0, x * x, x * y, y * y]) {
-            *sum += value * swept;
-        }
-    }
-    let area = sums[0];
-    let (u, v) = (sums[1] / area, sums[2] / area);
-    let covariance = Symmetric2 {
-        uu: 0.25 * sums[3] / area - u * u,
-        uv: 0.25 * sums[4] / area - u * v,
-        vv: 0.25 * sums[5] / area - v * v,
-    };
-    let center = PixelPoint { u: middle.u + u, v: middle.v + v };
-    Shape { area_px2: area.abs(), center, covariance }.ellipse()
-}
 
 fn camera(focal_px: f64) -> Camera {
     Camera::new(Intrinsics {
@@ -110,7 +74,8 @@ fn coded_fits(criterion: &mut Criterion) {
         let kind = Kind { pattern: Pattern::Coded(layout), ..Kind::plain("robot", 0.16, 0.096) };
         let position_m = Vector3::new(-0.001, 0.002, 1.0) * (0.16 * 1100.0 / diameter_px);
         let normal = Vector3::new(0.5, -0.33, -0.8).normalize();
-        let [outer, inner] = [0.08, 0.048].map(|m| image_of(&camera, &position_m, &normal, [m; 2]));
+        let [outer, inner] =
+            [0.08, 0.048].map(|m| projected::ellipse(&camera, &position_m, &normal, [m; 2]));
         let reader = CodeReader::new(layout, CodeLayout::RATIO).expect("a layout");
         let teeth = reader.dictionary().teeth(7).expect("an identity");
         let mut drawing = Drawing::new(SIDE, SIDE, 200.0, 0.7);
@@ -140,8 +105,14 @@ fn coded_fits(criterion: &mut Criterion) {
             is_still: true,
             teeth: None,
         };
-        let input =
-            FitInput { frame: &frame, camera: &camera, kind: &kind, ring: &ring, skew: None };
+        let input = FitInput {
+            frame: &frame,
+            camera: &camera,
+            kind: &kind,
+            ring: &ring,
+            print: PrintDeviation::NONE,
+            skew: None,
+        };
         let first = fit(&input, &start, &mut scratch).expect("it is drawn");
         start.blur_px = first.blur_px;
         criterion.bench_function(&format!("fit/coded {bits} bits {diameter_px} px"), |bencher| {
@@ -165,8 +136,8 @@ fn fits(criterion: &mut Criterion) {
         };
         let position_m = Vector3::new(-0.001, 0.002, 1.0) * (2.0 * outer_m * 1100.0 / diameter_px);
         let normal = Vector3::new(0.5, -0.33, -0.8).normalize();
-        let [outer, inner] =
-            [[outer_m; 2], [inner_m, minor_m]].map(|m| image_of(&camera, &position_m, &normal, m));
+        let [outer, inner] = [[outer_m; 2], [inner_m, minor_m]]
+            .map(|m| projected::ellipse(&camera, &position_m, &normal, m));
         let mut drawing = Drawing::new(SIDE, SIDE, 200.0, 0.7);
         drawing.add_disc(&outer, -160.0);
         drawing.add_disc(&inner, 160.0);
@@ -187,7 +158,14 @@ fn fits(criterion: &mut Criterion) {
             is_still: true,
             teeth: None,
         };
-        let input = FitInput { frame: &frame, camera: &camera, kind, ring: &ring, skew: None };
+        let input = FitInput {
+            frame: &frame,
+            camera: &camera,
+            kind,
+            ring: &ring,
+            print: PrintDeviation::NONE,
+            skew: None,
+        };
         let first = fit(&input, &start, &mut scratch).expect("it is drawn");
         (start.blur_px, start.motion_px) = (first.blur_px, first.motion_px);
         criterion.bench_function(&format!("fit/{name}{diameter_px} px"), |bencher| {

@@ -7,6 +7,8 @@
 // Each test or benchmark uses a part of this.
 #![allow(dead_code)]
 
+pub mod projected;
+
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
@@ -134,6 +136,13 @@ impl Drawing {
     pub fn stripe(&mut self, light: impl Fn(usize, usize) -> f64) {
         for (v, row) in self.light.chunks_exact_mut(self.width).enumerate() {
             row.iter_mut().enumerate().for_each(|(u, value)| *value += light(u, v));
+        }
+    }
+
+    /// Multiplies the light by pixel.
+    pub fn light(&mut self, share: impl Fn(usize, usize) -> f64) {
+        for (v, row) in self.light.chunks_exact_mut(self.width).enumerate() {
+            row.iter_mut().enumerate().for_each(|(u, value)| *value *= share(u, v));
         }
     }
 
