@@ -204,6 +204,7 @@ fn finish<S: Simd, T: Lane>(
             black,
             white,
             unevenness,
+            shift_px: rims.shift_px.lane(lane),
             ..Ring::of_rims(outer.ellipse, inner.ellipse)
         };
         let ring = ring.with_polarity(probe.polarity);

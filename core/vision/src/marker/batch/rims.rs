@@ -31,6 +31,8 @@ pub(super) struct Rims<T: Lane> {
     pub raw: [LaneEllipse<T>; 2],
     /// The rims compensated for the kind.
     pub compensated: [LaneEllipse<T>; 2],
+    /// Their shift.
+    pub shift_px: T,
     pub kind: T,
     pub black: T,
     pub white: T,
@@ -81,6 +83,7 @@ impl<T: Lane> Rims<T> {
             contrast,
             raw,
             compensated,
+            shift_px: nearest.shift_px,
             kind: nearest.kind,
             black,
             white,

@@ -25,7 +25,7 @@ use crate::{
     marker::{
         classify::{
             compensation::{compensated, rim_shift_px},
-            plain::shift_limit_px,
+            plain::{Classified, shift_limit_px},
         },
         kind::{Kind, Pattern, Polarity},
     },
@@ -45,9 +45,9 @@ pub(crate) fn nearest_kind(
     similar: bool,
     outer: &Ellipse,
     inner: &Ellipse,
-) -> Option<(KindId, Ellipse, Ellipse)> {
+) -> Option<Classified> {
     let limit_px = shift_limit_px(outer);
-    let mut best: Option<(f64, (KindId, Ellipse, Ellipse))> = None;
+    let mut best: Option<(f64, Classified)> = None;
     let may_be = |kind: &Kind| match kind.pattern {
         Pattern::Plain => similar,
         Pattern::Elliptical { .. } => true,
@@ -67,7 +67,8 @@ pub(crate) fn nearest_kind(
         }
         let distance_px = shift_px.hypot(off * inner.semi_minor_px);
         if best.is_none_or(|(known_px, _)| distance_px < known_px) {
-            best = Some((distance_px, (KindId(index as u16), outer, inner)));
+            let kind = KindId(index as u16);
+            best = Some((distance_px, Classified { kind, outer, inner, shift_px }));
         }
     }
     best.map(|(_, found)| found)
@@ -144,8 +145,8 @@ pub(crate) mod tests {
             let tilt = (cos_tilt, about_rad);
             let (outer, inner) = rims(radius_px, (max, min), turn_rad, tilt, shift_px);
             let found = nearest_kind(&kinds, Polarity::BlackRing, true, &outer, &inner);
-            let (found, _, inner) = found.unwrap();
-            prop_assert_eq!(found, KindId(drawn as u16));
+            let Classified { kind, inner, .. } = found.unwrap();
+            prop_assert_eq!(kind, KindId(drawn as u16));
             let (_, exact) = rims(radius_px, (max, min), turn_rad, tilt, 0.0);
             // A shift of both semiaxes is not an exact shift of an ellipse: a small error remains.
             prop_assert!((inner.semi_major_px - exact.semi_major_px).abs() < 0.05);

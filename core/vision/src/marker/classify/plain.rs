@@ -21,6 +21,16 @@ pub(crate) fn shift_limit_px(outer: &Ellipse) -> f64 {
     SHIFT_PX + SHIFT_SHARE * outer.mean_radius_px()
 }
 
+/// The kind of a ring, and its rims compensated for it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Classified {
+    pub kind: KindId,
+    pub outer: Ellipse,
+    pub inner: Ellipse,
+    /// Their shift.
+    pub shift_px: f64,
+}
+
 /// The plain kind of this polarity with the closest ratio, and the rims compensated for it (paper,
 /// section 3.5); `None` if no kind is close enough.
 ///
@@ -33,15 +43,16 @@ pub(crate) fn nearest_kind(
     polarity: Polarity,
     outer: &Ellipse,
     inner: &Ellipse,
-) -> Option<(KindId, Ellipse, Ellipse)> {
+) -> Option<Classified> {
     let semiaxes = |rim: &Ellipse| [rim.semi_major_px, rim.semi_minor_px];
     let is_white = polarity == Polarity::WhiteRing;
     let nearest = NearestKind::new(semiaxes(outer), semiaxes(inner), is_white, kinds);
     if !nearest.valid {
         return None;
     }
-    let (outer, inner) = compensated(outer, inner, nearest.shift_px)?;
-    Some((KindId(nearest.kind as u16), outer, inner))
+    let shift_px = nearest.shift_px;
+    let (outer, inner) = compensated(outer, inner, shift_px)?;
+    Some(Classified { kind: KindId(nearest.kind as u16), outer, inner, shift_px })
 }
 
 /// The plain kinds closest to rims, one ring per lane.
@@ -95,7 +106,8 @@ mod tests {
         let kind = |inner_diameter_m| Kind::plain("", 1.0, inner_diameter_m);
         let kinds = [kind(0.4), kind(0.5), kind(0.6)];
         let find = |inner| {
-            nearest_kind(&kinds, Polarity::BlackRing, &circle(20.0), &circle(inner)).map(|k| k.0)
+            nearest_kind(&kinds, Polarity::BlackRing, &circle(20.0), &circle(inner))
+                .map(|found| found.kind)
         };
         assert_eq!(find(8.3), Some(KindId(0)));
         assert_eq!(find(9.7), Some(KindId(1)));

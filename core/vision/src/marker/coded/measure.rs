@@ -167,7 +167,7 @@ fn decode_ring(
     let read = kind.reader.read_in(sampler, &plane, &levels);
     let disc = read.as_ref().and_then(|read| fit_white_disc(sampler, &plane, kind, rim, read));
     let disc = disc.unwrap_or(Disc { radius: kind.ratio, shift: (0.0, 0.0) });
-    let outer = compensated_outer(&rim.ellipse, disc.radius, kind.ratio)?;
+    let (outer, shift_px) = compensated_outer(&rim.ellipse, disc.radius, kind.ratio)?;
     let (center, columns) =
         PlaneMap::with_offset(&outer, toothed.offset).circle(disc.shift, kind.ratio);
     let inner = of_columns(center, columns);
@@ -184,6 +184,7 @@ fn decode_ring(
         black,
         white,
         unevenness: rim.unevenness,
+        shift_px,
         polarity: kind.polarity,
         code,
         ..Ring::of_rims(outer, inner)
@@ -254,9 +255,9 @@ fn mean_at(sampler: &Sampler, plane: &PlaneMap, radius: f64, points: usize) -> f
     (0..points).map(level).sum::<f64>() / points as f64
 }
 
-/// The outer rim, shifted so that the disc has its printed size: bloom and ink spread move both
-/// rims towards the black alike.
-fn compensated_outer(outer: &Ellipse, disc: f64, ratio: f64) -> Result<Ellipse, Reject> {
+/// The outer rim, shifted so that the disc has its printed size, and the shift: bloom and ink
+/// spread move both rims towards the black alike.
+fn compensated_outer(outer: &Ellipse, disc: f64, ratio: f64) -> Result<(Ellipse, f64), Reject> {
     let inner = Ellipse {
         semi_major_px: disc * outer.semi_major_px,
         semi_minor_px: disc * outer.semi_minor_px,
@@ -266,7 +267,8 @@ fn compensated_outer(outer: &Ellipse, disc: f64, ratio: f64) -> Result<Ellipse, 
     if shift_px.abs() > shift_limit_px(outer) {
         return Err(Reject::Kind);
     }
-    Ok(compensated(outer, &inner, shift_px).ok_or(Reject::Kind)?.0)
+    let (outer, _) = compensated(outer, &inner, shift_px).ok_or(Reject::Kind)?;
+    Ok((outer, shift_px))
 }
 
 /// Fits the white disc's rim between the decoded teeth.

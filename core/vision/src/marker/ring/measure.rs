@@ -34,7 +34,10 @@ use crate::{
     frame::Frame,
     marker::{
         Ring,
-        classify::{elliptical, plain::nearest_kind},
+        classify::{
+            elliptical,
+            plain::{Classified, nearest_kind},
+        },
         kind::{Kind, RATIO_LIMITS},
         reject::Reject,
         ring::{
@@ -142,22 +145,23 @@ fn measure_with<S: Simd>(
         }
     };
     let RefinedRims { outer, inner, black, white, unevenness, is_similar, .. } = found;
-    let (kind, outer, inner) = if kinds.is_empty() {
+    let (kind, outer, inner, shift_px) = if kinds.is_empty() {
         let ratio = inner.mean_radius_px() / outer.mean_radius_px();
         if ratio < RATIO_LIMITS.0 || ratio > RATIO_LIMITS.1 {
             return Err(Reject::AreaRatio);
         }
-        (None, outer, inner)
+        (None, outer, inner, 0.0)
     } else {
         let nearest = if rules.similar {
             nearest_kind(kinds, probe.polarity, &outer, &inner)
         } else {
             elliptical::nearest_kind(kinds, probe.polarity, is_similar, &outer, &inner)
         };
-        let (kind, outer, inner) = nearest.ok_or(Reject::Kind)?;
-        (Some(kind), outer, inner)
+        let Classified { kind, outer, inner, shift_px } = nearest.ok_or(Reject::Kind)?;
+        (Some(kind), outer, inner, shift_px)
     };
-    let ring = Ring { kind, threshold, black, white, unevenness, ..Ring::of_rims(outer, inner) };
+    let ring =
+        Ring { kind, threshold, black, white, unevenness, shift_px, ..Ring::of_rims(outer, inner) };
     Ok(ring.with_polarity(probe.polarity))
 }
 
