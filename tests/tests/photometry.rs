@@ -8,7 +8,7 @@ use roundel_core::{
     frame::Frame,
     marker::{Kind, Ring},
     pose::{
-        RoundelPose,
+        PrintDeviation, RoundelPose,
         photometry::{self, DEFAULT_BLUR_PX, FitInput, FitScratch, Start},
     },
 };
@@ -103,7 +103,14 @@ fn trial(diameter_px: f64, tilt_rad: f64, seed: u64) -> Trial {
     let ring = Ring { black: 46.0, white: 195.0, ..Ring::of_rims(rims.0, rims.1) };
     let kind = Kind::plain("robot", OUTER_M, INNER_M);
     let mut scratch = FitScratch::default();
-    let input = FitInput { frame: &frame, camera: &core, kind: &kind, ring: &ring, skew: None };
+    let input = FitInput {
+        frame: &frame,
+        camera: &core,
+        kind: &kind,
+        ring: &ring,
+        print: PrintDeviation::NONE,
+        skew: None,
+    };
     let fit = photometry::fit(&input, &start, &mut scratch).unwrap();
 
     let scene = Scene { camera, imaging, print: &print, pose, motion_px: [0.0; 2] };

@@ -26,8 +26,9 @@ use crate::{
     pose::{
         PoseError, RimNoise, RoundelPose,
         circle::closed_form::LANES,
-        locate, locate_each,
+        locate_each, locate_printed,
         photometry::{self, FitHistory, FitInput, FitScratch},
+        print_estimate::{PrintEstimate, PrintedRing},
         recent_tracks::RecentTracks,
         shutter::Shutter,
         yaw,
@@ -66,6 +67,7 @@ pub struct Locator {
     noise: RimNoise,
     shares: PerThread<FitScratch>,
     histories: RecentTracks<FitHistory>,
+    prints: RecentTracks<PrintEstimate>,
     /// Tracked rings of the current frame.
     pending: Vec<PendingRing>,
     /// `None` for a global shutter.
@@ -76,6 +78,7 @@ pub struct Locator {
 #[derive(Clone, Debug)]
 struct PendingRing {
     located: Result<Located, PoseError>,
+    printed: PrintedRing,
     /// State for the next frame.
     history: Option<FitHistory>,
 }
@@ -88,8 +91,17 @@ impl Locator {
     /// For rings of these kinds, indexed by [`KindId`].
     pub fn new(camera: Camera, kinds: Vec<Kind>, mode: Mode) -> Self {
         let noise = RimNoise::default();
-        let (shares, histories) = (PerThread::default(), RecentTracks::new());
-        Self { camera, kinds, mode, noise, shares, histories, pending: Vec::new(), shutter: None }
+        Self {
+            camera,
+            kinds,
+            mode,
+            noise,
+            shares: PerThread::default(),
+            histories: RecentTracks::new(),
+            prints: RecentTracks::new(),
+            pending: Vec::new(),
+            shutter: None,
+        }
     }
 
     /// Sets the delay between the exposures of consecutive rows, seconds; 0 for a global shutter.
@@ -121,6 +133,7 @@ impl Locator {
     /// Discards the state of all tracks, as after a gap in the frames.
     pub fn reset(&mut self) {
         self.histories.clear();
+        self.prints.clear();
         self.shutter.iter_mut().for_each(Shutter::reset);
     }
 
@@ -164,10 +177,14 @@ impl Locator {
         kind: &Kind,
         ring: &Ring,
     ) -> Result<Located, PoseError> {
-        let pose = locate(&self.camera, kind, ring, &self.noise)?;
-        let mut located = Located::from_rims(ring, pose);
-        let input = FitInput { frame, camera: &self.camera, kind, ring, skew: None };
+        let Self { camera, noise, .. } = self;
+        let printed = PrintEstimate::default().update(kind, ring, focal_px(camera), noise);
+        let pose = locate_printed(camera, kind, &printed, noise)?;
+        let mut located = Located::from_rims(&printed.ring, pose);
+        let PrintedRing { ring, print, .. } = printed;
+        let input = FitInput { frame, camera, kind, ring: &ring, print, skew: None };
         located.refine(&input, self.mode, None, self.shares.first());
+        printed.widen(&mut located.pose);
         Ok(located)
     }
 
@@ -178,23 +195,29 @@ impl Locator {
         }
         self.pending.clear();
         let skews = self.shutter.as_ref().map(Shutter::skews);
-        let mut poses = [const { Err(PoseError::NoCircle) }; LANES];
-        for (chunk, tracked) in tracked.chunks(LANES).enumerate() {
-            let mut deskewed = [None; LANES];
-            let skews = skews.map_or(&[][..], |skews| &skews[chunk * LANES..]);
-            for ((deskewed, skew), one) in deskewed.iter_mut().zip(skews).zip(tracked) {
-                *deskewed = Some(skew.ring(&one.ring));
+        let focal_px = focal_px(&self.camera);
+        for (index, one) in tracked.iter().enumerate() {
+            let ring = skews.map_or(one.ring, |skews| skews[index].ring(&one.ring));
+            let mut printed = PrintedRing::designed(&ring);
+            if let Ok(kind) = kind_of(&self.kinds, ring.kind) {
+                let mut print = self.prints.get(one.track).copied().unwrap_or_default();
+                printed = print.update(kind, &ring, focal_px, &self.noise);
+                self.prints.update(one.track, Some(print));
             }
-            let rings = tracked.iter().zip(&deskewed).map(|(one, deskewed)| {
-                let ring = deskewed.as_ref().unwrap_or(&one.ring);
-                Ok((kind_of(&self.kinds, ring.kind)?, ring))
-            });
+            let located = Err(PoseError::NoCircle);
+            self.pending.push(PendingRing { located, printed, history: None });
+        }
+        let mut poses = [const { Err(PoseError::NoCircle) }; LANES];
+        for (tracked, pending) in tracked.chunks(LANES).zip(self.pending.chunks_mut(LANES)) {
+            let rings = pending
+                .iter()
+                .map(|one| Ok((kind_of(&self.kinds, one.printed.ring.kind)?, &one.printed)));
             locate_each(&self.camera, rings, &self.noise, &mut poses);
-            self.pending.extend(tracked.iter().zip(&mut poses).map(|(one, pose)| {
+            for ((one, pending), pose) in tracked.iter().zip(pending).zip(&mut poses) {
                 let pose = std::mem::replace(pose, Err(PoseError::NoCircle));
-                let located = pose.map(|pose| Located::from_rims(&one.ring, pose));
-                PendingRing { located, history: None }
-            }));
+                let ring = pending.printed.compensated(&one.ring);
+                pending.located = pose.map(|pose| Located::from_rims(&ring, pose));
+            }
         }
         self.refine_all(frame, tracked);
     }
@@ -219,8 +242,10 @@ impl Locator {
                 let before = histories.get(tracked.track).copied();
                 let before =
                     if is_certain { before } else { before.map(FitHistory::without_teeth) };
-                let input = FitInput { frame, camera, kind, ring: &tracked.ring, skew };
+                let (ring, print) = (located.ring, one.printed.print);
+                let input = FitInput { frame, camera, kind, ring: &ring, print, skew };
                 one.history = located.refine(&input, mode, before.as_ref(), scratch);
+                one.printed.widen(&mut located.pose);
                 if let Some(skew) = skew {
                     skew.widen(&mut located.pose, camera, kind);
                 }
@@ -232,6 +257,11 @@ impl Locator {
             }
         }
     }
+}
+
+fn focal_px(camera: &Camera) -> f64 {
+    let intrinsics = camera.intrinsics();
+    (intrinsics.fx_px * intrinsics.fy_px).sqrt()
 }
 
 fn kind_of(kinds: &[Kind], id: Option<KindId>) -> Result<&Kind, PoseError> {
@@ -393,11 +423,12 @@ mod tests {
             let pixels = [0; 4];
             let frame = Frame::new(&pixels, 2, 2, 2).unwrap();
             let mut locator = Locator::new(camera, kinds, Mode::Fast);
+            let mut single = locator.clone();
             let mut located = Vec::new();
             locator.locate_all(&frame, &rings, &mut located);
             prop_assert_eq!(located.len(), rings.len());
             for ((ring, located), drawn) in rings.iter().zip(&located).zip(&drawn) {
-                let alone = locator.locate(&frame, ring);
+                let alone = single.locate(&frame, ring);
                 prop_assert_eq!(located, &alone, "{:?}", drawn);
                 let is_odd = !matches!(drawn.odd, Odd::Nothing | Odd::FaceOn | Odd::OfACode);
                 prop_assert!(is_odd || alone.is_ok(), "{:?}: {:?}", drawn, alone);

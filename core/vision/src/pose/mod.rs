@@ -30,6 +30,7 @@
 mod circle;
 mod locator;
 pub mod photometry;
+mod print_estimate;
 mod recent_tracks;
 mod rim;
 mod shutter;
@@ -51,6 +52,8 @@ use crate::{
 };
 use circle::{closed_form, elliptical_disc};
 pub use locator::{ImageQuality, Located, Locator};
+pub use print_estimate::PrintDeviation;
+use print_estimate::PrintedRing;
 pub use rim::noise::RimNoise;
 use rim::rim_pair::RingMeasurement;
 pub use shutter::Skew;
@@ -165,9 +168,18 @@ pub fn locate(
     ring: &Ring,
     noise: &RimNoise,
 ) -> Result<RoundelPose, PoseError> {
-    match measure(kind, ring, noise)? {
+    locate_printed(camera, kind, &PrintedRing::designed(ring), noise)
+}
+
+fn locate_printed(
+    camera: &Camera,
+    kind: &Kind,
+    printed: &PrintedRing,
+    noise: &RimNoise,
+) -> Result<RoundelPose, PoseError> {
+    match measure(kind, printed, noise)? {
         Some(measured) => closed_form::locate(camera, &measured),
-        None => elliptical_disc::locate(camera, kind, ring, noise),
+        None => elliptical_disc::locate(camera, kind, &printed.ring, noise),
     }
 }
 
@@ -179,7 +191,7 @@ pub fn other_offset_m(
     ring: &Ring,
     noise: &RimNoise,
 ) -> Result<Vector3<f64>, PoseError> {
-    match measure(kind, ring, noise)? {
+    match measure(kind, &PrintedRing::designed(ring), noise)? {
         Some(measured) => closed_form::other_offset_m(camera, &measured),
         None => Ok(Vector3::zeros()),
     }
@@ -188,7 +200,7 @@ pub fn other_offset_m(
 /// As [`locate`], for up to [`closed_form::LANES`] rings of one camera.
 fn locate_each<'a>(
     camera: &Camera,
-    rings: impl Iterator<Item = Result<(&'a Kind, &'a Ring), PoseError>>,
+    rings: impl Iterator<Item = Result<(&'a Kind, &'a PrintedRing), PoseError>>,
     noise: &RimNoise,
     poses: &mut [Result<RoundelPose, PoseError>; closed_form::LANES],
 ) {
@@ -196,7 +208,9 @@ fn locate_each<'a>(
     for ((ring, measured), pose) in rings.zip(&mut measured).zip(&mut *poses) {
         match ring.and_then(|(kind, ring)| Ok((measure(kind, ring, noise)?, kind, ring))) {
             Ok((Some(own), ..)) => *measured = Some(own),
-            Ok((None, kind, ring)) => *pose = elliptical_disc::locate(camera, kind, ring, noise),
+            Ok((None, kind, printed)) => {
+                *pose = elliptical_disc::locate(camera, kind, &printed.ring, noise);
+            }
             Err(error) => *pose = Err(error),
         }
     }
@@ -206,14 +220,16 @@ fn locate_each<'a>(
 /// Input of the closed form; `None` for an elliptical disc.
 fn measure(
     kind: &Kind,
-    ring: &Ring,
+    printed: &PrintedRing,
     noise: &RimNoise,
 ) -> Result<Option<RingMeasurement>, PoseError> {
+    let ring = &printed.ring;
     check(kind, ring, noise)?;
     if let Pattern::Elliptical { .. } = kind.pattern {
         return Ok(None);
     }
-    let radii_m = [0.5 * kind.outer_diameter_m, 0.5 * kind.inner_diameter_m];
+    let inner_diameter_m = printed.print.disc_scale * kind.inner_diameter_m;
+    let radii_m = [0.5 * kind.outer_diameter_m, 0.5 * inner_diameter_m];
     let noise = if let Pattern::Coded(layout) = kind.pattern {
         noise.for_coded_ring(ring, layout.bits)
     } else {

@@ -234,7 +234,7 @@ mod tests {
         camera::{Lens, PixelPoint},
         ellipse::Ellipse,
         marker::{Kind, Ring},
-        pose::{self, RimNoise, tests::camera},
+        pose::{self, PrintedRing, RimNoise, tests::camera},
     };
 
     /// Different sizes and flattenings; the round ones take the path of `frontal`.
@@ -262,7 +262,10 @@ mod tests {
         ] {
             let camera = camera(lens);
             let rings = rings();
-            let measured = rings.map(|ring| pose::measure(&kind, &ring, &noise).unwrap().unwrap());
+            let measured = rings.map(|ring| {
+                let printed = PrintedRing::designed(&ring);
+                pose::measure(&kind, &printed, &noise).unwrap().unwrap()
+            });
             let alone = rings.map(|ring| pose::locate(&camera, &kind, &ring, &noise));
             assert!(alone.iter().all(|pose| pose.is_ok()));
             for level in [Level::new(), Level::baseline()] {

@@ -16,17 +16,23 @@
 //! the track's code is certain, and continues its rotation. The fit rejects them where the pixels
 //! contradict them or do not determine the yaw.
 //!
+//! **Margin, cells.** The width of the margin is measured in one of [`MARGIN_FITS`] fits, and
+//! the robust fit continues with its cells (`robust::resume`).
+//!
 //! PERF: held motion saves a sixth of the time of a linearization (`model::motion`).
 
 use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Vector2, Vector3};
 
-use super::{DEFAULT_BLUR_PX, Outcome, Start, Teeth};
+use super::{DEFAULT_BLUR_PX, Memory, Outcome, RobustState, Start, Teeth};
 use crate::{
     camera::PixelPoint,
     pose::{RoundelPose, yaw},
 };
+
+/// The margin is measured in every fit of this number.
+const MARGIN_FITS: u8 = 16;
 
 /// What the next fit of a tracked ring reuses; opaque to the rest of the crate.
 #[derive(Clone, Copy, Debug)]
@@ -37,6 +43,10 @@ pub struct FitHistory {
     center: PixelPoint,
     motion_test: MotionTest,
     code: Option<TeethMotion>,
+    robust: Option<RobustState>,
+    clear_px: f64,
+    /// Fits since the margin was measured.
+    margin_age: u8,
 }
 
 /// Rotation of a coded ring.
@@ -67,7 +77,15 @@ impl FitHistory {
             center: fit.ring.outer.center,
             motion_test,
             code,
+            robust: outcome.robust,
+            clear_px: outcome.clear_px,
+            margin_age: before.map_or(0, |before| (before.margin_age + 1) % MARGIN_FITS),
         }
+    }
+
+    pub(super) fn memory(&self) -> Memory {
+        let is_measured = self.margin_age + 1 < MARGIN_FITS;
+        Memory { robust: self.robust, clear_px: is_measured.then_some(self.clear_px) }
     }
 
     pub fn without_teeth(self) -> Self {

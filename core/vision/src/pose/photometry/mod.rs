@@ -47,10 +47,12 @@
 //! Time: `benches/fit.rs`.
 //!
 //! **Limits.** Rejected are coded prints whose teeth no frame has read, and elliptical discs whose
-//! rim is partly occluded. The paper must extend 3 px, or 3.5 blurs, beyond the outer rim.
+//! rim is partly occluded. The counted pixels reach 3 px, or 3.5 blurs,
+//! beyond the outer rim, less where the paper ends before (`margin`).
 
 mod history;
 mod hypotheses;
+mod margin;
 mod model;
 mod robust;
 mod solver;
@@ -65,7 +67,7 @@ use crate::{
     camera::{Camera, LensError},
     frame::Frame,
     marker::{Kind, Pattern, Ring},
-    pose::{RoundelPose, Skew, frame_along, yaw},
+    pose::{PrintDeviation, RoundelPose, Skew, frame_along, yaw},
 };
 pub(super) use history::FitHistory;
 use hypotheses::estimate_pose;
@@ -73,7 +75,7 @@ pub use model::teeth::Teeth;
 use model::{
     ModelScratch, blur_kernel::BLUR_LIMITS_PX, local_lens::LocalLens, motion, projection::PrintPose,
 };
-use robust::RobustScratch;
+use robust::{RobustScratch, RobustState};
 use solver::{
     solution::{self, PoseEstimate},
     state::{Problem, State},
@@ -90,6 +92,8 @@ pub struct FitInput<'a> {
     pub kind: &'a Kind,
     /// The ring as detected in the frame.
     pub ring: &'a Ring,
+    /// How the print differs from its kind.
+    pub print: PrintDeviation,
     /// Effect of a rolling shutter.
     pub skew: Option<Skew>,
 }
@@ -142,6 +146,17 @@ struct Outcome {
     /// was held.
     motion_variance_px4: Option<f64>,
     teeth: Option<Teeth>,
+    robust: Option<RobustState>,
+    /// As in [`Memory`].
+    clear_px: f64,
+}
+
+/// What an earlier frame tells a fit besides its start.
+#[derive(Clone, Copy, Debug, Default)]
+struct Memory {
+    robust: Option<RobustState>,
+    /// Distance from the outer rim up to which there is margin alone, pixels; measured if `None`.
+    clear_px: Option<f64>,
 }
 
 /// Why a ring has no fitted pose.
@@ -213,15 +228,11 @@ impl FitScratch {
 const REACH: (f64, f64) = (3.0, 3.5);
 /// Half of the motion adds to the reach, up to this.
 const MAX_MOTION_PX: f64 = 8.0;
-/// Limit of the reach by the white margin, which may be as narrow as this share of the outer
-/// semiaxis, less this number of pixels for the blur of its own edge. The model ends there …
-const MARGIN: (f64, f64) = (0.3, 0.8);
-/// … but never closer than this.
-const MIN_REACH_PX: f64 = 0.6;
-
+/// Width up to which a margin is searched, pixels.
+const MAX_CLEAR_PX: f64 = 6.0;
 /// Fits the pose of a single roundel of a known kind to the frame's pixels.
 pub fn fit(input: &FitInput, start: &Start, scratch: &mut FitScratch) -> Result<Fit, FitError> {
-    fit_outcome(input, start, scratch).map(|outcome| outcome.fit)
+    fit_outcome(input, start, &Memory::default(), scratch).map(|outcome| outcome.fit)
 }
 
 /// Fits a tracked roundel, whose rims have this pose, from the state that its last fit left.
@@ -233,7 +244,8 @@ pub(super) fn fit_tracked(
     scratch: &mut FitScratch,
 ) -> Result<(Fit, FitHistory), FitError> {
     let start = history::start(pose, &input.ring.outer.center, history);
-    let outcome = fit_outcome(input, &start, scratch)?;
+    let memory = history.map_or(Memory::default(), FitHistory::memory);
+    let outcome = fit_outcome(input, &start, &memory, scratch)?;
     let next = FitHistory::new(&outcome, start.moved_px, history);
     Ok((outcome.fit, next))
 }
@@ -241,9 +253,10 @@ pub(super) fn fit_tracked(
 fn fit_outcome(
     input: &FitInput,
     start: &Start,
+    memory: &Memory,
     scratch: &mut FitScratch,
 ) -> Result<Outcome, FitError> {
-    let FitInput { frame, camera, kind, ring, skew } = *input;
+    let FitInput { frame, camera, kind, ring, print, skew } = *input;
     let range_m = start.pose.position_m.norm();
     let facing = start.pose.normal.dot(&start.pose.position_m) < 0.0;
     if !(facing && range_m.is_finite() && ring.outer.is_valid() && start.blur_px.is_finite()) {
@@ -269,13 +282,16 @@ fn fit_outcome(
     let skew = skew.as_ref();
     let lens = LocalLens::new(camera, local_from_camera, spread, skew, model.level, &model.plan)?;
     let blur_px = start.blur_px.clamp(BLUR_LIMITS_PX.0, BLUR_LIMITS_PX.1);
-    let margin_px = (MARGIN.0 * ring.outer.semi_minor_px - MARGIN.1).max(MIN_REACH_PX);
     let max_px = if start.is_still { 0.0 } else { MAX_MOTION_PX };
     let motion_px = start.motion_px.cap_magnitude(max_px);
-    let reach_px = (REACH.0.max(REACH.1 * blur_px) + 0.5 * motion_px.norm()).min(margin_px);
+    let reach_px = REACH.0.max(REACH.1 * blur_px) + 0.5 * motion_px.norm();
+    let clear_px =
+        memory.clear_px.unwrap_or_else(|| margin::clear_px(frame, ring, MAX_CLEAR_PX, blur_px));
+    let reach_px = reach_px.min(clear_px);
     model.window.set_region(frame, &ring.outer.grown(reach_px));
     let problem = Problem {
         kind,
+        print,
         teeth,
         teeth_are_predicted,
         radius_m,
@@ -291,11 +307,15 @@ fn fit_outcome(
     let pose = PrintPose { position_m: Vector3::new(0.0, 0.0, range_m), axes };
     let first = State::new(pose, ring, blur_px, &motion_px);
     let deviation_rad = heading_rad.map(|_| yaw::deviation_rad(&start.pose));
-    let estimate = estimate_pose(&problem, first, deviation_rad, scratch)?;
+    let (estimate, robust) =
+        estimate_pose(&problem, first, deviation_rad, memory.robust.as_ref(), scratch)?;
     let fit = finish(&problem, ring, &estimate, scratch);
     match teeth {
         Some(teeth) if teeth_are_predicted && !fit.resolves(teeth) => Err(FitError::Uninformative),
-        _ => Ok(Outcome { fit, motion_variance_px4: estimate.motion_variance, teeth }),
+        _ => {
+            let motion_variance_px4 = estimate.motion_variance;
+            Ok(Outcome { fit, motion_variance_px4, teeth, robust, clear_px })
+        }
     }
 }
 

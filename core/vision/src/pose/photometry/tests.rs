@@ -8,7 +8,7 @@ use crate::{
     camera::{Intrinsics, Lens},
     ellipse::Ellipse,
     marker::{Code, CodeLayout, CodeReading},
-    pose::{RimNoise, locate},
+    pose::{PrintDeviation, RimNoise, locate},
 };
 
 const SIDE: usize = 64;
@@ -75,7 +75,7 @@ fn start(camera: &Camera, kind: &Kind, ring: &Ring) -> Start {
 }
 
 fn input<'a>(frame: &'a Frame, camera: &'a Camera, kind: &'a Kind, ring: &'a Ring) -> FitInput<'a> {
-    FitInput { frame, camera, kind, ring, skew: None }
+    FitInput { frame, camera, kind, ring, print: PrintDeviation::NONE, skew: None }
 }
 
 fn ring() -> Ring {
@@ -190,6 +190,7 @@ fn the_mirrored_pose_is_predicted() {
     .unwrap();
     model.window.set_region(&frame, &ring.outer.grown(3.0));
     let problem = Problem {
+        print: PrintDeviation::NONE,
         kind: &kind,
         teeth: None,
         radius_m,

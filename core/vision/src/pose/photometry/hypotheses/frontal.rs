@@ -116,7 +116,7 @@ pub fn estimate(
 
 /// Λ/Iₑ of the module page.
 fn linear_over_squared(problem: &Problem, state: &State) -> f64 {
-    let (q, r) = (problem.kind.mean_ratio(), problem.radius_m / state.pose.position_m.norm());
+    let (q, r) = (problem.disc_ratio(), problem.radius_m / state.pose.position_m.norm());
     16.0 * r * r * q * (1.0 - q * q).powi(2) / ((1.0 + q) * (1.0 + q * q * q))
 }
 

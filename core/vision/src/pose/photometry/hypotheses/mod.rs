@@ -6,7 +6,8 @@ mod frontal;
 mod teeth_yaw;
 
 use super::{
-    FitError, FitScratch, robust,
+    FitError, FitScratch,
+    robust::{self, RobustState},
     solver::{
         gauss_newton,
         mirror::{MirrorEstimate, evaluate_mirrored},
@@ -18,14 +19,24 @@ use crate::marker::Pattern;
 use disc_heading::YawEstimate;
 use frontal::{FrontalPose, FrontalResult};
 
-/// The best pose from a start. `deviation_rad` is the standard deviation of an elliptical disc's
-/// heading there.
+/// The best pose from a start, and the state of the robust fit for the next frame. `deviation_rad` is
+/// the standard deviation of an elliptical disc's heading there, `before` the state of the robust fit
+/// of an earlier frame.
 pub fn estimate_pose(
     problem: &Problem,
     first: State,
     deviation_rad: Option<f64>,
+    before: Option<&RobustState>,
     scratch: &mut FitScratch,
-) -> Result<PoseEstimate, FitError> {
+) -> Result<(PoseEstimate, Option<RobustState>), FitError> {
+    let is_plain_print = problem.teeth.is_none() && deviation_rad.is_none();
+    if let Some(before) = before
+        && is_plain_print
+        && !before.expects_plain()
+        && let Ok((estimate, next)) = resume_robust(problem, &first, before, scratch)
+    {
+        return Ok((estimate, Some(next)));
+    }
     let mut heading = None;
     let mut solution = match (problem.teeth, deviation_rad) {
         (Some(_), _) => {
@@ -41,10 +52,20 @@ pub fn estimate_pose(
         }
         (None, None) => gauss_newton::solve(problem, first, &mut scratch.model)?,
     };
+    if let Some(before) = before
+        && !solution.is_plain()
+        && let Ok((mut estimate, next)) = resume_robust(problem, &solution.state, before, scratch)
+    {
+        if let Some(heading) = heading {
+            heading.inflated(&solution).add_to(problem, &mut estimate);
+        }
+        return Ok((estimate, Some(next)));
+    }
     if problem.is_still && !solution.is_plain() {
         let moving = Problem { is_still: false, ..*problem };
-        return estimate_pose(&moving, solution.state, deviation_rad, scratch);
+        return estimate_pose(&moving, solution.state, deviation_rad, None, scratch);
     }
+    let mut robust = before.map(|before| before.after_plain());
     let mut found = frontal::estimate(problem, &solution, &mut scratch.model);
     if let FrontalResult::Further(state) = found {
         solution = gauss_newton::solve(problem, state, &mut scratch.model)?;
@@ -60,13 +81,37 @@ pub fn estimate_pose(
                 Some(heading) if !solution.is_plain() => Some(heading.inflated(&solution)),
                 _ => heading,
             };
-            (tilted_pose(problem, solution, scratch)?, heading)
+            let (estimate, next) = tilted_pose(problem, solution, scratch)?;
+            robust = next.or(robust);
+            (estimate, heading)
         }
     };
     if let Some(heading) = heading {
         heading.add_to(problem, &mut estimate);
     }
-    Ok(estimate)
+    Ok((estimate, robust))
+}
+
+/// The robust fit from the state of an earlier frame.
+fn resume_robust(
+    problem: &Problem,
+    start: &State,
+    before: &RobustState,
+    scratch: &mut FitScratch,
+) -> Result<(PoseEstimate, RobustState), FitError> {
+    let still = Problem { is_still: true, ..*problem };
+    let found = robust::solve(&still, &start.without_motion(), Some(before), scratch)?;
+    check_disc(problem, scratch)?;
+    Ok(found)
+}
+
+/// A partly occluded rim of an elliptical disc would give a wrong heading.
+fn check_disc(problem: &Problem, scratch: &FitScratch) -> Result<(), FitError> {
+    let is_elliptical = matches!(problem.kind.pattern, Pattern::Elliptical { .. });
+    if is_elliptical && !scratch.robust.disc_is_unobstructed() {
+        return Err(FitError::Obstructed);
+    }
+    Ok(())
 }
 
 /// One or two leans of a roundel that nearly faces the camera.
@@ -98,7 +143,7 @@ fn tilted_pose(
     problem: &Problem,
     mut solution: Solution,
     scratch: &mut FitScratch,
-) -> Result<PoseEstimate, FitError> {
+) -> Result<(PoseEstimate, Option<RobustState>), FitError> {
     let Solution { state, equations, noise2, .. } = &solution;
     let mut other = evaluate_mirrored(problem, state, equations, *noise2, &mut scratch.model);
     if let Some(better) = &other
@@ -136,15 +181,11 @@ fn tilted_pose(
         let without_motion = solution.state.without_motion();
         let start = gauss_newton::solve(&still, without_motion.clone(), &mut scratch.model);
         let start = start.map_or(without_motion, |solution| solution.state);
-        let estimate = robust::solve(&still, &start, scratch)?;
-        // A partly occluded rim of the disc would give a wrong heading.
-        let is_elliptical = matches!(problem.kind.pattern, Pattern::Elliptical { .. });
-        if is_elliptical && !scratch.robust.disc_is_unobstructed() {
-            return Err(FitError::Obstructed);
-        }
-        return Ok(estimate);
+        let (estimate, next) = robust::solve(&still, &start, None, scratch)?;
+        check_disc(problem, scratch)?;
+        return Ok((estimate, Some(next)));
     }
     let factor = solution.factor().ok_or(FitError::Uninformative)?;
     let own = factor.inverse_of_last() * solution.noise2;
-    Ok(solution.estimate(problem, &own, other))
+    Ok((solution.estimate(problem, &own, other), None))
 }

@@ -71,14 +71,26 @@ fn moved<S: Simd>(simd: S, along: &[f32; 3], [g1, g2, radial]: [S::f32s; 3]) -> 
     g1.mul_add(S::f32s::splat(simd, along[0]), across)
 }
 
-/// Passes the columns of the row's pixels to `take`, a vector at a time with its number of pixels,
-/// and replaces the grey values by residuals.
+/// The pixels of a vector in a row.
+#[derive(Clone, Copy)]
+pub struct Pack {
+    /// Column of the first pixel.
+    pub start: usize,
+    /// Number of counted pixels.
+    pub count: usize,
+}
+
+/// Passes the columns of the row's pixels to `take`, a vector at a time, and replaces the grey
+/// values by residuals. `levels` gives W and C of the pixels. With `SPREAD`, the column of the
+/// mirrored pose is replaced by the derivative by a motion of the rims into the black: across an
+/// edge that is much longer than its blur, the gradient's length.
 #[inline(always)]
-pub fn add_row<S: Simd, const MOTION: bool>(
+pub fn add_row<S: Simd, const MOTION: bool, const SPREAD: bool>(
     simd: S,
     line: &mut RowSpan,
     model: &PixelModel,
-    mut take: impl FnMut(&[S::f32s; COLUMNS], usize),
+    levels: impl Fn(Pack) -> [S::f32s; 2],
+    mut take: impl FnMut(&[S::f32s; COLUMNS], Pack),
 ) {
     let lanes = S::f32s::LEN;
     let counted = S::f32s::from_slice(simd, &COUNT[..lanes]);
@@ -108,8 +120,9 @@ pub fn add_row<S: Simd, const MOTION: bool>(
         } else {
             blurred
         };
-        let step = S::f32s::splat(simd, model.step);
-        let level = blurred.mul_add(step, S::f32s::splat(simd, model.white));
+        let pack = Pack { start, count: lanes.min(line.span.1 - start) };
+        let [white, step] = levels(pack);
+        let level = blurred.mul_add(step, white);
         let shade = t1.mul_add(S::f32s::splat(simd, model.light[0]), t2 * model.light[1]);
         let level = level.mul_add(shade, level);
         let near = linear(simd, &model.nearness, t1, t2);
@@ -120,11 +133,15 @@ pub fn add_row<S: Simd, const MOTION: bool>(
         let [middle_1, middle_2] = model.middle;
         let to_middle = moved(simd, &[middle_1, middle_2, 1.0], [g1, g2, radial]);
         let lit = level * weight;
-        // In the mirrored pose a point's ray t grows by 1/(2 nearness - 1), from the middle. With x
-        // = 2 nearness - 2 this moves it by x/(1 + x); x is a tenth or less, so the series is
-        // enough.
-        let x2 = near + near - two;
-        let mirror = to_middle * x2 * (x2.mul_add(x2, one) - x2);
+        let last = if SPREAD {
+            zero - fall_u.mul_add(fall_u, fall_v * fall_v).sqrt()
+        } else {
+            // In the mirrored pose a point's ray t grows by 1/(2 nearness - 1), from the middle. With
+            // x = 2 nearness - 2 this moves it by x/(1 + x); x is a tenth or less, so the series is
+            // enough.
+            let x2 = near + near - two;
+            to_middle * x2 * (x2.mul_add(x2, one) - x2)
+        };
         // In the order of `column_products::column`.
         let columns = [
             (grey - level) * weight,
@@ -138,11 +155,11 @@ pub fn add_row<S: Simd, const MOTION: bool>(
             near * to_middle,
             y * lift,
             zero - x * lift,
-            mirror,
+            last,
             stretch * weight,
             skew * weight,
         ];
         columns[0].store_slice(&mut line.grey[start..start + lanes]);
-        take(&columns, lanes.min(line.span.1 - start));
+        take(&columns, pack);
     }
 }

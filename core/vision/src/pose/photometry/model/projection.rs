@@ -175,6 +175,8 @@ struct ProjectionTerms {
     terms: [[f32; TERMS]; 2],
     /// From the lens' origin to the window's.
     shift: [f32; 2],
+    /// Factor on the nodes after those of the outer rim.
+    disc_scale: f32,
     /// -1 where the projection reverses the orientation.
     sign: f32,
 }
@@ -185,12 +187,14 @@ pub struct ProjectedPrint<'a> {
     pub lens: &'a LocalLens,
     pub pose: &'a PrintPose,
     pub radius_m: f64,
+    /// Factor on the disc's rim.
+    pub disc_scale: f64,
     /// The window's top left pixel.
     pub window: (i64, i64),
 }
 
 pub fn project(level: Level, print: &ProjectedPrint, contour: Contour, nodes: &mut Nodes) {
-    let ProjectedPrint { lens, pose, radius_m, window } = *print;
+    let ProjectedPrint { lens, pose, radius_m, disc_scale, window } = *print;
     let (p, axes) = (&pose.position_m, &pose.axes);
     let scale = 1.0 / (lens.spread * p.z);
     let above = [0, 1]
@@ -202,6 +206,7 @@ pub fn project(level: Level, print: &ProjectedPrint, contour: Contour, nodes: &m
         below: [0, 1].map(|j| (radius_m * axes[(2, j)] / p.z) as f32),
         terms: lens.terms,
         shift: [(lens.origin.u as i64 - window.0) as f32, (lens.origin.v as i64 - window.1) as f32],
+        disc_scale: disc_scale as f32,
         sign: if turn * slope.determinant() > 0.0 { 1.0 } else { -1.0 },
     };
     nodes.resize(contour.nodes[0].len());
@@ -218,10 +223,11 @@ fn project_all<S: Simd>(simd: S, view: &ProjectionTerms, contour: Contour, nodes
     let [x, y, dx, dy] = contour.nodes;
     for start in (0..x.len()).step_by(width) {
         let end = start + width;
-        let x = S::f32s::from_slice(simd, &x[start..end]);
-        let y = S::f32s::from_slice(simd, &y[start..end]);
-        let dx = S::f32s::from_slice(simd, &dx[start..end]);
-        let dy = S::f32s::from_slice(simd, &dy[start..end]);
+        let scale = if start < contour.outer { 1.0 } else { view.disc_scale };
+        let x = S::f32s::from_slice(simd, &x[start..end]) * scale;
+        let y = S::f32s::from_slice(simd, &y[start..end]) * scale;
+        let dx = S::f32s::from_slice(simd, &dx[start..end]) * scale;
+        let dy = S::f32s::from_slice(simd, &dy[start..end]) * scale;
         let per_below = one / (x * view.below[0] + y * view.below[1] + one);
         let along_below = dx * view.below[0] + dy * view.below[1];
         let t1 = (x * x1 + y * y1 + c1) * per_below;

@@ -17,7 +17,7 @@ use fearless_simd_macros::simd;
 use super::{
     blur_kernel::{Kernel, PHASES},
     column_products::{COLUMNS, ProductSums},
-    columns::{LANES, PixelModel, RowSpan, add_row},
+    columns::{LANES, Pack, PixelModel, RowSpan, add_row},
     differences::{DIFFERENCE, ImageRows},
     projection::Nodes,
     residual_patches::Patches,
@@ -187,10 +187,30 @@ impl Window {
         })
     }
 
-    /// d of a row and the rows around it, after [`Self::draw`].
+    /// Passes each row with counted pixels to `take`, after [`Self::draw`]: its image and grey values,
+    /// and the counted pixels themselves.
     #[inline(always)]
-    pub fn image_rows(&self, row: usize) -> ImageRows<'_> {
-        ImageRows { image: &self.image[around(row, self.width)], width: self.width }
+    pub fn for_each_row(&mut self, mut take: impl FnMut(&mut RowSpan, &[u8])) {
+        let width = self.width;
+        for (row, &(from, to)) in (self.first..).zip(&self.spans) {
+            if from == to {
+                continue;
+            }
+            let pixels = &self.pixels[row * width + from..][..(to - from).next_multiple_of(LANES)];
+            let packs = pixels.chunks_exact(LANES);
+            for (grey, pixels) in self.grey[from..].chunks_exact_mut(LANES).zip(packs) {
+                for (grey, &pixel) in grey.iter_mut().zip(pixels) {
+                    *grey = f32::from(pixel);
+                }
+            }
+            let mut line = RowSpan {
+                row,
+                span: (from, to),
+                grey: &mut self.grey,
+                around: ImageRows { image: &self.image[around(row, width)], width },
+            };
+            take(&mut line, &pixels[..to - from]);
+        }
     }
 
     /// Sums the contributions of the scattered nodes to d.
@@ -250,42 +270,34 @@ fn gather_all<S: Simd, const PRODUCTS: bool, const MOTION: bool>(
     model: &PixelModel,
     sums: &mut ProductSums,
 ) {
-    let width = window.width;
     if PRODUCTS {
         sums.clear();
     }
     window.draw(simd);
     let mut gradient = [S::f32s::splat(simd, 0.0); COLUMNS];
-    for (row, &(from, to)) in (window.first..).zip(&window.spans) {
-        if from == to {
-            continue;
-        }
-        let pixels = &window.pixels[row * width + from..][..(to - from).next_multiple_of(LANES)];
-        let packs = pixels.chunks_exact(LANES);
-        for (grey, pixels) in window.grey[from..].chunks_exact_mut(LANES).zip(packs) {
-            for (grey, &pixel) in grey.iter_mut().zip(pixels) {
-                *grey = f32::from(pixel);
-            }
-        }
-        let around = around(row, width);
-        let mut line = RowSpan {
-            row,
-            span: (from, to),
-            grey: &mut window.grey,
-            around: ImageRows { image: &window.image[around], width },
-        };
-        add_row::<S, MOTION>(simd, &mut line, model, |columns, count| {
-            if PRODUCTS {
-                sums.push::<S, MOTION>(simd, columns, count);
-            } else {
-                for (sum, column) in gradient.iter_mut().zip(columns) {
-                    *sum = column.mul_add(columns[0], *sum);
+    let levels = [model.white, model.step].map(|level| S::f32s::splat(simd, level));
+    let mut patches = std::mem::take(&mut window.patches);
+    window.for_each_row(|line, _| {
+        add_row::<S, MOTION, false>(
+            simd,
+            line,
+            model,
+            |_| levels,
+            |columns, Pack { count, .. }| {
+                if PRODUCTS {
+                    sums.push::<S, MOTION>(simd, columns, count);
+                } else {
+                    for (sum, column) in gradient.iter_mut().zip(columns) {
+                        *sum = column.mul_add(columns[0], *sum);
+                    }
                 }
-            }
-        });
+            },
+        );
+        let (from, to) = line.span;
         let whole = (to - from).next_multiple_of(S::f32s::LEN);
-        window.patches.add_row(simd, &window.grey[from..from + whole], from, to);
-    }
+        patches.add_row(simd, &line.grey[from..from + whole], from, to);
+    });
+    window.patches = patches;
     if PRODUCTS {
         sums.finish::<S, MOTION>(simd);
     } else {

@@ -25,18 +25,23 @@ const FITTED: f64 = 6.0;
 impl RobustFit<'_> {
     /// Updates which cells are kept; returns whether any changed.
     pub(super) fn reject_outliers(&mut self) -> bool {
+        let taken = self.taken;
         let RobustScratch { cells, list, .. } = &mut *self.scratch;
         let mut reference = self.reference;
         list.clear();
-        list.extend(cells.iter().filter_map(|cell| Some(cell.evaluate(&reference)?.variance)));
+        list.extend(
+            cells.iter().filter_map(|cell| Some(cell.evaluate(&reference, &taken)?.variance)),
+        );
         reference.noise2 = median(list).max(1.0 / 12.0);
         list.clear();
-        list.extend(cells.iter().filter_map(|cell| Some(cell.evaluate(&reference)?.square)));
+        list.extend(
+            cells.iter().filter_map(|cell| Some(cell.evaluate(&reference, &taken)?.square)),
+        );
         let scale = (median(list) / MEDIAN_SQUARE).max(reference.noise2);
         let missed = (MODEL_SHARE * reference.levels[1]).powi(2);
         let mut changed = false;
         for cell in cells {
-            let kept = cell.evaluate(&reference).is_some_and(|evaluate| {
+            let kept = cell.evaluate(&reference, &taken).is_some_and(|evaluate| {
                 let spread = 1.0 + MAX_SPREAD * (2.0 / (cell.pixels() - 3.0).max(1.0)).sqrt();
                 evaluate.square < MAX_SQUARE * scale
                     && evaluate.variance < reference.noise2 * spread + missed
@@ -53,7 +58,7 @@ impl RobustFit<'_> {
         let reference = Reference { noise2: linear.noise2(), ..self.reference };
         let kept = self.scratch.cells.iter().filter(|cell| cell.kept);
         let (mut sum, mut count) = (0.0, 0.0);
-        for evaluate in kept.filter_map(|cell| cell.evaluate(&reference)) {
+        for evaluate in kept.filter_map(|cell| cell.evaluate(&reference, &self.taken)) {
             sum += evaluate.square / reference.noise2;
             count += 1.0;
         }

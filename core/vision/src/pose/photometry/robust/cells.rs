@@ -1,8 +1,8 @@
 //! Cells along the rims, each with its own levels and its information about rim and pose.
 //!
 //! A cell is a stretch of one rim, about [`LENGTH_PX`] long, with the pixels closer to it than to
-//! the other rim. Its sums are the products of all columns over its pixels. From them follow,
-//! without another pass over the pixels,
+//! the other rim. Its sums are the products of residual, levels and rim with all columns over its
+//! pixels. From them follow, without another pass over the pixels,
 //!
 //! * its information about the pose with its own levels (W, C) free: with local columns l and
 //!   shared ones g, A_gg - A_gl A_ll⁻¹ A_lg (Schur's complement);
@@ -11,15 +11,17 @@
 //! * the remaining residual.
 
 use fearless_simd::prelude::*;
-use nalgebra::{Matrix2, SMatrix, SVector};
+use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 use crate::pose::photometry::model::column_products::{self, STILL, column};
 
-/// Columns of a pixel: those of the plain fit, the last replaced by the spread of the outer rim,
-/// then that of the inner one; padded to whole vectors.
+/// Columns of a pixel: those of the plain fit, the last replaced by the spread of the rims; padded to
+/// whole vectors.
 pub const WIDTH: usize = 16;
-/// Spread of the outer rim; that of the inner one follows.
+/// Spread of the rims.
 pub const SPREAD: usize = STILL - 1;
+/// Columns whose products with all columns a cell keeps.
+const ROWS: [usize; 4] = [0, column::WHITE, column::STEP, SPREAD];
 /// The motion is held.
 pub type Products = column_products::Products<STILL>;
 /// Length of a cell along its rim …
@@ -33,15 +35,17 @@ const MIN_PIXELS: f64 = 8.0;
 /// finite.
 const LEVEL_PRIOR: f64 = 200.0;
 
+/// Aligned, since a vector across two cache lines takes several times as long to update.
 #[derive(Clone, Debug)]
+#[repr(C, align(64))]
 pub struct Cell {
+    /// Products of the columns [`ROWS`] with all; those of shape are over the reference's step.
+    pub sums: [[f32; WIDTH]; ROWS.len()],
     /// 0 the outer rim, 1 the inner one.
     pub rim: usize,
     /// W and C, grey levels.
     pub levels: [f64; 2],
     pub kept: bool,
-    /// Products of the columns; those of shape are over the step.
-    pub sums: [[f32; WIDTH]; WIDTH],
 }
 
 /// How well a cell agrees with the model.
@@ -61,14 +65,14 @@ pub fn count(around_px: f64) -> usize {
 
 impl Cell {
     pub fn new(rim: usize, levels: [f64; 2]) -> Self {
-        Self { rim, levels, kept: true, sums: [[0.0; WIDTH]; WIDTH] }
+        Self { rim, levels, kept: true, sums: Default::default() }
     }
 
     #[inline(always)]
-    pub fn add<S: Simd>(&mut self, simd: S, columns: &[f32; WIDTH]) {
+    pub fn add<S: Simd>(&mut self, simd: S, columns: &[f32]) {
         let width = S::f32s::LEN;
-        for (sums, factor) in self.sums.iter_mut().zip(columns).take(SPREAD + 2) {
-            let factor = S::f32s::splat(simd, *factor);
+        for (sums, column) in self.sums.iter_mut().zip(ROWS) {
+            let factor = S::f32s::splat(simd, columns[column]);
             for (sums, columns) in sums.chunks_exact_mut(width).zip(columns.chunks_exact(width)) {
                 let sum = S::f32s::from_slice(simd, sums);
                 S::f32s::from_slice(simd, columns).mul_add(factor, sum).store_slice(sums);
@@ -76,31 +80,21 @@ impl Cell {
         }
     }
 
-    /// Products with the spread of both rims as one column, the last; columns of shape are over the
-    /// reference's step.
-    pub fn products(&self, step: f64) -> Products {
-        let ratio = self.levels[1] / step;
-        let mut products = Products::zeros();
-        let scale = |index: usize| if is_shape(index) { ratio } else { 1.0 };
-        for row in 0..WIDTH.min(STILL + 1) {
-            for column in 0..WIDTH.min(STILL + 1) {
-                let (to_row, to_column) = (row.min(SPREAD), column.min(SPREAD));
-                let sum = f64::from(self.sums[row][column]);
-                products[(to_row, to_column)] += sum * scale(to_row) * scale(to_column);
-            }
-        }
-        products
+    /// Products of the levels with all columns.
+    fn level_rows(&self) -> SMatrix<f64, 2, STILL> {
+        SMatrix::from_fn(|row, column| f64::from(self.sums[1 + row][column]))
     }
 
     /// Inverse of the levels' information, and the gradient of the prior.
-    fn level_inverse(
-        &self,
-        products: &Products,
-        reference: &Reference,
-    ) -> Option<(Matrix2<f64>, [f64; 2])> {
+    fn level_inverse(&self, reference: &Reference) -> Option<(Matrix2<f64>, [f64; 2])> {
         let prior = reference.noise2 / (LEVEL_PRIOR * LEVEL_PRIOR);
-        let mut information: Matrix2<f64> = products.fixed_view::<2, 2>(1, 1).into();
-        information += Matrix2::identity() * prior;
+        let at = |row: usize, column: usize| f64::from(self.sums[row][column]);
+        let information = Matrix2::new(
+            at(1, column::WHITE) + prior,
+            at(1, column::STEP),
+            at(2, column::WHITE),
+            at(2, column::STEP) + prior,
+        );
         let pull = [0, 1].map(|k| prior * (reference.levels[k] - self.levels[k]));
         Some((information.try_inverse()?, pull))
     }
@@ -112,28 +106,26 @@ impl Cell {
         f64::from(self.sums[0][0]) + prior * (off(0) + off(1))
     }
 
-    pub fn marginalized(&self, reference: &Reference) -> Option<Products> {
-        let mut products = self.products(reference.levels[1]);
-        let (inverse, pull) = self.level_inverse(&products, reference)?;
-        let mut rows: SMatrix<f64, 2, STILL> = products.fixed_rows::<2>(1).into();
+    /// Subtracts from the ring's products what the cell's own levels explain.
+    pub fn marginalize(&self, reference: &Reference, products: &mut Products) {
+        let Some((inverse, pull)) = self.level_inverse(reference) else { return };
+        let mut rows = self.level_rows();
         rows[(0, 0)] += pull[0];
         rows[(1, 0)] += pull[1];
-        products[(0, 0)] = self.misfit(reference);
-        products -= rows.transpose() * inverse * rows;
-        for level in [column::WHITE, column::STEP] {
-            products.fill_row(level, 0.0);
-            products.fill_column(level, 0.0);
+        let explained = inverse * rows;
+        for column in 0..STILL {
+            for row in 0..=column {
+                let product = rows[(0, row)] * explained[(0, column)]
+                    + rows[(1, row)] * explained[(1, column)];
+                products[(row, column)] -= product;
+            }
         }
-        products[(column::WHITE, column::WHITE)] = (self.pixels() - 2.0).max(0.0);
-        Some(products)
     }
 
     /// Updates the levels for the coefficients of the shared columns.
     pub fn update_levels(&mut self, reference: &Reference, coefficients: &SVector<f64, STILL>) {
-        let products = self.products(reference.levels[1]);
-        let Some((inverse, pull)) = self.level_inverse(&products, reference) else { return };
-        let rows: SMatrix<f64, 2, STILL> = products.fixed_rows::<2>(1).into();
-        let mut right = rows * coefficients;
+        let Some((inverse, pull)) = self.level_inverse(reference) else { return };
+        let mut right = self.level_rows() * coefficients;
         right[0] += pull[0];
         right[1] += pull[1];
         let change = inverse * right;
@@ -143,31 +135,37 @@ impl Cell {
 
     /// Number of pixels, less those with clipped levels.
     pub fn pixels(&self) -> f64 {
-        f64::from(self.sums[column::WHITE][column::WHITE])
+        f64::from(self.sums[1][column::WHITE])
     }
 
-    /// `None` with too few pixels.
-    pub fn evaluate(&self, reference: &Reference) -> Option<CellFit> {
+    /// After a step with these coefficients of the columns; `None` with too few pixels.
+    pub fn evaluate(&self, reference: &Reference, taken: &SVector<f64, STILL>) -> Option<CellFit> {
         let pixels = self.pixels();
         if pixels < MIN_PIXELS {
             return None;
         }
-        let rim = SPREAD + self.rim;
-        let at = |row: usize, column: usize| f64::from(self.sums[row][column]);
-        let products = self.products(reference.levels[1]);
-        let (inverse, _) = self.level_inverse(&products, reference)?;
-        let level_inverse = |index: usize| {
-            nalgebra::Vector2::new(at(column::WHITE, index), at(column::STEP, index))
+        let (inverse, _) = self.level_inverse(reference)?;
+        let with_levels = |column: usize| {
+            Vector2::new(f64::from(self.sums[1][column]), f64::from(self.sums[2][column]))
         };
-        let less =
-            |a: usize, b: usize| at(a, b) - level_inverse(a).dot(&(inverse * level_inverse(b)));
-        let (information, gradient) = (less(rim, rim), less(rim, 0));
-        let settled = inverse * level_inverse(0);
+        let less = |row: usize, column: usize| {
+            let explained = with_levels(ROWS[row]).dot(&(inverse * with_levels(column)));
+            f64::from(self.sums[row][column]) - explained
+        };
+        let (information, before) = (less(3, SPREAD), less(3, 0));
+        let levels = self.level_rows() * taken;
+        let of_rim: f64 =
+            self.sums[3].iter().zip(taken).map(|(sum, by)| f64::from(*sum) * by).sum();
+        let gradient = of_rim - with_levels(SPREAD).dot(&(inverse * levels));
+        let settled = inverse * with_levels(0);
         let contrast = (self.levels[1] + settled[1]) / reference.levels[1];
-        let square =
-            if information > 1e-3 * at(rim, rim) { gradient * gradient / information } else { 0.0 };
-        let variance = (less(0, 0) - square).max(0.0) / (pixels - 3.0);
-        Some(CellFit { variance, square, contrast })
+        let is_informative = information > 1e-3 * f64::from(self.sums[3][SPREAD]);
+        let square = |gradient: f64| {
+            if is_informative { gradient * gradient / information } else { 0.0 }
+        };
+        // A step moves the cell's rim, and changes nothing of what remains besides.
+        let variance = (less(0, 0) - square(before)).max(0.0) / (pixels - 3.0);
+        Some(CellFit { variance, square: square(gradient), contrast })
     }
 }
 
@@ -178,9 +176,4 @@ pub struct Reference {
     pub levels: [f64; 2],
     /// Variance of a pixel, grey levels².
     pub noise2: f64,
-}
-
-/// Whether a column is one of shape, which is proportional to the step.
-fn is_shape(index: usize) -> bool {
-    index == column::BLUR || index >= column::SHIFT
 }

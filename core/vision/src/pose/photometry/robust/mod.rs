@@ -24,9 +24,11 @@
 //! **Accuracy** (`roundel-tests`, `tests/robustness.rs`): white at 330 of 255, with and without
 //! bloom, the edge of a shadow across the ring, occlusions.
 
+mod assign;
 mod cell_outliers;
 mod cells;
 mod pixels;
+mod resume;
 
 use nalgebra::SVector;
 
@@ -48,6 +50,8 @@ use super::{
 };
 use crate::scratch::reserve_total;
 use cells::{Cell, Products, Reference, SPREAD};
+use pixels::{CellLevels, PixelSums};
+pub use resume::RobustState;
 
 /// Standard deviation of the bloom where levels are clipped.
 const BLOOM_PRIOR_PX: f64 = 0.3;
@@ -76,6 +80,7 @@ pub struct RobustScratch {
     /// Cell of each counted pixel, in the window's order.
     assignment: Vec<u16>,
     cells: Vec<Cell>,
+    levels: Vec<CellLevels>,
     /// Cells before a step, to restore them if it fails.
     saved: Vec<Cell>,
     list: Vec<f64>,
@@ -86,6 +91,7 @@ impl RobustScratch {
     pub fn reserve(&mut self, pixels: usize) {
         reserve_total(&mut self.assignment, pixels);
         reserve_total(&mut self.cells, cells::MAX_CELLS);
+        reserve_total(&mut self.levels, cells::MAX_CELLS);
         reserve_total(&mut self.saved, cells::MAX_CELLS);
         reserve_total(&mut self.list, cells::MAX_CELLS);
     }
@@ -114,16 +120,21 @@ struct RobustFit<'a> {
     bloom_px: f64,
     /// Products of the last column before its elimination.
     bloom: SVector<f64, STILL>,
+    /// Coefficients of the columns for the step that was taken since the products were summed.
+    taken: SVector<f64, STILL>,
     /// Misfit before levels and bloom are updated.
     misfit: f64,
     iterations: usize,
 }
 
+/// Solves from a start, with the state that an earlier frame left, if any; returns that for the next
+/// frame as well.
 pub fn solve(
     problem: &Problem,
     start: &State,
+    before: Option<&RobustState>,
     scratch: &mut FitScratch,
-) -> Result<PoseEstimate, FitError> {
+) -> Result<(PoseEstimate, RobustState), FitError> {
     let FitScratch { model, robust: scratch, .. } = scratch;
     let reference = Reference { levels: [start.white, start.step], noise2: 4.0 };
     let mut fitter = RobustFit {
@@ -135,12 +146,23 @@ pub fn solve(
         cut_off: false,
         bloom_px: 0.0,
         bloom: SVector::zeros(),
+        taken: no_step(),
         misfit: 0.0,
         iterations: 0,
     };
     fitter.assign_cells(start);
-    let (solution, second) = fitter.run(start)?;
-    estimate(problem, solution, second)
+    if let Some(before) = before
+        && let Some(start) = fitter.resume(start, before)
+    {
+        let solution = fitter.run_resumed(&start)?;
+        let mut next = fitter.state(&solution, Some(before));
+        let (solution, second) = fitter.resumed_against_mirrored(solution, before, &mut next);
+        return Ok((estimate(problem, solution, second)?, next));
+    }
+    let solution = fitter.run(start)?;
+    let next = fitter.state(&solution, None);
+    let (solution, second) = fitter.against_mirrored(solution);
+    Ok((estimate(problem, solution, second)?, next))
 }
 
 fn estimate(
@@ -159,13 +181,20 @@ fn estimate(
     Ok(solution.estimate(problem, &own, second))
 }
 
+/// The residual as it is.
+fn no_step() -> SVector<f64, STILL> {
+    let mut coefficients = SVector::zeros();
+    coefficients[0] = 1.0;
+    coefficients
+}
+
 impl RobustFit<'_> {
     fn assign_cells(&mut self, state: &State) {
         let RobustScratch { assignment, cells, .. } = &mut *self.scratch;
         let window = &self.model.window;
         let blur_px = state.blur2.sqrt();
         let model = linearize::pixel_model(self.problem, state, blur_px, window.origin);
-        let ratio = self.problem.kind.mean_ratio();
+        let ratio = self.problem.disc_ratio();
         let radius_px = linearize::radius_px(self.problem, state);
         let counts =
             [1.0, ratio].map(|share| cells::count(std::f64::consts::TAU * share * radius_px));
@@ -174,45 +203,51 @@ impl RobustFit<'_> {
             cells.extend((0..count).map(|_| Cell::new(rim, self.reference.levels)));
         }
         assignment.clear();
-        let mut clipped = 0usize;
-        for row in window.counted_rows() {
-            for (column, &grey) in (row.first_column..).zip(row.grey) {
-                let (u, v) = (column as f32, row.row as f32);
-                let t = model.t.map(|[c, by_u, by_v]| c + by_u * u + by_v * v);
-                let of = |terms: &[f32; 3]| terms[0] + terms[1] * t[0] + terms[2] * t[1];
-                let (near, x, y) = (of(&model.nearness), of(&model.plane[0]), of(&model.plane[1]));
-                let rim = usize::from(x.hypot(y) < 0.5 * (1.0 + ratio as f32) * near);
-                let turn = f64::from(y.atan2(x)) / std::f64::consts::TAU + 0.5;
-                let cell = ((turn * counts[rim] as f64) as usize).min(counts[rim] - 1);
-                clipped += usize::from(grey == 0 || grey == 255);
-                assignment.push((rim * counts[0] + cell) as u16);
-            }
-        }
+        let clipped = assign::assign(self.model.level, window, &model, ratio, counts, assignment);
         self.cut_off = clipped as f64 > CUT_OFF * assignment.len() as f64;
     }
 
-    fn run(&mut self, start: &State) -> Result<(Solution, Option<MirrorEstimate>), FitError> {
-        let (mut state, mut equations, mut settled) = self.iterate(start.clone())?;
-        let mut changed = self.reject_outliers();
-        let mut variance_growth = self.variance_growth(&equations);
+    /// Fits with the levels of the ring, then with those of the cells if necessary.
+    fn run(&mut self, start: &State) -> Result<Solution, FitError> {
+        let (state, equations, settled) = self.iterate(start.clone())?;
+        let changed = self.reject_outliers();
+        let variance_growth = self.variance_growth(&equations);
         if changed || variance_growth > UNIFORM_GROWTH || !settled {
             self.levels = LevelScope::Cells;
             self.reference.levels = [state.white, state.step];
             for cell in &mut self.scratch.cells {
                 cell.levels = self.reference.levels;
             }
-            for _ in 0..ROUNDS {
-                (state, equations, settled) = self.iterate(state)?;
-                changed = self.reject_outliers();
-                if !changed {
+            return self.run_resumed(&state);
+        }
+        self.finished(state, equations, variance_growth)
+    }
+
+    /// Fits with the current cells until none of them changes.
+    fn run_resumed(&mut self, start: &State) -> Result<Solution, FitError> {
+        let mut state = start.clone();
+        for _ in 0..ROUNDS {
+            let (next, equations, settled) = self.iterate(state)?;
+            if !self.reject_outliers() {
+                let variance_growth = self.variance_growth(&equations);
+                let is_uniform =
+                    self.levels == LevelScope::Cells || variance_growth < UNIFORM_GROWTH;
+                if !settled || !is_uniform {
                     break;
                 }
+                return self.finished(next, equations, variance_growth);
             }
-            variance_growth = self.variance_growth(&equations);
+            state = next;
         }
-        if changed || !settled {
-            return Err(FitError::NotConverged);
-        }
+        Err(FitError::NotConverged)
+    }
+
+    fn finished(
+        &self,
+        state: State,
+        mut equations: NormalEquations,
+        variance_growth: f64,
+    ) -> Result<Solution, FitError> {
         let share = self.share_kept();
         if share < MIN_KEPT {
             return Err(FitError::Obstructed);
@@ -220,8 +255,7 @@ impl RobustFit<'_> {
         equations.elongation *= share;
         let noise2 = equations.noise2() * variance_growth;
         let misfit = equations.misfit;
-        let solution = Solution { state, misfit, noise2, iterations: self.iterations, equations };
-        Ok(self.against_mirrored(solution))
+        Ok(Solution { state, misfit, noise2, iterations: self.iterations, equations })
     }
 
     /// The more likely of a solution and the one from its mirrored pose, with the other one.
@@ -262,6 +296,12 @@ impl RobustFit<'_> {
                 return Ok((state, equations, true));
             }
             let next = state.moved(equations.ring.unit_m, &change).ok_or(FitError::OutOfWindow)?;
+            if damping.is_none() && !self.cut_off && equations.is_linear_over(&state, &change) {
+                self.taken = self.update_levels(&equations, &change);
+                let left = (equations.misfit - equations.gain(&change)).max(0.0);
+                equations.advance(&change, left);
+                return Ok((next, equations, true));
+            }
             let bloom_px = self.bloom_px;
             let RobustScratch { cells, saved, .. } = &mut *self.scratch;
             saved.clone_from(cells);
@@ -286,10 +326,14 @@ impl RobustFit<'_> {
         Ok((state, equations, false))
     }
 
-    /// Updates bloom and the cells' levels for a step of the shared unknowns.
-    fn update_levels(&mut self, equations: &NormalEquations, change: &Unknowns) {
-        let mut coefficients = SVector::<f64, STILL>::zeros();
-        coefficients[0] = 1.0;
+    /// Updates bloom and the cells' levels for a step of the shared unknowns; returns the columns'
+    /// coefficients, which give the residual after it.
+    fn update_levels(
+        &mut self,
+        equations: &NormalEquations,
+        change: &Unknowns,
+    ) -> SVector<f64, STILL> {
+        let mut coefficients = no_step();
         for unknown in WHITE..UNKNOWNS {
             coefficients[unknown + 1 - WHITE] = -change[unknown] * equations.scale[unknown];
         }
@@ -305,10 +349,12 @@ impl RobustFit<'_> {
                 cell.update_levels(&self.reference, &coefficients);
             }
         }
+        coefficients
     }
 
     fn assemble(&mut self, state: &State) -> Result<NormalEquations, FitError> {
         self.iterations += 1;
+        self.taken = no_step();
         let model = linearize::draw(self.problem, state, self.bloom_px, self.model)?;
         if self.levels == LevelScope::Ring {
             self.reference.levels = [state.white, state.step];
@@ -317,8 +363,9 @@ impl RobustFit<'_> {
             }
         }
         let deviation = self.reference.noise2.sqrt().max(MIN_NOISE);
-        let ModelScratch { level, window, .. } = &mut *self.model;
-        pixels::add_all(*level, &model, deviation, window, self.scratch);
+        let ModelScratch { level, window, sums, .. } = &mut *self.model;
+        let (reference, robust) = (self.reference, &mut *self.scratch);
+        pixels::add_all(*level, &model, PixelSums { reference, deviation, window, sums, robust });
         let products = self.summed_products();
         let ring = linearize::scale(self.problem, state, &model);
         Ok(NormalEquations::new(state, &products, ring))
@@ -326,20 +373,22 @@ impl RobustFit<'_> {
 
     /// Products of the kept cells, with the bloom eliminated where it is free.
     fn summed_products(&mut self) -> Products {
-        let mut sum = Products::zeros();
-        self.misfit = 0.0;
-        for cell in self.scratch.cells.iter().filter(|cell| cell.kept) {
-            self.misfit += cell.misfit(&self.reference);
-            match self.levels {
-                LevelScope::Ring => sum += cell.products(self.reference.levels[1]),
-                LevelScope::Cells => {
-                    if let Some(products) = cell.marginalized(&self.reference) {
-                        sum += products;
-                    }
-                }
-            }
-        }
+        let mut sum: Products = self.model.sums.products.fixed_view::<STILL, STILL>(0, 0).into();
+        let kept = || self.scratch.cells.iter().filter(|cell| cell.kept);
+        self.misfit = kept().map(|cell| cell.misfit(&self.reference)).sum();
+        sum[(0, 0)] = self.misfit;
         if self.levels == LevelScope::Cells {
+            for cell in kept() {
+                cell.marginalize(&self.reference, &mut sum);
+            }
+            sum.fill_lower_triangle_with_upper_triangle();
+            for level in [column::WHITE, column::STEP] {
+                sum.fill_row(level, 0.0);
+                sum.fill_column(level, 0.0);
+            }
+            // The pixels that are not used up by the levels.
+            sum[(column::WHITE, column::WHITE)] =
+                kept().map(|cell| (cell.pixels() - 2.0).max(0.0)).sum();
             sum[(column::STEP, column::STEP)] = 1.0;
         }
         if self.cut_off {

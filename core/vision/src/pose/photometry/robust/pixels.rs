@@ -1,143 +1,173 @@
-//! Columns of each counted pixel, summed over the cells.
+//! Columns of each counted pixel, summed over the cells and over the ring.
 //!
-//! Image and derivatives are those of the plain fit ([`window`](super::super::model::window)). Here
-//! each cell has its own levels, clipped pixels have their own likelihood, and two columns are the
-//! derivatives by a motion of either rim into black. Across an edge that is much longer than its
-//! blur, this is the gradient's length.
+//! Image and columns are those of the plain fit ([`columns`](super::super::model::columns)). Here each
+//! cell has its own levels, clipped pixels have their own likelihood, and one column is the derivative
+//! by a motion of both rims into black.
 
 use fearless_simd::{Level, dispatch, prelude::*};
 use fearless_simd_macros::simd;
 
 use super::{
     RobustScratch,
-    cells::{Cell, WIDTH},
+    cells::{Reference, WIDTH},
 };
 use crate::{
     normal_distribution,
     pose::photometry::model::{
-        columns::{LANES, PixelModel},
-        differences::{Differences, differences},
+        column_products::{COLUMNS, ProductSums, STILL, column},
+        columns::{LANES, Pack, PixelModel, add_row},
         window::Window,
     },
 };
 
-/// Sums the counted pixels of a window, whose image is scattered, over the cells, with noise of
-/// this standard deviation.
-pub fn add_all(
-    level: Level,
-    model: &PixelModel,
-    deviation: f64,
-    window: &mut Window,
-    robust: &mut RobustScratch,
-) {
-    dispatch!(level, simd => add_each(simd, model, deviation, window, robust));
+/// What the pixels of a cell need.
+#[derive(Clone, Copy, Debug)]
+pub struct CellLevels {
+    white: f32,
+    step: f32,
+    /// Step over that of the reference.
+    contrast: f32,
+    /// 1 for a kept cell, else 0.
+    kept: f32,
+}
+
+/// Where the counted pixels of a window are summed.
+pub struct PixelSums<'a> {
+    pub reference: Reference,
+    /// Standard deviation of a pixel.
+    pub deviation: f64,
+    pub window: &'a mut Window,
+    /// Products over the kept cells.
+    pub sums: &'a mut ProductSums,
+    pub robust: &'a mut RobustScratch,
+}
+
+/// Sums the counted pixels of a window, whose image is scattered.
+pub fn add_all(level: Level, model: &PixelModel, sums: PixelSums) {
+    dispatch!(level, simd => add_each(simd, model, sums));
 }
 
 #[simd]
-fn add_each<S: Simd>(
-    simd: S,
-    model: &PixelModel,
-    deviation: f64,
-    window: &mut Window,
-    robust: &mut RobustScratch,
-) {
-    let RobustScratch { assignment, cells, .. } = robust;
+fn add_each<S: Simd>(simd: S, model: &PixelModel, into: PixelSums) {
+    let PixelSums { reference, deviation, window, sums, robust } = into;
+    let RobustScratch { assignment, cells, levels, .. } = robust;
+    levels.clear();
     for cell in cells.iter_mut() {
         cell.sums = Default::default();
+        levels.push(CellLevels {
+            white: cell.levels[0] as f32,
+            step: cell.levels[1] as f32,
+            contrast: (cell.levels[1] / reference.levels[1]) as f32,
+            kept: f32::from(u8::from(cell.kept)),
+        });
     }
+    let levels = &levels[..];
+    sums.clear();
     window.draw(simd);
-    let lanes = S::f32s::LEN;
-    let mut assignment = assignment.iter();
-    for row in window.counted_rows() {
-        let around = window.image_rows(row.row);
-        for (pack, grey) in row.grey.chunks(lanes).enumerate() {
-            let start = row.first_column + pack * lanes;
-            let Differences { share, slope, curvature, .. } =
-                differences::<S, false>(simd, &around, start, &model.taps);
-            let share = curvature.mul_add(S::f32s::splat(simd, model.blur), share);
-            let mut image = [[0.0; LANES]; 4];
-            for (list, values) in image.iter_mut().zip([share, slope[0], slope[1], curvature]) {
-                values.store_slice(&mut list[..lanes]);
-            }
-            for ((lane, &grey), &cell) in grey.iter().enumerate().zip(&mut assignment) {
-                let pixel = Pixel {
-                    column: (start + lane) as f32,
-                    row: row.row as f32,
-                    share: image[0][lane],
-                    slope: [image[1][lane], image[2][lane]],
-                    curvature: image[3][lane],
-                };
-                let cell = &mut cells[usize::from(cell)];
-                let (columns, level) = pixel.columns(model, cell);
-                let term = pixel_term(f64::from(grey), f64::from(level), deviation);
-                let mut weighted = columns.map(|column| column * term.root as f32);
-                weighted[0] = term.residual as f32;
-                cell.add(simd, &weighted);
-                cell.sums[0][0] += (term.misfit - term.residual * term.residual) as f32;
-            }
-        }
-    }
+    let mut assignment = &assignment[..];
+    window.for_each_row(|line, pixels| {
+        let from = line.span.0;
+        let (own, rest) = assignment.split_at(pixels.len());
+        assignment = rest;
+        let of_pack = |pack: Pack| &own[pack.start - from..][..pack.count];
+        add_row::<S, false, true>(
+            simd,
+            line,
+            model,
+            |pack| {
+                let [mut white, mut step] = [[0.0; LANES]; 2];
+                for (lane, &cell) in of_pack(pack).iter().enumerate() {
+                    let level = &levels[usize::from(cell)];
+                    (white[lane], step[lane]) = (level.white, level.step);
+                }
+                [
+                    S::f32s::from_slice(simd, &white[..S::f32s::LEN]),
+                    S::f32s::from_slice(simd, &step[..S::f32s::LEN]),
+                ]
+            },
+            |columns, pack| {
+                let cells_of = of_pack(pack);
+                let grey = &pixels[pack.start - from..][..pack.count];
+                let [mut contrast, mut kept] = [[0.0; LANES]; 2];
+                for (lane, &cell) in cells_of.iter().enumerate() {
+                    let level = &levels[usize::from(cell)];
+                    (contrast[lane], kept[lane]) = (level.contrast, level.kept);
+                }
+                let contrast = S::f32s::from_slice(simd, &contrast[..S::f32s::LEN]);
+                let kept = S::f32s::from_slice(simd, &kept[..S::f32s::LEN]);
+                let mut columns = *columns;
+                for index in (column::BLUR..=column::BLUR).chain(column::SHIFT..STILL) {
+                    columns[index] *= contrast;
+                }
+                if grey.iter().any(|&grey| grey == 0 || grey == 255) {
+                    clip(simd, &mut columns, grey, deviation, |lane, excess| {
+                        cells[usize::from(cells_of[lane])].sums[0][0] += excess;
+                    });
+                }
+                let by_pixel = transposed(simd, &columns);
+                for (own, &cell) in by_pixel.chunks_exact(WIDTH).zip(cells_of) {
+                    cells[usize::from(cell)].add(simd, own);
+                }
+                for values in columns.iter_mut().take(STILL) {
+                    *values *= kept;
+                }
+                sums.push::<S, false>(simd, &columns, pack.count);
+            },
+        );
+    });
+    sums.finish::<S, false>(simd);
     window.clear(simd);
 }
 
-/// The image at a pixel.
-struct Pixel {
-    /// In the window.
-    column: f32,
-    row: f32,
-    /// d.
-    share: f32,
-    /// ∇d.
-    slope: [f32; 2],
-    /// ∇²d.
-    curvature: f32,
-}
-
-impl Pixel {
-    /// Columns, and the level of the model.
-    #[inline(always)]
-    fn columns(&self, model: &PixelModel, cell: &Cell) -> ([f32; WIDTH], f32) {
-        let Self { share, curvature, .. } = *self;
-        // d changes by -v·∇d where the contour moves by v.
-        let [right, down] = self.slope.map(|part| -part);
-        let [t1, t2] = model.t.map(|[c, by_u, by_v]| c + by_u * self.column + by_v * self.row);
-        let [m11, m12, m21, m22] = model.slope;
-        let (g1, g2) = (right * m11 + down * m21, right * m12 + down * m22);
-        let light = 1.0 + model.light[0] * t1 + model.light[1] * t2;
-        let [white, step] = cell.levels.map(|level| level as f32);
-        let level = (white + step * share) * light;
-        let of = |terms: &[f32; 3]| terms[0] + terms[1] * t1 + terms[2] * t2;
-        let (near, x, y) = (of(&model.nearness), of(&model.plane[0]), of(&model.plane[1]));
-        let radial = t1 * g1 + t2 * g2;
-        let along = |v: &[f32; 3]| v[0] * g1 + v[1] * g2 - v[2] * radial;
-        let lift = along(&model.lift);
-        let to_middle = along(&[model.middle[0], model.middle[1], 1.0]);
-        let mut spread = [0.0; 2];
-        spread[cell.rim] = -(right * right + down * down).sqrt() * light;
-        let columns = [
-            0.0,
-            light,
-            share * light,
-            curvature * light,
-            level * t1,
-            level * t2,
-            near * g1 * light,
-            near * g2 * light,
-            near * to_middle * light,
-            y * lift * light,
-            -x * lift * light,
-            spread[0],
-            spread[1],
-            0.0,
-            0.0,
-            0.0,
-        ];
-        (columns, level)
+/// The columns of one pixel after those of another, padded with zeros.
+#[inline(always)]
+fn transposed<S: Simd>(simd: S, columns: &[S::f32s; COLUMNS]) -> [f32; WIDTH * LANES] {
+    let mut rows = [S::f32s::splat(simd, 0.0); WIDTH];
+    rows[..STILL].copy_from_slice(&columns[..STILL]);
+    // Each round moves the highest bit of the index of row and lane to its lowest place.
+    for _ in 0..WIDTH.ilog2() {
+        let before = rows;
+        for row in 0..WIDTH / 2 {
+            (rows[2 * row], rows[2 * row + 1]) = before[row].interleave(before[row + WIDTH / 2]);
+        }
     }
+    let mut pixels = [0.0; WIDTH * LANES];
+    for (row, pixels) in rows.iter().zip(pixels.chunks_exact_mut(S::f32s::LEN)) {
+        row.store_slice(pixels);
+    }
+    pixels
 }
 
-/// Contribution of a pixel to the likelihood.
-struct PixelTerm {
+/// Replaces residuals and weights of clipped pixels, and passes what their misfit exceeds the square
+/// of the residual by.
+#[inline(always)]
+fn clip<S: Simd>(
+    simd: S,
+    columns: &mut [S::f32s; COLUMNS],
+    grey: &[u8],
+    deviation: f64,
+    mut add: impl FnMut(usize, f32),
+) {
+    let lanes = S::f32s::LEN;
+    let (mut residuals, mut roots) = ([0.0; LANES], [1.0; LANES]);
+    columns[0].store_slice(&mut residuals[..lanes]);
+    for (lane, &grey) in grey.iter().enumerate() {
+        let grey = f64::from(grey);
+        if let Some(term) = ClippedTerm::new(grey, grey - f64::from(residuals[lane]), deviation) {
+            residuals[lane] = term.residual as f32;
+            roots[lane] = term.root as f32;
+            add(lane, (term.misfit - term.residual * term.residual) as f32);
+        }
+    }
+    let roots = S::f32s::from_slice(simd, &roots[..lanes]);
+    for values in columns.iter_mut().skip(1) {
+        *values *= roots;
+    }
+    columns[0] = S::f32s::from_slice(simd, &residuals[..lanes]);
+}
+
+/// Contribution of a clipped pixel to the likelihood.
+struct ClippedTerm {
     /// Residual over the root of its weight.
     residual: f64,
     /// Root of the weight.
@@ -146,26 +176,27 @@ struct PixelTerm {
     misfit: f64,
 }
 
-/// Term of a grey value against a level, with noise of this standard deviation.
-#[inline]
-fn pixel_term(grey: f64, level: f64, deviation: f64) -> PixelTerm {
-    let (sign, z) = if grey >= 255.0 {
-        (1.0, (254.5 - level) / deviation)
-    } else if grey <= 0.0 {
-        (-1.0, (level - 0.5) / deviation)
-    } else {
-        let residual = grey - level;
-        return PixelTerm { residual, root: 1.0, misfit: residual * residual };
-    };
-    if z < -5.0 {
-        return PixelTerm { residual: 0.0, root: 0.0, misfit: 0.0 };
-    }
-    let tail = normal_distribution::tail(z);
-    let root = (tail.hazard * (tail.hazard - z)).max(0.0).sqrt();
-    let variance = deviation * deviation;
-    PixelTerm {
-        residual: sign * deviation * tail.hazard / root,
-        root,
-        misfit: variance * tail.minus_two_ln,
+impl ClippedTerm {
+    /// A grey value against a level, with noise of this standard deviation; `None` within the scale.
+    #[inline]
+    fn new(grey: f64, level: f64, deviation: f64) -> Option<Self> {
+        let (sign, z) = if grey >= 255.0 {
+            (1.0, (254.5 - level) / deviation)
+        } else if grey <= 0.0 {
+            (-1.0, (level - 0.5) / deviation)
+        } else {
+            return None;
+        };
+        if z < -5.0 {
+            return Some(Self { residual: 0.0, root: 0.0, misfit: 0.0 });
+        }
+        let tail = normal_distribution::tail(z);
+        let root = (tail.hazard * (tail.hazard - z)).max(0.0).sqrt();
+        let variance = deviation * deviation;
+        Some(Self {
+            residual: sign * deviation * tail.hazard / root,
+            root,
+            misfit: variance * tail.minus_two_ln,
+        })
     }
 }

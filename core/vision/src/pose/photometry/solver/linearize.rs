@@ -52,8 +52,9 @@ pub fn draw(
     let window = scratch.window.origin;
     let blur_px = scratch.kernels.nearest(state.blur2.sqrt()).blur_px;
     project(problem, state, blur_px, window, scratch);
-    if bloom_px != 0.0 {
-        scratch.nodes.move_rims(scratch.level, bloom_px);
+    let shift_px = problem.print.shift_px + bloom_px;
+    if shift_px != 0.0 {
+        scratch.nodes.move_rims(scratch.level, shift_px);
     }
     if !motion::is_linear(&state.motion2) {
         let motion_px = motion::from_square(&state.motion2);
@@ -78,7 +79,7 @@ pub fn scale(problem: &Problem, state: &State, model: &PixelModel) -> RingScale 
     let radius_px = radius_px(problem, state);
     RingScale {
         radius_px,
-        disc_ratio: problem.kind.mean_ratio(),
+        disc_ratio: problem.disc_ratio(),
         mirror_px: 2.0 * radius_px * model.nearness[1].hypot(model.nearness[2]) as f64,
         unit_m: state.pose.position_m.z * problem.lens.spread,
         motion_prior: (!problem.is_still).then_some(problem.motion_prior),
@@ -97,7 +98,8 @@ pub fn project(
     let ModelScratch { level, contours, nodes, .. } = scratch;
     let contour = contours.get(problem.kind, problem.teeth, around_px, SPACING_BLURS * blur_px);
     let (lens, radius_m) = (problem.lens, problem.radius_m);
-    let print = ProjectedPrint { lens, pose: &state.pose, radius_m, window };
+    let disc_scale = problem.print.disc_scale;
+    let print = ProjectedPrint { lens, pose: &state.pose, radius_m, disc_scale, window };
     projection::project(*level, &print, contour, nodes);
 }
 

@@ -137,6 +137,11 @@ impl NormalEquations {
 
     /// Whether a step is the last: the problem is linear over it, and the residual is noise.
     pub fn is_converged_by(&self, state: &State, change: &Unknowns) -> bool {
+        self.is_noise_only() && self.is_linear_over(state, change)
+    }
+
+    /// Whether the columns hold over a step.
+    pub fn is_linear_over(&self, state: &State, change: &Unknowns) -> bool {
         let shape = change.fixed_rows::<5>(SHIFT);
         let moved = shape.dot(&(self.information.fixed_view::<5, 5>(SHIFT, SHIFT) * shape));
         let turn2 = change[TILT].powi(2) + change[TILT + 1].powi(2);
@@ -146,7 +151,6 @@ impl NormalEquations {
             && change[BLUR].abs() < LAST_BLUR_PX * self.ring.radius_px
             && motion2 < LAST_MOTION_PX2 * LAST_MOTION_PX2
             && motion2 * self.information[(MOTION, MOTION)] < LAST_MOVE * self.noise2()
-            && self.is_noise_only()
             && state.is_small_turn(change)
     }
 

@@ -6,15 +6,19 @@ pub use super::cholesky::UNKNOWNS;
 use super::cholesky::Unknowns;
 use crate::{
     marker::{Kind, Ring},
-    pose::photometry::model::{
-        blur_kernel::BLUR_LIMITS_PX, column_products::column, local_lens::LocalLens, motion,
-        projection::PrintPose, teeth::Teeth,
+    pose::{
+        PrintDeviation,
+        photometry::model::{
+            blur_kernel::BLUR_LIMITS_PX, column_products::column, local_lens::LocalLens, motion,
+            projection::PrintPose, teeth::Teeth,
+        },
     },
 };
 
 #[derive(Clone, Copy)]
 pub struct Problem<'a> {
     pub kind: &'a Kind,
+    pub print: PrintDeviation,
     pub teeth: Option<Teeth>,
     /// Whether the teeth are those of earlier frames.
     pub teeth_are_predicted: bool,
@@ -24,6 +28,13 @@ pub struct Problem<'a> {
     pub motion_prior: f64,
     /// Whether the motion is held at zero.
     pub is_still: bool,
+}
+
+impl Problem<'_> {
+    /// Radius of the disc over that of the outer rim, as printed.
+    pub fn disc_ratio(&self) -> f64 {
+        self.print.disc_scale * self.kind.mean_ratio()
+    }
 }
 
 #[derive(Clone, Debug)]
