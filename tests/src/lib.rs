@@ -8,6 +8,7 @@
 //! | rendering | [`random`] | the normal distribution, and a seeded generator |
 //! | | [`optics`] | pinhole cameras with `plumb_bob` and `equidistant` lenses, forward and inverse |
 //! | | [`coverage`] | share of each pixel that a shape covers, blurred, exact by a contour integral |
+//! | | [`print`] | printed roundels |
 //! | | [`render`] | 8-bit frames of moving prints over a background |
 //! | | [`clutter`], [`look_alikes`] | seeded backgrounds without roundels, and shapes that resemble one |
 //! | | [`board`], [`other_markers`] | calibration boards, and prints for other detectors |
@@ -55,6 +56,7 @@ pub mod paper;
 pub mod pipeline;
 pub mod plans;
 pub mod precision;
+pub mod print;
 pub mod process;
 pub mod python;
 pub mod random;
