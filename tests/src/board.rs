@@ -71,7 +71,7 @@ pub fn board_print() -> Print {
             inks.push(Ink { outline: Outline::Polygon(moved), white: ink.white });
         }
     }
-    Print { sheet: sheet(half(SIDES.0), half(SIDES.1)), inks }
+    Print { sheet: sheet(half(SIDES.0), half(SIDES.1)), inks, bend: None }
 }
 
 /// The chessboard; its top left square is black.
@@ -111,7 +111,7 @@ fn squares_print(mut white: impl FnMut(f64, f64) -> Vec<Ink>) -> Print {
             inks.extend(white(left, top));
         }
     }
-    Print { sheet: sheet(across / 2.0 + EDGE_M, down / 2.0 + EDGE_M), inks }
+    Print { sheet: sheet(across / 2.0 + EDGE_M, down / 2.0 + EDGE_M), inks, bend: None }
 }
 
 fn square([left, top]: [f64; 2], side_m: f64, white: bool) -> Ink {

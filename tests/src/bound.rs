@@ -96,7 +96,7 @@ pub fn bound(scene: &Scene<'_>, unknowns: Unknowns) -> Option<Bound> {
     let renderer = Renderer::new(window.camera(&scene.camera), scene.imaging);
     // The sheet is white on white: a small one saves drawing it.
     let sheet = Outline::Disc { diameter_m: 0.1 * scene.print.radius_m() };
-    let print = Print { sheet, inks: scene.print.inks.clone() };
+    let print = Print { sheet, ..scene.print.clone() };
     let mut columns = Vec::new();
     for &(unknown, step) in &steps.0 {
         let image = |step: f64| draw(&renderer, &print, &axes.moved(scene, unknown, step));

@@ -7,8 +7,10 @@
 //! | --- | --- | --- |
 //! | rendering | [`random`] | the normal distribution, and a seeded generator |
 //! | | [`optics`] | pinhole cameras with `plumb_bob` and `equidistant` lenses, forward and inverse |
+//! | | [`half_plane`] | one side of a line, and the part of a polygon there |
 //! | | [`coverage`] | share of each pixel that a shape covers, blurred, exact by a contour integral |
-//! | | [`print`] | printed roundels |
+//! | | [`mod@print`] | printed roundels, as designed and as printers print them |
+//! | | [`light`], [`processing`] | shadows, lamps and glare; noise, sharpening and compression by the camera |
 //! | | [`render`] | 8-bit frames of moving prints over a background |
 //! | | [`clutter`], [`look_alikes`] | seeded backgrounds without roundels, and shapes that resemble one |
 //! | | [`board`], [`other_markers`] | calibration boards, and prints for other detectors |
@@ -47,8 +49,10 @@ pub mod coded;
 pub mod coverage;
 pub mod elliptical;
 pub mod export;
+pub mod half_plane;
 pub mod healing;
 pub mod layering;
+pub mod light;
 pub mod look_alikes;
 pub mod optics;
 pub mod other_markers;
@@ -58,6 +62,7 @@ pub mod plans;
 pub mod precision;
 pub mod print;
 pub mod process;
+pub mod processing;
 pub mod python;
 pub mod random;
 pub mod recall;

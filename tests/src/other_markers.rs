@@ -30,7 +30,7 @@ pub fn marker(cells: &Cells, side_m: f64) -> Print {
             }
         }
     }
-    Print { sheet: square([0.0; 2], side_m / 2.0 + cell_m), inks }
+    Print { sheet: square([0.0; 2], side_m / 2.0 + cell_m), inks, bend: None }
 }
 
 /// A black disc of this diameter on a round sheet.

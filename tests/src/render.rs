@@ -6,21 +6,28 @@
 //! Each rim is projected forward point by point through pose, lens and rolling shutter: the instant at which a point
 //! is moving depends on the row where it appears, and is found by iteration. Pixels get the exact blurred area inside
 //! ([`crate::coverage`]). Motion blur is the mean over Gauss-Legendre instants of the exposure. Layers are composed
-//! with their blurred coverage, light multiplies smoothly, then Gaussian noise is added and the result rounded to
-//! 0..=255.
+//! with their blurred coverage, light multiplies smoothly ([`crate::light`]), then Gaussian noise is added and the
+//! result rounded to 0..=255 ([`crate::processing`]).
+//!
+//! A shadow H that takes a share s of the light lies on the print, so the lens blurs their product. With the ideal image
+//! ρ and the kernel K, the image is K∗ρ - s K∗(ρ 1_H): the same layers are composed a second time from the part of each
+//! area inside H.
 //!
 //! Accuracy: within 0.1 grey levels anywhere (0.003 rms) before noise and rounding of 32-fold supersampling through
 //! the *inverse* projection, for discs of 1.5 px too (`tests/renderer.rs`). The difference shrinks with the square of
 //! the grid's spacing, so it is the grid's error. Limits: blur from 0.25 px, the same over the whole image; a
-//! textured background is only approximated under the blurred edge of a sheet; overlapping roundels are painted far
-//! to near.
+//! textured background is only approximated under the blurred edges of sheets and shadows; overlapping roundels are
+//! painted far to near.
 
 use nalgebra::{Isometry3, Point3, Vector2};
 
 pub use crate::print::{Ink, Outline, Print};
 use crate::{
-    coverage::{Contour, Kernel, Patch},
+    coverage::{Contour, Kernel, MIN_BLUR_PX, Patch},
+    half_plane::HalfPlane,
+    light::{Light, Shadow},
     optics::Pinhole,
+    processing::Processing,
     random::Random,
 };
 
@@ -43,6 +50,10 @@ pub struct Imaging {
     pub exposure_s: f64,
     /// Time between the exposures of two rows; 0 for a global shutter.
     pub line_time_s: f64,
+    /// Uneven light, besides the gradient.
+    pub light: Light,
+    /// From light to the camera's picture, besides the noise.
+    pub processing: Processing,
 }
 
 impl Default for Imaging {
@@ -56,6 +67,8 @@ impl Default for Imaging {
             gradient: [0.0; 2],
             exposure_s: 0.0,
             line_time_s: 0.0,
+            light: Light::default(),
+            processing: Processing::default(),
         }
     }
 }
@@ -98,6 +111,17 @@ impl Canvas {
         self.blend(patch, |below, share| below + share * step as f32);
     }
 
+    /// Paints the part of a sheet inside a shadow: adds its difference from what the sheet covers.
+    fn lay(&mut self, part: &Patch, grey: f64, below: &Canvas) {
+        for (row, shares) in part.coverage.chunks(part.width).enumerate() {
+            let start = (part.top + row) * self.width + part.left;
+            for (column, share) in shares.iter().enumerate() {
+                let index = start + column;
+                self.grey[index] += *share as f32 * (grey as f32 - below.grey[index]);
+            }
+        }
+    }
+
     fn blend(&mut self, patch: &Patch, mix: impl Fn(f32, f32) -> f32) {
         for (row, shares) in patch.coverage.chunks(patch.width).enumerate() {
             let start = (patch.top + row) * self.width + patch.left;
@@ -134,7 +158,12 @@ impl Renderer {
         random: &mut Random,
     ) -> Image {
         let ideal = self.ideal(background, moving);
-        let noise = self.imaging.noise as f32;
+        let Imaging { noise, processing, .. } = self.imaging;
+        if processing != Processing::default() {
+            let pixels = processing.apply(&ideal.grey, ideal.width, noise, random);
+            return Image { width: ideal.width, height: ideal.height, pixels };
+        }
+        let noise = noise as f32;
         let level = |grey: &f32| (grey + noise * random.normal()).round().clamp(0.0, 255.0) as u8;
         let pixels = ideal.grey.iter().map(level).collect();
         Image { width: ideal.width, height: ideal.height, pixels }
@@ -142,39 +171,79 @@ impl Renderer {
 
     /// The frame before noise and rounding.
     pub fn ideal(&self, background: &Canvas, moving: &[MovingPrint<'_>]) -> Canvas {
-        let mut canvas = background.clone();
+        let mut layers = self.layers(background);
         let mut order: Vec<&MovingPrint<'_>> = moving.iter().collect();
         let depth = |moving: &MovingPrint<'_>| (moving.motion)(0.0).translation.z;
         order.sort_by(|one, other| depth(other).total_cmp(&depth(one)));
         for roundel in order {
-            self.draw(&mut canvas, roundel);
+            self.draw(&mut layers, roundel);
         }
+        let mut canvas = layers.shaded();
         self.light(&mut canvas);
         canvas
     }
 
-    fn draw(&self, canvas: &mut Canvas, moving: &MovingPrint<'_>) {
+    fn layers(&self, background: &Canvas) -> Layers {
+        let shadow = self.imaging.light.shadow.map(|shadow| {
+            let (width, height) = (background.width, background.height);
+            let mut inside = Canvas::flat(width, height, 0.0);
+            // Edges beyond the kernel's reach do not show.
+            let (right, bottom) = (width as f64 + AROUND_PX, height as f64 + AROUND_PX);
+            let frame =
+                [[-AROUND_PX; 2], [right, -AROUND_PX], [right, bottom], [-AROUND_PX, bottom]];
+            let corners = shadow.area.clip(&frame.map(Vector2::from));
+            let contour = Contour::polygon(&corners, 2.0 * self.spacing_px(), Some);
+            let patch = contour
+                .and_then(|contour| Patch::of(&[(contour, 1.0)], &self.kernel, width, height));
+            if let Some(patch) = patch {
+                for (index, (inside, grey)) in
+                    inside.grey.iter_mut().zip(&background.grey).enumerate()
+                {
+                    *inside = grey * patch.at(index % width, index / width) as f32;
+                }
+            }
+            (shadow, inside)
+        });
+        Layers { whole: background.clone(), shadow }
+    }
+
+    fn draw(&self, layers: &mut Layers, moving: &MovingPrint<'_>) {
         let (white, black) = (self.imaging.white, self.imaging.black);
-        let Some(sheet) = self.patch(&moving.print.sheet, true, moving) else { return };
-        canvas.paint(&sheet, white);
+        let Some(sheet) = self.patch(&moving.print.sheet, true, moving, None) else { return };
+        if let Some((shadow, inside)) = &mut layers.shadow
+            && let Some(part) = self.patch(&moving.print.sheet, true, moving, Some(&shadow.area))
+        {
+            inside.lay(&part, white, &layers.whole);
+        }
+        layers.whole.paint(&sheet, white);
         for ink in &moving.print.inks {
             let step = if ink.white { white - black } else { black - white };
-            if let Some(patch) = self.patch(&ink.outline, ink.white, moving) {
-                canvas.add(&patch, step);
+            if let Some(patch) = self.patch(&ink.outline, ink.white, moving, None) {
+                layers.whole.add(&patch, step);
+            }
+            if let Some((shadow, inside)) = &mut layers.shadow
+                && let Some(part) = self.patch(&ink.outline, ink.white, moving, Some(&shadow.area))
+            {
+                inside.add(&part, step);
             }
         }
     }
 
-    /// Mean coverage over the exposure. `None` if the outline is outside the image, faces away or is behind the
-    /// camera.
-    fn patch(&self, outline: &Outline, white: bool, moving: &MovingPrint<'_>) -> Option<Patch> {
+    /// Mean coverage over the exposure, of the part in a half-plane if one is given. `None` if the outline is outside
+    /// the image, faces away or is behind the camera.
+    fn patch(
+        &self,
+        outline: &Outline,
+        white: bool,
+        moving: &MovingPrint<'_>,
+        part: Option<&HalfPlane>,
+    ) -> Option<Patch> {
         let spread_px = if white { self.imaging.bloom_px } else { -self.imaging.bloom_px };
+        let traced = Traced { outline, spread_px, part };
         let contours = self
             .instants(outline, moving)
             .into_iter()
-            .map(|(offset_s, weight)| {
-                Some((self.contour(outline, spread_px, moving, offset_s)?, weight))
-            })
+            .map(|(offset_s, weight)| Some((self.contour(&traced, moving, offset_s)?, weight)))
             .collect::<Option<Vec<_>>>()?;
         Patch::of(&contours, &self.kernel, self.camera.width, self.camera.height)
     }
@@ -189,7 +258,7 @@ impl Renderer {
             (Some(start), Some(end)) => (end - start).norm(),
             _ => 0.0,
         };
-        let ratio = moved_px / self.imaging.blur_px.max(crate::coverage::MIN_BLUR_PX);
+        let ratio = moved_px / self.spacing_px();
         if ratio < 0.02 {
             return vec![(0.0, 1.0)];
         }
@@ -204,20 +273,26 @@ impl Renderer {
         (0..panels as usize).flat_map(in_panel).collect()
     }
 
+    /// Spacing of a contour's nodes.
+    fn spacing_px(&self) -> f64 {
+        self.imaging.blur_px.max(MIN_BLUR_PX)
+    }
+
     fn contour(
         &self,
-        outline: &Outline,
-        spread_px: f64,
+        traced: &Traced<'_>,
         moving: &MovingPrint<'_>,
         offset_s: f64,
     ) -> Option<Contour> {
+        let Traced { outline, spread_px, part } = *traced;
         let pose = (moving.motion)(offset_s);
         let facing = (pose.rotation * nalgebra::Vector3::z()).dot(&pose.translation.vector);
         if facing >= 0.0 {
             return None;
         }
-        let at = |x: f64, y: f64| self.seen_at(&pose, moving, offset_s, &Point3::new(x, y, 0.0));
-        let spacing_px = self.imaging.blur_px.max(crate::coverage::MIN_BLUR_PX);
+        let at = |x, y| self.seen_at(&pose, moving, offset_s, &moving.print.point(x, y));
+        let spacing_px = self.spacing_px();
+        let chord_px = spacing_px / 4.0;
         let round = |[x_m, y_m]: [f64; 2]| {
             let center = at(0.0, 0.0)?;
             let rim = |angle: f64| at(x_m * angle.cos(), y_m * angle.sin());
@@ -228,23 +303,31 @@ impl Renderer {
             }
             // The chord of eight directions may be 8 % shorter than the longest one.
             let around_px = std::f64::consts::TAU * reach_px * 1.1;
-            let count = (around_px / spacing_px).ceil().max(48.0) as usize;
-            if spread_px == 0.0 {
-                return Contour::smooth(count, rim);
-            }
-            Contour::smooth(count, |angle| {
+            let spread = |angle: f64| {
+                if spread_px == 0.0 {
+                    return rim(angle);
+                }
                 let along = rim(angle + 1e-4)? - rim(angle - 1e-4)?;
                 let across = Vector2::new(along.y, -along.x).normalize();
                 let (place, side) = (rim(angle)?, across.dot(&(rim(angle)? - center)));
                 Some(place + across * side.signum() * spread_px)
-            })
+            };
+            if let Some(half_plane) = part {
+                return Contour::part_of_smooth(half_plane, around_px, chord_px, spread);
+            }
+            let count = (around_px / spacing_px).ceil().max(48.0) as usize;
+            Contour::smooth(count, spread)
         };
         match outline {
             Outline::Disc { diameter_m } => round([diameter_m / 2.0; 2]),
             Outline::Ellipse { along_m, across_m } => round([along_m / 2.0, across_m / 2.0]),
             Outline::Polygon(corners) => {
                 let corners: Vec<_> = corners.iter().map(|c| Vector2::from(*c)).collect();
-                Contour::polygon(&corners, 2.0 * spacing_px, |p| at(p.x, p.y))
+                let at = |p: Vector2<f64>| at(p.x, p.y);
+                if let Some(half_plane) = part {
+                    return Contour::part_of_polygon(half_plane, &corners, chord_px, at);
+                }
+                Contour::polygon(&corners, 2.0 * spacing_px, at)
             }
         }
     }
@@ -270,6 +353,14 @@ impl Renderer {
     }
 
     fn light(&self, canvas: &mut Canvas) {
+        let light = self.imaging.light;
+        if !light.is_even() {
+            let width = canvas.width;
+            for (index, grey) in canvas.grey.iter_mut().enumerate() {
+                let pixel = Vector2::new((index % width) as f64, (index / width) as f64);
+                *grey = light.at(f64::from(*grey), pixel) as f32;
+            }
+        }
         let [across, down] = self.imaging.gradient;
         if across == 0.0 && down == 0.0 {
             return;
@@ -284,6 +375,36 @@ impl Renderer {
         }
     }
 }
+
+/// The image in even light, and its part inside a shadow.
+struct Layers {
+    whole: Canvas,
+    shadow: Option<(Shadow, Canvas)>,
+}
+
+impl Layers {
+    fn shaded(self) -> Canvas {
+        let mut canvas = self.whole;
+        if let Some((shadow, inside)) = self.shadow {
+            for (grey, inside) in canvas.grey.iter_mut().zip(inside.grey) {
+                *grey -= shadow.loss as f32 * inside;
+            }
+        }
+        canvas
+    }
+}
+
+/// An outline on its way into the image.
+struct Traced<'a> {
+    outline: &'a Outline,
+    /// Distance that a rim moves outwards in the image.
+    spread_px: f64,
+    /// The part that counts.
+    part: Option<&'a HalfPlane>,
+}
+
+/// Width of a border around the image that no blur reaches across.
+const AROUND_PX: f64 = 20.0;
 
 /// Gauss-Legendre on [-1, 1], with weights that sum to 1.
 const GAUSS_5: [(f64, f64); 5] = [

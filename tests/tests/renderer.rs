@@ -5,6 +5,8 @@
 use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
 use rayon::prelude::*;
 use roundel_tests::{
+    half_plane::HalfPlane,
+    light::{Light, Shadow},
     optics::{Distortion, Pinhole},
     random::Random,
     render::{Canvas, Imaging, MovingPrint, Print, Renderer},
@@ -67,7 +69,9 @@ impl Case<'_> {
             let inside = (0.5 + (rim_m - radius_m) / slope_m).clamp(0.0, 1.0);
             grey += inside * (greys[i + 1] - greys[i]);
         }
-        grey
+        let Some(Shadow { area, loss }) = self.imaging.light.shadow else { return grey };
+        let shaded = (0.5 + area.depth_px(&at) * self.fine as f64).clamp(0.0, 1.0);
+        grey * (1.0 - loss * shaded)
     }
 
     fn offsets_s(&self) -> Vec<f64> {
@@ -185,6 +189,30 @@ fn still_roundels_equal_brute_force() {
         let (max, rms) = case.difference();
         println!("{name}: max {max:.4}, rms {rms:.4} grey levels");
         assert!(max < 0.1 && rms < 0.01, "{name}: {max}");
+    }
+}
+
+/// Lines that cross rims, touch one, and miss the roundel's white disc.
+#[test]
+fn shadows_equal_brute_force() {
+    for (name, heading_rad, aside_px) in [
+        ("through the centre", 0.3, 0.0),
+        ("along the inner rim", 2.0, 8.0),
+        ("along the outer rim", 4.0, 20.5),
+        ("vertical", std::f64::consts::FRAC_PI_2, -14.0),
+    ] {
+        let z = depth_m(41.0);
+        let pose = pose([0.12 * z, -0.08 * z, z], 0.3, 0.7);
+        let camera = Pinhole::centered(640, 480, 700.0, PLUMB_BOB);
+        let center = camera.project(&pose.translation.vector.into()).unwrap();
+        let aside = Vector2::new(-heading_rad.sin(), heading_rad.cos()) * aside_px;
+        let area = HalfPlane { through_px: (center + aside).into(), heading_rad };
+        let light = Light { shadow: Some(Shadow { area, loss: 0.6 }), ..Light::default() };
+        let imaging = Imaging { light, ..Imaging::default() };
+        let case = Case { camera, imaging, fine: 32, motion: &|_| pose };
+        let (max, rms) = case.difference();
+        println!("{name}: max {max:.4}, rms {rms:.4} grey levels");
+        assert!(max < 0.15 && rms < 0.02, "{name}: {max} {rms}");
     }
 }
 
