@@ -14,8 +14,8 @@
 //! [`Unknowns::motion`] both components of the motion within the exposure. The motion must not be zero: there the
 //! image has no first derivative by it.
 //!
-//! All pixels within [`REACH_BLURS`] deviations of the blur around the outer rim's box count. Beyond them the paper
-//! is assumed to continue, so the sheet's edge gives no information.
+//! All pixels within [`REACH_BLURS`] deviations of the blur around the outer rim's box count; those that saturate give
+//! no information. Beyond them the paper is assumed to continue, so the sheet's edge gives no information.
 //!
 //! Face-on, the first derivative by the tilts almost vanishes (only perspective remains). There the bound of the
 //! normal holds for unbiased estimators only, which no estimator is, so tilts below about 10° must be judged by
@@ -304,9 +304,14 @@ fn draw(renderer: &Renderer, print: &Print, scene: &Scene<'_>) -> Vec<f32> {
     if imaging.blur_px == renderer.imaging.blur_px {
         let mut renderer = renderer.clone();
         renderer.imaging = imaging;
-        return renderer.ideal(&paper, &moving).grey;
+        return saturated(renderer.ideal(&paper, &moving).grey);
     }
-    Renderer::new(renderer.camera, imaging).ideal(&paper, &moving).grey
+    saturated(Renderer::new(renderer.camera, imaging).ideal(&paper, &moving).grey)
+}
+
+fn saturated(mut grey: Vec<f32>) -> Vec<f32> {
+    grey.iter_mut().for_each(|grey| *grey = grey.min(255.0));
+    grey
 }
 
 #[cfg(test)]
