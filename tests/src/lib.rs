@@ -23,6 +23,7 @@
 //! | | [`precision`], [`rolling_shutter`] | errors of single poses relative to the bound; past a rolling shutter |
 //! | | [`coded`], [`elliptical`] | detection of coded roundels, and of elliptical discs |
 //! | | [`recall`] | share of roundels found, and false detections |
+//! | | [`conditions`] | errors and cost with real prints, light and cameras |
 //! | | [`timing`] | times of tracking and searching |
 //! | | [`paper`] | the paper's experiments, compared with its figures |
 //! | systems | [`scenario`] | seeded scenarios of fusion with bars, in one table |
@@ -46,6 +47,7 @@ pub mod bound;
 pub mod chaos;
 pub mod clutter;
 pub mod coded;
+pub mod conditions;
 pub mod coverage;
 pub mod elliptical;
 pub mod export;

@@ -36,6 +36,8 @@ enum Command {
     Recall(run::recall::Options),
     /// Coded roundels read rightly and wrongly
     Codes(run::codes::Options),
+    /// Roundels as printers, lamps, lenses and cameras show them
+    Conditions(run::conditions::Options),
     /// Draws the curves of core/docs/detector.md
     Curves(run::curves::Options),
     /// Renders the scenes of tests/compare/run
@@ -56,6 +58,7 @@ fn main() -> anyhow::Result<ExitCode> {
         Command::Soak(options) => run::soak::run(&options),
         Command::Recall(options) => Ok(run::recall::run(&options)),
         Command::Codes(options) => Ok(run::codes::run(&options)),
+        Command::Conditions(options) => Ok(run::conditions::run(&options)),
         Command::Curves(options) => run::curves::run(&options),
         Command::CompareScenes(options) => run::compare_scenes::run(&options),
         Command::DashboardLoad(options) => run::dashboard_load::run(&options),

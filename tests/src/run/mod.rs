@@ -3,6 +3,7 @@
 pub mod chaos;
 pub mod codes;
 pub mod compare_scenes;
+pub mod conditions;
 pub mod curves;
 pub mod dashboard_load;
 pub mod healing;
