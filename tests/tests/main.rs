@@ -6,6 +6,7 @@ mod calibration;
 mod chessboard;
 mod coded;
 mod codes;
+mod conditions;
 mod consistency;
 mod detect;
 mod documents;
