@@ -38,7 +38,7 @@ pub struct Options {
     /// Plain roundels only
     #[arg(long)]
     plain: bool,
-    /// Trials of each row [default: 30, 8 with --short]
+    /// Trials of each row [default: 20, 8 with --short]
     #[arg(long)]
     trials: Option<usize>,
 }
@@ -70,7 +70,7 @@ pub fn run(options: &Options) -> ExitCode {
         .filter(|one| options.names.is_empty() || options.names.iter().any(|it| it == one.name))
         .collect();
     let sizes_px: &[f64] = if options.short { &SHORT_SIZES_PX } else { &SIZES_PX };
-    let trials = options.trials.unwrap_or(if options.short { 8 } else { 30 });
+    let trials = options.trials.unwrap_or(if options.short { 8 } else { 20 });
     println!(
         "condition       | print | mode    |  px | found %, followed %, false | depth: error, stated \
          / bound | inside 95 %: depth, position, normal | cost"
