@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use roundel_core::{
     camera, ellipse,
     id::{CameraId, KindId, TrackNumber},
-    marker::{Code, CodeReading, Ring},
+    marker::{Code, CodeLayout, CodeReading, Ring},
     pose,
     rigid::from_upper_triangle,
     time::Timestamp,
@@ -221,8 +221,10 @@ fn read_ellipse(
 }
 
 fn read_code(code: &v1::CodeReading) -> Result<CodeReading, WireFieldError> {
-    let bits = u8::try_from(code.bits).ok().filter(|bits| (5..=16).contains(bits));
-    let bits = bits.ok_or_else(|| wire_error("code.bits", "5 to 16", code.bits))?;
+    let (least, most) = CodeLayout::BITS;
+    let bits = u8::try_from(code.bits).ok().filter(|bits| (least..=most).contains(bits));
+    let expected = || format!("{least} to {most}");
+    let bits = bits.ok_or_else(|| wire_error("code.bits", expected(), code.bits))?;
     let number = u16::try_from(code.number).ok().filter(|&number| number > 0);
     let number = number.ok_or_else(|| wire_error("code.number", "1 to 65535", code.number))?;
     // A likelihood ratio, which may be very large.

@@ -142,7 +142,7 @@ async fn wrong_requests_name_what_was_expected() {
         (r#"{"camera": "north", "board": "40x40"}"#, 400, "use more bits"),
         (r#"{"camera": "north", "marker": 0}"#, 400, "marker: expected a diameter above 0 mm"),
         (r#"{"camera": "north", "pitch": 20}"#, 400, "at least 1.15 of the outer diameter"),
-        (r#"{"camera": "north", "code": "99"}"#, 400, "code: expected codes of 5 to 16 bits"),
+        (r#"{"camera": "north", "code": "99"}"#, 400, "code: expected codes of 2 to 16 bits"),
         (r#"{"camera": "north", "views": 4}"#, 400, "views: expected 5 to 100 views, found 4"),
         (r#"{"camera": "north", "model": "fisheye"}"#, 400, "model: expected plumb_bob, "),
         (r#"{"camera": "north", "bord": "7x5"}"#, 400, "unknown field `bord`"),

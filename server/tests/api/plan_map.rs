@@ -101,7 +101,7 @@ async fn rejects_impossible_maps_with_a_reason() {
         ("show=everything", "show: expected precision or cameras"),
         ("marker=160", "marker: expected OUTER_MM:INNER_MM"),
         ("marker=160:10", "expected an inner diameter of 0.2 to 0.8"),
-        ("marker=160&code=40", "code: expected codes of 5 to 16 bits"),
+        ("marker=160&code=40", "code: expected codes of 2 to 16 bits"),
         ("code=8:2", "code: expected a `marker` as well"),
         ("marker=160:64&roundel=robot", "marker: expected either `roundel` or `marker`"),
         ("min=1", "min: expected x,y in metres"),

@@ -42,7 +42,7 @@ async fn unprintable_requests_name_the_parameter() {
         ("marker=160&code=8:2&ids=0", "ids: expected numbers from 1 on"),
         ("marker=160&code=8:2&ids=99", "there is no code 99 of 8 bits"),
         ("marker=160:64&ids=1", "this kind has none"),
-        ("marker=160&code=40", "code: expected codes of 5 to 16 bits"),
+        ("marker=160&code=40", "code: expected codes of 2 to 16 bits"),
         ("marker=160:64&page=A9", "page: expected a page of A2"),
         ("marker=160:64&format=doc", "format: expected pdf, svg or png"),
         ("marker=50:20&format=svg&sheet=2", "sheet: expected a page from 1 to 1"),

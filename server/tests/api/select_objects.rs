@@ -110,7 +110,7 @@ async fn rest_and_websocket_accept_names_and_codes() {
     assert_eq!(rest("names=unknown").await, [] as [u64; 0]);
     for (query, message) in [
         ("codes=0", "codes: expected numbers of codes, from 1 to 65535, found 0"),
-        ("codes=3:1", "codes: expected codes of 5 to 16 bits, or 0 for any, found 3 bits"),
+        ("codes=1:1", "codes: expected codes of 2 to 16 bits, or 0 for any, found 1 bits"),
         (
             "codes=1,%238",
             "codes: expected numbers with commas between, such as 12, or 8:12 for one of 8 bits, found \"#8\"",

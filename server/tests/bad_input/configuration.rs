@@ -255,8 +255,8 @@ fn names_wrong_values_with_their_line() {
             "[[access]]\nname = \"a\"\nrole = \"view\"\nforwarded = \"a\"\nexpires = \"2027\"\n[detection]",
             "`expires` must be a date, found the text \"2027\"",
         ),
-        ("bits = 8", "bits = 4", "`bits` must be a whole number from 5 to 16, found 4"),
-        ("bits = 8", "bits = 8.5", "`bits` must be a whole number from 5 to 16, found 8.5"),
+        ("bits = 8", "bits = 1", "`bits` must be a whole number from 2 to 16, found 1"),
+        ("bits = 8", "bits = 8.5", "`bits` must be a whole number from 2 to 16, found 8.5"),
         ("bits = 8, ", "", "missing key `bits` in code"),
         ("min_distance = 2", "min_distance = 0", "`min_distance` must be a whole number from 1"),
         (

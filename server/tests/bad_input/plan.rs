@@ -55,7 +55,7 @@ fn names_what_is_wrong_with_a_pinhole_camera_and_its_roundel() {
     for (arguments, code, expected) in [
         (vec!["--marker", "0"], 2, "above 0 mm"),
         (vec!["--marker", "160:10"], 1, "expected an inner diameter of 0.2 to 0.8"),
-        (vec!["--code", "40"], 2, "codes of 5 to 16 bits"),
+        (vec!["--code", "40"], 2, "codes of 2 to 16 bits"),
         (vec!["--polarity", "grey"], 2, "black-ring"),
         (vec!["--tilt", "80"], 1, "tilt: expected 0 to 75 degrees, found 80"),
         (vec!["--noise=-1"], 1, "noise: expected 0 to 60 grey levels, found -1"),

@@ -148,7 +148,7 @@ fn every_kind_is_true_to_scale_on_every_page() {
     }
 }
 
-/// All numbers of all codes that can be printed, 5 to 16 bits, up to 12 bits at every distance (codes at a larger
+/// All numbers of all codes that can be printed, 2 to 16 bits, up to 12 bits at every distance (codes at a larger
 /// distance are a subset of those at distance 1 under other numbers): 9,400 small prints.
 #[test]
 fn every_number_of_every_code_is_read() {

@@ -176,7 +176,7 @@ mod tests {
             ("8:", "such as 8:2, found `8:`"),
             ("-8", "such as 8:2"),
             ("300", "such as 8:2"),
-            ("4", "expected codes of 5 to 16 bits, found 4"),
+            ("1", "expected codes of 2 to 16 bits, found 1"),
             ("8:0", "expected a Hamming distance of 1 to"),
             ("8:9", "found 9"),
         ] {

@@ -16,7 +16,7 @@ use crate::marker::code::necklace::max_distance;
 /// are the identities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct CodeLayout {
-    /// Bits, 5 to 16; twice as many slots.
+    /// Bits, 2 to 16; twice as many slots.
     pub bits: u8,
     /// Smallest Hamming distance of any two identities, over all rotations; 1 or more.
     pub min_distance: u8,
@@ -42,7 +42,7 @@ pub enum CodeError {
         bits: u8,
         /// Requested distance.
         found: u8,
-        /// The largest distance with at least two identities.
+        /// The largest distance with at least two identities, or 1.
         max: u8,
     },
 }
@@ -57,14 +57,15 @@ pub struct Tooth {
 }
 
 impl CodeLayout {
-    /// Smallest and largest number of bits.
-    pub const BITS: (u8, u8) = (5, 16);
+    /// Smallest and largest number of bits. 2 bits have one identity, 3 bits two; a code of one bit has no rotation that
+    /// differs from the other code.
+    pub const BITS: (u8, u8) = (2, 16);
     /// Inner over outer diameter of a print.
     pub const RATIO: f64 = 420.0 / 700.0;
     /// Radius of the white core over that of the white disc between the teeth.
     pub const CORE_SHARE: f64 = 240.0 / 420.0;
 
-    /// Whether there are at least two such codes.
+    /// Whether there are such codes.
     pub fn check(&self) -> Result<(), CodeError> {
         let Self { bits, min_distance } = *self;
         if bits < Self::BITS.0 || bits > Self::BITS.1 {
@@ -106,7 +107,7 @@ mod tests {
 
     #[test]
     fn half_of_the_annulus_is_teeth() {
-        for bits in 5..=16 {
+        for bits in 2..=16 {
             let word = 0b1011_0111_0010_1101 >> (16 - bits);
             let teeth = layout(bits, 1).teeth(word);
             let black: f64 = teeth.iter().map(|tooth| tooth.to_rad - tooth.from_rad).sum();
@@ -130,16 +131,17 @@ mod tests {
 
     #[test]
     fn errors_of_invalid_layouts_name_the_limits() {
-        assert_eq!(layout(4, 1).check(), Err(CodeError::Bits { found: 4 }));
+        assert_eq!(layout(1, 1).check(), Err(CodeError::Bits { found: 1 }));
         assert_eq!(
             layout(17, 1).check().unwrap_err().to_string(),
-            "expected codes of 5 to 16 bits, found 17"
+            "expected codes of 2 to 16 bits, found 17"
         );
-        for bits in 5..=16 {
+        for bits in 2..=16 {
             let Err(CodeError::Distance { max, .. }) = layout(bits, 200).check() else {
                 panic!("{bits} bits at a distance of 200");
             };
-            assert!(layout(bits, max).codes().unwrap().len() >= 2);
+            let least = if bits == 2 { 1 } else { 2 };
+            assert!(layout(bits, max).codes().unwrap().len() >= least);
             assert!(layout(bits, max + 1).codes().is_err());
             assert!(layout(bits, 0).codes().is_err());
         }

@@ -1,6 +1,6 @@
 //! Words up to rotation: a necklace is the smallest of a word's rotations.
 
-/// The largest minimum distance with at least two identities.
+/// The largest minimum distance with at least two identities; 1 if there is only one identity.
 pub(super) fn max_distance(bits: u8) -> u8 {
     // The first identity is the smallest necklace, 0…01; the largest distance of another one from
     // it is the limit.
