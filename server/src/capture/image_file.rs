@@ -1,9 +1,10 @@
 //! Image files → 8-bit grey: PNG, JPEG, PGM, BMP, grey or colour (colour by BT.601's luma).
 //!
 //! The first bytes determine the format, not the name. JPEG is decoded straight to luma. Deeper samples are scaled to
-//! eight bits and rounded; alpha is ignored. The size in a file's header is checked before pixels are decoded, and PNG is
+//! eight bits and rounded, samples of 16 bits from the depth in use ([`depth`]); alpha is ignored. The size in a file's header is checked before pixels are decoded, and PNG is
 //! decoded row by row, since a small file may describe gigabytes of samples.
 
+mod depth;
 mod pnm;
 
 use std::{
@@ -11,6 +12,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
+pub use depth::SampleDepth;
 use roundel_core::frame::{Frame, FrameError, MAX_SIDE_PX};
 use thiserror::Error;
 use zune_core::{colorspace::ColorSpace, options::DecoderOptions};
@@ -26,6 +28,10 @@ const HEAD_BYTES: u64 = 16;
 const MAX_PIXELS: usize = 100_000_000;
 /// Likewise for formats whose decoders take four to seven bytes per pixel.
 const MAX_WIDE_PIXELS: usize = 40_000_000;
+
+/// Message for users about [`SampleDepth::unscaled_bits`].
+pub const UNSCALED_HINT: &str = "16-bit samples are read with fewer bits, since none is larger; a dark picture is \
+     brightened by this: scale samples to 16 bits, or write an sBIT chunk, to prevent it";
 
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct GreyImage {
@@ -62,6 +68,15 @@ enum DecodeError {
     Size((usize, usize)),
 }
 
+/// What callers expect of an image, and learn about it.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Expectation {
+    /// Columns and rows; `None`: any.
+    pub size: Option<(usize, usize)>,
+    /// Depth of 16-bit samples so far; updated by each image.
+    pub depth: SampleDepth,
+}
+
 /// The sizes that are decoded.
 #[derive(Clone, Copy)]
 struct SizeCheck {
@@ -77,11 +92,11 @@ impl<E: std::fmt::Display> From<E> for DecodeError {
 }
 
 pub fn load(path: &Path) -> Result<GreyImage, ImageError> {
-    load_sized(path, None)
+    load_expected(path, &mut Expectation::default())
 }
 
-/// Like [`load`]; an image of another size (columns, rows) is an error.
-pub fn load_sized(path: &Path, expected: Option<(usize, usize)>) -> Result<GreyImage, ImageError> {
+/// Like [`load`]; an image of another size is an error.
+pub fn load_expected(path: &Path, expected: &mut Expectation) -> Result<GreyImage, ImageError> {
     let unusable = |reason| ImageError::Unusable { path: path.to_owned(), reason };
     let read = |error| unusable(format!("cannot read the image: {error}"));
     let mut file = regular_file::open(path).map_err(read)?;
@@ -97,34 +112,34 @@ pub fn load_sized(path: &Path, expected: Option<(usize, usize)>) -> Result<GreyI
     }
     // A file that grows meanwhile is cut, and then found to be broken.
     file.take(MAX_BYTES).read_to_end(&mut bytes).map_err(read)?;
-    decode_sized(&bytes, path, expected)
+    decode_expected(&bytes, path, expected)
 }
 
 fn too_large(found: &str) -> String {
     format!(
         "image of {found} is too large: expected at most {MAX_SIDE_PX} pixels a side, {MAX_PIXELS} in all ({MAX_WIDE_PIXELS} \
-         for BMP and progressive JPEG), and {MAX_BYTES} bytes"
+         for BMP, progressive JPEG and PNG of 16 bits), and {MAX_BYTES} bytes"
     )
 }
 
 /// Decodes an image file's bytes; `path` is for messages.
 pub fn decode(bytes: &[u8], path: &Path) -> Result<GreyImage, ImageError> {
-    decode_sized(bytes, path, None)
+    decode_expected(bytes, path, &mut Expectation::default())
 }
 
-fn decode_sized(
+fn decode_expected(
     bytes: &[u8],
     path: &Path,
-    expected: Option<(usize, usize)>,
+    expected: &mut Expectation,
 ) -> Result<GreyImage, ImageError> {
-    let check = SizeCheck { expected, max_pixels: MAX_PIXELS };
+    let check = SizeCheck { expected: expected.size, max_pixels: MAX_PIXELS };
     let unusable = |reason| ImageError::Unusable { path: path.to_owned(), reason };
     let (format, decoded) = match bytes {
         [] => return Err(unusable("expected an image, found an empty file".to_owned())),
-        [0x89, b'P', b'N', b'G', ..] => ("PNG", png(bytes, check)),
+        [0x89, b'P', b'N', b'G', ..] => ("PNG", png(bytes, check, &mut expected.depth)),
         [0xFF, 0xD8, 0xFF, ..] => ("JPEG", jpeg(bytes, check)),
         [b'P', b'2' | b'5' | b'3' | b'6', b' ' | b'\t' | b'\r' | b'\n', ..] => {
-            ("PGM", pnm::decode(bytes, check))
+            ("PGM", pnm::decode(bytes, check, &mut expected.depth))
         }
         [b'B', b'M', _, _, _, _, _, _, _, _, ..] => ("BMP", bmp(bytes, check)),
         _ => {
@@ -212,41 +227,58 @@ impl SizeCheck {
     }
 }
 
-fn png(bytes: &[u8], check: SizeCheck) -> Result<GreyImage, DecodeError> {
+fn png(bytes: &[u8], check: SizeCheck, depth: &mut SampleDepth) -> Result<GreyImage, DecodeError> {
     let mut decoder = png::Decoder::new(Cursor::new(bytes));
-    // Expands palettes and grey of 1, 2 or 4 bits to 8 bits; 16 bits are rounded below.
+    // Expands palettes and grey of 1, 2 or 4 bits to 8 bits.
     decoder.set_transformations(png::Transformations::EXPAND);
     let mut reader = decoder.read_info()?;
     let (width, height) = (reader.info().width as usize, reader.info().height as usize);
-    check.check(width, height)?;
-    let (color, depth) = reader.output_color_type();
-    let mut pixels = vec![0; width * height];
-    let mut rows = pixels.chunks_exact_mut(width);
-    if !reader.info().interlaced {
-        while let Some(row) = reader.next_row()? {
-            let target = rows.next().ok_or("too many rows")?;
-            target.copy_from_slice(&png_row(row.data(), depth, color));
-        }
+    let (color, bits) = reader.output_color_type();
+    let channels = color.samples();
+    if bits != png::BitDepth::Sixteen {
+        check.check(width, height)?;
+        let row = |row: &[u8]| grey(row.to_vec(), channels);
+        let pixels = png_rows(&mut reader, (width, height), 8, row)?;
         return Ok(GreyImage { width, height, pixels });
     }
-    while let Some(row) = reader.next_interlaced_row()? {
-        let samples = png_row(row.data(), depth, color);
-        if let png::InterlaceInfo::Adam7(place) = row.interlace() {
-            png::expand_interlaced_row(&mut pixels, width, &samples, place, 8);
-        }
-    }
+    check.wide().check(width, height)?;
+    let row = |row: &[u8]| {
+        let pairs = row.chunks_exact(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]]));
+        let samples = grey(pairs.collect(), channels);
+        samples.into_iter().flat_map(u16::to_be_bytes).collect()
+    };
+    let bytes = png_rows(&mut reader, (2 * width, height), 16, row)?;
+    let samples: Vec<u16> =
+        bytes.chunks_exact(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]])).collect();
+    let declared = reader.info().sbit.as_ref().and_then(|bits| bits.iter().max().copied());
+    let most = depth.update(&samples, declared);
+    let pixels = samples.into_iter().map(|sample| scale_to_u8(sample, most)).collect();
     Ok(GreyImage { width, height, pixels })
 }
 
-/// The grey levels of a row of samples.
-fn png_row(row: &[u8], depth: png::BitDepth, color: png::ColorType) -> Vec<u8> {
-    let samples = if depth == png::BitDepth::Sixteen {
-        let pairs = row.chunks_exact(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]]));
-        pairs.map(|sample| scale_to_u8(sample, u16::MAX)).collect()
-    } else {
-        row.to_vec()
-    };
-    grey(samples, color.samples())
+/// All rows, each converted to grey samples of this many bits.
+fn png_rows(
+    reader: &mut png::Reader<Cursor<&[u8]>>,
+    (stride, height): (usize, usize),
+    bits: u8,
+    convert: impl Fn(&[u8]) -> Vec<u8>,
+) -> Result<Vec<u8>, DecodeError> {
+    let mut pixels = vec![0; stride * height];
+    let mut rows = pixels.chunks_exact_mut(stride);
+    if !reader.info().interlaced {
+        while let Some(row) = reader.next_row()? {
+            let target = rows.next().ok_or("too many rows")?;
+            target.copy_from_slice(&convert(row.data()));
+        }
+        return Ok(pixels);
+    }
+    while let Some(row) = reader.next_interlaced_row()? {
+        let samples = convert(row.data());
+        if let png::InterlaceInfo::Adam7(place) = row.interlace() {
+            png::expand_interlaced_row(&mut pixels, stride, &samples, place, bits);
+        }
+    }
+    Ok(pixels)
 }
 
 /// A decoder of the luma. It is strict: a truncated picture is an error, not one with a grey end.
@@ -292,7 +324,7 @@ fn bmp_reason(error: impl std::fmt::Debug) -> String {
 }
 
 /// Samples of 1 (grey), 2 (grey, alpha), 3 (RGB) or 4 (RGB, alpha) channels → grey.
-fn grey(samples: Vec<u8>, channels: usize) -> Vec<u8> {
+fn grey<T: Copy + Into<u32> + TryFrom<u32> + Default>(samples: Vec<T>, channels: usize) -> Vec<T> {
     match channels {
         1 => samples,
         2 => samples.chunks_exact(2).map(|pixel| pixel[0]).collect(),
@@ -301,10 +333,10 @@ fn grey(samples: Vec<u8>, channels: usize) -> Vec<u8> {
 }
 
 /// Luma of BT.601, as in JPEG, rounded.
-fn luma(rgb: &[u8]) -> u8 {
-    let [red, green, blue] = [rgb[0], rgb[1], rgb[2]].map(u32::from);
-    // At most (299 + 587 + 114) · 255 + 500 over 1000: fits.
-    ((299 * red + 587 * green + 114 * blue + 500) / 1000) as u8
+fn luma<T: Copy + Into<u32> + TryFrom<u32> + Default>(rgb: &[T]) -> T {
+    let [red, green, blue] = [rgb[0], rgb[1], rgb[2]].map(Into::into);
+    // At most (299 + 587 + 114) times the largest sample plus 500, over 1000: fits.
+    T::try_from((299 * red + 587 * green + 114 * blue + 500) / 1000).unwrap_or_default()
 }
 
 /// Scales a sample from 0 to `most` to 0 to 255, rounded; larger samples count as `most`.

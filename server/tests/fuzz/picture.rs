@@ -2,7 +2,7 @@
 
 use roundel_core::frame::MAX_SIDE_PX;
 use roundel_server::capture::{
-    image_file::{self, ImageError},
+    image_file::{self, Expectation, ImageError},
     source::push::SentPicture,
 };
 
@@ -15,7 +15,10 @@ pub fn run(data: &[u8]) {
         assert!(sides.iter().all(|side| (1..=MAX_SIDE_PX).contains(side)), "{sides:?}");
         assert_eq!(image.pixels.len(), image.width * image.height);
         image.frame().unwrap();
-        let sized = with_file("picture", data, |path| image_file::load_sized(path, Some(SIZE)));
+        let sized = with_file("picture", data, |path| {
+            let mut expected = Expectation { size: Some(SIZE), ..Expectation::default() };
+            image_file::load_expected(path, &mut expected)
+        });
         match sized {
             Ok(sized) => assert_eq!(sized, image),
             Err(ImageError::Size { found, .. }) => assert_eq!(found, (image.width, image.height)),

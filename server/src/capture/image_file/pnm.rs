@@ -1,9 +1,13 @@
 //! PGM and PPM (netpbm's P2, P3, P5, P6) with comments anywhere in the header and any maximum up to 65535.
 
-use super::{DecodeError, GreyImage, SizeCheck, grey, scale_to_u8};
+use super::{DecodeError, GreyImage, SampleDepth, SizeCheck, grey, scale_to_u8};
 
-/// Decodes a file that begins with `P2`, `P3`, `P5` or `P6`.
-pub(super) fn decode(bytes: &[u8], check: SizeCheck) -> Result<GreyImage, DecodeError> {
+/// Decodes a file that begins with `P2`, `P3`, `P5` or `P6`. Other maxima than 65535 declare the depth in use.
+pub(super) fn decode(
+    bytes: &[u8],
+    check: SizeCheck,
+    depth: &mut SampleDepth,
+) -> Result<GreyImage, DecodeError> {
     let is_plain = matches!(bytes[1], b'2' | b'3');
     let channels = if matches!(bytes[1], b'3' | b'6') { 3 } else { 1 };
     let mut rest = &bytes[2..];
@@ -16,33 +20,32 @@ pub(super) fn decode(bytes: &[u8], check: SizeCheck) -> Result<GreyImage, Decode
         .filter(|most| *most > 0)
         .ok_or_else(|| format!("expected a largest value of 1 to 65535, found {most}"))?;
     let count = width * height * channels;
-    let samples = if is_plain {
+    if !is_plain && most <= 255 {
+        let data = raw_data(rest, count)?;
+        let scaled = |&sample: &u8| scale_to_u8(u16::from(sample), most);
+        let samples = if most == 255 { data.to_vec() } else { data.iter().map(scaled).collect() };
+        return Ok(GreyImage { width, height, pixels: grey(samples, channels) });
+    }
+    let samples: Vec<u16> = if is_plain {
         // The vector grows with the samples in the file, not with the size that the header claims.
-        let sample = |_| {
-            let sample = number(&mut rest, "sample")?;
-            Ok(scale_to_u8(u16::try_from(sample).unwrap_or(u16::MAX), most))
-        };
+        let sample = |_| Ok(u16::try_from(number(&mut rest, "sample")?).unwrap_or(u16::MAX));
         (0..count).map(sample).collect::<Result<_, DecodeError>>()?
     } else {
-        // Exactly one byte of white space separates the header from the samples.
-        raw_samples(rest.get(1..).unwrap_or_default(), count, most)?
+        let pairs = raw_data(rest, 2 * count)?.chunks_exact(2);
+        pairs.map(|pair| u16::from_be_bytes([pair[0], pair[1]])).collect()
     };
-    Ok(GreyImage { width, height, pixels: grey(samples, channels) })
+    let samples = grey(samples, channels);
+    let most = if most == u16::MAX { depth.update(&samples, None) } else { most };
+    let pixels = samples.into_iter().map(|sample| scale_to_u8(sample, most)).collect();
+    Ok(GreyImage { width, height, pixels })
 }
 
-fn raw_samples(data: &[u8], count: usize, most: u16) -> Result<Vec<u8>, DecodeError> {
-    let (expected, found) = (if most > 255 { 2 * count } else { count }, data.len());
-    let data = data
-        .get(..expected)
-        .ok_or_else(|| format!("expected {expected} bytes of samples, found {found}"))?;
-    Ok(match most {
-        255 => data.to_vec(),
-        0..255 => data.iter().map(|&sample| scale_to_u8(u16::from(sample), most)).collect(),
-        256.. => data
-            .chunks_exact(2)
-            .map(|pair| scale_to_u8(u16::from_be_bytes([pair[0], pair[1]]), most))
-            .collect(),
-    })
+/// The bytes of the samples; exactly one byte of white space separates them from the header.
+fn raw_data(rest: &[u8], expected: usize) -> Result<&[u8], DecodeError> {
+    let data = rest.get(1..).unwrap_or_default();
+    let found = data.len();
+    data.get(..expected)
+        .ok_or_else(|| format!("expected {expected} bytes of samples, found {found}").into())
 }
 
 /// The next number, after white space and comments.
@@ -72,7 +75,7 @@ mod tests {
 
     fn pixels(bytes: &[u8]) -> Result<Vec<u8>, String> {
         let check = SizeCheck { expected: None, max_pixels: super::super::MAX_PIXELS };
-        match decode(bytes, check) {
+        match decode(bytes, check, &mut SampleDepth::default()) {
             Ok(image) => Ok(image.pixels),
             Err(DecodeError::Broken(reason) | DecodeError::TooLarge(reason)) => Err(reason),
             Err(DecodeError::Size(found)) => panic!("{found:?}"),
@@ -84,6 +87,8 @@ mod tests {
         assert_eq!(pixels(b"P5\n# made by hand\n2 1 # size\n255\n\x0A\xFF").unwrap(), [10, 255]);
         assert_eq!(pixels(b"P5 2 1 1023\n\x02\x00\x03\xFF").unwrap(), [128, 255]);
         assert_eq!(pixels(b"P2 2 1 15 0 15").unwrap(), [0, 255]);
+        // Twelve bits, although the header claims sixteen.
+        assert_eq!(pixels(b"P5 2 1 65535\n\x08\x01\x0F\xFF").unwrap(), [128, 255]);
         assert_eq!(pixels(b"P6 1 1 255\n\xFF\x00\x00").unwrap(), [76]);
         assert_eq!(pixels(b"P3 1 1 255 0 255 0").unwrap(), [150]);
     }

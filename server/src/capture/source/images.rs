@@ -14,7 +14,7 @@ use super::{
     wrong_size,
 };
 use crate::{
-    capture::image_file::{self, GreyImage, ImageError},
+    capture::image_file::{self, Expectation, GreyImage, ImageError, UNSCALED_HINT},
     model::{address::ImagesAddress, source_rules::SourceRules, stop::StopSignal},
 };
 
@@ -120,13 +120,15 @@ pub(super) struct ImageSource {
     schedule: Schedule,
     parts: SourceParts,
     image: GreyImage,
+    expected: Expectation,
     /// `None` before the first frame, which skips no others.
     next: Option<u64>,
 }
 
 impl ImageSource {
     pub(super) fn new(schedule: Schedule, parts: SourceParts) -> Self {
-        Self { schedule, parts, image: GreyImage::default(), next: None }
+        let expected = Expectation { size: Some(parts.size), ..Expectation::default() };
+        Self { schedule, parts, image: GreyImage::default(), expected, next: None }
     }
 }
 
@@ -138,7 +140,8 @@ impl FrameSource for ImageSource {
         // Decoded before it is due, so that decoding costs no latency.
         let path = self.schedule.file(frame);
         let begun = Instant::now();
-        self.image = match image_file::load_sized(path, Some(self.parts.size)) {
+        let bits = self.expected.depth.unscaled_bits();
+        self.image = match image_file::load_expected(path, &mut self.expected) {
             Ok(image) => image,
             Err(ImageError::Size { path, found }) => {
                 return Err(wrong_size(&path.display().to_string(), self.parts.size, found));
@@ -146,6 +149,10 @@ impl FrameSource for ImageSource {
             Err(error) => return Err(SourceError::Failed(error.to_string())),
         };
         let decoding = begun.elapsed();
+        let now = self.expected.depth.unscaled_bits();
+        if let Some(bits) = now.filter(|_| now != bits) {
+            tracing::warn!(file = %path.display(), bits, "{UNSCALED_HINT}");
+        }
         if self.parts.stop.wait(self.parts.clock.until(due)) {
             return Err(SourceError::Stopped);
         }

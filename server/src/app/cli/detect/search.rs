@@ -12,7 +12,7 @@ use roundel_core::{
 
 use super::DetectArgs;
 use crate::{
-    capture::image_file::{self, GreyImage},
+    capture::image_file::{self, Expectation, GreyImage, UNSCALED_HINT},
     lab::print::spec::PrintSpec,
     model::camera_file,
 };
@@ -36,6 +36,8 @@ pub(super) struct ImageSearch {
     finder: Finder,
     locator: Option<Locator>,
     print: PrintSpec,
+    /// Kept from image to image in a sequence.
+    expected: Expectation,
 }
 
 enum Finder {
@@ -67,11 +69,19 @@ impl ImageSearch {
             scratch.explain(arguments.explain);
             Finder::Single(Box::new((detector, scratch)))
         };
-        Ok(Self { finder, locator, print })
+        Ok(Self { finder, locator, print, expected: Expectation::default() })
     }
 
     pub(super) fn image(&mut self, path: &Path) -> anyhow::Result<ImageDetections> {
-        let image = image_file::load(path)?;
+        if matches!(self.finder, Finder::Single(_)) {
+            self.expected = Expectation::default();
+        }
+        let bits = self.expected.depth.unscaled_bits();
+        let image = image_file::load_expected(path, &mut self.expected)?;
+        let now = self.expected.depth.unscaled_bits();
+        if let Some(bits) = now.filter(|_| now != bits) {
+            eprintln!("{}: {bits} bits: {UNSCALED_HINT}", path.display());
+        }
         if let Some(camera) = self.locator.as_ref().map(Locator::camera)
             && (camera.width(), camera.height()) != (image.width, image.height)
         {
