@@ -156,6 +156,17 @@ impl Drawing {
         }
     }
 
+    /// Leaves a share of the light beyond a line at `offset_px` from a point, along the direction `towards_rad`.
+    pub fn shadow(&mut self, (u0, v0): (f64, f64), towards_rad: f64, offset_px: f64, share: f64) {
+        let (sin, cos) = towards_rad.sin_cos();
+        for (v, row) in self.light.chunks_exact_mut(self.width).enumerate() {
+            for (u, light) in row.iter_mut().enumerate() {
+                let beyond_px = (u as f64 - u0) * cos + (v as f64 - v0) * sin - offset_px;
+                *light *= 1.0 + (share - 1.0) * normal_cdf(beyond_px / self.blur_px);
+            }
+        }
+    }
+
     /// The 8-bit picture, with noise of this deviation.
     pub fn picture(&self, noise: f64, seed: u64) -> Vec<u8> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);

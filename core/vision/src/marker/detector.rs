@@ -21,8 +21,11 @@ use crate::{
         params::{self, DetectorError, Params},
         reject::{Reject, RejectCounts, Rejected, Rejects},
         ring::{
-            measure::{MeasureScratch, measure},
+            checks::MAX_SPREAD_PX2,
+            hard_edges::{SOFTENING_PX2, are_hard, soften},
+            measure::{MeasureScratch, measure, own_threshold},
             probe::{Probe, Rules},
+            shadow::find_edge,
         },
         search::{
             SearchRules, SearchScratch,
@@ -42,6 +45,14 @@ use crate::{
 
 /// Depth of the binary search for the threshold of a candidate.
 const SEARCH_DEPTH: u32 = 2;
+/// Level that separates white in a shadow from black in the light, as a share of the contrast in the light.
+const SHADOW_SHARE: f64 = 0.25;
+/// Share of the light left in the darkest shadow.
+const SHADOW_LEFT: f64 = 0.4;
+/// The light across a ring with a more uneven rim is searched for the edge of a shadow.
+pub(crate) const UNEVEN: f64 = 0.035;
+/// Tolerance of steps along the rims of a softened ring, as a share of the contrast.
+const STEPS_SHARE: f64 = 0.08;
 /// Margin of the window around a candidate: a factor, and pixels.
 const WINDOW_MARGIN: (f64, f64) = (1.25, 3.0);
 
@@ -73,6 +84,8 @@ pub struct Scratch {
     pub(crate) measure: MeasureScratch,
     pub(crate) batch: BatchScratch,
     pub(crate) search: SearchScratch,
+    /// A corrected window of the frame.
+    corrected: Vec<u8>,
     pub(crate) found: Vec<Ring>,
     pub(crate) claims: Vec<Claim>,
     pub(crate) rejects: Rejects,
@@ -89,6 +102,7 @@ impl Scratch {
         self.measure.reserve(size);
         self.batch.reserve(size.1);
         self.search.reserve(size.0);
+        reserve_total(&mut self.corrected, size.0 * size.1);
         let max = max_roundels.min(RESERVED_RINGS);
         reserve_total(&mut self.found, max);
         reserve_total(&mut self.claims, max);
@@ -127,6 +141,8 @@ impl Detector {
             min_semi_minor_px: params.min_semi_minor_px,
             min_axis_ratio: params.min_axis_ratio,
             min_contrast: f64::from(params.min_contrast),
+            max_spread_px2: MAX_SPREAD_PX2,
+            steps_share: 0.0,
         };
         let search_rules = SearchRules::new(&kinds, &rules, params.min_contrast);
         let has = |polarity| kinds.iter().any(|kind| kind.polarity == polarity);
@@ -191,8 +207,70 @@ impl Detector {
         probe: &Probe,
         scratch: &mut MeasureScratch,
     ) -> Result<Ring, Reject> {
-        let ring = self.measure_any(frame, probe, scratch)?;
+        let ring = self.measure_any(frame, probe, &self.rules, scratch)?;
         if self.mask.covers(ring.outer.center) { Err(Reject::Masked) } else { Ok(ring) }
+    }
+
+    /// A tracked ring at a probe; `last` is the one of the frame before.
+    pub(crate) fn measure_tracked(
+        &self,
+        frame: &Frame,
+        probe: &Probe,
+        last: &Ring,
+        scratch: &mut Scratch,
+    ) -> Result<Ring, Reject> {
+        let measured = self.measure(frame, probe, &mut scratch.measure);
+        let unevenness = measured.map_or(f64::INFINITY, |ring| ring.unevenness);
+        if unevenness <= UNEVEN {
+            return measured;
+        }
+        let levels = (last.black, last.white);
+        let again =
+            self.measure_again(frame, probe, levels, scratch, |frame, probe, rules, scratch| {
+                self.measure_any(frame, probe, rules, scratch)
+            });
+        match again {
+            Ok(ring) if ring.unevenness < unevenness => Ok(ring),
+            _ => measured,
+        }
+    }
+
+    /// The ring at a probe in a corrected picture of its surroundings: softened where pixels are hard steps, and with
+    /// even light where the edge of a shadow crosses it. `levels` are those of black and white in the light.
+    fn measure_again(
+        &self,
+        frame: &Frame,
+        probe: &Probe,
+        (dark, bright): (f64, f64),
+        scratch: &mut Scratch,
+        measure: impl Fn(&Frame, &Probe, &Rules, &mut MeasureScratch) -> Result<Ring, Reject>,
+    ) -> Result<Ring, Reject> {
+        let Scratch { corrected, measure: memory, .. } = scratch;
+        let window = probe.bounds;
+        let mut rules = self.rules;
+        let mut common_threshold = None;
+        let threshold;
+        if are_hard(frame, &window, bright - dark) {
+            soften(frame, &window, corrected);
+            rules.max_spread_px2 += SOFTENING_PX2;
+            rules.steps_share = STEPS_SHARE;
+            threshold = own_threshold(dark, bright);
+        } else {
+            let probe = probe.with_frame_threshold(shadow_level(dark, bright));
+            let edge = find_edge(frame, &probe, memory).ok_or(Reject::Contrast)?;
+            edge.even_out(frame, &window, corrected);
+            threshold = edge.threshold();
+            common_threshold = Some(edge.common_threshold());
+        }
+        let frame = Frame::new(corrected, window.width(), window.height(), window.width())
+            .map_err(|_| Reject::FrameEdge)?;
+        let probe = probe.within_bounds().with_frame_threshold(threshold);
+        let ring =
+            measure(&frame, &probe, &rules, memory)?.moved(window.left as f64, window.top as f64);
+        if self.mask.covers(ring.outer.center) {
+            return Err(Reject::Masked);
+        }
+        Ok(Ring { threshold: common_threshold.unwrap_or(ring.threshold), ..ring })
     }
 
     /// A ring whose teeth are decoded is coded. Otherwise it is measured as a plain one; if that
@@ -201,16 +279,17 @@ impl Detector {
         &self,
         frame: &Frame,
         probe: &Probe,
+        rules: &Rules,
         scratch: &mut MeasureScratch,
     ) -> Result<Ring, Reject> {
         if self.coded.is_empty() {
-            return measure(frame, probe, &self.rules, &self.kinds, scratch);
+            return measure(frame, probe, rules, &self.kinds, scratch);
         }
-        let coded = coded::measure(frame, probe, &self.rules, &self.coded, scratch.level);
+        let coded = coded::measure(frame, probe, rules, &self.coded, scratch.level);
         if coded.is_ok_and(|ring| ring.code.is_some()) || self.coded.len() == self.kinds.len() {
             return coded;
         }
-        let plain = measure(frame, probe, &self.rules, &self.kinds, scratch);
+        let plain = measure(frame, probe, rules, &self.kinds, scratch);
         plain.or_else(|reject| coded.map_err(|_| reject))
     }
 
@@ -272,7 +351,11 @@ impl Detector {
                 self.measure_candidate(frame, &candidate, polarity, scratch)
             });
             match measured {
-                Ok(ring) => return Some(ring),
+                Ok(ring) if ring.unevenness <= UNEVEN => return Some(ring),
+                Ok(ring) => {
+                    let again = self.measure_hit_again(frame, hit, polarity, rules, scratch);
+                    return again.filter(|it| it.unevenness < ring.unevenness).or(Some(ring));
+                }
                 Err(reject) => {
                     first = first.or(Some(reject));
                     // Another threshold helps only if the rims are bridged at this one.
@@ -281,6 +364,11 @@ impl Detector {
                     }
                 }
             }
+        }
+        if self.may_be_in_shadow(hit, first)
+            && let Some(ring) = self.measure_hit_again(frame, hit, polarity, rules, scratch)
+        {
+            return Some(ring);
         }
         scratch.rejects.add(Rejected { reject: first.unwrap_or(Reject::Contrast), ..rejected });
         None
@@ -293,20 +381,48 @@ impl Detector {
         polarity: Polarity,
         scratch: &mut Scratch,
     ) -> Result<Ring, Reject> {
-        let (half_u, half_v) = candidate.half_box_px;
-        let reach = |half: f64| half * WINDOW_MARGIN.0 + WINDOW_MARGIN.1;
-        let center = candidate.ring_center;
-        let probe = Probe {
-            center: candidate.center,
-            threshold: candidate.threshold,
-            bounds: Window::around(frame, center, (reach(half_u), reach(half_v))),
-            polarity,
-            predicted: None,
+        let probe = probe_of(frame, candidate, polarity);
+        let ring = self.measure_new(frame, &probe, &self.rules, &mut scratch.measure)?;
+        self.unclaimed(ring, scratch)
+    }
+
+    /// The ring of a hit in a corrected picture.
+    fn measure_hit_again(
+        &self,
+        frame: &Frame,
+        hit: &Hit,
+        polarity: Polarity,
+        rules: &SearchRules,
+        scratch: &mut Scratch,
+    ) -> Option<Ring> {
+        let (dark, bright) = match polarity {
+            Polarity::BlackRing => (hit.black, hit.white),
+            Polarity::WhiteRing => (!hit.white, !hit.black),
         };
-        let ring = self.measure(frame, &probe, &mut scratch.measure)?;
+        let (dark, bright) = (f64::from(dark), f64::from(bright));
+        let threshold = polarity.threshold(shadow_level(dark, bright));
+        let candidate = cross(frame, hit, threshold, &rules.cross, polarity).ok()?;
+        let probe = probe_of(frame, &candidate, polarity);
+        let levels = (dark, bright);
+        let ring =
+            self.measure_again(frame, &probe, levels, scratch, |frame, probe, rules, scratch| {
+                self.measure_new(frame, probe, rules, scratch)
+            });
+        self.unclaimed(ring.ok()?, scratch).ok()
+    }
+
+    /// The ring at a probe, with the tests of new rings.
+    fn measure_new(
+        &self,
+        frame: &Frame,
+        probe: &Probe,
+        rules: &Rules,
+        scratch: &mut MeasureScratch,
+    ) -> Result<Ring, Reject> {
+        let ring = self.measure_any(frame, probe, rules, scratch)?;
         let pattern = self.kind_of(&ring).map_or(Pattern::Plain, |kind| kind.pattern);
         let smooth = !matches!(pattern, Pattern::Coded(_));
-        check_rims(frame, &ring, smooth)?;
+        check_rims(frame, &ring, smooth, rules.steps_share)?;
         if smooth {
             check_center(frame, &ring)?;
         }
@@ -315,13 +431,51 @@ impl Detector {
             (Pattern::Plain, _) => check_letter(&ring)?,
             _ => (),
         }
+        Ok(ring)
+    }
+
+    fn unclaimed(&self, ring: Ring, scratch: &Scratch) -> Result<Ring, Reject> {
+        if self.mask.covers(ring.outer.center) {
+            return Err(Reject::Masked);
+        }
         let covered = scratch.claims.iter().any(|claim| claim.covers(&ring));
         if covered { Err(Reject::Claimed) } else { Ok(ring) }
+    }
+
+    /// Whether a rejected hit is worth a second look. Most are clutter without even chords; in these the contrast left
+    /// in a shadow must be large enough.
+    fn may_be_in_shadow(&self, hit: &Hit, reject: Option<Reject>) -> bool {
+        match reject {
+            Some(Reject::Claimed | Reject::FrameEdge | Reject::TooSmall | Reject::Tilt) => false,
+            Some(Reject::Chord) | None => {
+                SHADOW_LEFT * f64::from(hit.white.saturating_sub(hit.black))
+                    >= f64::from(self.params.min_contrast)
+            }
+            Some(_) => true,
+        }
     }
 
     fn kind_of(&self, ring: &Ring) -> Option<&Kind> {
         ring.kind.and_then(|kind| self.kinds().get(usize::from(kind.0)))
     }
+}
+
+fn probe_of(frame: &Frame, candidate: &Candidate, polarity: Polarity) -> Probe {
+    let (half_u, half_v) = candidate.half_box_px;
+    let reach = |half: f64| half * WINDOW_MARGIN.0 + WINDOW_MARGIN.1;
+    let center = candidate.ring_center;
+    Probe {
+        center: candidate.center,
+        threshold: candidate.threshold,
+        bounds: Window::around(frame, center, (reach(half_u), reach(half_v))),
+        polarity,
+        predicted: None,
+    }
+}
+
+/// The level that separates black in the light from white in the shadow, by the levels in the light.
+fn shadow_level(dark: f64, bright: f64) -> u8 {
+    (dark + SHADOW_SHARE * (bright - dark)).round().clamp(1.0, 255.0) as u8
 }
 
 fn coded_kinds(kinds: &[Kind]) -> Result<Vec<CodedKind>, DetectorError> {

@@ -76,6 +76,14 @@ impl Polarity {
             Self::WhiteRing => 255,
         }
     }
+
+    /// A threshold of the frame's own levels as one of levels inverted by [`Polarity::flip`], and back.
+    pub(crate) fn threshold(self, level: u8) -> u8 {
+        match self {
+            Self::BlackRing => level,
+            Self::WhiteRing => 0u8.wrapping_sub(level),
+        }
+    }
 }
 
 impl Kind {

@@ -60,6 +60,7 @@ pub use ring::pixels::edge_band::WIDE_PX;
 pub use track::Tracker;
 
 use crate::{
+    camera::PixelPoint,
     ellipse::Ellipse,
     id::{KindId, TrackNumber},
 };
@@ -106,6 +107,21 @@ impl Ring {
             polarity: Polarity::BlackRing,
             code: None,
         }
+    }
+
+    /// Moved by `du` and `dv`.
+    fn moved(mut self, du: f64, dv: f64) -> Self {
+        let move_point = |point: &mut PixelPoint| {
+            point.u += du;
+            point.v += dv;
+        };
+        move_point(&mut self.outer.center);
+        move_point(&mut self.inner.center);
+        if let Some(code) = &mut self.code {
+            move_point(&mut code.zero);
+            move_point(&mut code.opposite);
+        }
+        self
     }
 
     /// Undoes the inversion of grey levels under which a white ring is measured as a black one.

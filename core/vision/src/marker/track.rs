@@ -13,10 +13,9 @@ use crate::{
     id::TrackNumber,
     marker::{
         Ring, TrackedRing,
-        batch::BATCH_SIZE,
+        batch::{BATCH_SIZE, BatchedRing},
         code::Vote,
-        detector::{Detector, RESERVED_RINGS, Scratch},
-        kind::Polarity,
+        detector::{Detector, RESERVED_RINGS, Scratch, UNEVEN},
         reject::{Reject, RejectCounts, Rejected},
         ring::{pixels::predicted::PredictedRims, probe::Probe},
         search::{claim::Claim, row_edges::ROW_STEP},
@@ -229,12 +228,13 @@ impl Tracker {
             self.detector.measure_batch(frame, &mut scratch.batch);
             for (place, track) in tracks.iter_mut().enumerate() {
                 let alone;
-                let batched = scratch.batch.found[place].as_ref();
-                let ring = match (batched, &scratch.batch.probes[place]) {
+                let is_even = |found: &BatchedRing| found.ring.unevenness <= UNEVEN;
+                let batched = scratch.batch.found[place].filter(is_even);
+                let ring = match (&batched, scratch.batch.probes[place]) {
                     (Some(batched), _) => Ok(&batched.ring),
                     (None, None) => Err(Reject::FrameEdge),
                     (None, Some(probe)) => {
-                        alone = self.detector.measure(frame, probe, &mut scratch.measure);
+                        alone = self.detector.measure_tracked(frame, &probe, &track.ring, scratch);
                         alone.as_ref().map_err(|&reject| reject)
                     }
                 };
@@ -348,10 +348,7 @@ fn probe_for(frame: &Frame, track: &Track) -> Option<Probe> {
     let slack = |half: f64| NEAR_SHARE * half + NEAR_PX;
     let bounds = Window::around(frame, (at.u, at.v), (slack(half_u), slack(half_v)));
     let polarity = track.ring.polarity;
-    let threshold = match polarity {
-        Polarity::BlackRing => track.ring.threshold,
-        Polarity::WhiteRing => 0u8.wrapping_sub(track.ring.threshold),
-    };
+    let threshold = polarity.threshold(track.ring.threshold);
     let from = track.ring.outer.center;
     let predicted = Some(track.rims.moved(at.u - from.u, at.v - from.v));
     Some(Probe { center, threshold, bounds, polarity, predicted })

@@ -36,9 +36,9 @@ use crate::{
         Ring,
         classify::{
             elliptical,
-            plain::{Classified, nearest_kind},
+            plain::{Classified, is_clipped, nearest_kind, shift_limit_px},
         },
-        kind::{Kind, RATIO_LIMITS},
+        kind::{Kind, Polarity, RATIO_LIMITS},
         reject::Reject,
         ring::{
             checks::check_sizes,
@@ -51,6 +51,7 @@ use crate::{
                 segments::{Segments, Spans},
             },
             probe::{Probe, Rules},
+            shadow::{LightSample, MAX_SAMPLES},
             subpixel::{
                 BandLayout, RefinedRims, SegmentSizes, refine_rims, thin_ring::RimDistances,
             },
@@ -70,10 +71,11 @@ const FOLLOWING_TURNS: usize = 2;
 pub(crate) struct MeasureScratch {
     /// Instruction set.
     pub level: Level,
-    patch: Patch,
-    spans: Spans,
-    bands: BandScratch,
+    pub(super) patch: Patch,
+    pub(super) spans: Spans,
+    pub(super) bands: BandScratch,
     distances: RimDistances,
+    pub(super) samples: Vec<LightSample>,
 }
 
 impl Default for MeasureScratch {
@@ -84,6 +86,7 @@ impl Default for MeasureScratch {
             spans: Spans::default(),
             bands: BandScratch::new(),
             distances: RimDistances::default(),
+            samples: Vec::new(),
         }
     }
 }
@@ -96,6 +99,7 @@ impl MeasureScratch {
         self.spans.reserve(height);
         reserve_total(&mut self.bands, edge_band::max_words(words, height));
         self.distances.reserve(width, height);
+        reserve_total(&mut self.samples, MAX_SAMPLES);
     }
 }
 
@@ -152,10 +156,15 @@ fn measure_with<S: Simd>(
         }
         (None, outer, inner, 0.0)
     } else {
+        let brightest = match probe.polarity {
+            Polarity::BlackRing => white,
+            Polarity::WhiteRing => 255.0 - black,
+        };
+        let limit_px = shift_limit_px(&outer, brightest);
         let nearest = if rules.similar {
-            nearest_kind(kinds, probe.polarity, &outer, &inner)
+            nearest_kind(kinds, probe.polarity, &outer, &inner, limit_px)
         } else {
-            elliptical::nearest_kind(kinds, probe.polarity, is_similar, &outer, &inner)
+            elliptical::nearest_kind(kinds, probe.polarity, is_similar, &outer, &inner, limit_px)
         };
         let Classified { kind, outer, inner, shift_px } = nearest.ok_or(Reject::Kind)?;
         (Some(kind), outer, inner, shift_px)
@@ -189,7 +198,7 @@ fn rims<S: Simd>(
     let MeasureScratch { patch, spans, bands, distances, .. } = scratch;
     let segments = Segments::find(simd, frame, patch, probe.center, spans)?;
     let Segments { disc, ring, disc_size, ring_size } = &segments;
-    check_sizes(ring_size, disc_size, rules)?;
+    check_sizes(ring_size, disc_size, rules, is_clipped(brightest(patch, probe, ring).into()))?;
     let bands = EdgeBands::round(
         simd,
         patch,
@@ -211,6 +220,20 @@ fn rims<S: Simd>(
         sizes: Some(SegmentSizes { ring: ring_size, disc: disc_size }),
     };
     refine_rims(simd, frame, probe, rules, &layout, distances)
+}
+
+/// A level of the print's white: in the disc, or to the right of it in a white ring.
+fn brightest(patch: &Patch, probe: &Probe, ring: &Extent) -> u8 {
+    let (u, v) = (probe.center.0 - patch.window.left, probe.center.1 - patch.window.top);
+    let row =
+        &patch.grey.as_flattened()[v * patch.words * WORD_PX..(v + 1) * patch.words * WORD_PX];
+    match probe.polarity {
+        Polarity::BlackRing => row[u],
+        Polarity::WhiteRing => {
+            let darkest = row[u..ring.columns.end as usize].iter().min();
+            !darkest.copied().unwrap_or_default()
+        }
+    }
 }
 
 /// The ring at its predicted rims, if it is there.

@@ -22,6 +22,10 @@ pub(crate) struct Rules {
     pub min_axis_ratio: f64,
     /// Smallest difference of white and black.
     pub min_contrast: f64,
+    /// Largest variance that blur and pixel width add to a shape, px².
+    pub max_spread_px2: f64,
+    /// Tolerance of steps of pixels along a rim, as a share of the contrast.
+    pub steps_share: f64,
 }
 
 /// Where to measure, and at which threshold.
@@ -37,13 +41,26 @@ pub(crate) struct Probe {
 }
 
 impl Probe {
+    /// The same with a threshold in the frame's own levels.
+    pub fn with_frame_threshold(self, level: u8) -> Self {
+        Self { threshold: self.polarity.threshold(level), ..self }
+    }
+
+    /// The same in a frame that holds only the window `bounds`.
+    pub fn within_bounds(self) -> Self {
+        let Window { left, top, right, bottom } = self.bounds;
+        let moved = |rims: PredictedRims| rims.moved(-(left as f64), -(top as f64));
+        Self {
+            center: (self.center.0 - left, self.center.1 - top),
+            bounds: Window { left: 0, top: 0, right: right - left, bottom: bottom - top },
+            predicted: self.predicted.map(moved),
+            ..self
+        }
+    }
+
     /// The threshold in the frame's own levels.
     #[inline(always)]
     pub fn frame_threshold(&self) -> Threshold {
-        let level = match self.polarity {
-            Polarity::BlackRing => self.threshold,
-            Polarity::WhiteRing => 0u8.wrapping_sub(self.threshold),
-        };
-        Threshold { level, polarity: self.polarity }
+        Threshold { level: self.polarity.threshold(self.threshold), polarity: self.polarity }
     }
 }
