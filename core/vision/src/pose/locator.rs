@@ -7,7 +7,8 @@
 //! Both modes start with the closed-form pose of the rims ([`super::locate`]). [`Mode::Precise`]
 //! then fits the grey levels ([`super::photometry`]), for a tracked ring from the state of earlier
 //! frames. When the fit rejects the ring (occlusion, washed out levels), the closed form with its
-//! own covariance is returned, and [`Located::by`] is [`Mode::Fast`].
+//! own covariance is returned, and [`Located::by`] is [`Mode::Fast`]; after consecutive rejections the fit
+//! is tried in fewer frames.
 //!
 //! A camera with a rolling shutter ([`Locator::with_line_time`]) needs the time of each frame
 //! ([`Locator::locate_all_at`]), so that moving rings are located at one instant
@@ -66,7 +67,7 @@ pub struct Locator {
     mode: Mode,
     noise: RimNoise,
     shares: PerThread<FitScratch>,
-    histories: RecentTracks<FitHistory>,
+    fits: RecentTracks<TrackedFit>,
     prints: RecentTracks<PrintEstimate>,
     /// Tracked rings of the current frame.
     pending: Vec<PendingRing>,
@@ -79,9 +80,25 @@ pub struct Locator {
 struct PendingRing {
     located: Result<Located, PoseError>,
     printed: PrintedRing,
-    /// State for the next frame.
-    history: Option<FitHistory>,
+    /// State of its fits for the next frame.
+    fit: Option<TrackedFit>,
 }
+
+/// State of the precise fits of a track.
+#[derive(Clone, Copy, Debug, Default)]
+struct TrackedFit {
+    history: Option<FitHistory>,
+    /// Consecutive fits that rejected the ring.
+    failures: u8,
+    /// Frames that the next fit waits for.
+    pause: u8,
+}
+
+/// A fit that rejects the ring costs several times one that succeeds, and the next frame is hardly
+/// different. From this number of consecutive failures on, the next fit waits …
+const FAILURES: u8 = 2;
+/// … for 1, 3, 7 frames, up to this power of two.
+const MAX_PAUSE_BITS: u8 = 5;
 
 /// Confidence of a track's code from which a frame that does not read it uses the teeth of earlier
 /// frames.
@@ -97,7 +114,7 @@ impl Locator {
             mode,
             noise,
             shares: PerThread::default(),
-            histories: RecentTracks::new(),
+            fits: RecentTracks::new(),
             prints: RecentTracks::new(),
             pending: Vec::new(),
             shutter: None,
@@ -132,7 +149,7 @@ impl Locator {
 
     /// Discards the state of all tracks, as after a gap in the frames.
     pub fn reset(&mut self) {
-        self.histories.clear();
+        self.fits.clear();
         self.prints.clear();
         self.shutter.iter_mut().for_each(Shutter::reset);
     }
@@ -183,7 +200,8 @@ impl Locator {
         let mut located = Located::from_rims(&printed.ring, pose);
         let PrintedRing { ring, print, .. } = printed;
         let input = FitInput { frame, camera, kind, ring: &ring, print, skew: None };
-        located.refine(&input, self.mode, None, self.shares.first());
+        let fit = &mut TrackedFit::default();
+        located.refine(&input, self.mode, fit, self.shares.first());
         printed.widen(&mut located.pose);
         Ok(located)
     }
@@ -205,7 +223,7 @@ impl Locator {
                 self.prints.update(one.track, Some(print));
             }
             let located = Err(PoseError::NoCircle);
-            self.pending.push(PendingRing { located, printed, history: None });
+            self.pending.push(PendingRing { located, printed, fit: None });
         }
         let mut poses = [const { Err(PoseError::NoCircle) }; LANES];
         for (tracked, pending) in tracked.chunks(LANES).zip(self.pending.chunks_mut(LANES)) {
@@ -224,7 +242,7 @@ impl Locator {
 
     /// Refines the closed-form poses of the frame's rings as the mode demands.
     fn refine_all(&mut self, frame: &Frame, tracked: &[TrackedRing]) {
-        let Self { camera, kinds, mode, shares, histories, pending, shutter, .. } = self;
+        let Self { camera, kinds, mode, shares, fits, pending, shutter, .. } = self;
         let skews = shutter.as_ref().map(Shutter::skews);
         let (camera, kinds, mode) = (&*camera, &*kinds, *mode);
         // Without a fit there is too little work to share.
@@ -239,12 +257,14 @@ impl Locator {
                 let skew = skews.map(|skews| skews[first + place]);
                 let is_certain =
                     tracked.code.is_some_and(|code| code.confidence >= MIN_CODE_CONFIDENCE);
-                let before = histories.get(tracked.track).copied();
-                let before =
-                    if is_certain { before } else { before.map(FitHistory::without_teeth) };
+                let mut fit = fits.get(tracked.track).copied().unwrap_or_default();
+                if !is_certain {
+                    fit.history = fit.history.map(FitHistory::without_teeth);
+                }
                 let (ring, print) = (located.ring, one.printed.print);
                 let input = FitInput { frame, camera, kind, ring: &ring, print, skew };
-                one.history = located.refine(&input, mode, before.as_ref(), scratch);
+                located.refine(&input, mode, &mut fit, scratch);
+                one.fit = (mode == Mode::Precise).then_some(fit);
                 one.printed.widen(&mut located.pose);
                 if let Some(skew) = skew {
                     skew.widen(&mut located.pose, camera, kind);
@@ -253,7 +273,7 @@ impl Locator {
         });
         for (tracked, one) in tracked.iter().zip(pending) {
             if one.located.is_ok() {
-                histories.update(tracked.track, one.history.take());
+                fits.update(tracked.track, one.fit.take());
             }
         }
     }
@@ -273,26 +293,27 @@ impl Located {
         Self { ring: *ring, pose, by: Mode::Fast, image: None }
     }
 
-    /// Fits the grey levels in precise mode, and adds the yaw of a code; returns the state for the
-    /// next frame.
+    /// Fits the grey levels in precise mode, and adds the yaw of a code.
     fn refine(
         &mut self,
         input: &FitInput,
         mode: Mode,
-        before: Option<&FitHistory>,
+        fit: &mut TrackedFit,
         scratch: &mut FitScratch,
-    ) -> Option<FitHistory> {
-        let mut history = None;
-        if mode == Mode::Precise
-            && let Ok((fit, next)) = photometry::fit_tracked(input, &self.pose, before, scratch)
-        {
-            history = Some(next);
-            *self = Self {
-                ring: fit.ring,
-                pose: fit.pose,
-                by: Mode::Precise,
-                image: Some(ImageQuality { blur_px: fit.blur_px, noise: fit.noise }),
-            };
+    ) {
+        if mode == Mode::Precise && fit.is_due() {
+            let found = photometry::fit_tracked(input, &self.pose, fit.history.as_ref(), scratch);
+            if let Ok((fitted, next)) = found {
+                *fit = TrackedFit { history: Some(next), failures: 0, pause: 0 };
+                *self = Self {
+                    ring: fitted.ring,
+                    pose: fitted.pose,
+                    by: Mode::Precise,
+                    image: Some(ImageQuality { blur_px: fitted.blur_px, noise: fitted.noise }),
+                };
+            } else {
+                fit.failed();
+            }
         }
         // A fit of the teeth includes the yaw.
         if let Some(reading) = &input.ring.code
@@ -301,7 +322,20 @@ impl Located {
             let reading = input.skew.map_or(*reading, |skew| skew.code(reading));
             yaw::add(&mut self.pose, input.camera, &reading);
         }
-        history
+    }
+}
+
+impl TrackedFit {
+    /// Whether the frame's ring is fitted; counts the frame.
+    fn is_due(&mut self) -> bool {
+        let is_due = self.pause == 0;
+        self.pause = self.pause.saturating_sub(1);
+        is_due
+    }
+
+    fn failed(&mut self) {
+        self.failures = self.failures.saturating_add(1).min(FAILURES + MAX_PAUSE_BITS);
+        self.pause = (1 << self.failures.saturating_sub(FAILURES)) - 1;
     }
 }
 

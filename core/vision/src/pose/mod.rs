@@ -2,14 +2,15 @@
 //!
 //! 1. `rim`: points of both rims pass through the lens, and the ellipses through their images are
 //!    expressed in the frame of the outer rim's cone.
-//! 2. `circle`: the outer rim's ellipse gives two circles in closed form (paper, eqs. 9 and 10
+//! 2. `print_estimate`: how the ratio of diameters differs in print and image from the design.
+//! 3. `circle`: the outer rim's ellipse gives two circles in closed form (paper, eqs. 9 and 10
 //!    and section 4.3 as corrected in [`crate::errata`]). One Gauss-Newton step fits each to both
 //!    rims, weighted by their errors, and gives covariance and likelihood. A roundel that nearly
 //!    faces the camera gets the mean of the posterior of its tilt instead: one broad normal rather
 //!    than two.
-//! 3. [`photometry`]: in precise mode, a least-squares fit of the grey levels that starts from
+//! 4. [`photometry`]: in precise mode, a least-squares fit of the grey levels that starts from
 //!    there.
-//! 4. `shutter`: under a rolling shutter, the rims of a moving ring are first transformed to one
+//! 5. `shutter`: under a rolling shutter, the rims of a moving ring are first transformed to one
 //!    instant.
 //!
 //! [`Locator`] runs these steps for the rings of a frame.
@@ -83,6 +84,13 @@ impl RoundelPose {
     /// The yaw if `other_normal` is the right one: the print's x points the same way in the image.
     pub fn other_yaw_rad(&self) -> Option<f64> {
         self.yaw_rad.map(|yaw_rad| yaw::transferred_rad(self, yaw_rad, &self.other_normal))
+    }
+
+    /// Adds the relative standard deviation of the imaged size to the covariance.
+    fn add_size_deviation(&mut self, deviation: f64) {
+        let along = self.position_m * deviation;
+        let mut position = self.covariance.fixed_view_mut::<3, 3>(0, 0);
+        position += along * along.transpose();
     }
 
     /// Direction of the print's x with `other_normal`, given that with `normal`; camera frame.

@@ -98,9 +98,7 @@ impl PrintedRing {
 
     /// Adds the uncertainty of the size to a pose.
     pub fn widen(&self, pose: &mut RoundelPose) {
-        let along = pose.position_m * self.size_deviation;
-        let mut position = pose.covariance.fixed_view_mut::<3, 3>(0, 0);
-        position += along * along.transpose();
+        pose.add_size_deviation(self.size_deviation);
     }
 }
 

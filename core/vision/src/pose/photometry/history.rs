@@ -25,7 +25,7 @@ use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Vector2, Vector3};
 
-use super::{DEFAULT_BLUR_PX, Memory, Outcome, RobustState, Start, Teeth};
+use super::{DEFAULT_BLUR_PX, FitPath, Memory, Outcome, Start, Teeth};
 use crate::{
     camera::PixelPoint,
     pose::{RoundelPose, yaw},
@@ -43,7 +43,7 @@ pub struct FitHistory {
     center: PixelPoint,
     motion_test: MotionTest,
     code: Option<TeethMotion>,
-    robust: Option<RobustState>,
+    path: FitPath,
     clear_px: f64,
     /// Fits since the margin was measured.
     margin_age: u8,
@@ -77,7 +77,7 @@ impl FitHistory {
             center: fit.ring.outer.center,
             motion_test,
             code,
-            robust: outcome.robust,
+            path: outcome.path,
             clear_px: outcome.clear_px,
             margin_age: before.map_or(0, |before| (before.margin_age + 1) % MARGIN_FITS),
         }
@@ -85,7 +85,7 @@ impl FitHistory {
 
     pub(super) fn memory(&self) -> Memory {
         let is_measured = self.margin_age + 1 < MARGIN_FITS;
-        Memory { robust: self.robust, clear_px: is_measured.then_some(self.clear_px) }
+        Memory { path: self.path, clear_px: is_measured.then_some(self.clear_px) }
     }
 
     pub fn without_teeth(self) -> Self {

@@ -70,12 +70,12 @@ use crate::{
     pose::{PrintDeviation, RoundelPose, Skew, frame_along, yaw},
 };
 pub(super) use history::FitHistory;
-use hypotheses::estimate_pose;
+use hypotheses::{FitPath, estimate_pose};
 pub use model::teeth::Teeth;
 use model::{
     ModelScratch, blur_kernel::BLUR_LIMITS_PX, local_lens::LocalLens, motion, projection::PrintPose,
 };
-use robust::{RobustScratch, RobustState};
+use robust::RobustScratch;
 use solver::{
     solution::{self, PoseEstimate},
     state::{Problem, State},
@@ -146,7 +146,7 @@ struct Outcome {
     /// was held.
     motion_variance_px4: Option<f64>,
     teeth: Option<Teeth>,
-    robust: Option<RobustState>,
+    path: FitPath,
     /// As in [`Memory`].
     clear_px: f64,
 }
@@ -154,7 +154,7 @@ struct Outcome {
 /// What an earlier frame tells a fit besides its start.
 #[derive(Clone, Copy, Debug, Default)]
 struct Memory {
-    robust: Option<RobustState>,
+    path: FitPath,
     /// Distance from the outer rim up to which there is margin alone, pixels; measured if `None`.
     clear_px: Option<f64>,
 }
@@ -230,6 +230,9 @@ const REACH: (f64, f64) = (3.0, 3.5);
 const MAX_MOTION_PX: f64 = 8.0;
 /// Width up to which a margin is searched, pixels.
 const MAX_CLEAR_PX: f64 = 6.0;
+/// A margin that is clear up to less than the first distance, pixels, shifts the outer rim by the
+/// second one, a standard deviation: what remains of the paper's edge.
+const NARROW: (f64, f64) = (0.5, 0.02);
 /// Fits the pose of a single roundel of a known kind to the frame's pixels.
 pub fn fit(input: &FitInput, start: &Start, scratch: &mut FitScratch) -> Result<Fit, FitError> {
     fit_outcome(input, start, &Memory::default(), scratch).map(|outcome| outcome.fit)
@@ -307,14 +310,16 @@ fn fit_outcome(
     let pose = PrintPose { position_m: Vector3::new(0.0, 0.0, range_m), axes };
     let first = State::new(pose, ring, blur_px, &motion_px);
     let deviation_rad = heading_rad.map(|_| yaw::deviation_rad(&start.pose));
-    let (estimate, robust) =
-        estimate_pose(&problem, first, deviation_rad, memory.robust.as_ref(), scratch)?;
-    let fit = finish(&problem, ring, &estimate, scratch);
+    let (estimate, path) = estimate_pose(&problem, first, deviation_rad, &memory.path, scratch)?;
+    let mut fit = finish(&problem, ring, &estimate, scratch);
+    if clear_px < NARROW.0 {
+        fit.pose.add_size_deviation(NARROW.1 / ring.outer.mean_radius_px());
+    }
     match teeth {
         Some(teeth) if teeth_are_predicted && !fit.resolves(teeth) => Err(FitError::Uninformative),
         _ => {
             let motion_variance_px4 = estimate.motion_variance;
-            Ok(Outcome { fit, motion_variance_px4, teeth, robust, clear_px })
+            Ok(Outcome { fit, motion_variance_px4, teeth, path, clear_px })
         }
     }
 }

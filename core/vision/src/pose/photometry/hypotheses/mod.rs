@@ -7,9 +7,11 @@ mod teeth_yaw;
 
 use super::{
     FitError, FitScratch,
+    model::ModelScratch,
     robust::{self, RobustState},
     solver::{
         gauss_newton,
+        linearize::linearize,
         mirror::{MirrorEstimate, evaluate_mirrored},
         solution::{PoseEstimate, Solution},
         state::{Problem, State},
@@ -19,23 +21,35 @@ use crate::marker::Pattern;
 use disc_heading::YawEstimate;
 use frontal::{FrontalPose, FrontalResult};
 
-/// The best pose from a start, and the state of the robust fit for the next frame. `deviation_rad` is
-/// the standard deviation of an elliptical disc's heading there, `before` the state of the robust fit
-/// of an earlier frame.
+/// The path that a fit took, which the next one of the ring tries first.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct FitPath {
+    /// State of the robust fit, if one was needed lately.
+    pub robust: Option<RobustState>,
+    /// Whether the roundel nearly faced the camera.
+    pub faces: bool,
+}
+
+/// The best pose from a start, and its path for the next frame. `deviation_rad` is the standard
+/// deviation of an elliptical disc's heading there, `before` the path of the frame before.
 pub fn estimate_pose(
     problem: &Problem,
     first: State,
     deviation_rad: Option<f64>,
-    before: Option<&RobustState>,
+    before: &FitPath,
     scratch: &mut FitScratch,
-) -> Result<(PoseEstimate, Option<RobustState>), FitError> {
-    let is_plain_print = problem.teeth.is_none() && deviation_rad.is_none();
-    if let Some(before) = before
-        && is_plain_print
-        && !before.expects_plain()
-        && let Ok((estimate, next)) = resume_robust(problem, &first, before, scratch)
-    {
-        return Ok((estimate, Some(next)));
+) -> Result<(PoseEstimate, FitPath), FitError> {
+    let resumable = before.robust.as_ref().filter(|robust| !robust.expects_plain());
+    if problem.teeth.is_none() && deviation_rad.is_none() {
+        if let Some(resumable) = resumable {
+            if let Ok((estimate, path)) = resume_robust(problem, &first, resumable, scratch) {
+                return Ok((estimate, path));
+            }
+        } else if before.faces
+            && let Some(estimate) = still_facing(problem, &first, &mut scratch.model)
+        {
+            return Ok((estimate, before.after_plain(true)));
+        }
     }
     let mut heading = None;
     let mut solution = match (problem.teeth, deviation_rad) {
@@ -52,20 +66,21 @@ pub fn estimate_pose(
         }
         (None, None) => gauss_newton::solve(problem, first, &mut scratch.model)?,
     };
-    if let Some(before) = before
+    if let Some(resumable) = resumable
+        && let Some(heading) = heading
         && !solution.is_plain()
-        && let Ok((mut estimate, next)) = resume_robust(problem, &solution.state, before, scratch)
+        && let Ok((mut estimate, path)) =
+            resume_robust(problem, &solution.state, resumable, scratch)
     {
-        if let Some(heading) = heading {
-            heading.inflated(&solution).add_to(problem, &mut estimate);
-        }
-        return Ok((estimate, Some(next)));
+        heading.inflated(&solution).add_to(problem, &mut estimate);
+        return Ok((estimate, path));
     }
     if problem.is_still && !solution.is_plain() {
         let moving = Problem { is_still: false, ..*problem };
-        return estimate_pose(&moving, solution.state, deviation_rad, None, scratch);
+        let before = FitPath { faces: false, ..*before };
+        return estimate_pose(&moving, solution.state, deviation_rad, &before, scratch);
     }
-    let mut robust = before.map(|before| before.after_plain());
+    let mut path = before.after_plain(false);
     let mut found = frontal::estimate(problem, &solution, &mut scratch.model);
     if let FrontalResult::Further(state) = found {
         solution = gauss_newton::solve(problem, state, &mut scratch.model)?;
@@ -74,6 +89,7 @@ pub fn estimate_pose(
     let (mut estimate, heading) = match found {
         FrontalResult::Facing(first, other, likelihood) if solution.is_plain() => {
             let estimate = frontal_pose(problem, &solution, first, other, likelihood);
+            path.faces = true;
             (estimate, heading.map(YawEstimate::decorrelated))
         }
         _ => {
@@ -81,15 +97,45 @@ pub fn estimate_pose(
                 Some(heading) if !solution.is_plain() => Some(heading.inflated(&solution)),
                 _ => heading,
             };
-            let (estimate, next) = tilted_pose(problem, solution, scratch)?;
-            robust = next.or(robust);
+            let robust = before.robust.as_ref();
+            let (estimate, next) = tilted_pose(problem, solution, robust, scratch)?;
+            path.robust = next.or(path.robust);
             (estimate, heading)
         }
     };
     if let Some(heading) = heading {
         heading.add_to(problem, &mut estimate);
     }
-    Ok((estimate, robust))
+    Ok((estimate, path))
+}
+
+impl FitPath {
+    /// After a frame for which the plain fit sufficed.
+    fn after_plain(&self, faces: bool) -> Self {
+        Self { robust: self.robust.map(RobustState::after_plain), faces }
+    }
+}
+
+/// The pose of a roundel that still nearly faces the camera, without steps to a minimum, which is
+/// flat there; `None` if it does not.
+fn still_facing(
+    problem: &Problem,
+    start: &State,
+    scratch: &mut ModelScratch,
+) -> Option<PoseEstimate> {
+    let mut equations = linearize(problem, start, None, scratch).ok()?;
+    let change = equations.bounded_step(start, equations.noise2(), 0.0)?;
+    let misfit = (equations.misfit - equations.gain(&change)).max(0.0);
+    let noise2 = equations.noise2_for(misfit);
+    let solution = Solution { state: start.clone(), misfit, noise2, iterations: 1, equations };
+    let found = frontal::estimate(problem, &solution, scratch);
+    let FrontalResult::Facing(first, other, likelihood) = found else { return None };
+    let equations = linearize(problem, &first.state, Some(&solution.equations), scratch).ok()?;
+    let (misfit, noise2) = (equations.misfit, equations.noise2());
+    let state = first.state.clone();
+    let solution = Solution { state, misfit, noise2, iterations: 4, equations };
+    let is_plain = solution.is_plain();
+    is_plain.then(|| frontal_pose(problem, &solution, first, other, likelihood))
 }
 
 /// The robust fit from the state of an earlier frame.
@@ -98,11 +144,12 @@ fn resume_robust(
     start: &State,
     before: &RobustState,
     scratch: &mut FitScratch,
-) -> Result<(PoseEstimate, RobustState), FitError> {
+) -> Result<(PoseEstimate, FitPath), FitError> {
     let still = Problem { is_still: true, ..*problem };
     let found = robust::solve(&still, &start.without_motion(), Some(before), scratch)?;
     check_disc(problem, scratch)?;
-    Ok(found)
+    let (estimate, next) = found;
+    Ok((estimate, FitPath { robust: Some(next), faces: false }))
 }
 
 /// A partly occluded rim of an elliptical disc would give a wrong heading.
@@ -142,6 +189,7 @@ fn frontal_pose(
 fn tilted_pose(
     problem: &Problem,
     mut solution: Solution,
+    before: Option<&RobustState>,
     scratch: &mut FitScratch,
 ) -> Result<(PoseEstimate, Option<RobustState>), FitError> {
     let Solution { state, equations, noise2, .. } = &solution;
@@ -181,7 +229,7 @@ fn tilted_pose(
         let without_motion = solution.state.without_motion();
         let start = gauss_newton::solve(&still, without_motion.clone(), &mut scratch.model);
         let start = start.map_or(without_motion, |solution| solution.state);
-        let (estimate, next) = robust::solve(&still, &start, None, scratch)?;
+        let (estimate, next) = robust::solve(&still, &start, before, scratch)?;
         check_disc(problem, scratch)?;
         return Ok((estimate, Some(next)));
     }

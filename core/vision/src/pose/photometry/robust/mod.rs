@@ -1,6 +1,6 @@
 //! The robust fit, for rings whose residual contradicts the plain model.
 //!
-//! In: the state where the plain fit ended. Out: a solution with a realistic covariance, or a
+//! In: the state where the plain fit ended, or that of the frame before (`resume`). Out: a solution with a realistic covariance, or a
 //! rejection. The image is the same, with these extensions:
 //!
 //! * **Clipped levels.** A pixel at an end of the scale states only that its level m, with noise ε
@@ -66,6 +66,8 @@ const STEPS: usize = 8;
 const MAX_LINEARIZATIONS: usize = 28;
 /// A step that decreases the misfit by fewer variances is the last one.
 const LAST_STEP: f64 = 0.3;
+/// Variance of a pixel before the first solution.
+const FIRST_NOISE2: f64 = 4.0;
 /// Lower limit of the standard deviation of a pixel.
 const MIN_NOISE: f64 = 0.5;
 /// Growth of the variance up to which one set of levels serves the whole ring.
@@ -136,7 +138,7 @@ pub fn solve(
     scratch: &mut FitScratch,
 ) -> Result<(PoseEstimate, RobustState), FitError> {
     let FitScratch { model, robust: scratch, .. } = scratch;
-    let reference = Reference { levels: [start.white, start.step], noise2: 4.0 };
+    let reference = Reference { levels: [start.white, start.step], noise2: FIRST_NOISE2 };
     let mut fitter = RobustFit {
         problem,
         model,
@@ -152,13 +154,14 @@ pub fn solve(
     };
     fitter.assign_cells(start);
     if let Some(before) = before
-        && let Some(start) = fitter.resume(start, before)
+        && let Some(resumed) = fitter.resume(start, before)
+        && let Ok(solution) = fitter.run_resumed(&resumed)
     {
-        let solution = fitter.run_resumed(&start)?;
         let mut next = fitter.state(&solution, Some(before));
         let (solution, second) = fitter.resumed_against_mirrored(solution, before, &mut next);
         return Ok((estimate(problem, solution, second)?, next));
     }
+    fitter.reset(start);
     let solution = fitter.run(start)?;
     let next = fitter.state(&solution, None);
     let (solution, second) = fitter.against_mirrored(solution);
@@ -189,6 +192,17 @@ fn no_step() -> SVector<f64, STILL> {
 }
 
 impl RobustFit<'_> {
+    /// Back to a first fit from a start.
+    fn reset(&mut self, start: &State) {
+        self.reference = Reference { levels: [start.white, start.step], noise2: FIRST_NOISE2 };
+        self.levels = LevelScope::Ring;
+        self.bloom_px = 0.0;
+        self.iterations = 0;
+        for cell in &mut self.scratch.cells {
+            (cell.kept, cell.levels) = (true, self.reference.levels);
+        }
+    }
+
     fn assign_cells(&mut self, state: &State) {
         let RobustScratch { assignment, cells, .. } = &mut *self.scratch;
         let window = &self.model.window;

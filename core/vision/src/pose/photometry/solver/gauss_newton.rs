@@ -88,7 +88,10 @@ pub fn solve(
             }
         }
         // The information hardly changes over a small step; the residual does.
-        let small = gain < SMALL_STEP * noise2 && damping.is_none() && state.is_small_turn(&change);
+        let radius_px = equations.ring.radius_px;
+        let small = gain < SMALL_STEP * noise2
+            && damping.is_none()
+            && state.is_small_turn(&change, radius_px);
         let reused = (small && !equations.reused).then_some(&equations);
         match linearize(problem, &next, reused, scratch) {
             // A change of the kernel table moves the misfit by less than a variance.

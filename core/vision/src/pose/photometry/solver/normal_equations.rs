@@ -151,7 +151,7 @@ impl NormalEquations {
             && change[BLUR].abs() < LAST_BLUR_PX * self.ring.radius_px
             && motion2 < LAST_MOTION_PX2 * LAST_MOTION_PX2
             && motion2 * self.information[(MOTION, MOTION)] < LAST_MOVE * self.noise2()
-            && state.is_small_turn(change)
+            && state.is_small_turn(change, self.ring.radius_px)
     }
 
     /// Whether noise explains the residual.

@@ -82,6 +82,8 @@ const MAX_TURN_RAD: f64 = 0.3;
 /// Share of the tilt up to which a rotation is small: near face-on the information about the tilt
 /// is proportional to its square.
 const SMALL_TURN: f64 = 0.3;
+/// Change of a rim by a rotation from face-on, pixels, which is linear enough.
+const SMALL_BEND_PX: f64 = 0.01;
 /// Sine of the tilt from which a first step separates the two normals.
 const MIN_TILT_SINE: f64 = 0.2;
 
@@ -144,9 +146,12 @@ impl State {
         1.0 - cosine * cosine
     }
 
-    pub fn is_small_turn(&self, change: &Unknowns) -> bool {
+    /// Whether a rotation is small: beside the tilt, or by what it changes of a rim of this radius.
+    pub fn is_small_turn(&self, change: &Unknowns, radius_px: f64) -> bool {
         let turn2 = change[TILT].powi(2) + change[TILT + 1].powi(2);
-        turn2 < SMALL_TURN * SMALL_TURN * self.tilt_sine2()
+        let sine2 = self.tilt_sine2();
+        let bend_px = radius_px * turn2.sqrt() * (turn2.sqrt() + sine2.sqrt());
+        turn2 < SMALL_TURN * SMALL_TURN * sine2 || bend_px < SMALL_BEND_PX
     }
 
     /// Whether the two normals differ by more than a first step; nearer to face-on its estimate of
