@@ -12,6 +12,7 @@ mod detect;
 mod documents;
 mod elliptical;
 mod end_to_end;
+mod field_cases;
 mod formation;
 mod fusion;
 mod healing;
