@@ -61,6 +61,7 @@ pub struct Observer {
     /// Results for the rings of the newest frame.
     located: Vec<Result<Located, PoseError>>,
     line_time_s: f64,
+    work: u64,
 }
 
 impl Observer {
@@ -80,7 +81,12 @@ impl Observer {
         let camera = core_camera(optics)?;
         let locator = Locator::new(camera, kinds.clone(), params.mode).with_line_time(line_time_s);
         let tracker = Tracker::new(Detector::new(kinds, params)?);
-        Ok(Self { tracker, locator, located: Vec::new(), line_time_s })
+        Ok(Self { tracker, locator, located: Vec::new(), line_time_s, work: 0 })
+    }
+
+    /// Work of all precise fits so far, as core counts it.
+    pub fn work(&self) -> u64 {
+        self.work
     }
 
     /// Detections in the next frame, whose centre row was exposed at `capture_ns`.
@@ -113,6 +119,7 @@ impl Observer {
         let time = Timestamp::from_ns(capture_ns);
         self.locator.locate_all_at(&frame, time, rings, &mut self.located);
         for (tracked, located) in rings.iter().zip(self.located.drain(..)) {
+            self.work += located.as_ref().map_or(0, |it| it.work);
             let (ring, pose) = located.map_or((tracked.ring, None), |it| (it.ring, Some(it.pose)));
             let row_s = (tracked.ring.outer.center.v - middle) * self.line_time_s;
             let capture_time = time.plus_seconds(row_s);

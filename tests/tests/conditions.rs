@@ -5,7 +5,12 @@ use Marker::{Coded, Plain};
 use Mode::{Fast, Precise};
 use roundel_core::marker::Mode;
 use roundel_tests::{
-    conditions::{Marker, all, score::Summary, trial::summaries},
+    conditions::{
+        Condition, Marker, all,
+        cost::{Picture, work_ratio},
+        score::Summary,
+        trial::summaries,
+    },
     precision::MODES,
 };
 
@@ -147,6 +152,29 @@ fn check(marker: Marker) {
             }
             if summary.false_detections > 0 {
                 problems.push(format!("{about}: {} false", summary.false_detections));
+            }
+        }
+    }
+    assert!(problems.is_empty(), "{}", problems.join("\n"));
+}
+
+/// Most work of followed roundels in precise mode, relative to ideal ones, of these sizes.
+const MAX_WORK: [(f64, f64); 2] = [(36.0, 3.0), (72.0, 6.0)];
+
+/// Conditions that need more yet, with the work that they need at most.
+const COSTLY: &[(&str, [f64; 2])] = &[];
+
+#[test]
+fn work_is_bounded_under_every_condition() {
+    let mut problems = Vec::new();
+    for (size, (diameter_px, max)) in MAX_WORK.into_iter().enumerate() {
+        let plain = Picture::new(&Condition::plain(), Plain, diameter_px);
+        for condition in all() {
+            let work = work_ratio(&Picture::new(&condition, Plain, diameter_px), &plain);
+            println!("{}, {diameter_px} px: {work:.1}", condition.name);
+            let listed = COSTLY.iter().find(|(name, _)| *name == condition.name);
+            if work > listed.map_or(max, |(_, works)| works[size]) {
+                problems.push(format!("{}, {diameter_px} px: {work:.1}", condition.name));
             }
         }
     }

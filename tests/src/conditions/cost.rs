@@ -28,6 +28,8 @@ pub const ROUNDELS: usize = GRID[0] * GRID[1];
 const PERIOD: usize = 12;
 /// Rounds are measured until their number and their time, seconds, are both reached, but no more than the last number.
 const ROUNDS: (usize, f64, usize) = (2, 0.4, 12);
+/// Rounds before the one whose work counts.
+const WORK_ROUNDS: usize = 2;
 
 /// Twelve roundels under one condition.
 pub struct Picture {
@@ -44,9 +46,8 @@ pub struct Cost {
     pub time: f64,
     /// Share of the roundels that are followed with a pose.
     pub followed: f64,
-    /// Work units per frame, which are the same in each run. `None` until core counts them: it would add the pixels of all
-    /// its linearizations, of all hypotheses and robust refits, and return the sum with each located ring.
-    pub work_units: Option<f64>,
+    /// Work of the precise fits ([`Observer::work`]), the same in each run; NaN in fast mode.
+    pub work: f64,
 }
 
 impl Picture {
@@ -120,8 +121,9 @@ struct Runner<'a> {
     picture: &'a Picture,
     observer: Observer,
     times_s: Vec<f64>,
-    /// Poses in the last round.
+    /// Poses and work in the last round.
     poses: usize,
+    work: u64,
     shown: i64,
 }
 
@@ -132,6 +134,7 @@ impl<'a> Runner<'a> {
             observer: picture.observer(mode),
             times_s: Vec::new(),
             poses: 0,
+            work: 0,
             shown: 0,
         };
         runner.round();
@@ -142,6 +145,7 @@ impl<'a> Runner<'a> {
     /// Shows all frames once.
     fn round(&mut self) {
         self.poses = 0;
+        let before = self.observer.work();
         for (frame, image) in self.picture.frames.iter().enumerate() {
             let time_ns = (self.shown as f64 / RATE_HZ * 1e9).round() as i64;
             self.shown += 1;
@@ -153,6 +157,7 @@ impl<'a> Runner<'a> {
                 *min_s = min_s.min(time_s);
             }
         }
+        self.work = self.observer.work() - before;
     }
 }
 
@@ -171,6 +176,19 @@ pub fn cost(picture: &Picture, plain: &Picture, mode: Mode) -> Cost {
     Cost {
         time: own_s / plain_s,
         followed: runners[0].poses as f64 / (ROUNDELS * PERIOD) as f64,
-        work_units: None,
+        work: work(&runners),
     }
+}
+
+/// The work alone, in the last of some rounds.
+pub fn work_ratio(picture: &Picture, plain: &Picture) -> f64 {
+    let mut runners = [picture, plain].map(|picture| Runner::new(picture, Mode::Precise));
+    for _ in 0..WORK_ROUNDS {
+        runners.iter_mut().for_each(Runner::round);
+    }
+    work(&runners)
+}
+
+fn work(runners: &[Runner; 2]) -> f64 {
+    runners[0].work as f64 / runners[1].work as f64
 }

@@ -110,7 +110,8 @@ pub fn run(options: &Options) -> ExitCode {
 fn row(summary: &Summary, cost: Option<Cost>) -> String {
     let [depth, position, normal] = summary.inside_shares().map(|share| 100.0 * share);
     let cost = cost.map_or(String::new(), |cost| {
-        let work = cost.work_units.map_or(String::new(), |work| format!(", work {work:.1}"));
+        let work =
+            if cost.work.is_nan() { String::new() } else { format!(", work {:.1}", cost.work) };
         let lost = if cost.followed < 0.99 {
             format!(" ({:.0} % followed)", 100.0 * cost.followed)
         } else {

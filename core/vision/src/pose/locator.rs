@@ -7,8 +7,9 @@
 //! Both modes start with the closed-form pose of the rims ([`super::locate`]). [`Mode::Precise`]
 //! then fits the grey levels ([`super::photometry`]), for a tracked ring from the state of earlier
 //! frames. When the fit rejects the ring (occlusion, washed out levels), the closed form with its
-//! own covariance is returned, and [`Located::by`] is [`Mode::Fast`]; after consecutive rejections the fit
-//! is tried in fewer frames.
+//! own covariance is returned, and [`Located::by`] is [`Mode::Fast`]. So it is while a track has spent
+//! more work than its allowance, which bounds the cost of rings in any picture to about four times that of
+//! an undisturbed one.
 //!
 //! A camera with a rolling shutter ([`Locator::with_line_time`]) needs the time of each frame
 //! ([`Locator::locate_all_at`]), so that moving rings are located at one instant
@@ -20,6 +21,7 @@
 
 use crate::{
     camera::Camera,
+    ellipse::Ellipse,
     frame::Frame,
     id::KindId,
     marker::{Kind, Mode, Ring, TrackedRing},
@@ -48,6 +50,8 @@ pub struct Located {
     pub by: Mode,
     /// Blur and noise, where they were fitted.
     pub image: Option<ImageQuality>,
+    /// Work of the precise fit, also of one that rejected the ring ([`FitScratch::work`]).
+    pub work: u64,
 }
 
 /// Blur and noise of the image at a ring.
@@ -88,17 +92,17 @@ struct PendingRing {
 #[derive(Clone, Copy, Debug, Default)]
 struct TrackedFit {
     history: Option<FitHistory>,
-    /// Consecutive fits that rejected the ring.
-    failures: u8,
-    /// Frames that the next fit waits for.
-    pause: u8,
+    /// Work that may be spent; negative after a costly fit.
+    credit: f64,
 }
 
-/// A fit that rejects the ring costs several times one that succeeds, and the next frame is hardly
-/// different. From this number of consecutive failures on, the next fit waits …
-const FAILURES: u8 = 2;
-/// … for 1, 3, 7 frames, up to this power of two.
-const MAX_PAUSE_BITS: u8 = 5;
+/// Work per frame that a track may spend on average, relative to the ring's pixels. The fit of an
+/// undisturbed ring takes 2, one that starts from nothing in a shadow or an occlusion 50 to 100.
+const ALLOWANCE: f64 = 8.0;
+/// Largest credit, in allowances.
+const MAX_CREDIT: f64 = 3.0;
+/// Distance from the outer rim up to which pixels count.
+const REACH_PX: f64 = 3.0;
 
 /// Confidence of a track's code from which a frame that does not read it uses the teeth of earlier
 /// frames.
@@ -290,7 +294,7 @@ fn kind_of(kinds: &[Kind], id: Option<KindId>) -> Result<&Kind, PoseError> {
 
 impl Located {
     fn from_rims(ring: &Ring, pose: RoundelPose) -> Self {
-        Self { ring: *ring, pose, by: Mode::Fast, image: None }
+        Self { ring: *ring, pose, by: Mode::Fast, image: None, work: 0 }
     }
 
     /// Fits the grey levels in precise mode, and adds the yaw of a code.
@@ -301,19 +305,21 @@ impl Located {
         fit: &mut TrackedFit,
         scratch: &mut FitScratch,
     ) {
-        if mode == Mode::Precise && fit.is_due() {
+        if mode == Mode::Precise && fit.is_due(&input.ring.outer) {
+            let before = scratch.work();
             let found = photometry::fit_tracked(input, &self.pose, fit.history.as_ref(), scratch);
             if let Ok((fitted, next)) = found {
-                *fit = TrackedFit { history: Some(next), failures: 0, pause: 0 };
+                fit.history = Some(next);
                 *self = Self {
                     ring: fitted.ring,
                     pose: fitted.pose,
                     by: Mode::Precise,
                     image: Some(ImageQuality { blur_px: fitted.blur_px, noise: fitted.noise }),
+                    work: 0,
                 };
-            } else {
-                fit.failed();
             }
+            self.work = scratch.work() - before;
+            fit.credit -= self.work as f64;
         }
         // A fit of the teeth includes the yaw.
         if let Some(reading) = &input.ring.code
@@ -326,16 +332,13 @@ impl Located {
 }
 
 impl TrackedFit {
-    /// Whether the frame's ring is fitted; counts the frame.
-    fn is_due(&mut self) -> bool {
-        let is_due = self.pause == 0;
-        self.pause = self.pause.saturating_sub(1);
+    /// Adds a frame's allowance; returns whether the ring is fitted in it.
+    fn is_due(&mut self, outer: &Ellipse) -> bool {
+        let area_px2 = std::f64::consts::PI * outer.grown(REACH_PX).mean_radius_px().powi(2);
+        let allowance = ALLOWANCE * area_px2;
+        let is_due = self.credit >= 0.0;
+        self.credit = (self.credit + allowance).min(MAX_CREDIT * allowance);
         is_due
-    }
-
-    fn failed(&mut self) {
-        self.failures = self.failures.saturating_add(1).min(FAILURES + MAX_PAUSE_BITS);
-        self.pause = (1 << self.failures.saturating_sub(FAILURES)) - 1;
     }
 }
 

@@ -211,6 +211,12 @@ impl FitScratch {
         Self { model: ModelScratch::new(level), robust: RobustScratch::default(), size: [0; 2] }
     }
 
+    /// Work of all fits so far: pixels of all linearizations, those of the robust fit, which take longer, four times. A measure of
+    /// cost that is the same in each run.
+    pub fn work(&self) -> u64 {
+        self.model.work
+    }
+
     /// Reserves memory for any ring in the frame; pages that no ring uses are not touched.
     fn reserve(&mut self, frame: &Frame) {
         let size = [frame.width(), frame.height()];

@@ -38,6 +38,8 @@ pub struct ModelScratch {
     pub nodes: Nodes,
     pub window: Window,
     pub sums: ProductSums,
+    /// Work of all linearizations so far, see [`super::FitScratch::work`].
+    pub work: u64,
 }
 
 impl ModelScratch {
@@ -50,6 +52,7 @@ impl ModelScratch {
             nodes: Nodes::default(),
             window: Window::default(),
             sums: ProductSums::default(),
+            work: 0,
         }
     }
 }

@@ -49,6 +49,8 @@ pub struct Window {
     first: usize,
     /// Columns of the counted pixels of each row from `first` on.
     spans: Vec<(usize, usize)>,
+    /// Number of counted pixels.
+    pub counted: usize,
     /// Grey values of the current row, then its residuals.
     grey: Vec<f32>,
     patches: Patches,
@@ -100,6 +102,7 @@ impl Window {
         let max = frame.width() as i64 - left;
         let max = max.clamp(min, (self.width - DIFFERENCE) as i64);
         self.spans.clear();
+        self.counted = 0;
         for row in self.first..=row_of(end) {
             let v = top + row as i64;
             if !(0..frame.height() as i64).contains(&v) {
@@ -111,6 +114,7 @@ impl Window {
             let to = (ceil(end) - left).clamp(from, max) as usize;
             let (first, from) = ((left + from) as usize, from as usize);
             self.spans.push((from, to));
+            self.counted += to - from;
             self.pixels[row * self.width..][from..to]
                 .copy_from_slice(&frame.row(v as usize)[first..][..to - from]);
         }

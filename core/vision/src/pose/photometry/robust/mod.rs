@@ -66,6 +66,8 @@ const STEPS: usize = 8;
 const MAX_LINEARIZATIONS: usize = 28;
 /// A step that decreases the misfit by fewer variances is the last one.
 const LAST_STEP: f64 = 0.3;
+/// Work of a pixel, relative to the plain fit.
+const ROBUST_WORK: u64 = 4;
 /// Variance of a pixel before the first solution.
 const FIRST_NOISE2: f64 = 4.0;
 /// Lower limit of the standard deviation of a pixel.
@@ -369,6 +371,7 @@ impl RobustFit<'_> {
     fn assemble(&mut self, state: &State) -> Result<NormalEquations, FitError> {
         self.iterations += 1;
         self.taken = no_step();
+        self.model.work += ROBUST_WORK * self.model.window.counted as u64;
         let model = linearize::draw(self.problem, state, self.bloom_px, self.model)?;
         if self.levels == LevelScope::Ring {
             self.reference.levels = [state.white, state.step];

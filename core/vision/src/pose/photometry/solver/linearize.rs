@@ -30,6 +30,7 @@ pub fn linearize(
     scratch: &mut ModelScratch,
 ) -> Result<NormalEquations, FitError> {
     let model = draw(problem, state, 0.0, scratch)?;
+    scratch.work += scratch.window.counted as u64;
     let sums = &mut scratch.sums;
     scratch.window.gather(scratch.level, &model, sums, reuse.is_none());
     let mut equations = match reuse {
