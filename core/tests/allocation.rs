@@ -5,6 +5,7 @@ mod drawing;
 use drawing::{Drawing, Roundel, SIDE, ellipse, frame};
 use roundel_core::{
     camera::{Camera, Intrinsics, Lens},
+    id::TrackNumber,
     marker::{
         Code, CodeLayout, Detector, Kind, Mode, Params, Pattern, Scratch, TrackedRing, Tracker,
     },
@@ -244,6 +245,10 @@ fn poses_of_any_picture_allocate_nothing_after_the_first() {
             ];
             late.push((clean, rings.clone()));
             late.extend(disturbed.map(|picture| (picture, rings.clone())));
+        }
+        // Tracks of their own: the allowance of one would not pay for all these fits.
+        for (number, (_, rings)) in (100..).zip(&mut late) {
+            rings[0].track = TrackNumber(number);
         }
         let mut locator = Locator::new(camera(), kinds.clone(), Mode::Precise);
         let mut located = Vec::with_capacity(8);
