@@ -66,7 +66,7 @@ mod tests {
     fn a_dark_picture_of_a_sequence_is_not_brightened() {
         let mut depth = SampleDepth::default();
         assert_eq!(depth.unscaled_bits(), None);
-        for (sample, bits) in [(700, Some(10)), (3001, Some(12)), (701, Some(12)), (40_001, None)] {
+        for (sample, bits) in [(702, Some(10)), (3001, Some(12)), (701, Some(12)), (40_001, None)] {
             depth.update(&[sample], None);
             assert_eq!(depth.unscaled_bits(), bits, "{sample}");
         }
