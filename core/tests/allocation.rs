@@ -231,7 +231,7 @@ fn poses_of_any_picture_allocate_nothing_after_the_first() {
         }
     };
     // Minimum number of the twelve pictures that are fitted.
-    for (kinds, min) in [(plain, 8), (elliptical, 4), (coded, 0)] {
+    for (kinds, min) in [(plain, 6), (elliptical, 4), (coded, 0)] {
         let kind = &kinds[0];
         let first = lit(14.0, 0.7, kind, |_, _| {});
         let mut late = Vec::new();

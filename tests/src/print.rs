@@ -117,9 +117,9 @@ pub struct Bend {
 /// Differences between a design and its print.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Printing {
-    /// Of all lengths.
+    /// Factor on all lengths.
     pub scale: f64,
-    /// Of white ink's lengths besides, and so of the ratio of the diameters.
+    /// Further factor on the lengths of white ink, which changes the ratio of the diameters.
     pub ratio: f64,
     /// Distance that black spreads into white across every rim.
     pub spread_m: f64,

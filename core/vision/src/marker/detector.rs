@@ -21,11 +21,9 @@ use crate::{
         params::{self, DetectorError, Params},
         reject::{Reject, RejectCounts, Rejected, Rejects},
         ring::{
-            checks::MAX_SPREAD_PX2,
-            hard_edges::{SOFTENING_PX2, are_hard, soften},
-            measure::{MeasureScratch, measure, own_threshold},
+            measure::{MeasureScratch, measure},
             probe::{Probe, Rules},
-            shadow::find_edge,
+            shadow::{LightSample, MAX_SAMPLES, find_edge},
         },
         search::{
             SearchRules, SearchScratch,
@@ -51,8 +49,6 @@ const SHADOW_SHARE: f64 = 0.25;
 const SHADOW_LEFT: f64 = 0.4;
 /// The light across a ring with a more uneven rim is searched for the edge of a shadow.
 pub(crate) const UNEVEN: f64 = 0.035;
-/// Tolerance of steps along the rims of a softened ring, as a share of the contrast.
-const STEPS_SHARE: f64 = 0.08;
 /// Margin of the window around a candidate: a factor, and pixels.
 const WINDOW_MARGIN: (f64, f64) = (1.25, 3.0);
 
@@ -86,6 +82,8 @@ pub struct Scratch {
     pub(crate) search: SearchScratch,
     /// A corrected window of the frame.
     corrected: Vec<u8>,
+    /// Pixels that show the light.
+    samples: Vec<LightSample>,
     pub(crate) found: Vec<Ring>,
     pub(crate) claims: Vec<Claim>,
     pub(crate) rejects: Rejects,
@@ -103,6 +101,7 @@ impl Scratch {
         self.batch.reserve(size.1);
         self.search.reserve(size.0);
         reserve_total(&mut self.corrected, size.0 * size.1);
+        reserve_total(&mut self.samples, MAX_SAMPLES);
         let max = max_roundels.min(RESERVED_RINGS);
         reserve_total(&mut self.found, max);
         reserve_total(&mut self.claims, max);
@@ -141,8 +140,6 @@ impl Detector {
             min_semi_minor_px: params.min_semi_minor_px,
             min_axis_ratio: params.min_axis_ratio,
             min_contrast: f64::from(params.min_contrast),
-            max_spread_px2: MAX_SPREAD_PX2,
-            steps_share: 0.0,
         };
         let search_rules = SearchRules::new(&kinds, &rules, params.min_contrast);
         let has = |polarity| kinds.iter().any(|kind| kind.polarity == polarity);
@@ -207,7 +204,7 @@ impl Detector {
         probe: &Probe,
         scratch: &mut MeasureScratch,
     ) -> Result<Ring, Reject> {
-        let ring = self.measure_any(frame, probe, &self.rules, scratch)?;
+        let ring = self.measure_any(frame, probe, scratch)?;
         if self.mask.covers(ring.outer.center) { Err(Reject::Masked) } else { Ok(ring) }
     }
 
@@ -225,52 +222,38 @@ impl Detector {
             return measured;
         }
         let levels = (last.black, last.white);
-        let again =
-            self.measure_again(frame, probe, levels, scratch, |frame, probe, rules, scratch| {
-                self.measure_any(frame, probe, rules, scratch)
-            });
+        let again = self.measure_again(frame, probe, levels, scratch, |frame, probe, scratch| {
+            self.measure_any(frame, probe, scratch)
+        });
         match again {
             Ok(ring) if ring.unevenness < unevenness => Ok(ring),
             _ => measured,
         }
     }
 
-    /// The ring at a probe in a corrected picture of its surroundings: softened where pixels are hard steps, and with
-    /// even light where the edge of a shadow crosses it. `levels` are those of black and white in the light.
+    /// The ring at a probe in a corrected picture of its surroundings, with even light where the edge of a shadow
+    /// crosses it. `levels` are those of black and white in the light.
     fn measure_again(
         &self,
         frame: &Frame,
         probe: &Probe,
         (dark, bright): (f64, f64),
         scratch: &mut Scratch,
-        measure: impl Fn(&Frame, &Probe, &Rules, &mut MeasureScratch) -> Result<Ring, Reject>,
+        measure: impl Fn(&Frame, &Probe, &mut MeasureScratch) -> Result<Ring, Reject>,
     ) -> Result<Ring, Reject> {
-        let Scratch { corrected, measure: memory, .. } = scratch;
+        let Scratch { corrected, samples, measure: memory, .. } = scratch;
         let window = probe.bounds;
-        let mut rules = self.rules;
-        let mut common_threshold = None;
-        let threshold;
-        if are_hard(frame, &window, bright - dark) {
-            soften(frame, &window, corrected);
-            rules.max_spread_px2 += SOFTENING_PX2;
-            rules.steps_share = STEPS_SHARE;
-            threshold = own_threshold(dark, bright);
-        } else {
-            let probe = probe.with_frame_threshold(shadow_level(dark, bright));
-            let edge = find_edge(frame, &probe, memory).ok_or(Reject::Contrast)?;
-            edge.even_out(frame, &window, corrected);
-            threshold = edge.threshold();
-            common_threshold = Some(edge.common_threshold());
-        }
+        let in_light = probe.with_frame_threshold(shadow_level(dark, bright));
+        let edge = find_edge(frame, &in_light, memory, samples).ok_or(Reject::Contrast)?;
+        edge.even_out(frame, &window, corrected);
         let frame = Frame::new(corrected, window.width(), window.height(), window.width())
             .map_err(|_| Reject::FrameEdge)?;
-        let probe = probe.within_bounds().with_frame_threshold(threshold);
-        let ring =
-            measure(&frame, &probe, &rules, memory)?.moved(window.left as f64, window.top as f64);
+        let probe = probe.within_bounds().with_frame_threshold(edge.threshold());
+        let ring = measure(&frame, &probe, memory)?.moved(window.left as f64, window.top as f64);
         if self.mask.covers(ring.outer.center) {
             return Err(Reject::Masked);
         }
-        Ok(Ring { threshold: common_threshold.unwrap_or(ring.threshold), ..ring })
+        Ok(Ring { threshold: edge.common_threshold(), ..ring })
     }
 
     /// A ring whose teeth are decoded is coded. Otherwise it is measured as a plain one; if that
@@ -279,17 +262,16 @@ impl Detector {
         &self,
         frame: &Frame,
         probe: &Probe,
-        rules: &Rules,
         scratch: &mut MeasureScratch,
     ) -> Result<Ring, Reject> {
         if self.coded.is_empty() {
-            return measure(frame, probe, rules, &self.kinds, scratch);
+            return measure(frame, probe, &self.rules, &self.kinds, scratch);
         }
-        let coded = coded::measure(frame, probe, rules, &self.coded, scratch.level);
+        let coded = coded::measure(frame, probe, &self.rules, &self.coded, scratch.level);
         if coded.is_ok_and(|ring| ring.code.is_some()) || self.coded.len() == self.kinds.len() {
             return coded;
         }
-        let plain = measure(frame, probe, rules, &self.kinds, scratch);
+        let plain = measure(frame, probe, &self.rules, &self.kinds, scratch);
         plain.or_else(|reject| coded.map_err(|_| reject))
     }
 
@@ -382,7 +364,7 @@ impl Detector {
         scratch: &mut Scratch,
     ) -> Result<Ring, Reject> {
         let probe = probe_of(frame, candidate, polarity);
-        let ring = self.measure_new(frame, &probe, &self.rules, &mut scratch.measure)?;
+        let ring = self.measure_new(frame, &probe, &mut scratch.measure)?;
         self.unclaimed(ring, scratch)
     }
 
@@ -404,10 +386,9 @@ impl Detector {
         let candidate = cross(frame, hit, threshold, &rules.cross, polarity).ok()?;
         let probe = probe_of(frame, &candidate, polarity);
         let levels = (dark, bright);
-        let ring =
-            self.measure_again(frame, &probe, levels, scratch, |frame, probe, rules, scratch| {
-                self.measure_new(frame, probe, rules, scratch)
-            });
+        let ring = self.measure_again(frame, &probe, levels, scratch, |frame, probe, scratch| {
+            self.measure_new(frame, probe, scratch)
+        });
         self.unclaimed(ring.ok()?, scratch).ok()
     }
 
@@ -416,13 +397,12 @@ impl Detector {
         &self,
         frame: &Frame,
         probe: &Probe,
-        rules: &Rules,
         scratch: &mut MeasureScratch,
     ) -> Result<Ring, Reject> {
-        let ring = self.measure_any(frame, probe, rules, scratch)?;
+        let ring = self.measure_any(frame, probe, scratch)?;
         let pattern = self.kind_of(&ring).map_or(Pattern::Plain, |kind| kind.pattern);
         let smooth = !matches!(pattern, Pattern::Coded(_));
-        check_rims(frame, &ring, smooth, rules.steps_share)?;
+        check_rims(frame, &ring, smooth)?;
         if smooth {
             check_center(frame, &ring)?;
         }

@@ -8,7 +8,7 @@
 //! then fits the grey levels ([`super::photometry`]), for a tracked ring from the state of earlier
 //! frames. When the fit rejects the ring (occlusion, washed out levels), the closed form with its
 //! own covariance is returned, and [`Located::by`] is [`Mode::Fast`]. So it is while a track has spent
-//! more work than its allowance, which bounds the cost of rings in any picture to about seven times that of
+//! more work than its allowance, which bounds the cost of rings in any picture to about twenty times that of
 //! an undisturbed one.
 //!
 //! A camera with a rolling shutter ([`Locator::with_line_time`]) needs the time of each frame
@@ -98,7 +98,7 @@ struct TrackedFit {
 
 /// Work per frame that a track may spend on average, relative to the ring's pixels. The fit of an
 /// undisturbed ring takes 2, a resumed robust fit about 12, and one that starts from nothing 50 to 200.
-const ALLOWANCE: f64 = 14.0;
+const ALLOWANCE: f64 = 40.0;
 /// Largest credit, in allowances.
 const MAX_CREDIT: f64 = 3.0;
 /// Distance from the outer rim up to which pixels count.

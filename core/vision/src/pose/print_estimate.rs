@@ -31,7 +31,9 @@ const RATIO_PRIOR: f64 = 0.02;
 /// Standard deviation of t by cameras: gamma, sharpening, thresholds.
 const SHIFT_PRIOR_PX: f64 = 0.1;
 /// Standard deviations from which a deviation counts.
-const SIGNIFICANT: f64 = 3.0;
+const SIGNIFICANT: f64 = 4.0;
+/// Error of a rim by motion and light that the rims' noise does not contain, pixels.
+const UNMODELLED_PX: f64 = 0.01;
 /// Number of consecutive frames with the same systematic error of the rims.
 const CORRELATED_FRAMES: f64 = 25.0;
 /// White and black this close to the ends of the scale are clipped.
@@ -206,8 +208,8 @@ impl RatioMeasurement {
             let around_px = std::f64::consts::TAU * rim.mean_radius_px();
             found.per_px += growth;
             found.noise += (growth * errors.edge_px).powi(2) / around_px;
-            found.lasting +=
-                (growth * errors.floor_px).powi(2) + (growth * errors.uneven_px).powi(2);
+            found.lasting += growth.powi(2)
+                * (errors.floor_px.powi(2) + errors.uneven_px.powi(2) + UNMODELLED_PX.powi(2));
         }
         found.deviation.is_finite().then_some(found)
     }

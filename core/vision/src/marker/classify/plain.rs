@@ -18,7 +18,7 @@ const SHIFT_PX: f64 = 0.7;
 /// white of 2.2 times what the sensor holds and a blur of σ, the rims move by 0.9 σ …
 const CLIPPED: f64 = 250.0;
 /// … for which this is added to their largest shift, pixels.
-const CLIPPED_PX: f64 = 0.5;
+const CLIPPED_PX: f64 = 0.0;
 
 /// Whether white of this level may be cut off.
 #[inline(always)]

@@ -51,7 +51,6 @@ use crate::{
                 segments::{Segments, Spans},
             },
             probe::{Probe, Rules},
-            shadow::{LightSample, MAX_SAMPLES},
             subpixel::{
                 BandLayout, RefinedRims, SegmentSizes, refine_rims, thin_ring::RimDistances,
             },
@@ -75,7 +74,6 @@ pub(crate) struct MeasureScratch {
     pub(super) spans: Spans,
     pub(super) bands: BandScratch,
     distances: RimDistances,
-    pub(super) samples: Vec<LightSample>,
 }
 
 impl Default for MeasureScratch {
@@ -86,7 +84,6 @@ impl Default for MeasureScratch {
             spans: Spans::default(),
             bands: BandScratch::new(),
             distances: RimDistances::default(),
-            samples: Vec::new(),
         }
     }
 }
@@ -99,7 +96,6 @@ impl MeasureScratch {
         self.spans.reserve(height);
         reserve_total(&mut self.bands, edge_band::max_words(words, height));
         self.distances.reserve(width, height);
-        reserve_total(&mut self.samples, MAX_SAMPLES);
     }
 }
 

@@ -234,6 +234,11 @@ impl FitScratch {
 const REACH: (f64, f64) = (3.0, 3.5);
 /// Half of the motion adds to the reach, up to this.
 const MAX_MOTION_PX: f64 = 8.0;
+/// Reach by the usual margin of small rings: a share of the outer semiaxis, less pixels for the blur of
+/// the paper's edge …
+const USUAL_MARGIN: (f64, f64) = (0.3, 0.8);
+/// … but at least this.
+const MIN_REACH_PX: f64 = 0.6;
 /// Width up to which a margin is searched, pixels.
 const MAX_CLEAR_PX: f64 = 6.0;
 /// A margin that is clear up to less than the first distance, pixels, shifts the outer rim by the
@@ -296,7 +301,8 @@ fn fit_outcome(
     let reach_px = REACH.0.max(REACH.1 * blur_px) + 0.5 * motion_px.norm();
     let clear_px =
         memory.clear_px.unwrap_or_else(|| margin::clear_px(frame, ring, MAX_CLEAR_PX, blur_px));
-    let reach_px = reach_px.min(clear_px);
+    let narrow_px = (USUAL_MARGIN.0 * ring.outer.semi_minor_px - USUAL_MARGIN.1).max(MIN_REACH_PX);
+    let reach_px = reach_px.min(narrow_px).min(clear_px);
     model.window.set_region(frame, &ring.outer.grown(reach_px));
     let problem = Problem {
         kind,

@@ -72,11 +72,11 @@ pub(crate) fn find_edge(
     frame: &Frame,
     probe: &Probe,
     scratch: &mut MeasureScratch,
+    samples: &mut Vec<LightSample>,
 ) -> Option<ShadowEdge> {
-    if !collect(frame, probe, scratch) {
+    if !collect(frame, probe, scratch, samples) {
         return None;
     }
-    let samples = &mut scratch.samples;
     let found = edge_of(samples, probe.center);
     if found.is_some() {
         return found;
@@ -212,7 +212,7 @@ impl ShadowEdge {
     fn of_split(samples: &[LightSample], split: &Split, origin: (usize, usize)) -> Option<Self> {
         let (sin, cos) = split.direction_rad.sin_cos();
         let distance = |sample: &LightSample| sample.u * cos + sample.v * sin - split.offset_px;
-        // Of the dark and bright ones before and beyond the line; all of them where few are far enough from it.
+        // The dark and bright ones before and beyond the line; all of them where few are far enough from it.
         let mut sums = [[LevelSum::default(); 2]; 2];
         let mut all = sums;
         for sample in samples {

@@ -37,9 +37,14 @@ pub(crate) struct LightSample {
     pub is_margin: bool,
 }
 
-/// Fills `scratch.samples` for the ring at a probe; false if there is no ring by its threshold.
-pub(super) fn collect(frame: &Frame, probe: &Probe, scratch: &mut MeasureScratch) -> bool {
-    dispatch!(scratch.level, simd => collect_with(simd, frame, probe, scratch))
+/// Fills `samples` for the ring at a probe; false if there is no ring by its threshold.
+pub(super) fn collect(
+    frame: &Frame,
+    probe: &Probe,
+    scratch: &mut MeasureScratch,
+    samples: &mut Vec<LightSample>,
+) -> bool {
+    dispatch!(scratch.level, simd => collect_with(simd, frame, probe, scratch, samples))
 }
 
 #[simd]
@@ -48,8 +53,9 @@ fn collect_with<S: Simd>(
     frame: &Frame,
     probe: &Probe,
     scratch: &mut MeasureScratch,
+    samples: &mut Vec<LightSample>,
 ) -> bool {
-    let MeasureScratch { patch, spans, bands, samples, .. } = scratch;
+    let MeasureScratch { patch, spans, bands, .. } = scratch;
     samples.clear();
     Patch::load(simd, patch, frame, probe.bounds, probe.frame_threshold());
     let Ok(Segments { disc, ring, .. }) = Segments::find(simd, frame, patch, probe.center, spans)
