@@ -8,7 +8,7 @@
 //! then fits the grey levels ([`super::photometry`]), for a tracked ring from the state of earlier
 //! frames. When the fit rejects the ring (occlusion, washed out levels), the closed form with its
 //! own covariance is returned, and [`Located::by`] is [`Mode::Fast`]. So it is while a track has spent
-//! more work than its allowance, which bounds the cost of rings in any picture to about twenty times that of
+//! more work than its allowance, which bounds the cost of rings in any picture to about ten times that of
 //! an undisturbed one.
 //!
 //! A camera with a rolling shutter ([`Locator::with_line_time`]) needs the time of each frame
@@ -92,15 +92,15 @@ struct PendingRing {
 #[derive(Clone, Copy, Debug, Default)]
 struct TrackedFit {
     history: Option<FitHistory>,
-    /// Work that may be spent; negative after a costly fit.
-    credit: f64,
+    /// Work that may be spent; negative after costly fits, `None` before the first frame.
+    credit: Option<f64>,
 }
 
 /// Work per frame that a track may spend on average, relative to the ring's pixels. The fit of an
 /// undisturbed ring takes 2, a resumed robust fit about 12, and one that starts from nothing 50 to 200.
-const ALLOWANCE: f64 = 40.0;
-/// Largest credit, in allowances.
-const MAX_CREDIT: f64 = 3.0;
+const ALLOWANCE: f64 = 20.0;
+/// Credit of a new track, for its first fits, and limit of what is saved up, in allowances.
+const CREDIT: (f64, f64) = (15.0, 3.0);
 /// Distance from the outer rim up to which pixels count.
 const REACH_PX: f64 = 3.0;
 
@@ -319,7 +319,7 @@ impl Located {
                 };
             }
             self.work = scratch.work() - before;
-            fit.credit -= self.work as f64;
+            fit.credit = fit.credit.map(|credit| credit - self.work as f64);
         }
         // A fit of the teeth includes the yaw.
         if let Some(reading) = &input.ring.code
@@ -336,9 +336,9 @@ impl TrackedFit {
     fn is_due(&mut self, outer: &Ellipse) -> bool {
         let area_px2 = std::f64::consts::PI * outer.grown(REACH_PX).mean_radius_px().powi(2);
         let allowance = ALLOWANCE * area_px2;
-        let is_due = self.credit >= 0.0;
-        self.credit = (self.credit + allowance).min(MAX_CREDIT * allowance);
-        is_due
+        let credit = self.credit.unwrap_or(CREDIT.0 * allowance);
+        self.credit = Some((credit + allowance).min(credit.max(CREDIT.1 * allowance)));
+        credit >= 0.0
     }
 }
 
