@@ -3,7 +3,7 @@
 use crate::{
     marker::{
         batch::table::{RimRows, Row, Table},
-        classify::plain::{NearestKind, shift_limits_px},
+        classify::plain::NearestKind,
         kind::Kind,
         ring::{
             checks::{ShapeTests, are_levels, is_inside},
@@ -71,8 +71,7 @@ impl<T: Lane> Rims<T> {
         ];
         let is_white = table.read(zero, Row::IsWhite, 0).is_positive();
         let [outer_px, inner_px] = [[raw[0].a, raw[0].b], [raw[1].a, raw[1].b]];
-        let nearest =
-            NearestKind::new(outer_px, inner_px, is_white, shift_limits_px(outer_px), kinds);
+        let nearest = NearestKind::new(outer_px, inner_px, is_white, kinds);
         let by_px = nearest.shift_px;
         let compensated = [
             LaneEllipse { a: raw[0].a + by_px, b: raw[0].b + by_px, ..raw[0] },

@@ -25,7 +25,7 @@ use crate::{
     marker::{
         classify::{
             compensation::{compensated, rim_shift_px},
-            plain::Classified,
+            plain::{Classified, shift_limit_px},
         },
         kind::{Kind, Pattern, Polarity},
     },
@@ -45,8 +45,8 @@ pub(crate) fn nearest_kind(
     similar: bool,
     outer: &Ellipse,
     inner: &Ellipse,
-    limit_px: f64,
 ) -> Option<Classified> {
+    let limit_px = shift_limit_px(outer);
     let mut best: Option<(f64, Classified)> = None;
     let may_be = |kind: &Kind| match kind.pattern {
         Pattern::Plain => similar,
@@ -96,8 +96,6 @@ pub(crate) mod tests {
     use super::*;
     use crate::{camera::PixelPoint, ellipse::Symmetric2};
 
-    const LIMIT_PX: f64 = 1.0;
-
     /// A disc with the ratios p, q, its longer axis at `turn_rad` on the print, which is tilted
     /// about an axis at `about_rad`; both rims shifted by `shift_px`.
     pub(crate) fn rims(
@@ -146,14 +144,14 @@ pub(crate) mod tests {
             let shift_px = shift * (radius_px / 75.0).min(0.3);
             let tilt = (cos_tilt, about_rad);
             let (outer, inner) = rims(radius_px, (max, min), turn_rad, tilt, shift_px);
-            let found = nearest_kind(&kinds, Polarity::BlackRing, true, &outer, &inner, LIMIT_PX);
+            let found = nearest_kind(&kinds, Polarity::BlackRing, true, &outer, &inner);
             let Classified { kind, inner, .. } = found.unwrap();
             prop_assert_eq!(kind, KindId(drawn as u16));
             let (_, exact) = rims(radius_px, (max, min), turn_rad, tilt, 0.0);
             // A shift of both semiaxes is not an exact shift of an ellipse: a small error remains.
             prop_assert!((inner.semi_major_px - exact.semi_major_px).abs() < 0.05);
             let alone = [kinds[drawn].clone()];
-            let white = nearest_kind(&alone, Polarity::WhiteRing, true, &outer, &inner, LIMIT_PX);
+            let white = nearest_kind(&alone, Polarity::WhiteRing, true, &outer, &inner);
             prop_assert!(white.is_none());
         }
     }
@@ -162,18 +160,15 @@ pub(crate) mod tests {
     fn a_disc_of_no_kind_is_rejected() {
         let kinds = [Kind::plain("", 1.0, 0.5)];
         let (outer, inner) = rims(30.0, (0.65, 0.385), 0.4, (0.8, 0.3), 0.0);
-        assert!(
-            nearest_kind(&kinds, Polarity::BlackRing, true, &outer, &inner, LIMIT_PX).is_none()
-        );
+        assert!(nearest_kind(&kinds, Polarity::BlackRing, true, &outer, &inner).is_none());
     }
 
     #[test]
     fn a_plain_kind_needs_similar_rims() {
         let kinds = [Kind::plain("", 1.0, 0.5)];
         let (outer, inner) = rims(8.0, (0.5, 0.5), 0.4, (0.8, 0.3), 0.0);
-        let found = |similar| {
-            nearest_kind(&kinds, Polarity::BlackRing, similar, &outer, &inner, LIMIT_PX).is_some()
-        };
+        let found =
+            |similar| nearest_kind(&kinds, Polarity::BlackRing, similar, &outer, &inner).is_some();
         assert!(found(true) && !found(false));
     }
 }

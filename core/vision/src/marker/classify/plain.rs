@@ -12,25 +12,13 @@ use crate::{
 
 /// Largest shift of a rim as a share of the outer radius …
 const SHIFT_SHARE: f64 = 0.02;
-/// … plus pixels: ink and bright white move each rim by half a pixel and more.
+/// … plus pixels: saturated white blooms by half a pixel and more at each rim.
 const SHIFT_PX: f64 = 0.7;
-/// White from this level on may be cut off, so that half of the observed contrast is less than half of the real one. With
-/// white of 2.2 times what the sensor holds and a blur of σ, the rims move by 0.9 σ …
-const CLIPPED: f64 = 250.0;
-/// … for which this is added to their largest shift, pixels.
-const CLIPPED_PX: f64 = 0.0;
 
-/// Whether white of this level may be cut off.
+/// Largest shift of both rims of a kind, pixels.
 #[inline(always)]
-pub(crate) fn is_clipped(white: f64) -> bool {
-    white >= CLIPPED
-}
-
-/// Largest shift of both rims of a kind, pixels, by the level of white.
-#[inline(always)]
-pub(crate) fn shift_limit_px(outer: &Ellipse, white: f64) -> f64 {
-    let clipped_px = if is_clipped(white) { CLIPPED_PX } else { 0.0 };
-    SHIFT_PX + SHIFT_SHARE * outer.mean_radius_px() + clipped_px
+pub(crate) fn shift_limit_px(outer: &Ellipse) -> f64 {
+    SHIFT_PX + SHIFT_SHARE * outer.mean_radius_px()
 }
 
 /// The kind of a ring, and its rims compensated for it.
@@ -55,11 +43,10 @@ pub(crate) fn nearest_kind(
     polarity: Polarity,
     outer: &Ellipse,
     inner: &Ellipse,
-    limit_px: f64,
 ) -> Option<Classified> {
     let semiaxes = |rim: &Ellipse| [rim.semi_major_px, rim.semi_minor_px];
     let is_white = polarity == Polarity::WhiteRing;
-    let nearest = NearestKind::new(semiaxes(outer), semiaxes(inner), is_white, limit_px, kinds);
+    let nearest = NearestKind::new(semiaxes(outer), semiaxes(inner), is_white, kinds);
     if !nearest.valid {
         return None;
     }
@@ -75,22 +62,11 @@ pub(crate) struct NearestKind<T: Lane> {
     pub valid: T::Mask,
 }
 
-/// [`shift_limit_px`] of white that is not cut off, one ring per lane.
-#[inline(always)]
-pub(crate) fn shift_limits_px<T: Lane>(outer: [T; 2]) -> T {
-    (outer[0] * outer[1]).root() * SHIFT_SHARE + SHIFT_PX
-}
-
 impl<T: Lane> NearestKind<T> {
-    /// From the semiaxes of outer and inner rim, the lanes with white rings, and the largest shift.
+    /// From the semiaxes of outer and inner rim, and the lanes with white rings.
     #[inline(always)]
-    pub fn new(
-        outer: [T; 2],
-        inner: [T; 2],
-        is_white: T::Mask,
-        limit_px: T,
-        kinds: &[Kind],
-    ) -> Self {
+    pub fn new(outer: [T; 2], inner: [T; 2], is_white: T::Mask, kinds: &[Kind]) -> Self {
+        let limit_px = (outer[0] * outer[1]).root() * SHIFT_SHARE + SHIFT_PX;
         let far = limit_px.splat(f64::INFINITY);
         let mut nearest = Self { kind: far, shift_px: far, valid: far.below(far) };
         for (index, kind) in kinds.iter().enumerate() {
@@ -130,21 +106,12 @@ mod tests {
         let kind = |inner_diameter_m| Kind::plain("", 1.0, inner_diameter_m);
         let kinds = [kind(0.4), kind(0.5), kind(0.6)];
         let find = |inner| {
-            let outer = circle(20.0);
-            let limit_px = shift_limit_px(&outer, 200.0);
-            nearest_kind(&kinds, Polarity::BlackRing, &outer, &circle(inner), limit_px)
+            nearest_kind(&kinds, Polarity::BlackRing, &circle(20.0), &circle(inner))
                 .map(|found| found.kind)
         };
         assert_eq!(find(8.3), Some(KindId(0)));
         assert_eq!(find(9.7), Some(KindId(1)));
         assert_eq!(find(12.6), Some(KindId(2)));
         assert_eq!(find(15.0), None);
-        // Clipped white allows for more bloom.
-        let rims = (circle(9.0), circle(5.2));
-        let find = |white| {
-            let limit_px = shift_limit_px(&rims.0, white);
-            nearest_kind(&kinds[..1], Polarity::BlackRing, &rims.0, &rims.1, limit_px).is_some()
-        };
-        assert!(find(255.0) && !find(240.0));
     }
 }

@@ -167,8 +167,7 @@ fn decode_ring(
     let read = kind.reader.read_in(sampler, &plane, &levels);
     let disc = read.as_ref().and_then(|read| fit_white_disc(sampler, &plane, kind, rim, read));
     let disc = disc.unwrap_or(Disc { radius: kind.ratio, shift: (0.0, 0.0) });
-    let limit_px = shift_limit_px(&rim.ellipse, white);
-    let (outer, shift_px) = compensated_outer(&rim.ellipse, disc.radius, kind.ratio, limit_px)?;
+    let (outer, shift_px) = compensated_outer(&rim.ellipse, disc.radius, kind.ratio)?;
     let (center, columns) =
         PlaneMap::with_offset(&outer, toothed.offset).circle(disc.shift, kind.ratio);
     let inner = of_columns(center, columns);
@@ -258,19 +257,14 @@ fn mean_at(sampler: &Sampler, plane: &PlaneMap, radius: f64, points: usize) -> f
 
 /// The outer rim, shifted so that the disc has its printed size, and the shift: bloom and ink
 /// spread move both rims towards the black alike.
-fn compensated_outer(
-    outer: &Ellipse,
-    disc: f64,
-    ratio: f64,
-    limit_px: f64,
-) -> Result<(Ellipse, f64), Reject> {
+fn compensated_outer(outer: &Ellipse, disc: f64, ratio: f64) -> Result<(Ellipse, f64), Reject> {
     let inner = Ellipse {
         semi_major_px: disc * outer.semi_major_px,
         semi_minor_px: disc * outer.semi_minor_px,
         ..*outer
     };
     let shift_px = rim_shift_px(outer, &inner, ratio).ok_or(Reject::Kind)?;
-    if shift_px.abs() > limit_px {
+    if shift_px.abs() > shift_limit_px(outer) {
         return Err(Reject::Kind);
     }
     let (outer, _) = compensated(outer, &inner, shift_px).ok_or(Reject::Kind)?;

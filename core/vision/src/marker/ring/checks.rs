@@ -46,8 +46,6 @@ const SIMILARITY_TOLERANCE: (f64, f64) = (0.06, 0.3);
 const MAX_SPREAD_PX2: f64 = 1.5;
 /// Error of a rim at any threshold, pixels, in the ratio of diameters.
 const RATIO_RIM_PX: f64 = 0.8;
-/// The same where white may be cut off.
-const CLIPPED_RIM_PX: f64 = 0.8;
 
 /// Smallest distance of the outer rim from the frame's edge, pixels.
 const EDGE_PX: f64 = 1.0;
@@ -69,12 +67,11 @@ impl SegmentSize {
 }
 
 /// Tests the black segment's size and the ratio of the segments' areas, which gives that of the
-/// diameters (algorithm 2). White that may be cut off blooms.
+/// diameters (algorithm 2).
 pub(crate) fn check_sizes(
     black: &SegmentSize,
     white: &SegmentSize,
     rules: &Rules,
-    is_clipped: bool,
 ) -> Result<(), Reject> {
     let smallest_side = 2.0 * rules.min_semi_minor_px - 1.0;
     if black.width.min(black.height) < smallest_side {
@@ -83,8 +80,7 @@ pub(crate) fn check_sizes(
     let (black, white) = (black.pixels, white.pixels);
     let ratio = (white / (white + black)).sqrt();
     let radius_px = ((white + black) * std::f64::consts::FRAC_1_PI).sqrt();
-    let rim_px = if is_clipped { CLIPPED_RIM_PX } else { RATIO_RIM_PX };
-    let slack = rim_px / radius_px;
+    let slack = RATIO_RIM_PX / radius_px;
     let (min, max) = rules.ratios;
     if ratio < min - slack || ratio > max + slack { Err(Reject::AreaRatio) } else { Ok(()) }
 }

@@ -36,9 +36,9 @@ use crate::{
         Ring,
         classify::{
             elliptical,
-            plain::{Classified, is_clipped, nearest_kind, shift_limit_px},
+            plain::{Classified, nearest_kind},
         },
-        kind::{Kind, Polarity, RATIO_LIMITS},
+        kind::{Kind, RATIO_LIMITS},
         reject::Reject,
         ring::{
             checks::check_sizes,
@@ -152,15 +152,10 @@ fn measure_with<S: Simd>(
         }
         (None, outer, inner, 0.0)
     } else {
-        let brightest = match probe.polarity {
-            Polarity::BlackRing => white,
-            Polarity::WhiteRing => 255.0 - black,
-        };
-        let limit_px = shift_limit_px(&outer, brightest);
         let nearest = if rules.similar {
-            nearest_kind(kinds, probe.polarity, &outer, &inner, limit_px)
+            nearest_kind(kinds, probe.polarity, &outer, &inner)
         } else {
-            elliptical::nearest_kind(kinds, probe.polarity, is_similar, &outer, &inner, limit_px)
+            elliptical::nearest_kind(kinds, probe.polarity, is_similar, &outer, &inner)
         };
         let Classified { kind, outer, inner, shift_px } = nearest.ok_or(Reject::Kind)?;
         (Some(kind), outer, inner, shift_px)
@@ -194,7 +189,7 @@ fn rims<S: Simd>(
     let MeasureScratch { patch, spans, bands, distances, .. } = scratch;
     let segments = Segments::find(simd, frame, patch, probe.center, spans)?;
     let Segments { disc, ring, disc_size, ring_size } = &segments;
-    check_sizes(ring_size, disc_size, rules, is_clipped(brightest(patch, probe, ring).into()))?;
+    check_sizes(ring_size, disc_size, rules)?;
     let bands = EdgeBands::round(
         simd,
         patch,
@@ -216,20 +211,6 @@ fn rims<S: Simd>(
         sizes: Some(SegmentSizes { ring: ring_size, disc: disc_size }),
     };
     refine_rims(simd, frame, probe, rules, &layout, distances)
-}
-
-/// A level of the print's white: in the disc, or to the right of it in a white ring.
-fn brightest(patch: &Patch, probe: &Probe, ring: &Extent) -> u8 {
-    let (u, v) = (probe.center.0 - patch.window.left, probe.center.1 - patch.window.top);
-    let row =
-        &patch.grey.as_flattened()[v * patch.words * WORD_PX..(v + 1) * patch.words * WORD_PX];
-    match probe.polarity {
-        Polarity::BlackRing => row[u],
-        Polarity::WhiteRing => {
-            let darkest = row[u..ring.columns.end as usize].iter().min();
-            !darkest.copied().unwrap_or_default()
-        }
-    }
 }
 
 /// The ring at its predicted rims, if it is there.
