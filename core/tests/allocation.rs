@@ -231,7 +231,7 @@ fn poses_of_any_picture_allocate_nothing_after_the_first() {
         }
     };
     // Minimum number of the twelve pictures that are fitted.
-    for (kinds, min) in [(plain, 6), (elliptical, 4), (coded, 0)] {
+    for (kinds, min) in [(plain, 8), (elliptical, 4), (coded, 0)] {
         let kind = &kinds[0];
         let first = lit(14.0, 0.7, kind, |_, _| {});
         let mut late = Vec::new();
@@ -246,9 +246,9 @@ fn poses_of_any_picture_allocate_nothing_after_the_first() {
             late.push((clean, rings.clone()));
             late.extend(disturbed.map(|picture| (picture, rings.clone())));
         }
-        // Tracks of their own: the allowance of one would not pay for all these fits.
-        for (number, (_, rings)) in (100..).zip(&mut late) {
-            rings[0].track = TrackNumber(number);
+        // A track for each size: the allowance of one would not pay for all these fits.
+        for (size, pictures) in (100..).zip(late.chunks_mut(3)) {
+            pictures.iter_mut().for_each(|(_, rings)| rings[0].track = TrackNumber(size));
         }
         let mut locator = Locator::new(camera(), kinds.clone(), Mode::Precise);
         let mut located = Vec::with_capacity(8);

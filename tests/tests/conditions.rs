@@ -51,7 +51,7 @@ const MISSES: &[(&str, Marker, Mode, Bar)] = &[
     ("shadow-50", Plain, Precise, [100, 99, 78, 72, 67]),
     ("shadow-60", Plain, Fast, [87, 99, 82, 69, 75]),
     ("shadow-60", Plain, Precise, [87, 99, 84, 73, 78]),
-    ("gradient", Plain, Precise, [100, 99, 84, 76, 84]),
+    ("gradient", Plain, Precise, [100, 99, 84, 66, 84]),
     ("glare", Plain, Fast, [70, 92, 78, 75, 84]),
     ("glare", Plain, Precise, [70, 92, 58, 45, 84]),
     ("sharpened", Plain, Fast, [100, 99, 47, 80, 84]),

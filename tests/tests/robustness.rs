@@ -339,7 +339,7 @@ fn poses_of_moving_roundels_are_near_the_bound_and_consistent() {
             let trials = moving(diameter_px, motion_px, NARROW_MARGIN);
             let name = format!("{diameter_px:?} px, motion {motion_px:?} px");
             let precise = summary(&name, &trials, Mode::Precise, |_| true);
-            assert!(precise.depth_over_bound() < 3.0, "{name}: {}", precise.depth_over_bound());
+            assert!(precise.depth_over_bound() < 1.5, "{name}: {}", precise.depth_over_bound());
             all.extend(trials);
         }
         let name = format!("{diameter_px:?} px");

@@ -199,7 +199,7 @@ impl Locator {
         ring: &Ring,
     ) -> Result<Located, PoseError> {
         let Self { camera, noise, .. } = self;
-        let printed = PrintEstimate::default().update(kind, ring, focal_px(camera), noise);
+        let printed = PrintEstimate::default().update(kind, ring, focal_px(camera), noise, true);
         let pose = locate_printed(camera, kind, &printed, noise)?;
         let mut located = Located::from_rims(&printed.ring, pose);
         let PrintedRing { ring, print, .. } = printed;
@@ -223,7 +223,9 @@ impl Locator {
             let mut printed = PrintedRing::designed(&ring);
             if let Ok(kind) = kind_of(&self.kinds, ring.kind) {
                 let mut print = self.prints.get(one.track).copied().unwrap_or_default();
-                printed = print.update(kind, &ring, focal_px, &self.noise);
+                let is_sharp = self.mode == Mode::Fast
+                    || self.fits.get(one.track).is_some_and(TrackedFit::shows_no_motion);
+                printed = print.update(kind, &ring, focal_px, &self.noise, is_sharp);
                 self.prints.update(one.track, Some(print));
             }
             let located = Err(PoseError::NoCircle);
@@ -332,6 +334,11 @@ impl Located {
 }
 
 impl TrackedFit {
+    /// Whether no fit has found motion within the exposure.
+    fn shows_no_motion(&self) -> bool {
+        self.history.as_ref().is_none_or(FitHistory::shows_no_motion)
+    }
+
     /// Adds a frame's allowance; returns whether the ring is fitted in it.
     fn is_due(&mut self, outer: &Ellipse) -> bool {
         let area_px2 = std::f64::consts::PI * outer.grown(REACH_PX).mean_radius_px().powi(2);

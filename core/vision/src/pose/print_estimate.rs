@@ -18,7 +18,9 @@
 //! tilt θ has the mean radius f (r/d) √cos θ (1 - q²)^(-3/4).
 //!
 //! Deviations within [`SIGNIFICANT`] standard deviations count as none, so that noise does not
-//! degrade exact prints. Frames with clipped white, which blooms, teach nothing.
+//! degrade exact prints. Nothing is learned from frames with clipped white, which blooms, and in
+//! precise mode from rings that move within the exposure or have not been fitted yet: motion washes
+//! a small disc out.
 //!
 //! **Limits.** Ink that spreads by the same distance at both rims changes the ratio as δ does, and
 //! the outer diameter too, which the ratio does not show.
@@ -117,19 +119,21 @@ struct RatioMeasurement {
 }
 
 impl PrintEstimate {
-    /// Learns from a ring, and returns it with its print. `focal_px` is the camera's focal length.
+    /// Learns from a ring, if its rims are not known to be blurred by motion, and returns it with its
+    /// print. `focal_px` is the camera's focal length.
     pub fn update(
         &mut self,
         kind: &Kind,
         ring: &Ring,
         focal_px: f64,
         noise: &RimNoise,
+        is_sharp: bool,
     ) -> PrintedRing {
         let Some(measured) = RatioMeasurement::new(kind, ring, focal_px, noise) else {
             return PrintedRing::designed(ring);
         };
         let is_clipped = ring.white > 255.0 - CLIPPED || ring.black < CLIPPED;
-        if !is_clipped {
+        if is_sharp && !is_clipped {
             self.learn(&measured);
         }
         if !self.is_significant(measured.per_px) {
@@ -250,7 +254,7 @@ mod tests {
             // A tenth of a percent and back.
             let disc = 1.0 + 1e-3 * f64::from(frame % 3 - 1);
             let observed = ring(&kind, 18.0, disc, 0.0);
-            let printed = estimate.update(&kind, &observed, FOCAL_PX, &noise);
+            let printed = estimate.update(&kind, &observed, FOCAL_PX, &noise, true);
             assert_eq!(printed, PrintedRing::designed(&observed), "{frame}");
         }
     }
@@ -264,7 +268,7 @@ mod tests {
             for frame in 0..2000 {
                 let radius_px = 12.0 + f64::from(frame % 40);
                 let observed = ring(&kind, radius_px, disc, shift_px);
-                last = Some((radius_px, estimate.update(&kind, &observed, FOCAL_PX, &noise)));
+                last = Some((radius_px, estimate.update(&kind, &observed, FOCAL_PX, &noise, true)));
             }
             let (radius_px, printed) = last.unwrap();
             let found = printed.print;
@@ -282,7 +286,7 @@ mod tests {
         for (disc, shift_px) in [(0.97, 0.0), (1.0, 0.15)] {
             let mut estimate = PrintEstimate::default();
             let observed = ring(&kind, 18.0, disc, shift_px);
-            let printed = estimate.update(&kind, &observed, FOCAL_PX, &noise);
+            let printed = estimate.update(&kind, &observed, FOCAL_PX, &noise, true);
             let size = printed.ring.outer.mean_radius_px() / (18.0 * 0.8f64.sqrt());
             assert!((size - 1.0).abs() > 1e-3, "the test has no error to state: {size}");
             assert!((size - 1.0).abs() < 2.0 * printed.size_deviation, "{size} {printed:?}");
@@ -299,11 +303,11 @@ mod tests {
         let mut estimate = PrintEstimate::default();
         for _ in 0..100 {
             let observed = Ring { white: 255.0, ..ring(&kind, 18.0, 1.0, 0.5) };
-            let printed = estimate.update(&kind, &observed, FOCAL_PX, &noise);
+            let printed = estimate.update(&kind, &observed, FOCAL_PX, &noise, true);
             assert_eq!(printed.print, PrintDeviation::NONE);
         }
         let observed = ring(&kind, 18.0, 1.0, 0.0);
-        let printed = estimate.update(&kind, &observed, FOCAL_PX, &noise);
+        let printed = estimate.update(&kind, &observed, FOCAL_PX, &noise, true);
         assert_eq!(printed, PrintedRing::designed(&observed));
     }
 }

@@ -31,6 +31,9 @@ use crate::{
     pose::{RoundelPose, yaw},
 };
 
+/// Motion that hardly changes the rims, pixels.
+const NO_MOTION_PX: f64 = 0.8;
+
 /// The margin is measured in every fit of this number.
 const MARGIN_FITS: u8 = 16;
 
@@ -86,6 +89,11 @@ impl FitHistory {
     pub(super) fn memory(&self) -> Memory {
         let is_measured = self.margin_age + 1 < MARGIN_FITS;
         Memory { path: self.path, clear_px: is_measured.then_some(self.clear_px) }
+    }
+
+    /// Whether the last fit found no motion within the exposure.
+    pub fn shows_no_motion(&self) -> bool {
+        self.motion_px.norm() < NO_MOTION_PX
     }
 
     pub fn without_teeth(self) -> Self {
