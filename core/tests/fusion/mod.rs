@@ -11,6 +11,7 @@ mod heading;
 mod lifecycle;
 mod mobile_camera;
 mod normal;
+mod print_size;
 mod reconfigure;
 mod roundel_camera;
 mod score;

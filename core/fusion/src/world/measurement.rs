@@ -2,12 +2,12 @@
 //!
 //! With the camera's pose (R, t), detection p and covariance Σ: p_w = R p + t. Its covariance is diag(R, R) Σ diag(R,
 //! R)ᵀ plus that of the camera's pose, J Σ_camera Jᵀ with J = [I -[R p]×; 0 I], since a small rotation δθ of the camera
-//! moves the point by δθ × R p. The pose error of a stationary camera is the same in every frame, so it is wholly
+//! moves the point by δθ × R p. p is first scaled by the size of the print ([`super::print_size`]). The pose error of a stationary camera is the same in every frame, so it is wholly
 //! systematic; that of a mobile camera is in part ([`super::mobile_camera`]); Σ is to a configured share.
 
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 
-use super::FusionParams;
+use super::{FusionParams, print_size::PrintSize};
 use crate::track::{AttitudeMeasurement, Measurement, Noise, cholesky_lower};
 use roundel_vision::{
     id::CameraId,
@@ -101,6 +101,7 @@ pub(super) fn measure(
     frame: FrameId,
     camera_pose: &ExposurePose,
     correction: StampCorrection,
+    size: PrintSize,
     params: &FusionParams,
 ) -> Result<Measurement, MeasurementReject> {
     let pose = detection.pose.as_ref().ok_or(MeasurementReject::NoPose)?;
@@ -109,16 +110,23 @@ pub(super) fn measure(
     }
     let place = &camera_pose.world_from_camera;
     let turn = place.rotation.to_rotation_matrix().into_inner();
-    let arm_m = place.rotation * pose.position_m;
+    let arm_m = place.rotation * pose.position_m * size.factor;
     let measurement = |corner: usize| {
         let own = pose.covariance.fixed_view::<3, 3>(corner, corner).into_owned();
         turned_covariance(&turn, &own)
     };
-    let (mut position_total, mut rotation_total) = (measurement(0), measurement(3));
+    let (mut position_total, mut rotation_total) =
+        (measurement(0) * (size.factor * size.factor), measurement(3));
     // Covariances of the whole error, and of its systematic part.
     let share = params.systematic_share.clamp(0.0, 1.0);
     let mut position_systematic = position_total * share;
     let mut rotation_systematic = rotation_total * share;
+    if size.deviation > 0.0 {
+        let along_m = arm_m * size.deviation;
+        let error = along_m * along_m.transpose();
+        position_total += error;
+        position_systematic += error;
+    }
     if let Some([position, rotation]) = camera_pose_error(&camera_pose.systematic, &arm_m) {
         position_total += position;
         position_systematic += position;
@@ -166,6 +174,7 @@ pub fn seen_in_world(
         FrameId { camera: CameraId(0), number: 0 },
         &ExposurePose::from(place),
         StampCorrection::default(),
+        PrintSize::EXACT,
         params,
     )
     .ok()?;

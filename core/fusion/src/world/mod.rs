@@ -9,6 +9,7 @@
 //! | --- | --- |
 //! | `clock` | corrects stamps, judges frames by their times, counts missing frames, estimates clock offsets |
 //! | `mobile_camera` | pose of a camera that moves with an object, and of the object from landmarks that the camera detects |
+//! | `print_size` | estimates how large the prints of a kind are |
 //! | `measurement` | transforms detections into the world frame |
 //! | `body` | joins the detections of an object with several roundels into one measurement |
 //! | `association` | assigns measurements to tracks |
@@ -33,6 +34,7 @@ mod lifecycle;
 mod measurement;
 mod mobile_camera;
 mod params;
+mod print_size;
 mod snapshot;
 
 pub use body::{Body, BodyError, Mount};
@@ -44,6 +46,7 @@ pub use height_check::WrongHeight;
 pub use measurement::{CameraPlacement, seen_in_world};
 pub use mobile_camera::{CameraMount, Carrier, Landmark, TURN_SIGMA_RAD, Unplaced};
 pub use params::{FusionParams, MotionClass};
+pub use print_size::{PrintSize, WrongPrintSize};
 
 pub mod reference;
 

@@ -55,7 +55,8 @@ impl Fusion {
         // The error of the camera pose is common to all parts: it is added last.
         let zero = Covariance6::zeros();
         let exact = ExposurePose { systematic: zero, fresh: zero, ..*camera_pose };
-        match measure(detection, frame, &exact, correction, &self.params) {
+        let size = self.print_sizes.get(detection.ring.kind);
+        match measure(detection, frame, &exact, correction, size, &self.params) {
             Ok(measurement) => self.bodies.add_part(part, measurement),
             Err(reject) => self.counts.count_reject(reject),
         }

@@ -38,6 +38,7 @@ use super::{
     lifecycle::{Claim, IdRegistry, Track, Trust},
     measurement::StampCorrection,
     mobile_camera::{Landmark, MobileCameras},
+    print_size::{PrintSize, PrintSizes, WrongPrintSize, resize},
     snapshot::object_state,
 };
 use crate::track::{Inserted, Measurement};
@@ -63,6 +64,7 @@ pub struct Fusion {
     id_registry: IdRegistry,
     bodies: Bodies,
     height_checks: HeightChecks,
+    print_sizes: PrintSizes,
     timeline: Timeline,
     missing_frames: MissingFrames,
     camera_outliers: CameraOutliers,
@@ -97,6 +99,7 @@ impl Fusion {
             None => self.cameras.remove(&camera),
         };
         self.camera_outliers.forget(camera);
+        self.print_sizes.forget_camera(camera);
     }
 
     /// Sets a camera's rank, 1 by default. Its detections are not used for objects that cameras of a higher rank
@@ -123,6 +126,38 @@ impl Fusion {
     /// Sets how a kind's objects move; freely by default. Applies to tracks that start from now on.
     pub fn set_motion(&mut self, kind: KindId, class: MotionClass) {
         self.classes.insert(kind, class);
+    }
+
+    /// Sets the relative tolerance of a kind's printed size: twice its standard deviation, and 0, exact, by default.
+    /// The size is estimated within it, from now on.
+    pub fn set_print_tolerance(&mut self, kind: KindId, tolerance: f64) {
+        self.print_sizes.set_tolerance(kind, tolerance);
+    }
+
+    /// Estimated size of a kind's prints, relative to the configured size.
+    pub fn print_size(&self, kind: KindId) -> PrintSize {
+        self.print_sizes.get(Some(kind))
+    }
+
+    /// Takes the wrong sizes found since the last call.
+    pub fn drain_wrong_print_sizes(&mut self) -> impl Iterator<Item = WrongPrintSize> + '_ {
+        self.print_sizes.drain()
+    }
+
+    /// The frame with the estimated sizes of prints, without detections of kinds whose configured size cannot be
+    /// right; `None` if it is unchanged.
+    pub fn resized(&self, frame: &FrameObservations) -> Option<FrameObservations> {
+        if self.print_sizes.is_exact() {
+            return None;
+        }
+        let mut resized = frame.clone();
+        resized.detections.retain(|detection| !self.print_sizes.is_wrong(detection.ring.kind));
+        for detection in &mut resized.detections {
+            if let Some(pose) = &mut detection.pose {
+                resize(pose, self.print_sizes.get(detection.ring.kind));
+            }
+        }
+        Some(resized)
     }
 
     /// Counters since the start.
@@ -182,6 +217,11 @@ impl Fusion {
         );
         self.advance(now);
         self.mobile_cameras.note_exposure(frame.camera, capture_time);
+        if let Some(placement) = self.cameras.get(&frame.camera)
+            && !self.mobile_cameras.contains(frame.camera)
+        {
+            self.print_sizes.observe(frame, placement, correction);
+        }
         let landmarks = self.localize(frame, correction, now);
         if !self.collect(frame, correction, now, &landmarks) {
             return;

@@ -190,7 +190,8 @@ impl Fusion {
             if self.take_part(detection, frame_id, &camera_pose, correction, now) {
                 continue;
             }
-            match measure(detection, frame_id, &camera_pose, correction, &self.params) {
+            let size = self.print_sizes.get(ring.kind);
+            match measure(detection, frame_id, &camera_pose, correction, size, &self.params) {
                 Ok(measurement) => {
                     let subject = Subject { kind: ring.kind, body: None };
                     self.numbers.push(detection.track);

@@ -1,0 +1,481 @@
+//! Sizes of prints: estimates how much larger or smaller the prints of a kind are than configured.
+//!
+//! A detection's distance is proportional to the diameter of its kind. Let a be its position relative to the camera at
+//! c, along the axes of the world. If prints are k times as large as configured, the roundel is at c + k a. Two cameras
+//! that detect the same roundel give
+//!
+//! k (a_i - a_j) = c_j - c_i,
+//!
+//! three equations with one unknown. The two spare equations test whether both detections are of one roundel, so this
+//! needs no tracks, and k may be far from 1. Pairs of different roundels give any k; those of the same roundel all give
+//! the same one, which is the peak of a histogram of ln k. The mean around the peak is computed for each pair of
+//! cameras, since their pose errors are common to all its comparisons, and the means of all pairs are averaged with the
+//! tolerance of the kind as prior. If they contradict one another, the deviation grows accordingly.
+//!
+//! Each camera is sampled ten times a second, up to [`MAX_SIGHTS`] detections. Positions are interpolated between two
+//! samples to the time of the other camera's detection.
+//!
+//! Measurements use the estimate, and its deviation is part of their systematic error ([`super::measurement`]). An
+//! estimate beyond [`MAX_USED_LN`] is only reported: that is a wrong entry in the configuration, not a print of another
+//! scale.
+//!
+//! Results (`core/tests/fusion/print_size.rs`): nine objects under four cameras with prints at 94, 97 and 103 %: the
+//! scale is within 0.03 % after 8 s, and positions are as exact as with the true size.
+//!
+//! Limits: all prints of a kind have the same scale. A single camera, or cameras at one place, reveal nothing; the
+//! tolerance then remains in the covariance. Cameras that were calibrated with the same prints and without references
+//! agree with any size.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::{
+    CameraPlacement, FrameObservations,
+    measurement::{StampCorrection, is_valid_pose, with_lever_arm},
+};
+use crate::track::invert_positive;
+use roundel_vision::{
+    id::{CameraId, KindId, TrackNumber},
+    marker::Code,
+    pose::{Detection, RoundelPose},
+    rigid::{Covariance6, turned_covariance},
+    time::Timestamp,
+};
+
+/// Interval between a camera's samples.
+const SAMPLE_NS: i64 = 100_000_000;
+/// Samples farther apart are not interpolated.
+const MAX_GAP_NS: i64 = 250_000_000;
+/// Most detections in a sample.
+const MAX_SIGHTS: usize = 24;
+/// Standard deviation of an interpolated position, metres.
+const INTERPOLATION_M: f64 = 0.002;
+/// Largest squared Mahalanobis length of the two spare equations: χ², 2 degrees of freedom, 0.997.
+const MAX_MISFIT: f64 = 11.8;
+/// Smallest information of a comparison: that of a standard deviation of 2 %.
+const MIN_INFORMATION: f64 = 2500.0;
+/// Largest |ln k| that is considered.
+const MAX_LN: f64 = 0.6;
+/// Width of a bin of the histogram of ln k.
+const BIN_LN: f64 = 0.01;
+const BINS: usize = (2.0 * MAX_LN / BIN_LN) as usize;
+/// Smallest number of comparisons in the peak.
+const MIN_VOTES: u32 = 30;
+/// The peak must have this many times the votes of any other.
+const DOMINANCE: u32 = 3;
+/// Distance to the peak, in bins, beyond which another begins.
+const PEAK_BINS: usize = 4;
+/// Votes are halved when the peak has this many.
+const MAX_VOTES: u32 = 10_000;
+/// Comparisons farther from the peak do not count.
+const PEAK_LN: f64 = 0.03;
+/// Share of a comparison's information that is new: errors are correlated over about a second.
+const NEW_SHARE: f64 = 0.05;
+/// Smallest standard deviation: lenses and prints vary by this much.
+const MIN_DEVIATION: f64 = 3e-4;
+/// Interval between estimates.
+const ESTIMATE_NS: i64 = 250_000_000;
+/// Largest |ln k| that measurements use.
+const MAX_USED_LN: f64 = 0.12;
+/// Evidence that contradicts the tolerance by more standard deviations overrules it.
+const MAX_PRIOR_SIGMAS: f64 = 3.0;
+/// Smallest significant error of size that is reported.
+const REPORTED_LN: f64 = 0.01;
+/// An error that was reported is reported again if it changes by this much.
+const CHANGED_LN: f64 = 0.02;
+
+/// Size of a kind's prints relative to the configured size.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PrintSize {
+    /// True size over configured size.
+    pub factor: f64,
+    /// Relative standard deviation.
+    pub deviation: f64,
+}
+
+impl PrintSize {
+    /// The configured size, without error.
+    pub(super) const EXACT: Self = Self { factor: 1.0, deviation: 0.0 };
+}
+
+/// Prints of a kind that are larger or smaller than configured.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WrongPrintSize {
+    /// The kind.
+    pub kind: KindId,
+    /// Measured size.
+    pub size: PrintSize,
+    /// Whether measurements use it. Otherwise the difference is too large for a print of this kind.
+    pub is_used: bool,
+    /// Cameras that measured it, ascending.
+    pub cameras: Vec<CameraId>,
+}
+
+/// A detection of a sample.
+#[derive(Clone, Copy, Debug)]
+struct Sight {
+    kind: KindId,
+    number: TrackNumber,
+    code: Option<Code>,
+    time: Timestamp,
+    /// Position relative to the camera along the axes of the world, metres.
+    arm_m: Vector3<f64>,
+    /// Error of the detection.
+    covariance: Matrix3<f64>,
+}
+
+/// Last two samples of a camera.
+#[derive(Clone, Debug)]
+struct CameraSamples {
+    origin_m: Vector3<f64>,
+    pose_covariance: Covariance6,
+    older: Vec<Sight>,
+    newer: Vec<Sight>,
+    sampled: Timestamp,
+}
+
+/// Result of comparing two detections.
+#[derive(Clone, Copy, Debug)]
+struct Comparison {
+    ln: f64,
+    /// Variance of `ln` by the errors of the detections.
+    variance: f64,
+    /// Variance of `ln` by the errors of the cameras' poses.
+    pose_variance: f64,
+}
+
+/// Comparisons between the same two cameras.
+#[derive(Clone, Copy, Debug, Default)]
+struct PairSum {
+    information: f64,
+    weighted_ln: f64,
+    weighted_pose_variance: f64,
+}
+
+#[derive(Clone, Debug)]
+struct KindSize {
+    /// Standard deviation without evidence.
+    prior: f64,
+    /// Number of comparisons by ln k.
+    votes: Vec<u32>,
+    /// ln k at the peak.
+    peak: Option<f64>,
+    pairs: BTreeMap<(CameraId, CameraId), PairSum>,
+    size: PrintSize,
+    is_wrong: bool,
+    reported_ln: f64,
+}
+
+/// Sizes of all kinds.
+#[derive(Clone, Debug, Default)]
+pub(super) struct PrintSizes {
+    kinds: BTreeMap<KindId, KindSize>,
+    cameras: BTreeMap<CameraId, CameraSamples>,
+    estimated: Option<Timestamp>,
+    reports: Vec<WrongPrintSize>,
+}
+
+impl PrintSizes {
+    /// Sets the relative tolerance of a kind's size, twice the standard deviation, and forgets the estimate. With 0
+    /// the size is exact.
+    pub(super) fn set_tolerance(&mut self, kind: KindId, tolerance: f64) {
+        if tolerance > 0.0 {
+            self.kinds.insert(kind, KindSize::new(0.5 * tolerance));
+        } else {
+            self.kinds.remove(&kind);
+        }
+    }
+
+    /// Size of a kind's prints.
+    pub(super) fn get(&self, kind: Option<KindId>) -> PrintSize {
+        let size = kind.and_then(|kind| self.kinds.get(&kind)).map(|kind| kind.size);
+        size.unwrap_or(PrintSize::EXACT)
+    }
+
+    /// Whether all sizes are as configured.
+    pub(super) fn is_exact(&self) -> bool {
+        self.kinds.is_empty()
+    }
+
+    /// Whether the kind has another size than prints can have.
+    pub(super) fn is_wrong(&self, kind: Option<KindId>) -> bool {
+        kind.and_then(|kind| self.kinds.get(&kind)).is_some_and(|kind| kind.is_wrong)
+    }
+
+    /// Takes the wrong sizes found since the last call.
+    pub(super) fn drain(&mut self) -> impl Iterator<Item = WrongPrintSize> + '_ {
+        self.reports.drain(..)
+    }
+
+    /// Forgets a camera whose pose has changed.
+    pub(super) fn forget_camera(&mut self, camera: CameraId) {
+        self.cameras.remove(&camera);
+        for kind in self.kinds.values_mut() {
+            kind.pairs.retain(|pair, _| pair.0 != camera && pair.1 != camera);
+        }
+    }
+
+    /// Adds a frame of a stationary camera.
+    pub(super) fn observe(
+        &mut self,
+        frame: &FrameObservations,
+        placement: &CameraPlacement,
+        correction: StampCorrection,
+    ) {
+        if self.is_exact() || !self.sample(frame, placement, correction) {
+            return;
+        }
+        self.compare_with_others(frame.camera);
+        let time = correction.corrected(frame.capture_time);
+        let is_due = |last: Timestamp| time.ns_since(last).saturating_abs() >= ESTIMATE_NS;
+        if self.estimated.is_none_or(is_due) {
+            self.estimated = Some(time);
+            self.estimate();
+        }
+    }
+
+    /// Adds the frame to its camera's samples; false if none is due.
+    fn sample(
+        &mut self,
+        frame: &FrameObservations,
+        placement: &CameraPlacement,
+        correction: StampCorrection,
+    ) -> bool {
+        let time = correction.corrected(frame.capture_time);
+        let samples = self.cameras.entry(frame.camera).or_insert_with(|| CameraSamples {
+            origin_m: placement.world_from_camera.translation.vector,
+            pose_covariance: placement.covariance,
+            older: Vec::new(),
+            newer: Vec::new(),
+            sampled: Timestamp::default(),
+        });
+        let elapsed_ns = time.ns_since(samples.sampled);
+        if (0..SAMPLE_NS).contains(&elapsed_ns) {
+            return false;
+        }
+        samples.sampled = time;
+        std::mem::swap(&mut samples.older, &mut samples.newer);
+        samples.newer.clear();
+        let rotation = placement.world_from_camera.rotation;
+        let turn = rotation.to_rotation_matrix().into_inner();
+        let sight = |detection: &Detection| {
+            let kind = detection.ring.kind.filter(|kind| self.kinds.contains_key(kind))?;
+            let pose = detection.pose.as_ref().filter(|pose| is_valid_pose(pose))?;
+            let own = pose.covariance.fixed_view::<3, 3>(0, 0).into_owned();
+            Some(Sight {
+                kind,
+                number: detection.track,
+                code: detection.ring.code.map(|reading| reading.code),
+                time: correction.corrected(detection.capture_time),
+                arm_m: rotation * pose.position_m,
+                covariance: turned_covariance(&turn, &own),
+            })
+        };
+        samples.newer.extend(frame.detections.iter().filter_map(sight).take(MAX_SIGHTS));
+        true
+    }
+
+    /// Compares the last two samples of a camera with those of the others that lie between them.
+    fn compare_with_others(&mut self, camera: CameraId) {
+        let Some(own) = self.cameras.get(&camera) else { return };
+        for older in &own.older {
+            let Some(newer) = own.newer.iter().find(|newer| newer.number == older.number) else {
+                continue;
+            };
+            let Some(kind) = self.kinds.get_mut(&newer.kind) else { continue };
+            for (&other, samples) in self.cameras.iter().filter(|(other, _)| **other != camera) {
+                let pair = (camera.min(other), camera.max(other));
+                for theirs in samples.newer.iter().filter(|theirs| theirs.may_be(newer)) {
+                    let comparison = older
+                        .interpolated(newer, theirs.time)
+                        .and_then(|own_sight| compare((own, &own_sight), (samples, theirs)));
+                    if let Some(comparison) = comparison {
+                        kind.add(pair, comparison);
+                    }
+                }
+            }
+        }
+    }
+
+    fn estimate(&mut self) {
+        for (&kind, state) in &mut self.kinds {
+            let Some((ln, deviation)) = state.estimate() else { continue };
+            let is_used = ln.abs() <= MAX_USED_LN;
+            state.is_wrong = !is_used;
+            state.size = if is_used {
+                PrintSize { factor: ln.exp(), deviation }
+            } else {
+                PrintSize { factor: 1.0, deviation: state.prior }
+            };
+            let is_significant = ln.abs() - 2.0 * deviation > REPORTED_LN;
+            if !is_significant || (ln - state.reported_ln).abs() < CHANGED_LN.min(ln.abs()) {
+                continue;
+            }
+            state.reported_ln = ln;
+            let mut cameras: Vec<_> =
+                state.pairs.keys().flat_map(|pair| [pair.0, pair.1]).collect();
+            cameras.sort_unstable();
+            cameras.dedup();
+            let size = PrintSize { factor: ln.exp(), deviation };
+            self.reports.push(WrongPrintSize { kind, size, is_used, cameras });
+        }
+    }
+}
+
+impl KindSize {
+    fn new(prior: f64) -> Self {
+        Self {
+            prior,
+            votes: vec![0; BINS],
+            peak: None,
+            pairs: BTreeMap::new(),
+            size: PrintSize { factor: 1.0, deviation: prior },
+            is_wrong: false,
+            reported_ln: 0.0,
+        }
+    }
+
+    fn add(&mut self, pair: (CameraId, CameraId), comparison: Comparison) {
+        let Comparison { ln, variance, pose_variance } = comparison;
+        let bin = (ln + MAX_LN) / BIN_LN;
+        if bin < 0.0 || bin >= BINS as f64 {
+            return;
+        }
+        self.votes[bin as usize] += 1;
+        if self.peak.is_none_or(|peak| (ln - peak).abs() > PEAK_LN) {
+            return;
+        }
+        let information = NEW_SHARE / variance;
+        let sum = self.pairs.entry(pair).or_default();
+        sum.information += information;
+        sum.weighted_ln += information * ln;
+        sum.weighted_pose_variance += information * pose_variance;
+    }
+
+    /// ln k with its standard deviation; `None` without evidence.
+    fn estimate(&mut self) -> Option<(f64, f64)> {
+        self.find_peak();
+        let means = || self.pairs.values().map(PairSum::mean);
+        let weight: f64 = means().map(|(_, variance)| 1.0 / variance).sum();
+        if weight == 0.0 {
+            return None;
+        }
+        let ln = means().map(|(ln, variance)| ln / variance).sum::<f64>() / weight;
+        let misfit: f64 = means().map(|(other, variance)| (other - ln).powi(2) / variance).sum();
+        let spare = self.pairs.len().saturating_sub(1).max(1) as f64;
+        let variance = (misfit / spare).max(1.0) / weight;
+        let prior_variance = self.prior * self.prior;
+        let contradiction = ln * ln / (variance + prior_variance);
+        let (ln, variance) = if contradiction > MAX_PRIOR_SIGMAS * MAX_PRIOR_SIGMAS {
+            (ln, variance)
+        } else {
+            let share = prior_variance / (variance + prior_variance);
+            (ln * share, variance * share)
+        };
+        Some((ln, variance.sqrt().max(MIN_DEVIATION)))
+    }
+
+    /// Finds the peak of the histogram. If it has moved, the means begin again.
+    fn find_peak(&mut self) {
+        let around = |bin: usize| -> u32 {
+            self.votes[bin.saturating_sub(1)..(bin + 2).min(BINS)].iter().sum()
+        };
+        let Some((votes, best)) = (0..BINS).map(|bin| (around(bin), bin)).max() else { return };
+        let is_other = |bin: &usize| bin.abs_diff(best) > PEAK_BINS;
+        let second = (0..BINS).filter(is_other).map(around).max().unwrap_or(0);
+        if votes < MIN_VOTES || votes < DOMINANCE * second {
+            return;
+        }
+        let ln = (best as f64 + 0.5) * BIN_LN - MAX_LN;
+        if self.peak.is_none_or(|peak| (ln - peak).abs() > PEAK_LN - BIN_LN) {
+            self.peak = Some(ln);
+            self.pairs.clear();
+        }
+        if votes > MAX_VOTES {
+            self.votes.iter_mut().for_each(|votes| *votes /= 2);
+        }
+    }
+}
+
+impl PairSum {
+    /// Mean of ln k and its variance.
+    fn mean(&self) -> (f64, f64) {
+        let pose_variance = self.weighted_pose_variance / self.information;
+        let variance = 1.0 / self.information + pose_variance + MIN_DEVIATION * MIN_DEVIATION;
+        (self.weighted_ln / self.information, variance)
+    }
+}
+
+impl Sight {
+    /// Whether kind and code allow that it shows the same roundel.
+    fn may_be(&self, other: &Self) -> bool {
+        let codes = self.code.zip(other.code);
+        self.kind == other.kind && codes.is_none_or(|(own, other)| own == other)
+    }
+
+    /// This detection of the same camera's older sample moved to a time between both.
+    fn interpolated(&self, newer: &Self, time: Timestamp) -> Option<Self> {
+        let (gap_ns, elapsed_ns) = (newer.time.ns_since(self.time), time.ns_since(self.time));
+        if !(1..MAX_GAP_NS).contains(&gap_ns) || !(0..=gap_ns).contains(&elapsed_ns) {
+            return None;
+        }
+        let share = elapsed_ns as f64 / gap_ns as f64;
+        let arm_m = self.arm_m.lerp(&newer.arm_m, share);
+        Some(Self { time, arm_m, ..*newer })
+    }
+}
+
+/// Compares two detections; `None` if they are not of one roundel, or tell too little.
+fn compare(
+    (first, own): (&CameraSamples, &Sight),
+    (second, theirs): (&CameraSamples, &Sight),
+) -> Option<Comparison> {
+    let across_m = own.arm_m - theirs.arm_m;
+    let baseline_m = second.origin_m - first.origin_m;
+    let squared_m2 = across_m.norm_squared();
+    let limits = (-MAX_LN).exp()..MAX_LN.exp();
+    if squared_m2 == 0.0 || !limits.contains(&(across_m.dot(&baseline_m) / squared_m2)) {
+        return None;
+    }
+    let poses = first.pose_error(&own.arm_m) + second.pose_error(&theirs.arm_m);
+    let covariance = own.covariance
+        + theirs.covariance
+        + poses
+        + Matrix3::from_diagonal_element(INTERPOLATION_M * INTERPOLATION_M);
+    let (weight, _) = invert_positive(&covariance)?;
+    let weighted = weight * across_m;
+    let information = weighted.dot(&across_m);
+    let factor = weighted.dot(&baseline_m) / information;
+    if !(factor > 0.0) || information * factor * factor < MIN_INFORMATION {
+        return None;
+    }
+    let rest_m = across_m * factor - baseline_m;
+    if rest_m.dot(&(weight * rest_m)) > MAX_MISFIT * factor * factor {
+        return None;
+    }
+    let gain = weighted / (information * factor);
+    let pose_variance = gain.dot(&(poses * gain));
+    let variance = (1.0 / (information * factor * factor) - pose_variance).max(f64::MIN_POSITIVE);
+    Some(Comparison { ln: factor.ln(), variance, pose_variance })
+}
+
+impl CameraSamples {
+    /// Covariance of a position by the error of the camera's pose.
+    fn pose_error(&self, arm_m: &Vector3<f64>) -> Matrix3<f64> {
+        with_lever_arm(&self.pose_covariance, arm_m).fixed_view::<3, 3>(0, 0).into_owned()
+    }
+}
+
+/// Corrects a pose by the size of its print.
+pub(super) fn resize(pose: &mut RoundelPose, size: PrintSize) {
+    pose.position_m *= size.factor;
+    let along = pose.position_m * size.deviation;
+    let mut position = pose.covariance.fixed_view_mut::<3, 3>(0, 0);
+    position *= size.factor * size.factor;
+    position += along * along.transpose();
+    let mut cross = pose.covariance.fixed_view_mut::<3, 3>(0, 3);
+    cross *= size.factor;
+    let mut cross = pose.covariance.fixed_view_mut::<3, 3>(3, 0);
+    cross *= size.factor;
+}
