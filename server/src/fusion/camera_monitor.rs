@@ -86,7 +86,8 @@ impl CameraMonitor {
             return;
         }
         let offset_s = fusion.clock(frame.camera).map_or(0.0, |clock| clock.offset_s);
-        self.monitor_thread.note(MonitorInput::Detections(frame.clone(), offset_s));
+        let resized = fusion.resized(frame).map_or_else(|| frame.clone(), Arc::new);
+        self.monitor_thread.note(MonitorInput::Detections(resized, offset_s));
     }
 
     /// Applies new findings and lets the watch advance to `now`.

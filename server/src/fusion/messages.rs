@@ -2,7 +2,7 @@
 
 use roundel_core::{
     marker::Code,
-    world::{self, Event, WrongHeight},
+    world::{self, Event, WrongHeight, WrongPrintSize},
 };
 
 use crate::model::hub::{EventKind, Installation};
@@ -44,6 +44,35 @@ pub(super) fn height_mismatch(installation: &Installation, wrong: &WrongHeight) 
         wrong.measured_m,
         cameras.join(", "),
         wrong.configured_m
+    )
+}
+
+/// How far a print is from its design when a printer or viewer scales the page to fit.
+const FIT_TO_PAGE: std::ops::Range<f64> = 0.92..0.985;
+
+pub(super) fn wrong_print_size(installation: &Installation, wrong: &WrongPrintSize) -> String {
+    let WrongPrintSize { kind, size, is_used, cameras } = wrong;
+    let name = installation.kind_name(Some(*kind));
+    let percent = (size.factor - 1.0) * 100.0;
+    let compared = if percent < 0.0 { "smaller" } else { "larger" };
+    let cameras: Vec<&str> = cameras.iter().map(|&id| installation.camera_name(id)).collect();
+    let advice = match (is_used, FIT_TO_PAGE.contains(&size.factor)) {
+        (true, true) => {
+            "They may have been printed with \"fit to page\". Positions are corrected for it; measure \
+                         the prints and correct `outer_mm` and `inner_mm`."
+        }
+        (true, false) => {
+            "Positions are corrected for it; measure the prints and correct `outer_mm` and `inner_mm`."
+        }
+        (false, _) => {
+            "A print cannot be that far off: correct `outer_mm` and `inner_mm`, or the cameras' poses. Until then \
+             positions are wrong, and moved cameras are not detected by these roundels."
+        }
+    };
+    format!(
+        "Roundels \"{name}\" are {:.1} % {compared} than configured, as seen by {}. {advice}",
+        percent.abs(),
+        cameras.join(", ")
     )
 }
 

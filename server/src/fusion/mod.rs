@@ -194,6 +194,11 @@ impl FusionTask {
             tracing::warn!("{message}");
             self.hub.publish_event(pose_time, EventKind::HeightContradicted, message);
         }
+        for wrong in self.fusion.drain_wrong_print_sizes() {
+            let message = messages::wrong_print_size(&self.hub.installation(), &wrong);
+            tracing::warn!("{message}");
+            self.hub.publish_event(pose_time, EventKind::PrintSizeContradicted, message);
+        }
         for event in events {
             let newest = self.hub.snapshots().borrow().clone();
             let object = newest.snapshot.objects.iter().find(|object| object.id == event.object);

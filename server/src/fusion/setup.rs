@@ -22,6 +22,9 @@ pub fn fusion_machine(config: &Config) -> Result<Fusion, ObjectError> {
     for (index, class) in config.motions.iter().enumerate() {
         fusion.set_motion(KindId(u16::try_from(index).unwrap_or(u16::MAX)), *class);
     }
+    for (index, tolerance) in config.tolerances.iter().enumerate() {
+        fusion.set_print_tolerance(KindId(u16::try_from(index).unwrap_or(u16::MAX)), *tolerance);
+    }
     for ObjectConfig { name, carries } in &config.objects {
         match carries {
             ObjectRoundels::Kind { kind, offset_m, motion } => {

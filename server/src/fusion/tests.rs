@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use roundel_core::{
     id::{BodyId, KindId},
     rigid::{Covariance6, Rigid},
-    world::{CameraPlacement, FusionParams, MotionClass, WrongHeight},
+    world::{CameraPlacement, FusionParams, MotionClass, PrintSize, WrongHeight, WrongPrintSize},
 };
 
 use super::*;
@@ -107,6 +107,31 @@ fn a_wrong_height_is_an_event() {
     };
     let message = messages::height_mismatch(&hub.installation(), &wrong);
     assert!(message.starts_with("\"carrier\": seen at a height of 0.20 m"), "{message}");
+}
+
+#[test]
+fn a_wrong_print_size_names_its_remedy() {
+    let hub = hub(&Clock::anchored_now());
+    let message = |factor, is_used| {
+        let size = PrintSize { factor, deviation: 0.001 };
+        let wrong = WrongPrintSize { kind: KindId(0), size, is_used, cameras: vec![CameraId(0)] };
+        messages::wrong_print_size(&hub.installation(), &wrong)
+    };
+    let fitted = message(0.969, true);
+    assert!(
+        fitted.starts_with(
+            "Roundels \"robot\" are 3.1 % smaller than configured, as seen by north. They may"
+        ),
+        "{fitted}"
+    );
+    assert!(fitted.contains("fit to page"), "{fitted}");
+    let larger = message(1.02, true);
+    assert!(larger.contains("2.0 % larger") && !larger.contains("fit to page"), "{larger}");
+    let wrong = message(0.76, false);
+    assert!(
+        wrong.contains("24.0 % smaller") && wrong.contains("cannot be that far off"),
+        "{wrong}"
+    );
 }
 
 #[test]

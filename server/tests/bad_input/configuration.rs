@@ -351,6 +351,11 @@ fn names_wrong_values_with_their_line() {
             "clock_uncertainty_ms = -1",
             "`clock_uncertainty_ms` must be a number from 0 to 10000, found -1",
         ),
+        (
+            "tolerance = 0.03",
+            "tolerance = 3",
+            "`tolerance` must be a number from 0 to 0.1, found 3",
+        ),
         ("motion = \"ground\"", "motion = \"wheels\"", "`motion` must be \"free\" or \"ground\""),
         ("motion = \"ground\"\n", "", "`height_m` is the height of what drives"),
         ("height_m = 0.3", "height_m = inf", "`height_m` must be a number from -1000 to 1000"),

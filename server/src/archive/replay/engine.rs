@@ -355,7 +355,8 @@ impl Engine {
             | EventKind::ObjectRecovered
             | EventKind::ObjectLost
             | EventKind::CameraClockSet
-            | EventKind::HeightContradicted => self.task.is_none(),
+            | EventKind::HeightContradicted
+            | EventKind::PrintSizeContradicted => self.task.is_none(),
             _ => true,
         };
         if is_published {

@@ -236,7 +236,12 @@ fn needs_restart(before: &Config, after: &Config) -> Vec<String> {
         (old.tls != new.tls, "[server] tls"),
         (old.source_rules.folders != new.source_rules.folders, "[server] source_folders"),
         (old.source_rules.networks != new.source_rules.networks, "[server] source_networks"),
-        (before.kinds != after.kinds || before.motions != after.motions, "[[roundel]]"),
+        (
+            before.kinds != after.kinds
+                || before.motions != after.motions
+                || before.tolerances != after.tolerances,
+            "[[roundel]]",
+        ),
         (before.references != after.references, "[[reference]]"),
         (before.fusion.late_window_s != after.fusion.late_window_s, "[fusion] late_window_ms"),
         (before.limits.max_clients != after.limits.max_clients, "[limits] max_clients"),

@@ -141,6 +141,7 @@ fn root(
         mode,
         kinds: kinds.kinds,
         motions: kinds.motions,
+        tolerances: kinds.tolerances,
         cameras,
         references: references.configs,
         objects: objects.configs,

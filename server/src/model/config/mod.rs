@@ -82,6 +82,8 @@ pub struct Config {
     pub kinds: Vec<Kind>,
     /// Motion of the objects of each kind.
     pub motions: Vec<MotionClass>,
+    /// Relative tolerance of their printed diameters, in the same order.
+    pub tolerances: Vec<f64>,
     /// `[[camera]]`, by [`roundel_core::id::CameraId`]; at least one, names unique.
     pub cameras: Vec<CameraConfig>,
     /// `[[reference]]`; at least three that are not in one line if a camera's pose is unknown.

@@ -12,8 +12,17 @@ use roundel_core::{
 use super::reader::{NumberRange, Table};
 use crate::model::suggestion::{did_you_mean, list};
 
-const ROUNDEL_KEYS: [&str; 8] =
-    ["name", "outer_mm", "inner_mm", "inner_minor_mm", "code", "polarity", "motion", "height_m"];
+const ROUNDEL_KEYS: [&str; 9] = [
+    "name",
+    "outer_mm",
+    "inner_mm",
+    "inner_minor_mm",
+    "tolerance",
+    "code",
+    "polarity",
+    "motion",
+    "height_m",
+];
 pub const POLARITIES: [(&str, Polarity); 2] =
     [("black_ring", Polarity::BlackRing), ("white_ring", Polarity::WhiteRing)];
 
@@ -24,12 +33,17 @@ const MAX_HEIGHT_M: f64 = 1000.0;
 /// Relative difference of the ratios of diameters (of elliptical discs, both) that is needed to tell kinds apart.
 const MIN_RATIO_DIFFERENCE: f64 = 0.1;
 const MAX_DIAMETER_MM: f64 = 100_000.0;
+/// Relative tolerance of printed diameters.
+const DEFAULT_TOLERANCE: f64 = 0.03;
+const MAX_TOLERANCE: f64 = 0.1;
 
 pub(super) struct ParsedKinds {
     /// The readable kinds.
     pub(super) kinds: Vec<Kind>,
     /// How the objects that carry them move.
     pub(super) motions: Vec<MotionClass>,
+    /// Relative tolerances of their diameters.
+    pub(super) tolerances: Vec<f64>,
     /// Number of identities of each kind; 0 without codes.
     code_counts: Vec<usize>,
     /// Whether all kinds are readable.
@@ -71,8 +85,8 @@ pub(super) fn kinds(root: &Table<'_, '_>) -> ParsedKinds {
             "add [[roundel]] with `name`, `outer_mm` and `inner_mm` as measured on the print";
         root.fail("roundel", "no kind of roundel is configured", help);
     }
-    let (kinds, motions, code_counts) = Default::default();
-    let mut parsed = ParsedKinds { kinds, motions, code_counts, complete: true };
+    let (kinds, motions, tolerances, code_counts) = Default::default();
+    let mut parsed = ParsedKinds { kinds, motions, tolerances, code_counts, complete: true };
     for table in &tables {
         let kind = kind(table).filter(|kind| is_distinct(table, kind, &parsed.kinds));
         if let (Some(kind), Some(motion)) = (kind, motion(table)) {
@@ -82,6 +96,8 @@ pub(super) fn kinds(root: &Table<'_, '_>) -> ParsedKinds {
             };
             parsed.kinds.push(kind);
             parsed.motions.push(motion);
+            let range = NumberRange::ZeroUpTo(MAX_TOLERANCE);
+            parsed.tolerances.push(table.number("tolerance", range, DEFAULT_TOLERANCE));
             parsed.code_counts.push(count);
         } else {
             parsed.complete = false;

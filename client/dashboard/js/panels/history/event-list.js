@@ -16,6 +16,7 @@ const SIGNS = new Map([
   ["camera_placed", "running"],
   ["camera_unplaced", "predicted"],
   ["height_contradicted", "failed"],
+  ["print_size_contradicted", "predicted"],
   ["calibration_begun", "starting"],
   ["calibration_done", "running"],
   ["calibration_failed", "failed"],
