@@ -447,7 +447,7 @@ fn compare(
     let weighted = weight * across_m;
     let information = weighted.dot(&across_m);
     let factor = weighted.dot(&baseline_m) / information;
-    if !(factor > 0.0) || information * factor * factor < MIN_INFORMATION {
+    if !factor.is_finite() || factor <= 0.0 || information * factor * factor < MIN_INFORMATION {
         return None;
     }
     let rest_m = across_m * factor - baseline_m;
