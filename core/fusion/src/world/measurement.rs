@@ -7,7 +7,7 @@
 
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 
-use super::{FusionParams, print_size::PrintSize};
+use super::FusionParams;
 use crate::track::{AttitudeMeasurement, Measurement, Noise, cholesky_lower};
 use roundel_vision::{
     id::CameraId,
@@ -37,6 +37,20 @@ pub struct CameraPlacement {
     pub world_from_camera: Rigid,
     /// Over (position, rotation), world frame, left perturbation; zero when exact.
     pub covariance: Covariance6,
+}
+
+/// Size of a kind's prints relative to the configured size.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PrintSize {
+    /// True size over configured size.
+    pub factor: f64,
+    /// Relative standard deviation.
+    pub deviation: f64,
+}
+
+impl PrintSize {
+    /// The configured size, without error.
+    pub(super) const EXACT: Self = Self { factor: 1.0, deviation: 0.0 };
 }
 
 /// Pose of a camera during one exposure, with its error split into a systematic and a fresh part.

@@ -43,10 +43,10 @@ pub use clock::{ClockEstimate, ClockPrior};
 pub use counts::FusionCounts;
 pub use fusion::{Fusion, LeaveOneOut};
 pub use height_check::WrongHeight;
-pub use measurement::{CameraPlacement, seen_in_world};
+pub use measurement::{CameraPlacement, PrintSize, seen_in_world};
 pub use mobile_camera::{CameraMount, Carrier, Landmark, TURN_SIGMA_RAD, Unplaced};
 pub use params::{FusionParams, MotionClass};
-pub use print_size::{PrintSize, WrongPrintSize};
+pub use print_size::WrongPrintSize;
 
 pub mod reference;
 

@@ -32,7 +32,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::{
     CameraPlacement, FrameObservations,
-    measurement::{StampCorrection, is_valid_pose, with_lever_arm},
+    measurement::{PrintSize, StampCorrection, is_valid_pose, with_lever_arm},
 };
 use crate::track::invert_positive;
 use roundel_vision::{
@@ -84,20 +84,6 @@ const MAX_PRIOR_SIGMAS: f64 = 3.0;
 const REPORTED_LN: f64 = 0.01;
 /// An error that was reported is reported again if it changes by this much.
 const CHANGED_LN: f64 = 0.02;
-
-/// Size of a kind's prints relative to the configured size.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PrintSize {
-    /// True size over configured size.
-    pub factor: f64,
-    /// Relative standard deviation.
-    pub deviation: f64,
-}
-
-impl PrintSize {
-    /// The configured size, without error.
-    pub(super) const EXACT: Self = Self { factor: 1.0, deviation: 0.0 };
-}
 
 /// Prints of a kind that are larger or smaller than configured.
 #[derive(Clone, Debug, PartialEq)]

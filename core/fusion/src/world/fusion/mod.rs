@@ -36,9 +36,9 @@ use super::{
     height_check::{ConstrainedHeight, HeightChecks, WrongHeight},
     identity::{CARRIER_NUMBER, Mark, Subject},
     lifecycle::{Claim, IdRegistry, Track, Trust},
-    measurement::StampCorrection,
+    measurement::{PrintSize, StampCorrection},
     mobile_camera::{Landmark, MobileCameras},
-    print_size::{PrintSize, PrintSizes, WrongPrintSize, resize},
+    print_size::{PrintSizes, WrongPrintSize, resize},
     snapshot::object_state,
 };
 use crate::track::{Inserted, Measurement};
