@@ -1,6 +1,6 @@
 //! Broken, missing and mistyped input: each ends in an error that names the file, line or field, and the remedy. The
-//! tables list common mistakes: `configuration` in the file, `mounted_cameras` with cameras on objects, `command_line`
-//! on the command line, `lens`, `plan` and `print` with the input of these commands.
+//! tables list common mistakes: `configuration` and `wrong_values` in the file, `mounted_cameras` with cameras on
+//! objects, `command_line` on the command line, `lens`, `plan` and `print` with the input of these commands.
 
 use std::{fs, path::Path};
 
@@ -13,6 +13,7 @@ mod lens;
 mod mounted_cameras;
 mod plan;
 mod print;
+mod wrong_values;
 
 const EXAMPLE: &str = include_str!("../../../deploy/roundel.example.toml");
 
