@@ -1,5 +1,7 @@
 //! Texts of the events that fusion publishes.
 
+use std::ops::Range;
+
 use roundel_core::{
     marker::Code,
     world::{self, Event, WrongHeight, WrongPrintSize},
@@ -47,8 +49,8 @@ pub(super) fn height_mismatch(installation: &Installation, wrong: &WrongHeight) 
     )
 }
 
-/// How far a print is from its design when a printer or viewer scales the page to fit.
-const FIT_TO_PAGE: std::ops::Range<f64> = 0.92..0.985;
+/// Factors by which printers and viewers scale a page to fit.
+const FIT_TO_PAGE: Range<f64> = 0.92..0.985;
 
 pub(super) fn wrong_print_size(installation: &Installation, wrong: &WrongPrintSize) -> String {
     let WrongPrintSize { kind, size, is_used, cameras } = wrong;
@@ -58,8 +60,8 @@ pub(super) fn wrong_print_size(installation: &Installation, wrong: &WrongPrintSi
     let cameras: Vec<&str> = cameras.iter().map(|&id| installation.camera_name(id)).collect();
     let advice = match (is_used, FIT_TO_PAGE.contains(&size.factor)) {
         (true, true) => {
-            "They may have been printed with \"fit to page\". Positions are corrected for it; measure \
-                         the prints and correct `outer_mm` and `inner_mm`."
+            "They may have been printed with \"fit to page\". Positions are corrected for it; measure the prints and \
+             correct `outer_mm` and `inner_mm`."
         }
         (true, false) => {
             "Positions are corrected for it; measure the prints and correct `outer_mm` and `inner_mm`."

@@ -1,6 +1,6 @@
-use std::{sync::mpsc::sync_channel, time::Duration};
+use std::{f64::consts::FRAC_PI_2, sync::mpsc::sync_channel, time::Duration};
 
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 use roundel_core::{
     id::{BodyId, KindId},
     rigid::{Covariance6, Rigid},
@@ -107,6 +107,39 @@ fn a_wrong_height_is_an_event() {
     };
     let message = messages::height_mismatch(&hub.installation(), &wrong);
     assert!(message.starts_with("\"carrier\": seen at a height of 0.20 m"), "{message}");
+}
+
+#[test]
+fn a_wrong_print_size_is_an_event() {
+    let clock = Clock::anchored_now();
+    let hub = Arc::new(fixtures::hub(&["north", "west"], clock.now()));
+    let mut fusion = Fusion::new(FusionParams::default());
+    fusion.set_print_tolerance(KindId(0), 0.03);
+    // The western camera looks along x; both see the roundel at 94 % of its configured distance.
+    let distance_m = 0.94 * fixtures::DEPTH_M;
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), FRAC_PI_2);
+    let west = Rigid::from_parts(Vector3::new(-distance_m, 0.0, distance_m).into(), turn);
+    for (id, world_from_camera) in [(0, Rigid::identity()), (1, west)] {
+        let placement = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
+        fusion.set_camera(CameraId(id), Some(placement));
+    }
+    let outputs = (1..=120).flat_map(|number| {
+        [0, 1].map(|camera| {
+            let time = clock.now().plus_seconds(number as f64 * 0.05 + f64::from(camera) * 0.02);
+            let observations = Arc::new(fixtures::frame(CameraId(camera), number, time));
+            WorkerOutput { observations, placement: None }
+        })
+    });
+    fuse(fusion, &hub, clock, outputs.collect());
+    let (events, _) = hub.events(EVENT_LOG_LEN);
+    let messages: Vec<&str> = events
+        .iter()
+        .filter(|event| event.kind() == EventKind::PrintSizeContradicted)
+        .map(|event| event.message.as_str())
+        .collect();
+    let expected = "Roundels \"robot\" are 6.0 % smaller than configured, as seen by north, west.";
+    assert_eq!(messages.len(), 1, "{messages:?}");
+    assert!(messages[0].starts_with(expected), "{messages:?}");
 }
 
 #[test]

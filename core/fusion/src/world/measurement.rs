@@ -2,8 +2,9 @@
 //!
 //! With the camera's pose (R, t), detection p and covariance Σ: p_w = R p + t. Its covariance is diag(R, R) Σ diag(R,
 //! R)ᵀ plus that of the camera's pose, J Σ_camera Jᵀ with J = [I -[R p]×; 0 I], since a small rotation δθ of the camera
-//! moves the point by δθ × R p. p is first scaled by the size of the print ([`super::print_size`]). The pose error of a stationary camera is the same in every frame, so it is wholly
-//! systematic; that of a mobile camera is in part ([`super::mobile_camera`]); Σ is to a configured share.
+//! moves the point by δθ × R p. The pose error of a stationary camera is the same in every frame, so it is wholly
+//! systematic; that of a mobile camera is in part ([`super::mobile_camera`]); Σ is to a configured share. p is first
+//! scaled by the size of the print ([`super::print_size`]), whose error is wholly systematic too.
 
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 
@@ -51,6 +52,12 @@ pub struct PrintSize {
 impl PrintSize {
     /// The configured size, without error.
     pub(super) const EXACT: Self = Self { factor: 1.0, deviation: 0.0 };
+
+    /// Covariance of a position relative to the camera by the error of the size.
+    pub(super) fn position_error(&self, arm_m: &Vector3<f64>) -> Matrix3<f64> {
+        let along_m = arm_m * self.deviation;
+        along_m * along_m.transpose()
+    }
 }
 
 /// Pose of a camera during one exposure, with its error split into a systematic and a fresh part.
@@ -135,12 +142,9 @@ pub(super) fn measure(
     let share = params.systematic_share.clamp(0.0, 1.0);
     let mut position_systematic = position_total * share;
     let mut rotation_systematic = rotation_total * share;
-    if size.deviation > 0.0 {
-        let along_m = arm_m * size.deviation;
-        let error = along_m * along_m.transpose();
-        position_total += error;
-        position_systematic += error;
-    }
+    let size_error = size.position_error(&arm_m);
+    position_total += size_error;
+    position_systematic += size_error;
     if let Some([position, rotation]) = camera_pose_error(&camera_pose.systematic, &arm_m) {
         position_total += position;
         position_systematic += position;

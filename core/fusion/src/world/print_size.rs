@@ -80,8 +80,9 @@ const ESTIMATE_NS: i64 = 250_000_000;
 const MAX_USED_LN: f64 = 0.12;
 /// Evidence that contradicts the tolerance by more standard deviations overrules it.
 const MAX_PRIOR_SIGMAS: f64 = 3.0;
-/// Smallest significant error of size that is reported.
+/// Smallest significant error of size that is reported, and the largest deviation of a reported one.
 const REPORTED_LN: f64 = 0.01;
+const REPORTED_DEVIATION: f64 = 0.002;
 /// An error that was reported is reported again if it changes by this much.
 const CHANGED_LN: f64 = 0.02;
 
@@ -124,6 +125,7 @@ struct CameraSamples {
 /// Result of comparing two detections.
 #[derive(Clone, Copy, Debug)]
 struct Comparison {
+    /// ln k.
     ln: f64,
     /// Variance of `ln` by the errors of the detections.
     variance: f64,
@@ -150,7 +152,7 @@ struct KindSize {
     pairs: BTreeMap<(CameraId, CameraId), PairSum>,
     size: PrintSize,
     is_wrong: bool,
-    reported_ln: f64,
+    reported_ln: Option<f64>,
 }
 
 /// Sizes of all kinds.
@@ -163,8 +165,8 @@ pub(super) struct PrintSizes {
 }
 
 impl PrintSizes {
-    /// Sets the relative tolerance of a kind's size, twice the standard deviation, and forgets the estimate. With 0
-    /// the size is exact.
+    /// Sets the relative tolerance of a kind's size, twice its standard deviation without evidence, and forgets the
+    /// estimate. With 0 the size is exact.
     pub(super) fn set_tolerance(&mut self, kind: KindId, tolerance: f64) {
         if tolerance > 0.0 {
             self.kinds.insert(kind, KindSize::new(0.5 * tolerance));
@@ -184,7 +186,7 @@ impl PrintSizes {
         self.kinds.is_empty()
     }
 
-    /// Whether the kind has another size than prints can have.
+    /// Whether the configured size of the kind cannot be right.
     pub(super) fn is_wrong(&self, kind: Option<KindId>) -> bool {
         kind.and_then(|kind| self.kinds.get(&kind)).is_some_and(|kind| kind.is_wrong)
     }
@@ -275,7 +277,7 @@ impl PrintSizes {
                 for theirs in samples.newer.iter().filter(|theirs| theirs.may_be(newer)) {
                     let comparison = older
                         .interpolated(newer, theirs.time)
-                        .and_then(|own_sight| compare((own, &own_sight), (samples, theirs)));
+                        .and_then(|moved| compare(own, &moved, samples, theirs));
                     if let Some(comparison) = comparison {
                         kind.add(pair, comparison);
                     }
@@ -294,11 +296,13 @@ impl PrintSizes {
             } else {
                 PrintSize { factor: 1.0, deviation: state.prior }
             };
-            let is_significant = ln.abs() - 2.0 * deviation > REPORTED_LN;
-            if !is_significant || (ln - state.reported_ln).abs() < CHANGED_LN.min(ln.abs()) {
+            let is_significant =
+                deviation < REPORTED_DEVIATION && ln.abs() - 2.0 * deviation > REPORTED_LN;
+            let is_known = state.reported_ln.is_some_and(|known| (ln - known).abs() < CHANGED_LN);
+            if !is_significant || is_known {
                 continue;
             }
-            state.reported_ln = ln;
+            state.reported_ln = Some(ln);
             let mut cameras: Vec<_> =
                 state.pairs.keys().flat_map(|pair| [pair.0, pair.1]).collect();
             cameras.sort_unstable();
@@ -318,7 +322,7 @@ impl KindSize {
             pairs: BTreeMap::new(),
             size: PrintSize { factor: 1.0, deviation: prior },
             is_wrong: false,
-            reported_ln: 0.0,
+            reported_ln: None,
         }
     }
 
@@ -400,7 +404,7 @@ impl Sight {
         self.kind == other.kind && codes.is_none_or(|(own, other)| own == other)
     }
 
-    /// This detection of the same camera's older sample moved to a time between both.
+    /// The detection interpolated to a time between this sample and the newer one of the same camera.
     fn interpolated(&self, newer: &Self, time: Timestamp) -> Option<Self> {
         let (gap_ns, elapsed_ns) = (newer.time.ns_since(self.time), time.ns_since(self.time));
         if !(1..MAX_GAP_NS).contains(&gap_ns) || !(0..=gap_ns).contains(&elapsed_ns) {
@@ -412,10 +416,12 @@ impl Sight {
     }
 }
 
-/// Compares two detections; `None` if they are not of one roundel, or tell too little.
+/// Compares two cameras' detections; `None` if they are not of one roundel, or the scale is too uncertain.
 fn compare(
-    (first, own): (&CameraSamples, &Sight),
-    (second, theirs): (&CameraSamples, &Sight),
+    first: &CameraSamples,
+    own: &Sight,
+    second: &CameraSamples,
+    theirs: &Sight,
 ) -> Option<Comparison> {
     let across_m = own.arm_m - theirs.arm_m;
     let baseline_m = second.origin_m - first.origin_m;
@@ -456,12 +462,11 @@ impl CameraSamples {
 /// Corrects a pose by the size of its print.
 pub(super) fn resize(pose: &mut RoundelPose, size: PrintSize) {
     pose.position_m *= size.factor;
-    let along = pose.position_m * size.deviation;
+    // The factor scales the rows of the position and its columns.
+    let mut rows = pose.covariance.fixed_rows_mut::<3>(0);
+    rows *= size.factor;
+    let mut columns = pose.covariance.fixed_columns_mut::<3>(0);
+    columns *= size.factor;
     let mut position = pose.covariance.fixed_view_mut::<3, 3>(0, 0);
-    position *= size.factor * size.factor;
-    position += along * along.transpose();
-    let mut cross = pose.covariance.fixed_view_mut::<3, 3>(0, 3);
-    cross *= size.factor;
-    let mut cross = pose.covariance.fixed_view_mut::<3, 3>(3, 0);
-    cross *= size.factor;
+    position += size.position_error(&pose.position_m);
 }

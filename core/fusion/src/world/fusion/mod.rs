@@ -128,8 +128,8 @@ impl Fusion {
         self.classes.insert(kind, class);
     }
 
-    /// Sets the relative tolerance of a kind's printed size: twice its standard deviation, and 0, exact, by default.
-    /// The size is estimated within it, from now on.
+    /// Sets the relative tolerance of a kind's printed size: twice its standard deviation until cameras have measured
+    /// it. 0, the default: the size is exact and not measured. Forgets an earlier estimate.
     pub fn set_print_tolerance(&mut self, kind: KindId, tolerance: f64) {
         self.print_sizes.set_tolerance(kind, tolerance);
     }
@@ -144,8 +144,8 @@ impl Fusion {
         self.print_sizes.drain()
     }
 
-    /// The frame with the estimated sizes of prints, without detections of kinds whose configured size cannot be
-    /// right; `None` if it is unchanged.
+    /// The frame with poses and covariances corrected by the estimated sizes of prints, without detections of kinds
+    /// whose configured size cannot be right. `None` if all sizes are exact.
     pub fn resized(&self, frame: &FrameObservations) -> Option<FrameObservations> {
         if self.print_sizes.is_exact() {
             return None;
