@@ -1,7 +1,7 @@
 //! Consistency of served poses: a rendered arena as image files, a real `roundel serve`, a real gRPC subscription,
 //! and snapshots compared with the truth.
 
-use std::{collections::HashMap, f64::consts::PI, time::Duration};
+use std::{collections::HashMap, f64::consts::PI, fs, time::Duration};
 
 use anyhow::{Context, ensure};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
@@ -42,10 +42,28 @@ async fn snapshots_until(server: &Server, end_ns: i64) -> anyhow::Result<Vec<Sna
 
 #[tokio::test(flavor = "multi_thread")]
 async fn served_poses_match_their_covariances() -> anyhow::Result<()> {
-    let arena = Arena::r4_lite(2, 24, 8);
+    check_served_poses(&Arena::r4_lite(2, 24, 8), "").await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn scaled_prints_are_measured_and_corrected() -> anyhow::Result<()> {
+    let mut arena = Arena::r4_lite(3, 24, 8);
+    for kind in &mut arena.kinds {
+        kind.outer_diameter_m /= 0.97;
+        kind.inner_diameter_m /= 0.97;
+    }
+    check_served_poses(&arena, "tolerance = 0.03").await
+}
+
+/// Serves five seconds of an arena, with further lines for each kind in the configuration, and compares the poses with
+/// the truth.
+async fn check_served_poses(arena: &Arena, lines: &str) -> anyhow::Result<()> {
     let frames = 150;
     let folder = tempfile::tempdir()?;
-    let installation = Export::lab(frames).write(&arena, folder.path())?;
+    let installation = Export::lab(frames).write(arena, folder.path())?;
+    let text = fs::read_to_string(&installation.config)?;
+    let text = text.replace("[[roundel]]", &format!("[[roundel]]\n{lines}"));
+    fs::write(&installation.config, text)?;
     let server = Server::serve(&installation.config)?;
     let end_ns = arena.capture_time_ns(&arena.sites[0], frames - 1);
     let snapshots = snapshots_until(&server, end_ns).await?;
