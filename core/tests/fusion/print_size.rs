@@ -2,11 +2,11 @@
 
 use roundel_core::{
     id::{CameraId, KindId},
-    world::{FrameObservations, Fusion, FusionParams, LifeStage, PrintSize, WrongPrintSize},
+    world::{FrameObservations, Fusion, FusionParams, KindPrintSize, Landmark, LifeStage, PrintSize, PrintSizeState},
 };
 
 use super::{
-    arena::{Arena, Setting},
+    arena::{Arena, START, Setting},
     score::{Score, fusion_of, run},
 };
 
@@ -37,7 +37,7 @@ fn fused(arena: &Arena, frames: &[FrameObservations], from_s: f64) -> (Score, Fu
     (score, fusion)
 }
 
-fn reports(fusion: &mut Fusion) -> Vec<WrongPrintSize> {
+fn reports(fusion: &mut Fusion) -> Vec<KindPrintSize> {
     fusion.drain_wrong_print_sizes().collect()
 }
 
@@ -66,7 +66,7 @@ fn the_scale_of_prints_is_measured() {
         let reports = reports(&mut fusion);
         assert_eq!(reports.len(), usize::from(factor != 1.0), "{reports:?}");
         for report in reports {
-            assert!(report.is_used && report.kind == KIND && report.cameras.len() == 4);
+            assert!(report.state == PrintSizeState::Measured && report.kind == KIND && report.cameras.len() == 4);
         }
     }
 }
@@ -89,7 +89,7 @@ fn a_size_that_cannot_be_right_is_reported_and_not_used() {
     let frames = frames_of(&arena, 122.0 / 160.0, 6.0);
     let (_, mut fusion) = fused(&arena, &frames, 1.0);
     let [report] = &reports(&mut fusion)[..] else { panic!("one report") };
-    assert!(!report.is_used);
+    assert_eq!(report.state, PrintSizeState::Contradicted);
     assert!((report.size.factor - 122.0 / 160.0).abs() < 0.01, "{report:?}");
     assert_eq!(fusion.print_size(KIND), PrintSize { factor: 1.0, deviation: TOLERANCE / 2.0 });
     let resized = fusion.resized(&frames[0]).expect("detections of the kind are left out");
@@ -115,4 +115,24 @@ fn a_single_camera_states_the_tolerance() {
         let along_m = arm_m.normalize().dot(&(block * arm_m.normalize())).sqrt();
         assert!(along_m > 0.5 * TOLERANCE / 2.0 * arm_m.norm(), "{along_m}");
     }
+}
+
+#[test]
+fn a_single_camera_measures_the_scale_with_references() {
+    let factor = 0.97;
+    let arena = Arena::new(Setting { seed: 9, objects: 9, still: 2, ..Setting::default() });
+    let mut frames = frames_of(&arena, factor, 8.0);
+    frames.retain(|frame| frame.camera == CameraId(0));
+    let mut fusion = fusion_of(&arena, FusionParams::default());
+    fusion.set_print_tolerance(KIND, TOLERANCE);
+    let still = (0..arena.setting.objects).step_by(arena.setting.still);
+    let reference = |index| Landmark::new(KIND, None, arena.truth(index, START).position_m);
+    fusion.set_landmarks(still.map(reference).collect());
+    let score = run(&arena, &mut fusion, &frames, 2.0);
+    let PrintSize { factor: measured, deviation } = fusion.print_size(KIND);
+    println!("{measured:.5} ± {deviation:.5}, {}", score.summary());
+    assert!(deviation < 0.002, "{deviation}");
+    assert!((measured / factor).ln().abs() < 3.0 * deviation, "{measured}");
+    let [report] = &reports(&mut fusion)[..] else { panic!("one report") };
+    assert_eq!(report.cameras, [CameraId(0)]);
 }

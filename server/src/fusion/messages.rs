@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use roundel_core::{
     marker::Code,
-    world::{self, Event, WrongHeight, WrongPrintSize},
+    world::{self, Event, KindPrintSize, PrintSizeState, WrongHeight},
 };
 
 use crate::model::hub::{EventKind, Installation};
@@ -52,8 +52,9 @@ pub(super) fn height_mismatch(installation: &Installation, wrong: &WrongHeight) 
 /// Factors by which printers and viewers scale a page to fit.
 const FIT_TO_PAGE: Range<f64> = 0.92..0.985;
 
-pub(super) fn wrong_print_size(installation: &Installation, wrong: &WrongPrintSize) -> String {
-    let WrongPrintSize { kind, size, is_used, cameras } = wrong;
+pub(super) fn wrong_print_size(installation: &Installation, wrong: &KindPrintSize) -> String {
+    let KindPrintSize { kind, size, state, cameras } = wrong;
+    let is_used = *state == PrintSizeState::Measured;
     let name = installation.kind_name(Some(*kind));
     let percent = (size.factor - 1.0) * 100.0;
     let compared = if percent < 0.0 { "smaller" } else { "larger" };

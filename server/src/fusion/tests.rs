@@ -4,7 +4,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use roundel_core::{
     id::{BodyId, KindId},
     rigid::{Covariance6, Rigid},
-    world::{CameraPlacement, FusionParams, MotionClass, PrintSize, WrongHeight, WrongPrintSize},
+    world::{CameraPlacement, FusionParams, KindPrintSize, MotionClass, PrintSize, PrintSizeState, WrongHeight},
 };
 
 use super::*;
@@ -145,12 +145,12 @@ fn a_wrong_print_size_is_an_event() {
 #[test]
 fn a_wrong_print_size_names_its_remedy() {
     let hub = hub(&Clock::anchored_now());
-    let message = |factor, is_used| {
+    let message = |factor, state| {
         let size = PrintSize { factor, deviation: 0.001 };
-        let wrong = WrongPrintSize { kind: KindId(0), size, is_used, cameras: vec![CameraId(0)] };
+        let wrong = KindPrintSize { kind: KindId(0), size, state, cameras: vec![CameraId(0)] };
         messages::wrong_print_size(&hub.installation(), &wrong)
     };
-    let fitted = message(0.969, true);
+    let fitted = message(0.969, PrintSizeState::Measured);
     assert!(
         fitted.starts_with(
             "Roundels \"robot\" are 3.1 % smaller than configured, as seen by north. They may"
@@ -158,9 +158,9 @@ fn a_wrong_print_size_names_its_remedy() {
         "{fitted}"
     );
     assert!(fitted.contains("fit to page"), "{fitted}");
-    let larger = message(1.02, true);
+    let larger = message(1.02, PrintSizeState::Measured);
     assert!(larger.contains("2.0 % larger") && !larger.contains("fit to page"), "{larger}");
-    let wrong = message(0.76, false);
+    let wrong = message(0.76, PrintSizeState::Contradicted);
     assert!(
         wrong.contains("24.0 % smaller") && wrong.contains("cannot be that far off"),
         "{wrong}"

@@ -50,8 +50,8 @@ pub struct PrintSize {
 }
 
 impl PrintSize {
-    /// The configured size, without error.
-    pub(super) const EXACT: Self = Self { factor: 1.0, deviation: 0.0 };
+    /// As configured, without error.
+    pub const EXACT: Self = Self { factor: 1.0, deviation: 0.0 };
 
     /// Covariance of a position relative to the camera by the error of the size.
     pub(super) fn position_error(&self, arm_m: &Vector3<f64>) -> Matrix3<f64> {

@@ -46,7 +46,7 @@ pub use height_check::WrongHeight;
 pub use measurement::{CameraPlacement, PrintSize, seen_in_world};
 pub use mobile_camera::{CameraMount, Carrier, Landmark, TURN_SIGMA_RAD, Unplaced};
 pub use params::{FusionParams, MotionClass};
-pub use print_size::WrongPrintSize;
+pub use print_size::{KindPrintSize, PrintSizeState};
 
 pub mod reference;
 

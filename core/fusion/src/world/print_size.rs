@@ -12,6 +12,9 @@
 //! cameras, since their pose errors are common to all its comparisons, and the means of all pairs are averaged with the
 //! tolerance of the kind as prior. If they contradict one another, the deviation grows accordingly.
 //!
+//! A reference is the same with a known position instead of a second camera: a_j = 0 and c_j is the reference. So a single
+//! camera measures the scale where it sees references of the kind, once its pose is known better than by their size.
+//!
 //! Each camera is sampled ten times a second, up to [`MAX_SIGHTS`] detections. Positions are interpolated between two
 //! samples to the time of the other camera's detection.
 //!
@@ -22,16 +25,16 @@
 //! Results (`core/tests/fusion/print_size.rs`): nine objects under four cameras with prints at 94, 97 and 103 %: the
 //! scale is within 0.03 % after 8 s, and positions are as exact as with the true size.
 //!
-//! Limits: all prints of a kind have the same scale. A single camera, or cameras at one place, reveal nothing; the
-//! tolerance then remains in the covariance. Cameras that were calibrated with the same prints and without references
+//! Limits: all prints of a kind have the same scale. A single camera without references, or cameras at one place, reveal
+//! nothing; the tolerance then remains in the covariance. Cameras that were calibrated with the same prints and without references
 //! agree with any size.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, iter};
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
-    CameraPlacement, FrameObservations,
+    CameraPlacement, FrameObservations, Landmark,
     measurement::{PrintSize, StampCorrection, is_valid_pose, with_lever_arm},
 };
 use crate::track::invert_positive;
@@ -86,17 +89,28 @@ const REPORTED_DEVIATION: f64 = 0.002;
 /// An error that was reported is reported again if it changes by this much.
 const CHANGED_LN: f64 = 0.02;
 
-/// Prints of a kind that are larger or smaller than configured.
+/// Size of a kind's prints.
 #[derive(Clone, Debug, PartialEq)]
-pub struct WrongPrintSize {
+pub struct KindPrintSize {
     /// The kind.
     pub kind: KindId,
-    /// Measured size.
+    /// Measured size; the configured one with its tolerance until it is measured.
     pub size: PrintSize,
-    /// Whether measurements use it. Otherwise the difference is too large for a print of this kind.
-    pub is_used: bool,
+    /// Whether it is measured.
+    pub state: PrintSizeState,
     /// Cameras that measured it, ascending.
     pub cameras: Vec<CameraId>,
+}
+
+/// Whether the size of a kind's prints is known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PrintSizeState {
+    /// Not measured yet.
+    Assumed,
+    /// Measured; positions are corrected by it.
+    Measured,
+    /// Measured, but too far from the configured size for a print of this kind; positions are not corrected.
+    Contradicted,
 }
 
 /// A detection of a sample.
@@ -122,7 +136,20 @@ struct CameraSamples {
     sampled: Timestamp,
 }
 
-/// Result of comparing two detections.
+/// A position of a roundel, by a detection or a reference.
+#[derive(Clone, Copy, Debug)]
+struct Position {
+    /// The camera, or the reference itself; metres.
+    origin_m: Vector3<f64>,
+    /// Position relative to the origin, along the axes of the world, metres.
+    arm_m: Vector3<f64>,
+    /// Error of the detection.
+    own: Matrix3<f64>,
+    /// Error of the origin and its axes.
+    origin: Matrix3<f64>,
+}
+
+/// Result of comparing two positions.
 #[derive(Clone, Copy, Debug)]
 struct Comparison {
     /// ln k.
@@ -133,7 +160,10 @@ struct Comparison {
     pose_variance: f64,
 }
 
-/// Comparisons between the same two cameras.
+/// The cameras of a comparison, in ascending order; a camera alone is compared with references.
+type Pair = (CameraId, Option<CameraId>);
+
+/// Comparisons between the same two cameras, or of one camera with references.
 #[derive(Clone, Copy, Debug, Default)]
 struct PairSum {
     information: f64,
@@ -149,9 +179,8 @@ struct KindSize {
     votes: Vec<u32>,
     /// ln k at the peak.
     peak: Option<f64>,
-    pairs: BTreeMap<(CameraId, CameraId), PairSum>,
-    size: PrintSize,
-    is_wrong: bool,
+    pairs: BTreeMap<Pair, PairSum>,
+    measured: Option<PrintSize>,
     reported_ln: Option<f64>,
 }
 
@@ -161,7 +190,7 @@ pub(super) struct PrintSizes {
     kinds: BTreeMap<KindId, KindSize>,
     cameras: BTreeMap<CameraId, CameraSamples>,
     estimated: Option<Timestamp>,
-    reports: Vec<WrongPrintSize>,
+    reports: Vec<KindPrintSize>,
 }
 
 impl PrintSizes {
@@ -177,8 +206,7 @@ impl PrintSizes {
 
     /// Size of a kind's prints.
     pub(super) fn get(&self, kind: Option<KindId>) -> PrintSize {
-        let size = kind.and_then(|kind| self.kinds.get(&kind)).map(|kind| kind.size);
-        size.unwrap_or(PrintSize::EXACT)
+        kind.and_then(|kind| self.kinds.get(&kind)).map_or(PrintSize::EXACT, KindSize::used)
     }
 
     /// Whether all sizes are as configured.
@@ -188,11 +216,17 @@ impl PrintSizes {
 
     /// Whether the configured size of the kind cannot be right.
     pub(super) fn is_wrong(&self, kind: Option<KindId>) -> bool {
-        kind.and_then(|kind| self.kinds.get(&kind)).is_some_and(|kind| kind.is_wrong)
+        let state = kind.and_then(|kind| self.kinds.get(&kind)).map(KindSize::state);
+        state == Some(PrintSizeState::Contradicted)
+    }
+
+    /// Sizes of all kinds with a tolerance.
+    pub(super) fn all(&self) -> impl Iterator<Item = KindPrintSize> + '_ {
+        self.kinds.iter().map(|(&kind, size)| size.named(kind))
     }
 
     /// Takes the wrong sizes found since the last call.
-    pub(super) fn drain(&mut self) -> impl Iterator<Item = WrongPrintSize> + '_ {
+    pub(super) fn drain(&mut self) -> impl Iterator<Item = KindPrintSize> + '_ {
         self.reports.drain(..)
     }
 
@@ -200,7 +234,7 @@ impl PrintSizes {
     pub(super) fn forget_camera(&mut self, camera: CameraId) {
         self.cameras.remove(&camera);
         for kind in self.kinds.values_mut() {
-            kind.pairs.retain(|pair, _| pair.0 != camera && pair.1 != camera);
+            kind.pairs.retain(|pair, _| pair.0 != camera && pair.1 != Some(camera));
         }
     }
 
@@ -210,11 +244,13 @@ impl PrintSizes {
         frame: &FrameObservations,
         placement: &CameraPlacement,
         correction: StampCorrection,
+        references: &[Landmark],
     ) {
         if self.is_exact() || !self.sample(frame, placement, correction) {
             return;
         }
         self.compare_with_others(frame.camera);
+        self.compare_with_references(frame.camera, references);
         let time = correction.corrected(frame.capture_time);
         let is_due = |last: Timestamp| time.ns_since(last).saturating_abs() >= ESTIMATE_NS;
         if self.estimated.is_none_or(is_due) {
@@ -273,11 +309,11 @@ impl PrintSizes {
             };
             let Some(kind) = self.kinds.get_mut(&newer.kind) else { continue };
             for (&other, samples) in self.cameras.iter().filter(|(other, _)| **other != camera) {
-                let pair = (camera.min(other), camera.max(other));
+                let pair = (camera.min(other), Some(camera.max(other)));
                 for theirs in samples.newer.iter().filter(|theirs| theirs.may_be(newer)) {
                     let comparison = older
                         .interpolated(newer, theirs.time)
-                        .and_then(|moved| compare(own, &moved, samples, theirs));
+                        .and_then(|moved| compare(&own.position(&moved), &samples.position(theirs)));
                     if let Some(comparison) = comparison {
                         kind.add(pair, comparison);
                     }
@@ -286,29 +322,31 @@ impl PrintSizes {
         }
     }
 
+    /// Compares the newest sample of a camera with the references.
+    fn compare_with_references(&mut self, camera: CameraId, references: &[Landmark]) {
+        let Some(samples) = self.cameras.get(&camera) else { return };
+        for sight in &samples.newer {
+            let Some(kind) = self.kinds.get_mut(&sight.kind) else { continue };
+            let own = samples.position(sight);
+            for reference in references.iter().filter(|it| sight.may_be_reference(it)) {
+                if let Some(comparison) = compare(&own, &Position::from(reference)) {
+                    kind.add((camera, None), comparison);
+                }
+            }
+        }
+    }
+
     fn estimate(&mut self) {
         for (&kind, state) in &mut self.kinds {
             let Some((ln, deviation)) = state.estimate() else { continue };
-            let is_used = ln.abs() <= MAX_USED_LN;
-            state.is_wrong = !is_used;
-            state.size = if is_used {
-                PrintSize { factor: ln.exp(), deviation }
-            } else {
-                PrintSize { factor: 1.0, deviation: state.prior }
-            };
+            state.measured = Some(PrintSize { factor: ln.exp(), deviation });
             let is_significant =
                 deviation < REPORTED_DEVIATION && ln.abs() - 2.0 * deviation > REPORTED_LN;
             let is_known = state.reported_ln.is_some_and(|known| (ln - known).abs() < CHANGED_LN);
-            if !is_significant || is_known {
-                continue;
+            if is_significant && !is_known {
+                state.reported_ln = Some(ln);
+                self.reports.push(state.named(kind));
             }
-            state.reported_ln = Some(ln);
-            let mut cameras: Vec<_> =
-                state.pairs.keys().flat_map(|pair| [pair.0, pair.1]).collect();
-            cameras.sort_unstable();
-            cameras.dedup();
-            let size = PrintSize { factor: ln.exp(), deviation };
-            self.reports.push(WrongPrintSize { kind, size, is_used, cameras });
         }
     }
 }
@@ -320,13 +358,35 @@ impl KindSize {
             votes: vec![0; BINS],
             peak: None,
             pairs: BTreeMap::new(),
-            size: PrintSize { factor: 1.0, deviation: prior },
-            is_wrong: false,
+            measured: None,
             reported_ln: None,
         }
     }
 
-    fn add(&mut self, pair: (CameraId, CameraId), comparison: Comparison) {
+    fn state(&self) -> PrintSizeState {
+        match self.measured {
+            None => PrintSizeState::Assumed,
+            Some(size) if size.factor.ln().abs() <= MAX_USED_LN => PrintSizeState::Measured,
+            Some(_) => PrintSizeState::Contradicted,
+        }
+    }
+
+    /// The size that measurements use.
+    fn used(&self) -> PrintSize {
+        let assumed = PrintSize { factor: 1.0, deviation: self.prior };
+        self.measured.filter(|_| self.state() == PrintSizeState::Measured).unwrap_or(assumed)
+    }
+
+    fn named(&self, kind: KindId) -> KindPrintSize {
+        let pairs = self.pairs.keys();
+        let mut cameras: Vec<_> = pairs.flat_map(|pair| iter::once(pair.0).chain(pair.1)).collect();
+        cameras.sort_unstable();
+        cameras.dedup();
+        let size = self.measured.unwrap_or_else(|| self.used());
+        KindPrintSize { kind, size, state: self.state(), cameras }
+    }
+
+    fn add(&mut self, pair: Pair, comparison: Comparison) {
         let Comparison { ln, variance, pose_variance } = comparison;
         let bin = (ln + MAX_LN) / BIN_LN;
         if bin < 0.0 || bin >= BINS as f64 {
@@ -404,6 +464,12 @@ impl Sight {
         self.kind == other.kind && codes.is_none_or(|(own, other)| own == other)
     }
 
+    /// Whether kind and code allow that it shows the reference.
+    fn may_be_reference(&self, reference: &Landmark) -> bool {
+        let codes = self.code.zip(reference.code);
+        self.kind == reference.kind && codes.is_none_or(|(own, other)| own == other)
+    }
+
     /// The detection interpolated to a time between this sample and the newer one of the same camera.
     fn interpolated(&self, newer: &Self, time: Timestamp) -> Option<Self> {
         let (gap_ns, elapsed_ns) = (newer.time.ns_since(self.time), time.ns_since(self.time));
@@ -416,25 +482,18 @@ impl Sight {
     }
 }
 
-/// Compares two cameras' detections; `None` if they are not of one roundel, or the scale is too uncertain.
-fn compare(
-    first: &CameraSamples,
-    own: &Sight,
-    second: &CameraSamples,
-    theirs: &Sight,
-) -> Option<Comparison> {
-    let across_m = own.arm_m - theirs.arm_m;
+/// Compares two positions; `None` if they are not of one roundel, or the scale is too uncertain.
+fn compare(first: &Position, second: &Position) -> Option<Comparison> {
+    let across_m = first.arm_m - second.arm_m;
     let baseline_m = second.origin_m - first.origin_m;
     let squared_m2 = across_m.norm_squared();
     let limits = (-MAX_LN).exp()..MAX_LN.exp();
     if squared_m2 == 0.0 || !limits.contains(&(across_m.dot(&baseline_m) / squared_m2)) {
         return None;
     }
-    let poses = first.pose_error(&own.arm_m) + second.pose_error(&theirs.arm_m);
-    let covariance = own.covariance
-        + theirs.covariance
-        + poses
-        + Matrix3::from_diagonal_element(INTERPOLATION_M * INTERPOLATION_M);
+    let origins = first.origin + second.origin;
+    let interpolation = Matrix3::from_diagonal_element(INTERPOLATION_M * INTERPOLATION_M);
+    let covariance = first.own + second.own + origins + interpolation;
     let (weight, _) = invert_positive(&covariance)?;
     let weighted = weight * across_m;
     let information = weighted.dot(&across_m);
@@ -447,15 +506,30 @@ fn compare(
         return None;
     }
     let gain = weighted / (information * factor);
-    let pose_variance = gain.dot(&(poses * gain));
+    let pose_variance = gain.dot(&(origins * gain));
     let variance = (1.0 / (information * factor * factor) - pose_variance).max(f64::MIN_POSITIVE);
     Some(Comparison { ln: factor.ln(), variance, pose_variance })
 }
 
 impl CameraSamples {
-    /// Covariance of a position by the error of the camera's pose.
-    fn pose_error(&self, arm_m: &Vector3<f64>) -> Matrix3<f64> {
-        with_lever_arm(&self.pose_covariance, arm_m).fixed_view::<3, 3>(0, 0).into_owned()
+    fn position(&self, sight: &Sight) -> Position {
+        let arm_m = sight.arm_m;
+        // The covariance of a position by the error of the camera's pose.
+        let origin =
+            with_lever_arm(&self.pose_covariance, &arm_m).fixed_view::<3, 3>(0, 0).into_owned();
+        Position { origin_m: self.origin_m, arm_m, own: sight.covariance, origin }
+    }
+}
+
+impl From<&Landmark> for Position {
+    fn from(reference: &Landmark) -> Self {
+        let variance_m2 = reference.position_deviation_m.powi(2);
+        Self {
+            origin_m: reference.position_m,
+            arm_m: Vector3::zeros(),
+            own: Matrix3::zeros(),
+            origin: Matrix3::from_diagonal_element(variance_m2),
+        }
     }
 }
 

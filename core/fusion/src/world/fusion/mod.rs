@@ -38,7 +38,7 @@ use super::{
     lifecycle::{Claim, IdRegistry, Track, Trust},
     measurement::{PrintSize, StampCorrection},
     mobile_camera::{Landmark, MobileCameras},
-    print_size::{PrintSizes, WrongPrintSize, resize},
+    print_size::{PrintSizes, KindPrintSize, resize},
     snapshot::object_state,
 };
 use crate::track::{Inserted, Measurement};
@@ -139,8 +139,13 @@ impl Fusion {
         self.print_sizes.get(Some(kind))
     }
 
-    /// Takes the wrong sizes found since the last call.
-    pub fn drain_wrong_print_sizes(&mut self) -> impl Iterator<Item = WrongPrintSize> + '_ {
+    /// Sizes of the prints of all kinds with a tolerance.
+    pub fn print_sizes(&self) -> impl Iterator<Item = KindPrintSize> + '_ {
+        self.print_sizes.all()
+    }
+
+    /// Takes the measured sizes that differ from the configured ones, found since the last call.
+    pub fn drain_wrong_print_sizes(&mut self) -> impl Iterator<Item = KindPrintSize> + '_ {
         self.print_sizes.drain()
     }
 
@@ -220,7 +225,7 @@ impl Fusion {
         if let Some(placement) = self.cameras.get(&frame.camera)
             && !self.mobile_cameras.contains(frame.camera)
         {
-            self.print_sizes.observe(frame, placement, correction);
+            self.print_sizes.observe(frame, placement, correction, &self.landmarks);
         }
         let landmarks = self.localize(frame, correction, now);
         if !self.collect(frame, correction, now, &landmarks) {
