@@ -7,9 +7,9 @@
 //! Both modes start with the closed-form pose of the rims ([`super::locate`]). [`Mode::Precise`]
 //! then fits the grey levels ([`super::photometry`]), for a tracked ring from the state of earlier
 //! frames. When the fit rejects the ring (occlusion, washed out levels), the closed form with its
-//! own covariance is returned, and [`Located::by`] is [`Mode::Fast`]. So it is while a track has spent
-//! more work than its allowance, which bounds the cost of rings in any picture to about ten times that of
-//! an undisturbed one.
+//! own covariance is returned, and [`Located::by`] is [`Mode::Fast`]. So it is with deferred fits: while a track has
+//! spent more work than its allowance, which bounds the cost of a ring in any picture, and after the frame's deadline
+//! ([`Locator::set_deadline`]). Of a frame with a deadline, the rings that have waited longest are fitted first.
 //!
 //! A camera with a rolling shutter ([`Locator::with_line_time`]) needs the time of each frame
 //! ([`Locator::locate_all_at`]), so that moving rings are located at one instant
@@ -18,6 +18,8 @@
 //! On a thread of a [`rayon`] pool the fits of a frame are distributed over its idle threads, with
 //! identical results. The memory of tracks is bounded (`recent_tracks`); the locator needs no
 //! notice when a track ends.
+
+use std::{cmp::Reverse, time::Instant};
 
 use crate::{
     camera::Camera,
@@ -48,6 +50,8 @@ pub struct Located {
     pub pose: RoundelPose,
     /// The mode that succeeded: [`Mode::Fast`] also where the precise fit rejected the ring.
     pub by: Mode,
+    /// Whether the precise fit was left out to bound the cost.
+    pub is_deferred: bool,
     /// Blur and noise, where they were fitted.
     pub image: Option<ImageQuality>,
     /// Work of the precise fit, also of one that rejected the ring ([`FitScratch::work`]).
@@ -77,15 +81,18 @@ pub struct Locator {
     pending: Vec<PendingRing>,
     /// `None` for a global shutter.
     shutter: Option<Shutter>,
+    deadline: Option<Instant>,
 }
 
 /// A ring between the closed form and the fit.
 #[derive(Clone, Debug)]
 struct PendingRing {
+    /// Its place in the frame.
+    index: usize,
     located: Result<Located, PoseError>,
     printed: PrintedRing,
-    /// State of its fits for the next frame.
-    fit: Option<TrackedFit>,
+    /// State of its fits, in precise mode.
+    fit: TrackedFit,
 }
 
 /// State of the precise fits of a track.
@@ -94,6 +101,8 @@ struct TrackedFit {
     history: Option<FitHistory>,
     /// Work that may be spent; negative after costly fits, `None` before the first frame.
     credit: Option<f64>,
+    /// Frames since the last fit.
+    waited: u32,
 }
 
 /// Work per frame that a track may spend on average, relative to the ring's pixels. The fit of an
@@ -122,12 +131,19 @@ impl Locator {
             prints: RecentTracks::new(),
             pending: Vec::new(),
             shutter: None,
+            deadline: None,
         }
     }
 
     /// Sets the delay between the exposures of consecutive rows, seconds; 0 for a global shutter.
     pub fn with_line_time(self, line_time_s: f64) -> Self {
         Self { shutter: (line_time_s != 0.0).then(|| Shutter::new(line_time_s)), ..self }
+    }
+
+    /// Sets the time after which no further ring of a frame is fitted; none by default. Results then depend on the
+    /// speed of the machine.
+    pub fn set_deadline(&mut self, deadline: Option<Instant>) {
+        self.deadline = deadline;
     }
 
     /// The camera model.
@@ -205,7 +221,7 @@ impl Locator {
         let PrintedRing { ring, print, .. } = printed;
         let input = FitInput { frame, camera, kind, ring: &ring, print, skew: None };
         let fit = &mut TrackedFit::default();
-        located.refine(&input, self.mode, fit, self.shares.first());
+        located.refine(&input, self.mode, false, fit, self.shares.first());
         printed.widen(&mut located.pose);
         Ok(located)
     }
@@ -229,7 +245,8 @@ impl Locator {
                 self.prints.update(one.track, Some(print));
             }
             let located = Err(PoseError::NoCircle);
-            self.pending.push(PendingRing { located, printed, fit: None });
+            let fit = self.fits.get(one.track).copied().unwrap_or_default();
+            self.pending.push(PendingRing { index, located, printed, fit });
         }
         let mut poses = [const { Err(PoseError::NoCircle) }; LANES];
         for (tracked, pending) in tracked.chunks(LANES).zip(self.pending.chunks_mut(LANES)) {
@@ -248,38 +265,44 @@ impl Locator {
 
     /// Refines the closed-form poses of the frame's rings as the mode demands.
     fn refine_all(&mut self, frame: &Frame, tracked: &[TrackedRing]) {
-        let Self { camera, kinds, mode, shares, fits, pending, shutter, .. } = self;
+        let Self { camera, kinds, mode, shares, fits, pending, shutter, deadline, .. } = self;
         let skews = shutter.as_ref().map(Shutter::skews);
-        let (camera, kinds, mode) = (&*camera, &*kinds, *mode);
+        let (camera, kinds, mode, deadline) = (&*camera, &*kinds, *mode, *deadline);
+        if deadline.is_some() {
+            pending.sort_unstable_by_key(|one| (Reverse(one.fit.waited), one.index));
+        }
         // Without a fit there is too little work to share.
         let at_a_time = if mode == Mode::Precise { 1 } else { usize::MAX };
-        shares.for_each_chunk(pending, at_a_time, |scratch, first, pending| {
-            for (place, one) in pending.iter_mut().enumerate() {
-                let tracked = &tracked[first + place];
+        shares.for_each_chunk(pending, at_a_time, |scratch, _, pending| {
+            for one in pending {
+                let tracked = &tracked[one.index];
                 let (Ok(located), Ok(kind)) = (&mut one.located, kind_of(kinds, tracked.ring.kind))
                 else {
                     continue;
                 };
-                let skew = skews.map(|skews| skews[first + place]);
+                let skew = skews.map(|skews| skews[one.index]);
                 let is_certain =
                     tracked.code.is_some_and(|code| code.confidence >= MIN_CODE_CONFIDENCE);
-                let mut fit = fits.get(tracked.track).copied().unwrap_or_default();
                 if !is_certain {
-                    fit.history = fit.history.map(FitHistory::without_teeth);
+                    one.fit.history = one.fit.history.map(FitHistory::without_teeth);
                 }
                 let (ring, print) = (located.ring, one.printed.print);
                 let input = FitInput { frame, camera, kind, ring: &ring, print, skew };
-                located.refine(&input, mode, &mut fit, scratch);
-                one.fit = (mode == Mode::Precise).then_some(fit);
+                let is_late = deadline.is_some_and(|deadline| Instant::now() >= deadline);
+                located.refine(&input, mode, is_late, &mut one.fit, scratch);
                 one.printed.widen(&mut located.pose);
                 if let Some(skew) = skew {
                     skew.widen(&mut located.pose, camera, kind);
                 }
             }
         });
-        for (tracked, one) in tracked.iter().zip(pending) {
-            if one.located.is_ok() {
-                fits.update(tracked.track, one.fit.take());
+        if deadline.is_some() {
+            pending.sort_unstable_by_key(|one| one.index);
+        }
+        if mode == Mode::Precise {
+            for (tracked, one) in tracked.iter().zip(pending).filter(|(_, one)| one.located.is_ok())
+            {
+                fits.update(tracked.track, Some(one.fit));
             }
         }
     }
@@ -296,18 +319,22 @@ fn kind_of(kinds: &[Kind], id: Option<KindId>) -> Result<&Kind, PoseError> {
 
 impl Located {
     fn from_rims(ring: &Ring, pose: RoundelPose) -> Self {
-        Self { ring: *ring, pose, by: Mode::Fast, image: None, work: 0 }
+        Self { ring: *ring, pose, by: Mode::Fast, is_deferred: false, image: None, work: 0 }
     }
 
-    /// Fits the grey levels in precise mode, and adds the yaw of a code.
+    /// Fits the grey levels in precise mode, except if it is late, and adds the yaw of a code.
     fn refine(
         &mut self,
         input: &FitInput,
         mode: Mode,
+        is_late: bool,
         fit: &mut TrackedFit,
         scratch: &mut FitScratch,
     ) {
-        if mode == Mode::Precise && fit.is_due(&input.ring.outer) {
+        let is_due = mode == Mode::Precise && fit.is_due(&input.ring.outer) && !is_late;
+        self.is_deferred = mode == Mode::Precise && !is_due;
+        fit.waited = if is_due { 0 } else { fit.waited.saturating_add(1) };
+        if is_due {
             let before = scratch.work();
             let found = photometry::fit_tracked(input, &self.pose, fit.history.as_ref(), scratch);
             if let Ok((fitted, next)) = found {
@@ -316,6 +343,7 @@ impl Located {
                     ring: fitted.ring,
                     pose: fitted.pose,
                     by: Mode::Precise,
+                    is_deferred: false,
                     image: Some(ImageQuality { blur_px: fitted.blur_px, noise: fitted.noise }),
                     work: 0,
                 };
