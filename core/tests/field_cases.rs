@@ -36,6 +36,25 @@ fn a_ring_half_in_shadow_is_found() {
 }
 
 #[test]
+fn rings_without_blur_are_found() {
+    for file in
+        ["hard-edges/drawn.png", "hard-edges/sampled.png", "enlarged-without-smoothing/frame.png"]
+    {
+        let Some(path) = field_case("rings_without_blur_are_found", file) else { return };
+        only_ring(&path, &[]);
+    }
+}
+
+#[test]
+fn an_overexposed_ring_fits_its_kind() {
+    let Some(path) = field_case("an_overexposed_ring_fits_its_kind", "overexposed/frame.png")
+    else {
+        return;
+    };
+    only_ring(&path, &[Kind::plain("robot", 0.16, 0.064)]);
+}
+
+#[test]
 fn a_code_of_three_bits_is_read() {
     let Some(path) = field_case("a_code_of_three_bits_is_read", "whycode-3-bits/print.png") else {
         return;

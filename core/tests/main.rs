@@ -9,6 +9,8 @@ mod drawing;
 mod field_cases;
 mod fusion;
 mod golden;
+mod hard_edges;
+mod overexposed;
 mod photo;
 mod picture;
 mod pixels;

@@ -2,7 +2,10 @@
 
 use roundel_core::{
     id::{CameraId, KindId},
-    world::{FrameObservations, Fusion, FusionParams, KindPrintSize, Landmark, LifeStage, PrintSize, PrintSizeState},
+    world::{
+        FrameObservations, Fusion, FusionParams, KindPrintSize, Landmark, LifeStage, PrintSize,
+        PrintSizeState,
+    },
 };
 
 use super::{
@@ -66,7 +69,11 @@ fn the_scale_of_prints_is_measured() {
         let reports = reports(&mut fusion);
         assert_eq!(reports.len(), usize::from(factor != 1.0), "{reports:?}");
         for report in reports {
-            assert!(report.state == PrintSizeState::Measured && report.kind == KIND && report.cameras.len() == 4);
+            assert!(
+                report.state == PrintSizeState::Measured
+                    && report.kind == KIND
+                    && report.cameras.len() == 4
+            );
         }
     }
 }

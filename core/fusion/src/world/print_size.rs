@@ -311,9 +311,9 @@ impl PrintSizes {
             for (&other, samples) in self.cameras.iter().filter(|(other, _)| **other != camera) {
                 let pair = (camera.min(other), Some(camera.max(other)));
                 for theirs in samples.newer.iter().filter(|theirs| theirs.may_be(newer)) {
-                    let comparison = older
-                        .interpolated(newer, theirs.time)
-                        .and_then(|moved| compare(&own.position(&moved), &samples.position(theirs)));
+                    let comparison = older.interpolated(newer, theirs.time).and_then(|moved| {
+                        compare(&own.position(&moved), &samples.position(theirs))
+                    });
                     if let Some(comparison) = comparison {
                         kind.add(pair, comparison);
                     }

@@ -21,7 +21,9 @@ use crate::{
         params::{self, DetectorError, Params},
         reject::{Reject, RejectCounts, Rejected, Rejects},
         ring::{
-            measure::{MeasureScratch, measure},
+            checks::MAX_SPREAD_PX2,
+            hard_edges::{SOFTENING_PX2, are_hard, soften},
+            measure::{MeasureScratch, measure, own_threshold},
             probe::{Probe, Rules},
             shadow::{LightSample, MAX_SAMPLES, find_edge},
         },
@@ -49,6 +51,8 @@ const SHADOW_SHARE: f64 = 0.25;
 const SHADOW_LEFT: f64 = 0.4;
 /// The light across a ring with a more uneven rim is searched for the edge of a shadow.
 pub(crate) const UNEVEN: f64 = 0.035;
+/// Tolerance of steps along the rims of a softened ring, as a share of the contrast.
+const STEPS_SHARE: f64 = 0.08;
 /// Margin of the window around a candidate: a factor, and pixels.
 const WINDOW_MARGIN: (f64, f64) = (1.25, 3.0);
 
@@ -140,6 +144,8 @@ impl Detector {
             min_semi_minor_px: params.min_semi_minor_px,
             min_axis_ratio: params.min_axis_ratio,
             min_contrast: f64::from(params.min_contrast),
+            max_spread_px2: MAX_SPREAD_PX2,
+            steps_share: 0.0,
         };
         let search_rules = SearchRules::new(&kinds, &rules, params.min_contrast);
         let has = |polarity| kinds.iter().any(|kind| kind.polarity == polarity);
@@ -204,7 +210,7 @@ impl Detector {
         probe: &Probe,
         scratch: &mut MeasureScratch,
     ) -> Result<Ring, Reject> {
-        let ring = self.measure_any(frame, probe, scratch)?;
+        let ring = self.measure_any(frame, probe, &self.rules, scratch)?;
         if self.mask.covers(ring.outer.center) { Err(Reject::Masked) } else { Ok(ring) }
     }
 
@@ -222,38 +228,52 @@ impl Detector {
             return measured;
         }
         let levels = (last.black, last.white);
-        let again = self.measure_again(frame, probe, levels, scratch, |frame, probe, scratch| {
-            self.measure_any(frame, probe, scratch)
-        });
+        let again =
+            self.measure_again(frame, probe, levels, scratch, |frame, probe, rules, scratch| {
+                self.measure_any(frame, probe, rules, scratch)
+            });
         match again {
             Ok(ring) if ring.unevenness < unevenness => Ok(ring),
             _ => measured,
         }
     }
 
-    /// The ring at a probe in a corrected picture of its surroundings, with even light where the edge of a shadow
-    /// crosses it. `levels` are those of black and white in the light.
+    /// The ring at a probe in a corrected picture of its surroundings: softened where pixels are hard steps, and with
+    /// even light where the edge of a shadow crosses it. `levels` are those of black and white in the light.
     fn measure_again(
         &self,
         frame: &Frame,
         probe: &Probe,
         (dark, bright): (f64, f64),
         scratch: &mut Scratch,
-        measure: impl Fn(&Frame, &Probe, &mut MeasureScratch) -> Result<Ring, Reject>,
+        measure: impl Fn(&Frame, &Probe, &Rules, &mut MeasureScratch) -> Result<Ring, Reject>,
     ) -> Result<Ring, Reject> {
         let Scratch { corrected, samples, measure: memory, .. } = scratch;
         let window = probe.bounds;
-        let in_light = probe.with_frame_threshold(shadow_level(dark, bright));
-        let edge = find_edge(frame, &in_light, memory, samples).ok_or(Reject::Contrast)?;
-        edge.even_out(frame, &window, corrected);
+        let mut rules = self.rules;
+        let mut common_threshold = None;
+        let threshold;
+        if are_hard(frame, &window, bright - dark) {
+            soften(frame, &window, corrected);
+            rules.max_spread_px2 += SOFTENING_PX2;
+            rules.steps_share = STEPS_SHARE;
+            threshold = own_threshold(dark, bright);
+        } else {
+            let probe = probe.with_frame_threshold(shadow_level(dark, bright));
+            let edge = find_edge(frame, &probe, memory, samples).ok_or(Reject::Contrast)?;
+            edge.even_out(frame, &window, corrected);
+            threshold = edge.threshold();
+            common_threshold = Some(edge.common_threshold());
+        }
         let frame = Frame::new(corrected, window.width(), window.height(), window.width())
             .map_err(|_| Reject::FrameEdge)?;
-        let probe = probe.within_bounds().with_frame_threshold(edge.threshold());
-        let ring = measure(&frame, &probe, memory)?.moved(window.left as f64, window.top as f64);
+        let probe = probe.within_bounds().with_frame_threshold(threshold);
+        let ring =
+            measure(&frame, &probe, &rules, memory)?.moved(window.left as f64, window.top as f64);
         if self.mask.covers(ring.outer.center) {
             return Err(Reject::Masked);
         }
-        Ok(Ring { threshold: edge.common_threshold(), ..ring })
+        Ok(Ring { threshold: common_threshold.unwrap_or(ring.threshold), ..ring })
     }
 
     /// A ring whose teeth are decoded is coded. Otherwise it is measured as a plain one; if that
@@ -262,16 +282,17 @@ impl Detector {
         &self,
         frame: &Frame,
         probe: &Probe,
+        rules: &Rules,
         scratch: &mut MeasureScratch,
     ) -> Result<Ring, Reject> {
         if self.coded.is_empty() {
-            return measure(frame, probe, &self.rules, &self.kinds, scratch);
+            return measure(frame, probe, rules, &self.kinds, scratch);
         }
-        let coded = coded::measure(frame, probe, &self.rules, &self.coded, scratch.level);
+        let coded = coded::measure(frame, probe, rules, &self.coded, scratch.level);
         if coded.is_ok_and(|ring| ring.code.is_some()) || self.coded.len() == self.kinds.len() {
             return coded;
         }
-        let plain = measure(frame, probe, &self.rules, &self.kinds, scratch);
+        let plain = measure(frame, probe, rules, &self.kinds, scratch);
         plain.or_else(|reject| coded.map_err(|_| reject))
     }
 
@@ -364,7 +385,7 @@ impl Detector {
         scratch: &mut Scratch,
     ) -> Result<Ring, Reject> {
         let probe = probe_of(frame, candidate, polarity);
-        let ring = self.measure_new(frame, &probe, &mut scratch.measure)?;
+        let ring = self.measure_new(frame, &probe, &self.rules, &mut scratch.measure)?;
         self.unclaimed(ring, scratch)
     }
 
@@ -386,9 +407,10 @@ impl Detector {
         let candidate = cross(frame, hit, threshold, &rules.cross, polarity).ok()?;
         let probe = probe_of(frame, &candidate, polarity);
         let levels = (dark, bright);
-        let ring = self.measure_again(frame, &probe, levels, scratch, |frame, probe, scratch| {
-            self.measure_new(frame, probe, scratch)
-        });
+        let ring =
+            self.measure_again(frame, &probe, levels, scratch, |frame, probe, rules, scratch| {
+                self.measure_new(frame, probe, rules, scratch)
+            });
         self.unclaimed(ring.ok()?, scratch).ok()
     }
 
@@ -397,12 +419,13 @@ impl Detector {
         &self,
         frame: &Frame,
         probe: &Probe,
+        rules: &Rules,
         scratch: &mut MeasureScratch,
     ) -> Result<Ring, Reject> {
-        let ring = self.measure_any(frame, probe, scratch)?;
+        let ring = self.measure_any(frame, probe, rules, scratch)?;
         let pattern = self.kind_of(&ring).map_or(Pattern::Plain, |kind| kind.pattern);
         let smooth = !matches!(pattern, Pattern::Coded(_));
-        check_rims(frame, &ring, smooth)?;
+        check_rims(frame, &ring, smooth, rules.steps_share)?;
         if smooth {
             check_center(frame, &ring)?;
         }

@@ -38,7 +38,7 @@ use super::{
     lifecycle::{Claim, IdRegistry, Track, Trust},
     measurement::{PrintSize, StampCorrection},
     mobile_camera::{Landmark, MobileCameras},
-    print_size::{PrintSizes, KindPrintSize, resize},
+    print_size::{KindPrintSize, PrintSizes, resize},
     snapshot::object_state,
 };
 use crate::track::{Inserted, Measurement};

@@ -235,7 +235,10 @@ mod tests {
         ellipse::Ellipse,
         marker::{
             kind::Polarity,
-            ring::measure::{MeasureScratch, measure},
+            ring::{
+                checks::MAX_SPREAD_PX2,
+                measure::{MeasureScratch, measure},
+            },
         },
     };
     use proptest::prelude::*;
@@ -253,6 +256,8 @@ mod tests {
             min_semi_minor_px: 4.0,
             min_axis_ratio: 0.3,
             min_contrast: 30.0,
+            max_spread_px2: MAX_SPREAD_PX2,
+            steps_share: 0.0,
         }
     }
 

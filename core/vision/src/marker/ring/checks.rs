@@ -43,9 +43,9 @@ const ASIDE_SHARE: f64 = 0.4;
 /// maximum of 1,600 rendered rings from 10 px on is two thirds of it.
 const SIMILARITY_TOLERANCE: (f64, f64) = (0.06, 0.3);
 /// Largest variance that blur and pixel width add to a shape, px²: a blur of 1.2 px.
-const MAX_SPREAD_PX2: f64 = 1.5;
+pub(crate) const MAX_SPREAD_PX2: f64 = 1.5;
 /// Error of a rim at any threshold, pixels, in the ratio of diameters.
-const RATIO_RIM_PX: f64 = 0.8;
+const RATIO_RIM_PX: f64 = 1.6;
 
 /// Smallest distance of the outer rim from the frame's edge, pixels.
 const EDGE_PX: f64 = 1.0;
@@ -124,7 +124,7 @@ impl<T: Lane> ShapeTests<T> {
             is_large: o.b.splat(rules.min_semi_minor_px).at_most(o.b),
             is_upright: (o.a * rules.min_axis_ratio).at_most(o.b),
             is_concentric: (du * du + dv * dv).at_most(tolerance * tolerance),
-            is_round: is_round(outer) & is_round(inner),
+            is_round: is_round(outer, rules) & is_round(inner, rules),
             is_similar: are_similar(outer, inner),
         }
     }
@@ -208,12 +208,12 @@ fn is_concentric_in_perspective(outer: &LaneEllipse<f64>, inner: &LaneEllipse<f6
 
 /// Eq. (5), with blur: a spread of σ² enlarges an ellipse's moments by `share`.
 #[inline(always)]
-fn is_round<T: Lane>(weighed: &WeighedRim<T>) -> T::Mask {
+fn is_round<T: Lane>(weighed: &WeighedRim<T>, rules: &Rules) -> T::Mask {
     let (rim, spread_px2) = (&weighed.rim, weighed.spread().spread_px2);
     let tolerance = rim.b.under(ROUNDNESS_TOLERANCE.1) + ROUNDNESS_TOLERANCE.0;
     let share = ((rim.a * rim.a).under(1.0) + (rim.b * rim.b).under(1.0)) * 2.0;
     (-tolerance).at_most(spread_px2 * share)
-        & ((spread_px2 - MAX_SPREAD_PX2) * share).at_most(tolerance)
+        & ((spread_px2 - rules.max_spread_px2) * share).at_most(tolerance)
 }
 
 /// Both rims are images of circles in one plane, so they have the same shape except for

@@ -8,9 +8,11 @@
 //! | `subpixel` | levels, weighed moments, removal of blur |
 //! | `weighed_rim` | a rim by its weighed moments |
 //! | `measure` | all steps in order |
+//! | `hard_edges` | pictures without blur, softened |
 //! | `shadow` | rings across the edge of a shadow: the light evened out |
 
 pub(crate) mod checks;
+pub(crate) mod hard_edges;
 pub(crate) mod measure;
 pub(crate) mod pixels;
 pub(crate) mod probe;

@@ -22,6 +22,10 @@ pub(crate) struct Rules {
     pub min_axis_ratio: f64,
     /// Smallest difference of white and black.
     pub min_contrast: f64,
+    /// Largest variance that blur and pixel width add to a shape, px².
+    pub max_spread_px2: f64,
+    /// Tolerance of steps of pixels along a rim, as a share of the contrast.
+    pub steps_share: f64,
 }
 
 /// Where to measure, and at which threshold.

@@ -50,15 +50,21 @@ static WAVES: LazyLock<[[[f32; POINTS]; 2]; HIGHEST]> = LazyLock::new(|| {
     })
 });
 
-/// Rejects if the outer rim is not an ellipse, or the inner one of a `plain` disc.
-pub(crate) fn check_rims(frame: &Frame, ring: &Ring, plain: bool) -> Result<(), Reject> {
+/// Rejects if the outer rim is not an ellipse, or the inner one of a `plain` disc. `steps_share` of the contrast is
+/// tolerated in addition.
+pub(crate) fn check_rims(
+    frame: &Frame,
+    ring: &Ring,
+    plain: bool,
+    steps_share: f64,
+) -> Result<(), Reject> {
     let contrast = (ring.white - ring.black).abs();
     let inner = plain.then_some(&ring.inner);
     for rim in std::iter::once(&ring.outer).chain(inner) {
         let shares = |levels: &[f32; POINTS]| Rest::of(levels).shares(contrast);
         let (low, high) = shares(&levels_along(frame, rim));
         let limit = |(share, levels, per_px): (f64, f64, f64)| {
-            share + levels / contrast + per_px * rim.semi_major_px
+            steps_share + share + levels / contrast + per_px * rim.semi_major_px
         };
         // False for NaN, without contrast.
         let is_smooth = |high: f64| high <= limit(HIGH_LIMIT);
@@ -170,7 +176,7 @@ mod tests {
             semi_minor_px: semi_major_px,
             angle_rad: 0.0,
         };
-        check_rims(&frame, &Ring::of_rims(circle(12.0), circle(4.8)), true)
+        check_rims(&frame, &Ring::of_rims(circle(12.0), circle(4.8)), true, 0.0)
     }
 
     #[test]
