@@ -251,7 +251,7 @@ impl Detector {
         let Scratch { corrected, samples, measure: memory, .. } = scratch;
         let window = probe.bounds;
         let mut rules = self.rules;
-        let mut common_threshold = None;
+        let (mut common_threshold, mut shadow_px) = (None, 0.0);
         let threshold;
         if are_hard(frame, &window, bright - dark) {
             soften(frame, &window, corrected);
@@ -264,6 +264,7 @@ impl Detector {
             edge.even_out(frame, &window, corrected);
             threshold = edge.threshold();
             common_threshold = Some(edge.common_threshold());
+            shadow_px = edge.rim_error_px();
         }
         let frame = Frame::new(corrected, window.width(), window.height(), window.width())
             .map_err(|_| Reject::FrameEdge)?;
@@ -273,7 +274,7 @@ impl Detector {
         if self.mask.covers(ring.outer.center) {
             return Err(Reject::Masked);
         }
-        Ok(Ring { threshold: common_threshold.unwrap_or(ring.threshold), ..ring })
+        Ok(Ring { threshold: common_threshold.unwrap_or(ring.threshold), shadow_px, ..ring })
     }
 
     /// A ring whose teeth are decoded is coded. Otherwise it is measured as a plain one; if that

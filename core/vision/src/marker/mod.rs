@@ -83,6 +83,9 @@ pub struct Ring {
     /// Deviation of the grey levels along the outer rim from their mean: rms, as a share of the
     /// contrast. Noise alone gives two thirds of its own share; partial cover gives more.
     pub unevenness: f64,
+    /// Error of both rims where the edge of a shadow crosses them, pixels: of each harmonic, after the light was evened
+    /// out. 0 in even light.
+    pub shadow_px: f64,
     /// Compensation of both rims for the kind's ratio of diameters: how far the outer rim was moved
     /// outwards and that of the disc inwards, pixels. The rims as they appear follow from it.
     pub shift_px: f64,
@@ -103,6 +106,7 @@ impl Ring {
             black: 20.0,
             white: 220.0,
             unevenness: 0.0,
+            shadow_px: 0.0,
             shift_px: 0.0,
             polarity: Polarity::BlackRing,
             code: None,

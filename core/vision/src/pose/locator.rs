@@ -105,13 +105,21 @@ struct TrackedFit {
     waited: u32,
 }
 
-/// Work per frame that a track may spend on average, relative to the ring's pixels. The fit of an
-/// undisturbed ring takes 2, a resumed robust fit about 12, and one that starts from nothing 50 to 200.
-const ALLOWANCE: f64 = 20.0;
-/// Credit of a new track, for its first fits, and limit of what is saved up, in allowances.
-const CREDIT: (f64, f64) = (15.0, 3.0);
+/// Work per frame that a track may spend on average, relative to the ring's pixels: for each pixel of the outer mean
+/// diameter, and limits. The fit of an undisturbed ring takes 1.2, of one that faces the camera 5 to 8, a resumed robust
+/// fit 12, and one that starts from nothing 50 to 200.
+const ALLOWANCE_PER_PX: f64 = 0.12;
+const ALLOWANCES: (f64, f64) = (5.0, 9.0);
+/// Credit of a new track, for its first fits, relative to the ring's pixels.
+const FIRST_CREDIT: f64 = 200.0;
+/// Limit of what is saved up, in allowances.
+const MAX_SAVED: f64 = 3.0;
 /// Distance from the outer rim up to which pixels count.
 const REACH_PX: f64 = 3.0;
+
+/// Growth of a fit's covariance where the edge of a shadow crosses the ring: near it, levels belong to neither side. From
+/// rendered rings.
+const SHADOW_GROWTH: f64 = 4.0;
 
 /// Confidence of a track's code from which a frame that does not read it uses the teeth of earlier
 /// frames.
@@ -347,6 +355,9 @@ impl Located {
                     image: Some(ImageQuality { blur_px: fitted.blur_px, noise: fitted.noise }),
                     work: 0,
                 };
+                if input.ring.shadow_px > 0.0 {
+                    self.pose.covariance *= SHADOW_GROWTH;
+                }
             }
             self.work = scratch.work() - before;
             fit.credit = fit.credit.map(|credit| credit - self.work as f64);
@@ -369,10 +380,12 @@ impl TrackedFit {
 
     /// Adds a frame's allowance; returns whether the ring is fitted in it.
     fn is_due(&mut self, outer: &Ellipse) -> bool {
-        let area_px2 = std::f64::consts::PI * outer.grown(REACH_PX).mean_radius_px().powi(2);
-        let allowance = ALLOWANCE * area_px2;
-        let credit = self.credit.unwrap_or(CREDIT.0 * allowance);
-        self.credit = Some((credit + allowance).min(credit.max(CREDIT.1 * allowance)));
+        let radius_px = outer.mean_radius_px();
+        let area_px2 = std::f64::consts::PI * (radius_px + REACH_PX).powi(2);
+        let per_px2 = (2.0 * radius_px * ALLOWANCE_PER_PX).clamp(ALLOWANCES.0, ALLOWANCES.1);
+        let allowance = per_px2 * area_px2;
+        let credit = self.credit.unwrap_or(FIRST_CREDIT * area_px2);
+        self.credit = Some((credit + allowance).min(credit.max(MAX_SAVED * allowance)));
         credit >= 0.0
     }
 }

@@ -13,6 +13,10 @@ const NOISE_UNEVENNESS: (f64, f64) = (0.02, 1.0);
 /// Error of a rim's harmonics per unit of unevenness, pixels; from rendered rings partly covered by
 /// adjacent sheets.
 const UNEVEN_PX: f64 = 4.0;
+/// White of at least this level may be cut off at the end of the scale, which moves both rims …
+const CLIPPED_WHITE: f64 = 250.0;
+/// … by this common shift, which compensation does not remove, pixels; from rendered rings.
+const CLIPPED_PX: f64 = 0.04;
 /// Semiaxis of the white disc at which the errors of both rims double.
 const THIN_DISC_PX: f64 = 3.0;
 /// Limit of the growth; such rings are hardly detected.
@@ -106,7 +110,7 @@ impl RimNoise {
             let slot_px = 0.5 * PI / f64::from(bits) * inner.semi_minor_px;
             let compensated =
                 (COMPENSATED_PX.0 / minor_px).powi(4) + (COMPENSATED_PX.1 / slot_px).powi(2);
-            of_outer.floor_px = self.floor_px * growth.max(1.0 + compensated.min(MAX_GROWTH));
+            of_outer.floor_px = self.floor_of(ring, growth.max(1.0 + compensated.min(MAX_GROWTH)));
             let closed = (NARROW_SLOT_PX / slot_px).powi(2).min(MAX_GROWTH);
             of_inner.edge_px *= (1.0 + closed) * thinned(inner, f64::from(bits));
         } else {
@@ -124,6 +128,12 @@ impl RimNoise {
         edge_px2 + (0.25 * floor_px).powi(2) + 2.0 * uneven_px * uneven_px + center_px * center_px
     }
 
+    /// Common shift of a rim that is degraded by this factor.
+    fn floor_of(&self, ring: &Ring, growth: f64) -> f64 {
+        let floor_px = self.floor_px * growth;
+        if ring.white >= CLIPPED_WHITE { floor_px.hypot(CLIPPED_PX) } else { floor_px }
+    }
+
     /// Noise of a rim that is degraded by this factor.
     ///
     /// Unevenness of the levels along the rim is image noise up to a limit, and scales the errors
@@ -136,8 +146,9 @@ impl RimNoise {
             .clamp(EDGE_NOISE_RANGE.0, EDGE_NOISE_RANGE.1);
         RimErrors {
             edge_px: self.edge_px * growth * noise,
-            floor_px: self.floor_px * growth,
-            uneven_px: UNEVEN_PX * (ring.unevenness - noise_unevenness).max(0.0),
+            floor_px: self.floor_of(ring, growth),
+            uneven_px: (UNEVEN_PX * (ring.unevenness - noise_unevenness).max(0.0))
+                .hypot(ring.shadow_px),
         }
     }
 }
@@ -156,7 +167,7 @@ pub struct RimErrors<T> {
     pub edge_px: T,
     /// As in [`RimNoise`].
     pub floor_px: T,
-    /// Standard deviation of each harmonic by foreign objects, pixels.
+    /// Standard deviation of each harmonic by foreign objects and shadows, pixels.
     pub uneven_px: T,
 }
 

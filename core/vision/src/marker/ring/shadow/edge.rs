@@ -45,6 +45,8 @@ const REACH_PX: f32 = 6.0;
 const BLURS_PX: (f32, f32) = (0.5, 3.0);
 /// Beyond this many deviations there is light or shadow alone.
 const FAR_BLURS: f32 = 3.0;
+/// Error that remains in each harmonic of a rim, pixels, per share of the light that is lost; from rendered rings.
+const RIM_ERROR_PX: f64 = 0.12;
 
 /// A straight edge between light and shadow.
 #[derive(Clone, Copy, Debug)]
@@ -323,6 +325,11 @@ impl ShadowEdge {
                 });
             }
         }
+    }
+
+    /// Error that remains in each harmonic of the rims, pixels.
+    pub fn rim_error_px(&self) -> f64 {
+        RIM_ERROR_PX * f64::from(1.0 - self.shadow.bright / self.light.bright)
     }
 
     /// A level at a place with this share of the light, as it would be in the light.

@@ -21,12 +21,12 @@ pub const PHASES: usize = 64;
 /// k and e.
 pub const FUNCTIONS: usize = 2;
 /// Range of the blur, pixels.
-pub const BLUR_LIMITS_PX: (f64, f64) = (0.35, 2.2);
+pub const BLUR_LIMITS_PX: (f64, f64) = (0.26, 2.2);
 /// Above this blur a node touches 16 pixels a side instead of 8.
 const NARROW_PX: f64 = 1.12;
 /// Distance of the tables; between them the model is linear in σ².
 const STEP_PX: f64 = 0.03;
-const TABLES: usize = 63;
+const TABLES: usize = 66;
 
 /// Table of one blur: for each phase `width` values of k and as many of e.
 #[derive(Clone, Debug)]
