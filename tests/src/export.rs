@@ -33,6 +33,8 @@ pub struct Export {
     pub clutter: Clutter,
     /// Lines appended to the `[fusion]` table, e.g. `acceleration_m_s2 = 1.5`.
     pub fusion: String,
+    /// Relative error of the focal lengths in camera files, of alternating sign.
+    pub lens_error: f64,
 }
 
 /// An exported installation.
@@ -120,7 +122,8 @@ fn landmark_print(arena: &Arena, landmark: &Landmark) -> Print {
 impl Export {
     /// A number of frames per camera, before a lab's floor.
     pub fn lab(frames: usize) -> Self {
-        Self { frames, floor: 120.0, clutter: Clutter::LAB, fusion: String::new() }
+        let (fusion, lens_error) = (String::new(), 0.0);
+        Self { frames, floor: 120.0, clutter: Clutter::LAB, fusion, lens_error }
     }
 
     /// Writes the installation into an existing `folder`, on all cores.
@@ -145,7 +148,10 @@ impl Export {
         let times: String =
             (0..self.frames).map(|i| format!("{}\n", arena.capture_time_ns(site, i))).collect();
         fs::write(folder.join(format!("{}-times.txt", site.name)), times)?;
-        fs::write(folder.join(format!("{}.yaml", site.name)), camera_yaml(&site.name, &site.optics))
+        let error = if index.is_multiple_of(2) { self.lens_error } else { -self.lens_error };
+        let focal_px = site.optics.focal_px.map(|focal_px| focal_px * (1.0 + error));
+        let yaml = camera_yaml(&site.name, &Pinhole { focal_px, ..site.optics });
+        fs::write(folder.join(format!("{}.yaml", site.name)), yaml)
     }
 
     fn config(&self, arena: &Arena, folder: &Path) -> String {

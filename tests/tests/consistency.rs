@@ -1,7 +1,7 @@
 //! Consistency of served poses: a rendered arena as image files, a real `roundel serve`, a real gRPC subscription,
 //! and snapshots compared with the truth.
 
-use std::{collections::HashMap, f64::consts::PI, fs, time::Duration};
+use std::{collections::HashMap, f64::consts::PI, time::Duration};
 
 use anyhow::{Context, ensure};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
@@ -13,7 +13,7 @@ use roundel_tests::{
     export::Export,
     process::Server,
     render::Print,
-    score::{CHI2_95_3, Judge},
+    score::{CHI2_95_3, Judge, Score},
 };
 use tonic::transport::Endpoint;
 
@@ -42,7 +42,7 @@ async fn snapshots_until(server: &Server, end_ns: i64) -> anyhow::Result<Vec<Sna
 
 #[tokio::test(flavor = "multi_thread")]
 async fn served_poses_match_their_covariances() -> anyhow::Result<()> {
-    check_served_poses(&Arena::r4_lite(2, 24, 8), "").await
+    check_served_poses(&Arena::r4_lite(2, 24, 8), 0.0).await
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -52,18 +52,36 @@ async fn scaled_prints_are_measured_and_corrected() -> anyhow::Result<()> {
         kind.outer_diameter_m /= 0.97;
         kind.inner_diameter_m /= 0.97;
     }
-    check_served_poses(&arena, "tolerance = 0.03").await
+    check_served_poses(&arena, 0.0).await
 }
 
-/// Serves five seconds of an arena, with further lines for each kind in the configuration, and compares the poses with
-/// the truth.
-async fn check_served_poses(arena: &Arena, lines: &str) -> anyhow::Result<()> {
+#[tokio::test(flavor = "multi_thread")]
+async fn larger_discs_and_thin_margins_are_allowed_for() -> anyhow::Result<()> {
+    let mut arena = Arena::r4_lite(4, 24, 8);
+    arena.print_all(1.0, 1.015);
+    check_served_poses(&arena, 0.0).await
+}
+
+/// Not yet within a few millimetres: with blurred, thin margins the rims of small rings are off by half a pixel.
+#[tokio::test(flavor = "multi_thread")]
+async fn robots_are_tracked_in_a_lab() -> anyhow::Result<()> {
+    let mut arena = Arena::r4_lite(5, 24, 8);
+    arena.make_real(0.97);
+    let (server, score) = serve(&arena, 1e-3).await?;
+    assert_eq!(score.swaps, 0);
+    assert!(score.position.rms() < 0.1, "{}", score.position.rms());
+    let log = server.log();
+    assert!(log.contains("% smaller than configured"), "{log}");
+    // No camera is taken for moved.
+    assert!(!log.contains("bumped") && !log.contains("quarantine"), "{log}");
+    Ok(())
+}
+
+/// Serves five seconds of an arena, and compares the poses with the truth.
+async fn serve(arena: &Arena, lens_error: f64) -> anyhow::Result<(Server, Score)> {
     let frames = 150;
     let folder = tempfile::tempdir()?;
-    let installation = Export::lab(frames).write(arena, folder.path())?;
-    let text = fs::read_to_string(&installation.config)?;
-    let text = text.replace("[[roundel]]", &format!("[[roundel]]\n{lines}"));
-    fs::write(&installation.config, text)?;
+    let installation = Export { lens_error, ..Export::lab(frames) }.write(arena, folder.path())?;
     let server = Server::serve(&installation.config)?;
     let end_ns = arena.capture_time_ns(&arena.sites[0], frames - 1);
     let snapshots = snapshots_until(&server, end_ns).await?;
@@ -74,6 +92,11 @@ async fn check_served_poses(arena: &Arena, lines: &str) -> anyhow::Result<()> {
     let score = judge.finish();
     println!("{} snapshots\n{score}", snapshots.len());
     ensure!(score.position.count() > 0, "nothing was tracked; the server's log:\n{}", server.log());
+    Ok((server, score))
+}
+
+async fn check_served_poses(arena: &Arena, lens_error: f64) -> anyhow::Result<()> {
+    let (_server, score) = serve(arena, lens_error).await?;
     assert_eq!((score.swaps, score.strays, score.extra_ids, score.unusable), (0, 0, 0, 0));
     let share = score.position.share_within(CHI2_95_3);
     // The upper limit, 0.98, is checked in virtual time (`fusion.rs`): on a busy machine snapshots are predicted

@@ -6,6 +6,7 @@
 
 pub mod moving;
 pub mod path;
+pub mod realism;
 pub mod reference;
 pub mod trips;
 
