@@ -3,7 +3,7 @@
 
 use std::{
     fs,
-    path::Path,
+    path::{Path, PathBuf},
     process::{Command, Output},
 };
 
@@ -90,30 +90,43 @@ fn a_wrong_lens_is_corrected_from_robots_that_other_cameras_saw() {
     );
 }
 
+/// A recording of the sightings that `sees` keeps.
+fn recorded(arena: &Arena, folder: &Path, sees: impl Fn(u32, u64, bool) -> bool) -> PathBuf {
+    fs::create_dir(folder).unwrap();
+    let frames = Stream::new(arena, SENSING, 1.5).map(|mut frame| {
+        let (camera, number) = (frame.camera.0, frame.frame);
+        frame.detections.retain(|detection| {
+            let is_first = detection.ring.code.is_some_and(|it| it.code.number == 1);
+            sees(camera, number, is_first)
+        });
+        frame
+    });
+    record(arena, frames, folder, &[]).unwrap().file
+}
+
 #[test]
 fn insufficient_recordings_are_rejected_with_a_reason() {
     let arena = Arena::r4(3);
     let folder = tempfile::tempdir().unwrap();
-    // The first camera sees nothing, the second one robot that no other camera sees, and the third little.
-    let frames = Stream::new(&arena, SENSING, 1.5).map(|mut frame| {
-        let (camera, number) = (frame.camera.0, frame.frame);
-        frame.detections.retain(|detection| {
-            let is_first = detection.ring.code.is_some_and(|it| it.code.number == 1);
-            match camera {
-                0 => false,
-                1 => is_first,
-                2 => !is_first && number <= 5,
-                _ => !is_first,
-            }
-        });
-        frame
-    });
-    let file = record(&arena, frames, folder.path(), &[]).unwrap().file;
+    // The first camera sees nothing, the second one robot that no other camera sees, and the third what the fourth sees.
+    let sees = |camera, _, is_first| match camera {
+        0 => false,
+        1 => is_first,
+        _ => !is_first,
+    };
+    let file = recorded(&arena, &folder.path().join("apart"), sees);
     let name = |index: usize| arena.sites[index].name.as_str();
     let nothing = error(&file, name(0));
     assert!(nothing.contains("saw no coded roundel"), "{nothing}");
     let alone = error(&file, name(1));
     assert!(alone.contains("no other camera saw one of them"), "{alone}");
+    // A single camera does not know the size of its prints.
+    let uncertain = error(&file, name(2));
+    assert!(uncertain.contains("the other cameras know their positions only to"), "{uncertain}");
+    assert!(uncertain.contains("`tolerance = 0`"), "{uncertain}");
+
+    let sees = |camera, number, _| camera != 2 || number <= 5;
+    let file = recorded(&arena, &folder.path().join("together"), sees);
     let little = error(&file, name(2));
     assert!(little.contains("expected at least 100 sightings in 20 places"), "{little}");
     assert!(little.contains("record for longer"), "{little}");

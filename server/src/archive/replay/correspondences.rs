@@ -93,6 +93,13 @@ pub enum CorrespondenceError {
          its view must overlap with other cameras, whose poses must be known (`roundel calibrate arena`)", .path.display()
     )]
     Alone { path: PathBuf, camera: String, sightings: usize },
+    #[error(
+        "{}: camera \"{camera}\" saw coded roundels {sightings} times, but the other cameras know their positions only to \
+         {deviation_mm:.0} mm or worse: expected at most {max_mm:.0} mm. Record where at least two other cameras see the \
+         roundels, or measure the prints and set `tolerance = 0` of their [[roundel]]", .path.display(),
+        max_mm = MAX_DEVIATION_M * 1e3
+    )]
+    Uncertain { path: PathBuf, camera: String, sightings: usize, deviation_mm: f64 },
 }
 
 type CodedRoundel = (KindId, Code);
@@ -100,6 +107,8 @@ type CodedRoundel = (KindId, Code);
 #[derive(Default)]
 struct CorrespondenceBuilder {
     waypoints: BTreeMap<CodedRoundel, Vec<Waypoint>>,
+    /// Smallest standard deviation of each roundel that was skipped for it, metres.
+    uncertain_m: BTreeMap<CodedRoundel, f64>,
     sightings: Vec<(CodedRoundel, RimObservation)>,
     frames: u64,
     /// Frames of all cameras.
@@ -151,12 +160,17 @@ pub fn correspondences(
     if sightings == 0 {
         return Err(CorrespondenceError::SawNothing { path, camera: name, frames, others });
     }
+    let deviation_m = builder.deviation_m();
     let mut found = builder.build(size, clock, kinds);
     found.damage = session.reader.file().damage().sentences.clone();
-    if found.observations.is_empty() {
-        return Err(CorrespondenceError::Alone { path, camera: name, sightings });
+    match deviation_m {
+        _ if !found.observations.is_empty() => Ok(found),
+        Some(deviation_m) => {
+            let deviation_mm = deviation_m * 1e3;
+            Err(CorrespondenceError::Uncertain { path, camera: name, sightings, deviation_mm })
+        }
+        None => Err(CorrespondenceError::Alone { path, camera: name, sightings }),
     }
-    Ok(found)
 }
 
 fn play(
@@ -221,8 +235,12 @@ impl CorrespondenceBuilder {
             }
             for (name, object_from_roundel) in roundels(session, state) {
                 let waypoint = waypoint(state, &object_from_roundel, time_s);
-                if waypoint.covariance_m2.trace() < MAX_DEVIATION_M * MAX_DEVIATION_M {
+                let deviation_m = waypoint.covariance_m2.trace().sqrt();
+                if deviation_m < MAX_DEVIATION_M {
                     now.entry(name).or_default().push(waypoint);
+                } else {
+                    let least_m = self.uncertain_m.entry(name).or_insert(deviation_m);
+                    *least_m = least_m.min(deviation_m);
                 }
             }
         }
@@ -256,6 +274,12 @@ impl CorrespondenceBuilder {
             let rim = RimObservation { trajectory: 0, stamp_s, center: outer.center, radius_px };
             self.sightings.push(((kind, code.code), rim));
         }
+    }
+
+    /// Smallest standard deviation of the camera's roundels that were skipped for it.
+    fn deviation_m(&self) -> Option<f64> {
+        let seen = self.sightings.iter().filter_map(|(name, _)| self.uncertain_m.get(name));
+        seen.copied().reduce(f64::min)
     }
 
     /// Numbers the trajectories, with times relative to the middle of the recording.

@@ -33,8 +33,8 @@ const MAX_HEIGHT_M: f64 = 1000.0;
 /// Relative difference of the ratios of diameters (of elliptical discs, both) that is needed to tell kinds apart.
 const MIN_RATIO_DIFFERENCE: f64 = 0.1;
 const MAX_DIAMETER_MM: f64 = 100_000.0;
-/// Relative tolerance of printed diameters: exact.
-const DEFAULT_TOLERANCE: f64 = 0.0;
+/// Relative tolerance of printed diameters: "fit to page" is within it.
+const DEFAULT_TOLERANCE: f64 = 0.03;
 const MAX_TOLERANCE: f64 = 0.1;
 
 pub(super) struct ParsedKinds {
