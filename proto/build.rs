@@ -54,13 +54,14 @@ const ALTERNATIVES: [&str; 5] = [
 ];
 
 /// Enumeration fields and their module in `json`: integers in protobuf, lower-case words in JSON.
-const ENUMERATIONS: [(&str, &str); 14] = [
+const ENUMERATIONS: [(&str, &str); 15] = [
     ("ObjectState.stage", "life_stage"),
     ("Object.stage", "life_stage"),
     ("Camera.status", "camera_status"),
     ("Camera.pose_status", "pose_status"),
     ("Event.kind", "event_kind"),
     ("CameraAgreement.state", "agreement_state"),
+    ("PrintSize.state", "print_size_state"),
     ("CaptureClock.base", "time_base"),
     ("Calibration.stage", "calibration_stage"),
     ("StartCalibrationRequest.apply", "calibration_apply"),

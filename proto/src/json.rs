@@ -60,6 +60,7 @@ enumeration!(camera_status, crate::v1::CameraStatus, "CAMERA_STATUS_");
 enumeration!(pose_status, crate::v1::PoseStatus, "POSE_STATUS_");
 enumeration!(event_kind, crate::v1::EventKind, "EVENT_KIND_");
 enumeration!(agreement_state, crate::v1::AgreementState, "AGREEMENT_STATE_");
+enumeration!(print_size_state, crate::v1::PrintSizeState, "PRINT_SIZE_STATE_");
 enumeration!(time_base, crate::v1::TimeBase, "TIME_BASE_");
 enumeration!(calibration_stage, crate::v1::CalibrationStage, "CALIBRATION_STAGE_");
 enumeration!(calibration_apply, crate::v1::CalibrationApply, "CALIBRATION_APPLY_");

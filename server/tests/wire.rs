@@ -26,8 +26,8 @@ use roundel_server::model::{
     capture_clock::{CaptureClock, TimeBase},
     convert,
     hub::{
-        CameraInfo, CameraPoseState, CameraState, CameraStatus, Event, EventKind, FusedSnapshot,
-        Installation, ObjectRecord, PoseStatus,
+        CameraInfo, CameraPoseState, CameraState, CameraStatus, DetectionCounts, Event, EventKind,
+        FusedSnapshot, Installation, ObjectRecord, PoseStatus,
     },
 };
 use serde::Serialize;
@@ -133,6 +133,8 @@ fn cameras_use_milliseconds_and_parts_per_million() {
         blur_px: 0.75,
         noise: 2.25,
         reprojection_px: 0.375,
+        budget_used: 0.625,
+        counts: DetectionCounts { deferred: 9, ..DetectionCounts::default() },
         latency_ms: 18.5,
         capture_clock: Some(CaptureClock { base: TimeBase::Arrival, deviation_s: 0.0625 }),
         clock: Some(ClockEstimate {

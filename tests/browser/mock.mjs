@@ -29,6 +29,7 @@ const OFFERED = {
   "/api/v1/calibration": { get: {}, post: {} },
   "/api/v1/sources/test": { post: {} },
 };
+const PRINT_SIZES = [{ roundel: "robot", factor: 0.97, deviation: 0.0004, state: "measured", cameras: ["north", "south"] }];
 const TYPES = {
   ".html": "text/html; charset=utf-8",
   ".css": "text/css; charset=utf-8",
@@ -120,6 +121,7 @@ async function answer({ world, calibrator, configuration, access }, request, res
   if (pathname === "/api/v1/cameras") return json({ cameras: world.cameras() });
   if (pathname === "/api/v1/objects") return json({ objects: world.objects() });
   if (pathname === "/api/v1/snapshot") return json(world.snapshot());
+  if (pathname === "/api/v1/print-sizes") return json({ print_sizes: PRINT_SIZES });
   if (pathname === "/api/v1/info") return json(world.info());
   const frame = /^\/api\/v1\/cameras\/([^/]+)\/frame\.jpg$/.exec(pathname);
   if (frame) {

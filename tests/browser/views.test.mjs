@@ -162,6 +162,7 @@ describe("health", () => {
       await page.waitForFunction(() => [...document.querySelectorAll("#health-rows [data-figure=rate]")].every((cell) => parseFloat(cell.textContent) > 0));
       await page.waitForFunction(() => /^\d+ \/ \d+ \/ \d+ ms$/.test(document.querySelector("#health-late").textContent));
       await page.waitForFunction(() => [...document.querySelectorAll("#health-bars span")].some((bar) => bar.style.height === "100%"));
+      await page.locator("#print-size-rows tr", { hasText: /configured/ }).first().waitFor();
       assert.deepEqual(complaints, []);
     });
   });

@@ -166,6 +166,7 @@ fn message(active: ActiveConfig) -> Result<v1::Configuration, EditError> {
     let ActiveConfig { text, config } = active;
     let (cameras, objects) = (read_all(&text)?, read_all(&text)?);
     let motion = |index: usize| config.motions.get(index).copied().unwrap_or_default();
+    let tolerance = |index: usize| config.tolerances.get(index).copied().unwrap_or(0.0);
     let kinds = config.kinds.iter().enumerate();
     let calibration = config.server.calibration.as_ref();
     let millis = |seconds: f64| (seconds * 1e9).round() * 1e-6;
@@ -176,7 +177,9 @@ fn message(active: ActiveConfig) -> Result<v1::Configuration, EditError> {
         name: config.name.clone(),
         cameras,
         objects,
-        roundels: kinds.map(|(index, kind)| roundel(kind, motion(index))).collect(),
+        roundels: kinds
+            .map(|(index, kind)| roundel(kind, motion(index), tolerance(index)))
+            .collect(),
         references: config.references.iter().map(|it| reference(it, &config)).collect(),
         server: Some(v1::ServerSetup {
             listen: config.server.listen.to_string(),
@@ -187,7 +190,10 @@ fn message(active: ActiveConfig) -> Result<v1::Configuration, EditError> {
             allow_origins: config.server.allow_origins.clone(),
             prompt: config.server.publishes_per_frame,
         }),
-        detection: Some(v1::DetectionSetup { mode: word(&MODES, config.mode).to_owned() }),
+        detection: Some(v1::DetectionSetup {
+            mode: word(&MODES, config.mode).to_owned(),
+            time_budget: config.time_budget,
+        }),
         fusion: Some(v1::FusionSetup {
             acceleration_m_s2: config.fusion.acceleration_m_s2,
             late_window_ms: millis(config.fusion.late_window_s),
@@ -229,7 +235,7 @@ fn problem(problem: Problem) -> v1::ConfigurationProblem {
     }
 }
 
-fn roundel(kind: &Kind, motion: MotionClass) -> v1::RoundelSetup {
+fn roundel(kind: &Kind, motion: MotionClass, tolerance: f64) -> v1::RoundelSetup {
     let mm = |metres: f64| (metres * 1e9).round() * 1e-6;
     let (layout, minor_m) = match kind.pattern {
         Pattern::Plain => (None, None),
@@ -250,6 +256,7 @@ fn roundel(kind: &Kind, motion: MotionClass) -> v1::RoundelSetup {
         polarity: word(&POLARITIES, kind.polarity).to_owned(),
         motion: motion.to_owned(),
         height_m,
+        tolerance,
     }
 }
 

@@ -117,6 +117,8 @@ implement_roundel! {
         list_cameras(ListCamerasRequest) -> ListCamerasResponse = |api, _| rest::cameras(api);
         get_picture(GetPictureRequest) -> CameraPicture = |api, request| get_picture(api, request);
         list_objects(ListObjectsRequest) -> ListObjectsResponse = |api, _| rest::objects(api);
+        list_print_sizes(ListPrintSizesRequest) -> ListPrintSizesResponse
+            = |api, _| rest::print_sizes(api);
         get_time(GetTimeRequest) -> ServerTime = |api, request| get_time(api, request);
         get_server_info(GetServerInfoRequest) -> ServerInfo = |api, _| rest::info(api);
 

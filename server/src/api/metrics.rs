@@ -16,7 +16,7 @@ use axum::{
     http::{StatusCode, header},
     response::{IntoResponse, Response},
 };
-use roundel_core::world::{FusionCounts, LifeStage};
+use roundel_core::world::{FusionCounts, KindPrintSize, LifeStage, PrintSizeState};
 use roundel_proto::{
     json,
     v1::{self, roundel_server::RoundelServer},
@@ -28,6 +28,7 @@ use tonic_health::{ServingStatus, server::HealthReporter};
 use utoipa::ToSchema;
 
 use super::{ApiState, error::SHUTTING_DOWN, grpc, handler::Api, queries};
+use crate::model::hub::Installation;
 
 /// A snapshot older than this, or than this many periods, means that fusion does not publish. Below 1 s by more than
 /// [`READINESS_INTERVAL`].
@@ -167,6 +168,7 @@ fn write_server(page: &mut MetricsText, api: &ApiState) {
 
 fn write_fusion(page: &mut MetricsText, api: &ApiState) {
     write_fusion_counts(page, &api.hub.fusion_counts());
+    write_print_sizes(page, &api.hub.installation(), &api.hub.print_sizes());
     let fused = api.hub.snapshots().borrow().clone();
     let help = "Snapshots published by fusion.";
     page.single("roundel_snapshots_total", help, fused.sequence as f64);
@@ -186,6 +188,22 @@ fn write_fusion(page: &mut MetricsText, api: &ApiState) {
     });
     let help = "Objects by life stage; lost ones for a minute.";
     page.labelled("roundel_objects", help, "stage", counts);
+}
+
+/// Only measured sizes.
+fn write_print_sizes(page: &mut MetricsText, installation: &Installation, sizes: &[KindPrintSize]) {
+    let measured = || sizes.iter().filter(|size| size.state != PrintSizeState::Assumed);
+    let label = |size: &KindPrintSize| installation.kind_name(Some(size.kind)).to_owned();
+    let name = "roundel_print_size_ratio";
+    page.family(name, "Measured diameters of a kind's prints relative to the configured ones.");
+    for size in measured() {
+        page.sample(name, &[("roundel", &label(size))], size.size.factor);
+    }
+    let name = "roundel_print_size_deviation_ratio";
+    page.family(name, "Standard deviation of roundel_print_size_ratio.");
+    for size in measured() {
+        page.sample(name, &[("roundel", &label(size))], size.size.deviation);
+    }
 }
 
 fn write_fusion_counts(page: &mut MetricsText, counts: &FusionCounts) {

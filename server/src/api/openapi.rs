@@ -26,6 +26,7 @@ pub fn described_routes() -> OpenApiRouter<Arc<ApiState>> {
         .routes(routes!(rest::snapshot))
         .routes(routes!(rest::objects))
         .routes(routes!(rest::object))
+        .routes(routes!(rest::print_sizes))
         .routes(routes!(objects::name))
         .routes(routes!(configuration::show, configuration::apply))
         .routes(routes!(configuration::text))

@@ -96,6 +96,16 @@ pub async fn object(State(api): Api, id: Segment) -> Answer<ObjectWithState> {
     Ok(Json(ObjectWithState { object: convert::object(&installation, record), state }))
 }
 
+/// The measured size of each kind's prints, in the order of the configuration.
+#[utoipa::path(
+    get, path = "/api/v1/print-sizes", tag = "poses",
+    responses((status = 200, description = "the sizes", body = v1::ListPrintSizesResponse)),
+)]
+pub async fn print_sizes(State(api): Api) -> Answer<v1::ListPrintSizesResponse> {
+    let print_sizes = convert::print_sizes(&api.hub.installation(), &api.hub.print_sizes());
+    Ok(Json(v1::ListPrintSizesResponse { print_sizes }))
+}
+
 /// Every camera, in the order of the configuration.
 #[utoipa::path(
     get, path = "/api/v1/cameras", tag = "cameras",

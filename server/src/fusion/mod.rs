@@ -180,6 +180,7 @@ impl FusionTask {
         let gives_frames = |camera| self.latency_ms.contains_key(&camera);
         self.mounted_cameras.publish(&mut self.fusion, &self.hub, pose_time, gives_frames);
         self.hub.set_fusion_counts(self.fusion.counts());
+        self.hub.set_print_sizes(self.fusion.print_sizes());
         self.hub.publish_snapshot(snapshot, fused_time.unwrap_or_else(|| self.clock.now()));
         // After the snapshot, in the order in which a replay repeats it.
         if let Some(camera_monitor) = &mut self.camera_monitor {

@@ -4,7 +4,10 @@ use nalgebra::{UnitQuaternion, Vector3};
 use roundel_core::{
     id::{BodyId, KindId},
     rigid::{Covariance6, Rigid},
-    world::{CameraPlacement, FusionParams, KindPrintSize, MotionClass, PrintSize, PrintSizeState, WrongHeight},
+    world::{
+        CameraPlacement, FusionParams, KindPrintSize, MotionClass, PrintSize, PrintSizeState,
+        WrongHeight,
+    },
 };
 
 use super::*;

@@ -109,6 +109,8 @@ pub struct CameraState {
     pub find_ms: f64,
     /// Median time to locate the roundels, part of `detect_ms`.
     pub locate_ms: f64,
+    /// Share of the time budget that finding and locating the roundels takes, median; 0: unknown.
+    pub budget_used: f64,
     /// Standard deviation of the blur, median of the newest roundels, pixels; 0: unknown.
     pub blur_px: f64,
     /// Standard deviation of the noise, likewise, grey levels.
@@ -139,6 +141,8 @@ pub struct DetectionCounts {
     pub precise: u64,
     /// Rings located in closed form: all in fast mode, rejects of the fit in precise mode.
     pub fast: u64,
+    /// Rings located in closed form in precise mode, since a fit would have exceeded the bound of cost or time.
+    pub deferred: u64,
     /// Rings without a pose.
     pub unlocated: u64,
     /// Rejected candidates in the order of [`Reject::ALL`].

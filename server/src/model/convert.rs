@@ -17,7 +17,10 @@ use roundel_core::{
     pose::{Detection, RoundelPose},
     rigid::{Rigid, upper_triangle},
     time::Timestamp,
-    world::{self, ClockEstimate, FrameObservations, LifeStage, ObjectState},
+    world::{
+        self, ClockEstimate, FrameObservations, KindPrintSize, LifeStage, ObjectState, PrintSize,
+        PrintSizeState,
+    },
 };
 use roundel_proto::v1;
 
@@ -171,6 +174,8 @@ pub fn camera(installation: &Installation, id: CameraId, state: &CameraState) ->
         blur_px: state.blur_px,
         noise: state.noise,
         reprojection_px: state.reprojection_px,
+        budget_used: state.budget_used,
+        deferred: state.counts.deferred,
         clock: state.clock.as_ref().map(camera_clock),
         pose_status: (*status).into(),
         pose_reason: reason.clone(),
@@ -211,6 +216,29 @@ pub fn intrinsics(camera: &Camera) -> v1::Intrinsics {
         cy_px: intrinsics.cy_px,
         distortion: intrinsics.lens.coefficients().to_vec(),
     }
+}
+
+/// `sizes`: of the kinds with a tolerance.
+pub fn print_sizes(installation: &Installation, sizes: &[KindPrintSize]) -> Vec<v1::PrintSize> {
+    let each = installation.kinds.iter().enumerate().map(|(index, name)| {
+        let size = sizes.iter().find(|size| usize::from(size.kind.0) == index);
+        let PrintSize { factor, deviation } = size.map_or(PrintSize::EXACT, |size| size.size);
+        let state = match size.map(|size| size.state) {
+            None => v1::PrintSizeState::Exact,
+            Some(PrintSizeState::Assumed) => v1::PrintSizeState::Assumed,
+            Some(PrintSizeState::Measured) => v1::PrintSizeState::Measured,
+            Some(PrintSizeState::Contradicted) => v1::PrintSizeState::Contradicted,
+        };
+        let cameras = size.map_or(&[][..], |size| &size.cameras);
+        v1::PrintSize {
+            roundel: name.clone(),
+            factor,
+            deviation,
+            state: state as i32,
+            cameras: names(installation, cameras),
+        }
+    });
+    each.collect()
 }
 
 pub fn object(installation: &Installation, record: &ObjectRecord) -> v1::Object {

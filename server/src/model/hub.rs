@@ -19,7 +19,7 @@ use axum::body::Bytes;
 use roundel_core::{
     id::{BodyId, CameraId, KindId, ObjectId},
     time::Timestamp,
-    world::{FrameObservations, FusionCounts, Snapshot},
+    world::{FrameObservations, FusionCounts, KindPrintSize, Snapshot},
 };
 use tokio::sync::{OnceCell, broadcast, watch};
 
@@ -85,6 +85,7 @@ pub struct Hub {
     objects: Mutex<RecentObjects>,
     cameras: RwLock<BTreeMap<CameraId, Arc<CameraSlot>>>,
     fusion_counts: Mutex<FusionCounts>,
+    print_sizes: Mutex<Vec<KindPrintSize>>,
     fusion_has_ended: AtomicBool,
     tap: Tap,
     /// Cameras added, changed and removed.
@@ -103,6 +104,7 @@ impl Hub {
             event_log: Mutex::default(),
             objects: Mutex::default(),
             fusion_counts: Mutex::default(),
+            print_sizes: Mutex::default(),
             fusion_has_ended: AtomicBool::new(false),
             tap: Tap::default(),
             changes: Default::default(),
@@ -302,6 +304,17 @@ impl Hub {
 
     pub fn set_fusion_counts(&self, counts: FusionCounts) {
         *lock(&self.fusion_counts) = counts;
+    }
+
+    pub fn set_print_sizes(&self, sizes: impl Iterator<Item = KindPrintSize>) {
+        let mut own = lock(&self.print_sizes);
+        own.clear();
+        own.extend(sizes);
+    }
+
+    /// Sizes of the prints of all kinds with a tolerance.
+    pub fn print_sizes(&self) -> Vec<KindPrintSize> {
+        lock(&self.print_sizes).clone()
     }
 
     pub fn set_fusion_ended(&self) {

@@ -7,9 +7,9 @@ use axum::{
     http::{Request, StatusCode},
 };
 use roundel_core::{
-    id::CameraId,
+    id::{CameraId, KindId},
     marker::Reject,
-    world::{ClockEstimate, FusionCounts},
+    world::{ClockEstimate, FusionCounts, KindPrintSize, PrintSize, PrintSizeState},
 };
 use roundel_proto::v1;
 use roundel_server::model::hub::{CameraStatus, EventKind};
@@ -65,6 +65,31 @@ async fn the_snapshot_in_json_equals_that_of_grpc() {
     assert_eq!(some.objects[0].position, Some(v1::Vector3 { x: 2.25, y: -1.5, z: 1.0 }));
     assert!(some.objects[0].covariance.is_empty());
     assert_eq!(some.pose_time_ns - grpc.pose_time_ns, 250_000_000);
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn serves_the_sizes_of_prints() {
+    let rig = Rig::start().await;
+    let print = |json: Value| json["print_sizes"][0].clone();
+    let exact = print(rig.get("/api/v1/print-sizes").await.json());
+    assert_eq!((&exact["state"], &exact["factor"]), (&"exact".into(), &1.0.into()));
+    let size = PrintSize { factor: 0.97, deviation: 0.0004 };
+    let (kind, cameras) = (KindId(0), vec![CameraId(1)]);
+    let state = PrintSizeState::Measured;
+    rig.hub.set_print_sizes([KindPrintSize { kind, size, state, cameras }].into_iter());
+    let measured = print(rig.get("/api/v1/print-sizes").await.json());
+    let expected = serde_json::json!({
+        "roundel": exact["roundel"], "factor": 0.97, "deviation": 0.0004, "state": "measured", "cameras": ["south side"],
+    });
+    assert_eq!(measured, expected);
+    let grpc =
+        super::grpc::connect(&rig).await.list_print_sizes(v1::ListPrintSizesRequest {}).await;
+    assert_eq!(grpc.unwrap().into_inner().print_sizes[0].factor, 0.97);
+    let name = exact["roundel"].as_str().unwrap();
+    let metrics = rig.get("/metrics").await;
+    let line = format!("roundel_print_size_ratio{{roundel=\"{name}\"}} 0.97");
+    assert!(metrics.text().contains(&line), "{}", metrics.text());
     rig.stop().await;
 }
 
@@ -235,6 +260,7 @@ async fn openapi_describes_every_route() {
         "/api/v1/objects",
         "/api/v1/objects/{id}",
         "/api/v1/objects/{id}/name",
+        "/api/v1/print-sizes",
         "/api/v1/observations",
         "/api/v1/plan",
         "/api/v1/print",
@@ -329,6 +355,7 @@ async fn metrics_cover_cameras_objects_and_clients() {
             skew_deviation: 1e-6,
         });
         (camera.counts.precise, camera.counts.fast, camera.counts.unlocated) = (900, 30, 1);
+        (camera.counts.deferred, camera.budget_used) = (50, 0.25);
         camera.counts.rejects[Reject::FrameEdge as usize] = 44;
     });
     rig.hub.set_fusion_counts(FusionCounts {
@@ -373,7 +400,9 @@ async fn metrics_cover_cameras_objects_and_clients() {
         "roundel_camera_stage_seconds{camera=\"north\",stage=\"locate\"} 0.0005",
         "roundel_camera_located_total{camera=\"north\",by=\"precise\"} 900",
         "roundel_camera_located_total{camera=\"north\",by=\"fast\"} 30",
+        "roundel_camera_located_total{camera=\"north\",by=\"deferred\"} 50",
         "roundel_camera_located_total{camera=\"north\",by=\"none\"} 1",
+        "roundel_camera_budget_ratio{camera=\"north\"} 0.25",
         "roundel_camera_located_total{camera=\"south side\",by=\"precise\"} 0",
         "roundel_camera_rejects_total{camera=\"north\",reason=\"frame_edge\"} 44",
         "roundel_camera_rejects_total{camera=\"north\",reason=\"tilt\"} 0",

@@ -204,6 +204,11 @@ fn names_wrong_values_with_their_line() {
             "tolerance = 3",
             "`tolerance` must be a number from 0 to 0.1, found 3",
         ),
+        (
+            "time_budget = 0.6",
+            "time_budget = 1.5",
+            "`time_budget` must be a number above 0, at most 1, found 1.5",
+        ),
         ("motion = \"ground\"", "motion = \"wheels\"", "`motion` must be \"free\" or \"ground\""),
         ("motion = \"ground\"\n", "", "`height_m` is the height of what drives"),
         ("height_m = 0.3", "height_m = inf", "`height_m` must be a number from -1000 to 1000"),

@@ -53,6 +53,8 @@ import { ObjectState, STAGES } from "../state/object-state.js";
  * @property {string} rateReason why the rate differs from the promised one; empty while it agrees
  * @property {number} detections
  * @property {number} detectMs
+ * @property {number} budgetUsed
+ * @property {number} deferred
  * @property {number} latencyMs
  * @property {Clock | null} clock null if its time stamps are exact
  * @property {number | null} blurPx null before it is known
@@ -221,6 +223,8 @@ function readCamera(raw) {
     rateReason: text(raw?.rate_reason),
     detections: count(raw?.detections),
     detectMs: count(raw?.detect_ms),
+    budgetUsed: count(raw?.budget_used),
+    deferred: count(raw?.deferred),
     latencyMs: count(raw?.latency_ms),
     clock: readClock(raw?.clock),
     // 0: not fitted.

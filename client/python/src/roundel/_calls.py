@@ -59,6 +59,7 @@ RESPONSES: dict[str, Any] = {
     "GetSnapshot": v1.Snapshot,
     "ListCameras": v1.ListCamerasResponse,
     "ListObjects": v1.ListObjectsResponse,
+    "ListPrintSizes": v1.ListPrintSizesResponse,
     "GetPicture": v1.CameraPicture,
     "GetServerInfo": v1.ServerInfo,
     "GetTime": v1.ServerTime,

@@ -13,7 +13,7 @@ use crate::model::{
 /// Name, help and value.
 type CameraFamily = (&'static str, &'static str, fn(&CameraState) -> f64);
 
-const CAMERA_FAMILIES: [CameraFamily; 26] = [
+const CAMERA_FAMILIES: [CameraFamily; 27] = [
     ("roundel_camera_up", "1 while frames arrive.", |camera| {
         f64::from(u8::from(camera.status == CameraStatus::Running))
     }),
@@ -60,6 +60,11 @@ const CAMERA_FAMILIES: [CameraFamily; 26] = [
         "roundel_camera_detect_seconds",
         "Detection time of a frame, median of the newest ones.",
         |camera| camera.detect_ms * 1e-3,
+    ),
+    (
+        "roundel_camera_budget_ratio",
+        "Share of the time budget of a frame that finding and locating its roundels takes, median of the newest ones.",
+        |camera| camera.budget_used,
     ),
     (
         "roundel_camera_decode_seconds",
@@ -149,12 +154,15 @@ pub(super) fn write_cameras(
     let name = "roundel_camera_located_total";
     page.family(
         name,
-        "Roundels found, by fit: precise, fast (in precise mode: the precise fit failed), or none.",
+        "Roundels found, by fit: precise, fast (in precise mode: the precise fit failed), deferred (not fitted, to bound the cost), or none.",
     );
     for (camera, CameraState { counts, .. }) in &cameras {
-        for (by, count) in
-            [("precise", counts.precise), ("fast", counts.fast), ("none", counts.unlocated)]
-        {
+        for (by, count) in [
+            ("precise", counts.precise),
+            ("fast", counts.fast),
+            ("deferred", counts.deferred),
+            ("none", counts.unlocated),
+        ] {
             page.sample(name, &[("camera", camera), ("by", by)], count as f64);
         }
     }

@@ -131,6 +131,7 @@ impl Node {
                 clock,
                 promised_hz: camera.rate_hz,
                 min_error_px: 0.0,
+                time_budget: config.time_budget,
                 before,
             });
             let name = format!("camera {}", camera.name);

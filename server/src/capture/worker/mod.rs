@@ -7,6 +7,7 @@
 //! | [`pipeline`] | pixels → detections with poses and times |
 //! | `pose_source`, `pose_search` | the camera's pose, and the search for an unknown one |
 //! | [`calibration_update`] | a new lens and pose, applied between two frames |
+//! | `frame_budget` | bounds the time of a frame |
 //! | `rate_monitor` | compares the frame rate with the promised one |
 //! | [`statistics`] | rates and medians over the newest frames |
 //!
@@ -15,6 +16,7 @@
 
 pub mod calibration_update;
 mod error_floor;
+mod frame_budget;
 pub mod pipeline;
 mod pose_search;
 mod pose_source;
@@ -50,6 +52,7 @@ use crate::{
     },
 };
 use calibration_update::{CalibrationMailbox, CalibrationUpdate};
+use frame_budget::FrameBudget;
 use pipeline::{FrameHeader, Pipeline};
 use pose_search::{PoseSearch, SearchProgress};
 use rate_monitor::{RateEvent, RateMonitor};
@@ -96,6 +99,8 @@ pub struct WorkerParts {
     pub promised_hz: Option<f64>,
     /// Least error of remote detections, pixels; see [`error_floor`].
     pub min_error_px: f64,
+    /// Time for finding and locating the roundels of a frame, as a share of the interval between frames.
+    pub time_budget: f64,
     /// Counts of the camera's previous worker.
     pub before: WorkerCounts,
 }
@@ -109,6 +114,7 @@ pub struct Worker {
     counts: WorkerCounts,
     statistics: FrameStatistics,
     rate_monitor: RateMonitor,
+    budget: FrameBudget,
     /// Arrival of the first frame since the source was opened.
     running_since: Option<Instant>,
     has_run: bool,
@@ -146,6 +152,7 @@ impl Worker {
             counts: parts.before,
             statistics: FrameStatistics::default(),
             rate_monitor: RateMonitor::default(),
+            budget: FrameBudget::new(parts.time_budget),
             running_since: None,
             has_run: false,
             parts,
@@ -161,6 +168,7 @@ impl Worker {
         self.running_since = None;
         self.statistics.rate = RateMeter::default();
         self.parts.pipeline.reset();
+        self.budget.restart();
         let mut source = match self.parts.opener.open() {
             Ok(source) => source,
             Err(error) => return error,
@@ -210,7 +218,11 @@ impl Worker {
             capture_time: info.capture_time,
             received_time: received,
         };
+        let missed = info.skipped.saturating_add(info.broken);
+        let budget = self.budget.add(info.capture_time, missed);
+        self.parts.pipeline.set_deadline(budget.map(|budget| begun + budget));
         let observations = self.parts.pipeline.process(&lent.frame, &header);
+        self.budget.note(budget, begun);
         let size = (lent.frame.width(), lent.frame.height());
         let observations = self.deliver(observations, size, received);
         // After the delivery, so that it adds no latency.
@@ -226,8 +238,7 @@ impl Worker {
             statistics.noise.add(quality.noise);
         }
         statistics.rate.add(received);
-        let arrived = info.skipped.saturating_add(info.broken).saturating_add(1);
-        self.check_rate(received, arrived);
+        self.check_rate(received, missed.saturating_add(1));
         self.publish(lent, observations);
     }
 
@@ -389,6 +400,7 @@ impl Worker {
             hub.publish_picture(id, Picture::new(size, pixels(), observations.clone()));
         }
         let (counts, statistics) = (self.counts(), &self.statistics);
+        let budget_used = self.budget.used();
         hub.update_camera(id, |state| {
             state.frames = counts.frames;
             state.dropped = counts.dropped;
@@ -401,6 +413,7 @@ impl Worker {
             state.detect_ms = statistics.detect_ms.value();
             state.find_ms = statistics.find_ms.value();
             state.locate_ms = statistics.locate_ms.value();
+            state.budget_used = budget_used;
             state.blur_px = statistics.blur_px.value();
             state.noise = statistics.noise.value();
         });

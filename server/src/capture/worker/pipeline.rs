@@ -95,6 +95,11 @@ impl Pipeline {
         }
     }
 
+    /// Time after which no further ring of the next frame is fitted to the grey levels.
+    pub fn set_deadline(&mut self, deadline: Option<Instant>) {
+        self.locator.set_deadline(deadline);
+    }
+
     /// Forgets all tracks, as after a gap in the frames.
     pub fn reset(&mut self) {
         self.tracker.reset();
@@ -115,6 +120,9 @@ impl Pipeline {
             let located = located.ok();
             let counted = match located.as_ref().map(|located| located.by) {
                 Some(Mode::Precise) => &mut self.counts.precise,
+                Some(Mode::Fast) if located.as_ref().is_some_and(|located| located.is_deferred) => {
+                    &mut self.counts.deferred
+                }
                 Some(Mode::Fast) => &mut self.counts.fast,
                 None => &mut self.counts.unlocated,
             };

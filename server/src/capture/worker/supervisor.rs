@@ -230,6 +230,7 @@ mod tests {
             clock,
             promised_hz: None,
             min_error_px: 0.0,
+            time_budget: 1.0,
             before: WorkerCounts::default(),
         });
         (worker, from_worker)

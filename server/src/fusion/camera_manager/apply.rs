@@ -76,6 +76,7 @@ impl CameraManager {
             clock: self.clock,
             promised_hz: camera.rate_hz,
             min_error_px: setup::min_error_px(camera),
+            time_budget: config.time_budget,
             before,
         });
         state.workers.spawn(id, &camera.name, worker, stop).map_err(|source| {

@@ -220,7 +220,7 @@ impl CurrentConfig {
 /// Differences that only a restart applies.
 fn needs_restart(before: &Config, after: &Config) -> Vec<String> {
     let (old, new) = (&before.server, &after.server);
-    let all: [(bool, &str); 20] = [
+    let all: [(bool, &str); 21] = [
         (before.name != after.name, "name"),
         (old.listen != new.listen, "[server] listen"),
         (old.snapshot_rate_hz != new.snapshot_rate_hz, "[server] snapshot_rate_hz"),
@@ -243,6 +243,7 @@ fn needs_restart(before: &Config, after: &Config) -> Vec<String> {
             "[[roundel]]",
         ),
         (before.references != after.references, "[[reference]]"),
+        (before.time_budget != after.time_budget, "[detection] time_budget"),
         (before.fusion.late_window_s != after.fusion.late_window_s, "[fusion] late_window_ms"),
         (before.limits.max_clients != after.limits.max_clients, "[limits] max_clients"),
         (

@@ -59,6 +59,8 @@ const LIMITS_KEYS: [&str; 4] =
 
 const DEFAULT_LISTEN: &str = "127.0.0.1:7670";
 const DEFAULT_RATE_HZ: f64 = 60.0;
+/// Share of the interval between frames.
+const DEFAULT_TIME_BUDGET: f64 = 0.6;
 const MAX_RATE_HZ: f64 = 1000.0;
 const MAX_DURATION_MS: f64 = 3_600_000.0;
 
@@ -109,8 +111,10 @@ fn root(
     let references = references(&root, &kinds);
     let objects = objects(&root, &kinds, &references.configs);
     let node = node(&root, folder);
-    let detection = root.section("detection", "[detection]", &["mode"]);
+    let detection = root.section("detection", "[detection]", &["mode", "time_budget"]);
     let mode = detection.choice("mode", &MODES).unwrap_or_default();
+    let range = NumberRange::PositiveUpTo(1.0);
+    let time_budget = detection.number("time_budget", range, DEFAULT_TIME_BUDGET);
     let cameras = if is_without_cameras {
         Vec::new()
     } else {
@@ -139,6 +143,7 @@ fn root(
         server: server(&server_table, folder, !access.entries.is_empty())?,
         access,
         mode,
+        time_budget,
         kinds: kinds.kinds,
         motions: kinds.motions,
         tolerances: kinds.tolerances,

@@ -78,6 +78,8 @@ pub struct Config {
     pub access: AccessConfig,
     /// `[detection] mode`, for cameras without a mode of their own.
     pub mode: Mode,
+    /// `[detection] time_budget`, a share of the interval between frames.
+    pub time_budget: f64,
     /// `[[roundel]]`, by [`KindId`]; at least one. Ratios of plain ones differ by a tenth, coded ones in their bits.
     pub kinds: Vec<Kind>,
     /// Motion of the objects of each kind.

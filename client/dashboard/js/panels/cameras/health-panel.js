@@ -4,8 +4,10 @@ import { element, find, glyph, throttle, setAttribute, setText } from "../../bas
 import { fixed, whole } from "../../base/format.js";
 import { cameraProblems, groupProblems, healthSummary } from "../../state/camera-health.js";
 import { request } from "../../wire/api-client.js";
+import { makePrintSizes } from "./print-sizes.js";
 
 const INTERVAL_MS = 500;
+const PRINT_SIZE_INTERVAL_MS = 5000;
 /** Bars of the latency histogram. */
 const STEPS = 24;
 
@@ -59,6 +61,12 @@ const COLUMNS = [
         : "–",
   },
   { key: "detect", name: "Detect ms", title: "Time to detect the roundels in a frame, median", value: ({ camera }) => fixed(camera.detectMs, 2) },
+  {
+    key: "budget",
+    name: "Budget",
+    title: "Share of a frame's time budget that detection takes, median; in brackets roundels that were located without the precise fit since the start",
+    value: ({ camera }) => (camera.budgetUsed > 0 ? percent(camera.budgetUsed) : "–") + (camera.deferred > 0 ? ` (${whole(camera.deferred)})` : ""),
+  },
   { key: "blur", name: "Blur px", title: "Estimated from the edges of its roundels", value: ({ camera }) => fixed(camera.blurPx, 2) },
 ];
 
@@ -92,6 +100,8 @@ export function showHealthPanel(store, { open, isOpen }) {
   const rows = find("#health-rows");
   const figures = { rate: find("#health-rate"), late: find("#health-late"), missed: find("#health-missed") };
   const bars = makeBars(find("#health-bars"));
+  const loadPrintSizes = makePrintSizes();
+  const loadPrintSizesSoon = throttle(PRINT_SIZE_INTERVAL_MS, () => void loadPrintSizes(), { alone: true });
   /** @type {Map<string, number>} of the newest calibration, by camera */
   let reprojectionPx = new Map();
   find("#health-head").replaceChildren(
@@ -125,6 +135,7 @@ export function showHealthPanel(store, { open, isOpen }) {
     setText(figures.missed, whole(store.report.missed));
     bars(store.latencies.histogram(STEPS));
     fillTable(rows, all, reprojectionPx);
+    loadPrintSizesSoon();
   };
 
   button.addEventListener("click", open);
@@ -139,7 +150,11 @@ export function showHealthPanel(store, { open, isOpen }) {
   store.on("connection", updateSoon);
   store.on("events", throttle(2000, () => store.events[0]?.kind.startsWith("calibration_") && void loadCalibration()));
   update();
-  return { update, opened: () => void loadCalibration().then(update) };
+  const opened = () => {
+    void loadPrintSizes();
+    void loadCalibration().then(update);
+  };
+  return { update, opened };
 }
 
 /** Lists the problems; cameras with the same problem share an entry. @param {HTMLElement} list @param {CameraHealth[]} ill */
