@@ -37,12 +37,16 @@ def write_markers(path):
     Path(path).write_text(json.dumps(markers))
 
 
-def aruco(refined):
+def aruco_detector(refined):
     dictionary = cv2.aruco.getPredefinedDictionary(FAMILIES["aruco"])
     parameters = cv2.aruco.DetectorParameters()
     if refined:
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    detector = cv2.aruco.ArucoDetector(dictionary, parameters)
+    return cv2.aruco.ArucoDetector(dictionary, parameters)
+
+
+def aruco(refined):
+    detector = aruco_detector(refined)
     return lambda image: [corners[0] for corners in detector.detectMarkers(image)[0]]
 
 
@@ -78,8 +82,11 @@ def place(found):
     return a + share * (c - a)
 
 
-def position(found, size, camera, distortion):
-    """Middle of a square of this side before this camera, metres, by solvePnP."""
+def pose(found, size, camera, distortion):
+    """Rotation vector and middle (metres) of a square of this side before this camera, by solvePnP.
+
+    The square's x points to the right of its print and its y up.
+    """
     h = size / 2
     corners = np.array([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0]])
     # AprilTag lists its corners the other way round.
@@ -87,8 +94,13 @@ def position(found, size, camera, distortion):
     if np.linalg.det([points[1] - points[0], points[2] - points[1]]) < 0:
         points = points[::-1]
     flag = cv2.SOLVEPNP_IPPE_SQUARE
-    _, _, shift = cv2.solvePnP(corners, points, camera, distortion, flags=flag)
-    return shift.ravel()
+    _, turn, shift = cv2.solvePnP(corners, points, camera, distortion, flags=flag)
+    return turn.ravel(), shift.ravel()
+
+
+def position(found, size, camera, distortion):
+    """Middle of a square of this side before this camera, metres."""
+    return pose(found, size, camera, distortion)[1]
 
 
 def depth(found, image, truth):

@@ -40,7 +40,7 @@ enum Command {
     Conditions(run::conditions::Options),
     /// Draws the curves of core/docs/detector.md
     Curves(run::curves::Options),
-    /// Renders the scenes of tests/compare/run
+    /// Renders the scenes of tests/compare/run and tests/compare/fmac
     CompareScenes(run::compare_scenes::Options),
     /// A server with simulated objects, for measuring the dashboard
     DashboardLoad(run::dashboard_load::Options),

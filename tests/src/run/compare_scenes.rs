@@ -1,18 +1,21 @@
 //! Renders the scenes of `tests/compare/run`: roundels, ArUco markers, AprilTags and plain discs of one size at the same
-//! poses. Writes PGM files and `truth.json`.
+//! poses. With `--poses`, the scenes of `tests/compare/fmac`: one marker each, with coded roundels in place of discs.
+//! Writes PGM files and `truth.json`.
 
 use std::{collections::BTreeMap, fs, path::PathBuf, process::ExitCode};
 
 use anyhow::Context;
-use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use roundel_tests::{
     clutter::{Clutter, background},
+    coded::{coded_print, words},
     optics::{Distortion, Pinhole},
     other_markers::{Cells, disc, marker, write_pgm},
     random::Random,
     render::{Canvas, Image, Imaging, MovingPrint, Print, Renderer},
 };
+use serde::Deserialize;
 use serde_json::json;
 
 /// Outer diameter of roundels and discs, side of square markers, metres.
@@ -22,6 +25,12 @@ const INNER_M: f64 = 0.064;
 /// Focal length over the image's width, as in the reference installations.
 const FOCAL: f64 = 1100.0 / 1920.0;
 const MAX_TILT_RAD: f64 = 50.0 * std::f64::consts::PI / 180.0;
+/// Seed of clutter and noise in the scenes of `tests/compare/run`.
+const SEED: u64 = 11;
+/// Margin of roundels over their outer diameter.
+const MARGIN: f64 = 0.2;
+/// Bits of the coded roundels.
+const BITS: u8 = 8;
 
 /// One scene, rendered once for each family of markers.
 struct Scene {
@@ -30,6 +39,35 @@ struct Scene {
     imaging: Imaging,
     clutter: Option<Clutter>,
     poses: Vec<Isometry3<f64>>,
+    /// Index of the first marker's identity in its family; the others follow.
+    first_id: usize,
+    /// Seed of clutter and noise.
+    seed: u64,
+}
+
+/// The content of `--poses`: one camera, and scenes with one marker.
+#[derive(Deserialize)]
+struct PosesFile {
+    /// Outer diameter of roundels, side of square markers.
+    size_m: f64,
+    /// Inner diameter of plain roundels.
+    inner_m: f64,
+    width: usize,
+    height: usize,
+    focal_px: [f64; 2],
+    center_px: [f64; 2],
+    plumb_bob: [f64; 5],
+    /// Deviation, grey levels.
+    noise: f64,
+    scenes: Vec<PosedMarker>,
+}
+
+#[derive(Deserialize)]
+struct PosedMarker {
+    position_m: [f64; 3],
+    /// camera_from_marker, row by row.
+    rotation: [[f64; 3]; 3],
+    blur_px: f64,
 }
 
 #[derive(clap::Args)]
@@ -37,29 +75,46 @@ pub struct Options {
     /// JSON with the cells of each marker by family: rows of 0 (black) and 1, including the black border
     markers: PathBuf,
     folder: PathBuf,
+    /// JSON with a camera and poses, in place of the scenes of tests/compare/run
+    #[arg(long)]
+    poses: Option<PathBuf>,
 }
 
 pub fn run(options: &Options) -> anyhow::Result<ExitCode> {
-    let Options { markers, folder } = options;
+    let Options { markers, folder, poses } = options;
     let markers: BTreeMap<String, Vec<Cells>> =
         serde_json::from_slice(&fs::read(markers)?).context("markers")?;
-    let scenes = scenes();
+    let posed: Option<PosesFile> = match poses {
+        Some(path) => Some(serde_json::from_slice(&fs::read(path)?).context("poses")?),
+        None => None,
+    };
+    let (size_m, inner_m, scenes) = match &posed {
+        Some(posed) => (posed.size_m, posed.inner_m, posed.scenes()),
+        None => (SIZE_M, INNER_M, scenes()),
+    };
+    let words = words(BITS);
     scenes.par_iter().try_for_each(|scene| {
         let prints = |name: &str, print: &dyn Fn(usize) -> Print| {
             let prints: Vec<_> = (0..scene.poses.len()).map(print).collect();
             let path = folder.join(format!("{}-{name}.pgm", scene.name));
             write_pgm(&path, &scene.render(&prints)).with_context(|| path.display().to_string())
         };
-        prints("roundel", &|_| Print::plain(SIZE_M, INNER_M, 0.2))?;
-        prints("disc", &|_| disc(SIZE_M))?;
+        prints("roundel", &|_| Print::plain(size_m, inner_m, MARGIN))?;
+        if posed.is_some() {
+            let word = |index| words[(scene.first_id + index) % words.len()];
+            prints("coded", &|index| coded_print(size_m, BITS, word(index), MARGIN))?;
+        } else {
+            prints("disc", &|_| disc(size_m))?;
+        }
         for (family, cells) in &markers {
-            prints(family, &|index| marker(&cells[index % cells.len()], SIZE_M))?;
+            let cells = |index| &cells[(scene.first_id + index) % cells.len()];
+            prints(family, &|index| marker(cells(index), size_m))?;
         }
         anyhow::Ok(())
     })?;
     let truth: BTreeMap<&str, _> =
         scenes.iter().map(|scene| (scene.name.as_str(), scene.truth())).collect();
-    let all = json!({ "size_m": SIZE_M, "inner_m": INNER_M, "scenes": truth });
+    let all = json!({ "size_m": size_m, "inner_m": inner_m, "scenes": truth });
     fs::write(folder.join("truth.json"), all.to_string())?;
     Ok(ExitCode::SUCCESS)
 }
@@ -71,7 +126,7 @@ fn scenes() -> Vec<Scene> {
         let camera = Pinhole::centered(size[0], size[1], focal_px, Distortion::NONE);
         let poses = crowd(&camera, grid, count, diameter_px, &mut random);
         let (imaging, clutter) = (Imaging::default(), Some(Clutter::LAB));
-        Scene { name: name.into(), camera, imaging, clutter, poses }
+        Scene { name: name.into(), camera, imaging, clutter, poses, first_id: 0, seed: SEED }
     };
     let mut scenes = vec![
         crowd("1080p-100", [1920, 1080], [14, 8], 100, [24.0, 60.0]),
@@ -119,7 +174,7 @@ fn single(diameter_px: f64, index: u64) -> Scene {
     let at = [random.uniform(-20.0, 20.0), random.uniform(-15.0, 15.0)];
     let poses = vec![pose(&camera, at, diameter_px, &mut random)];
     let name = format!("single-{diameter_px:03}-{index:03}");
-    Scene { name, camera, imaging, clutter: None, poses }
+    Scene { name, camera, imaging, clutter: None, poses, first_id: 0, seed: SEED }
 }
 
 /// A pose that appears at this offset from the image centre, with random rotation and tilt.
@@ -144,10 +199,43 @@ fn pose(
     Isometry3::from_parts(Translation3::from(position), aside * facing * lean * spin)
 }
 
+impl PosesFile {
+    /// On a flat background, named by their numbers from 0.
+    fn scenes(&self) -> Vec<Scene> {
+        let camera = Pinhole {
+            width: self.width,
+            height: self.height,
+            focal_px: self.focal_px,
+            center_px: self.center_px,
+            distortion: Distortion::PlumbBob(self.plumb_bob),
+        };
+        let scene = |(index, marker): (usize, &PosedMarker)| {
+            let rows = Matrix3::from_columns(&marker.rotation.map(Vector3::from));
+            let rotation = Rotation3::from_matrix_unchecked(rows.transpose());
+            let rotation = UnitQuaternion::from_rotation_matrix(&rotation);
+            let position = Translation3::from(marker.position_m);
+            Scene {
+                name: format!("{index:05}"),
+                camera,
+                imaging: Imaging {
+                    blur_px: marker.blur_px,
+                    noise: self.noise,
+                    ..Imaging::default()
+                },
+                clutter: None,
+                poses: vec![Isometry3::from_parts(position, rotation)],
+                first_id: index,
+                seed: index as u64,
+            }
+        };
+        self.scenes.iter().enumerate().map(scene).collect()
+    }
+}
+
 impl Scene {
     fn render(&self, prints: &[Print]) -> Image {
         let renderer = Renderer::new(self.camera, self.imaging);
-        let mut random = Random::new(11, self.poses.len() as u64);
+        let mut random = Random::new(self.seed, self.poses.len() as u64);
         let canvas = match &self.clutter {
             Some(clutter) => background(&renderer, 120.0, clutter, &mut random),
             None => Canvas::flat(self.camera.width, self.camera.height, 120.0),
