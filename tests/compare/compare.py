@@ -37,16 +37,17 @@ def write_markers(path):
     Path(path).write_text(json.dumps(markers))
 
 
-def aruco_detector(refined):
+def aruco_detector(refinement):
+    """refinement: one of cv2.aruco.CORNER_REFINE_*."""
     dictionary = cv2.aruco.getPredefinedDictionary(FAMILIES["aruco"])
     parameters = cv2.aruco.DetectorParameters()
-    if refined:
-        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    parameters.cornerRefinementMethod = refinement
     return cv2.aruco.ArucoDetector(dictionary, parameters)
 
 
 def aruco(refined):
-    detector = aruco_detector(refined)
+    subpixel, none = cv2.aruco.CORNER_REFINE_SUBPIX, cv2.aruco.CORNER_REFINE_NONE
+    detector = aruco_detector(subpixel if refined else none)
     return lambda image: [corners[0] for corners in detector.detectMarkers(image)[0]]
 
 
