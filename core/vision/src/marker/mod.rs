@@ -86,6 +86,9 @@ pub struct Ring {
     /// Error of both rims where the edge of a shadow crosses them, pixels: of each harmonic, after the light was evened
     /// out. 0 in even light.
     pub shadow_px: f64,
+    /// Error of the outer rim where the white margin is hardly wider than the blur, pixels: of each harmonic. 0 with a wide
+    /// margin.
+    pub margin_px: f64,
     /// Compensation of both rims for the kind's ratio of diameters: how far the outer rim was moved
     /// outwards and that of the disc inwards, pixels. The rims as they appear follow from it.
     pub shift_px: f64,
@@ -107,6 +110,7 @@ impl Ring {
             white: 220.0,
             unevenness: 0.0,
             shadow_px: 0.0,
+            margin_px: 0.0,
             shift_px: 0.0,
             polarity: Polarity::BlackRing,
             code: None,

@@ -121,6 +121,9 @@ const REACH_PX: f64 = 3.0;
 /// rendered rings.
 const SHADOW_GROWTH: f64 = 4.0;
 
+/// Error of the outer rim by a narrow margin at which the covariance of a fit doubles, pixels; from rendered rings.
+const NARROW_MARGIN_PX: f64 = 0.03;
+
 /// Confidence of a track's code from which a frame that does not read it uses the teeth of earlier
 /// frames.
 const MIN_CODE_CONFIDENCE: f64 = 0.99;
@@ -358,6 +361,7 @@ impl Located {
                 if input.ring.shadow_px > 0.0 {
                     self.pose.covariance *= SHADOW_GROWTH;
                 }
+                self.pose.covariance *= 1.0 + (input.ring.margin_px / NARROW_MARGIN_PX).powi(2);
             }
             self.work = scratch.work() - before;
             fit.credit = fit.credit.map(|credit| credit - self.work as f64);

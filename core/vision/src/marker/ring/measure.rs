@@ -144,7 +144,7 @@ fn measure_with<S: Simd>(
             found
         }
     };
-    let RefinedRims { outer, inner, black, white, unevenness, is_similar, .. } = found;
+    let RefinedRims { outer, inner, black, white, unevenness, is_similar, margin_px, .. } = found;
     let (kind, outer, inner, shift_px) = if kinds.is_empty() {
         let ratio = inner.mean_radius_px() / outer.mean_radius_px();
         if ratio < RATIO_LIMITS.0 || ratio > RATIO_LIMITS.1 {
@@ -160,8 +160,16 @@ fn measure_with<S: Simd>(
         let Classified { kind, outer, inner, shift_px } = nearest.ok_or(Reject::Kind)?;
         (Some(kind), outer, inner, shift_px)
     };
-    let ring =
-        Ring { kind, threshold, black, white, unevenness, shift_px, ..Ring::of_rims(outer, inner) };
+    let ring = Ring {
+        kind,
+        threshold,
+        black,
+        white,
+        unevenness,
+        margin_px,
+        shift_px,
+        ..Ring::of_rims(outer, inner)
+    };
     Ok(ring.with_polarity(probe.polarity))
 }
 

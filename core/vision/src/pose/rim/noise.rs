@@ -82,8 +82,9 @@ impl RimNoise {
         let by_disc = (THIN_DISC_PX / disc_px).powi(6).min(MAX_GROWTH);
         let by_black = (THIN_BLACK_PX / black_px).powi(4).min(MAX_GROWTH_BY_BLACK);
         let growth = 1.0 + by_disc.max(by_black);
-        let rim = self.for_rim(ring, growth);
-        RingNoise { rims: [rim; 2], disc: DiscWeights::all() }
+        let inner = self.for_rim(ring, growth);
+        let outer = RimErrors { uneven_px: inner.uneven_px.hypot(ring.margin_px), ..inner };
+        RingNoise { rims: [outer, inner], disc: DiscWeights::all() }
     }
 
     fn as_stated(&self) -> RimErrors<f64> {

@@ -221,8 +221,13 @@ impl<T: Lane> Levels<T> {
 impl Levels<f64> {
     /// Whether the margin is wide enough to keep the blur of its outer edge out of the rim's.
     pub fn has_near_margin(&self) -> bool {
+        self.near_share() > NEAR_MARGIN
+    }
+
+    /// Level two or three pixels beyond the rim: 0 for black, 1 for white.
+    pub fn near_share(&self) -> f64 {
         let (black, white) = (self.black.level, self.white.level);
-        self.near - black > NEAR_MARGIN * (white - black)
+        (self.near - black) / (white - black)
     }
 }
 

@@ -64,7 +64,15 @@ pub(crate) struct RefinedRims {
     pub is_similar: bool,
     /// Only the part inside of the threshold's edge was weighed.
     pub is_cut: bool,
+    /// As in [`crate::marker::Ring`].
+    pub margin_px: f64,
 }
+
+/// Error of each harmonic of the outer rim with a margin that is narrow, pixels, its increase by what is missing of white
+/// two or three pixels beyond the rim, and that with a washed-out margin; from rendered rings.
+const MARGIN_PX: f64 = 0.01;
+const DIM_MARGIN_PX: f64 = 0.07;
+const NO_MARGIN_PX: f64 = 0.15;
 
 /// Bands, and their position in a patch.
 pub(crate) struct BandLayout<'a> {
@@ -186,7 +194,12 @@ pub(crate) fn refine_rims<S: Simd>(
         }
     }
     let SharpRims { outer, inner, black, white } = found;
-    Ok(RefinedRims { outer, inner, black, white, unevenness, is_similar, is_cut })
+    let margin_px = match (margin, is_cut) {
+        (Some(_), _) => 0.0,
+        (None, true) => NO_MARGIN_PX,
+        (None, false) => MARGIN_PX + DIM_MARGIN_PX * (1.0 - levels.near_share()).max(0.0),
+    };
+    Ok(RefinedRims { outer, inner, black, white, unevenness, is_similar, is_cut, margin_px })
 }
 
 /// The pixels that weigh in for both rims.
