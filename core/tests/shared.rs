@@ -1,18 +1,17 @@
-//! Poses are the same whether one thread or a pool computes them. After a deadline, rings are located by their rims.
-
-use std::time::{Duration, Instant};
+//! Poses are the same whether one thread or a pool computes them. Once it is late, rings are located by their rims.
 
 use crate::drawing::{SIDE, frame, nine};
 use roundel_core::{
     camera::{Camera, Intrinsics, Lens},
     marker::{Detector, Kind, Mode, Params, Tracker},
     pose::{Located, Locator, PoseError},
+    time::Timestamp,
 };
 
 const FRAMES: u64 = 6;
 
-/// All rings of some consecutive frames, with the time left for the fits of each.
-fn located(left: impl Fn(u64) -> Option<Duration>) -> Vec<Result<Located, PoseError>> {
+/// All rings of some consecutive frames; `is_late` by frame.
+fn located(is_late: Option<fn(u64) -> bool>) -> Vec<Result<Located, PoseError>> {
     let kinds = vec![Kind::plain("robot", 0.16, 0.08)];
     let lens = Lens::PlumbBob([0.0; 5]);
     let (width, height) = (SIDE, SIDE);
@@ -24,8 +23,14 @@ fn located(left: impl Fn(u64) -> Option<Duration>) -> Vec<Result<Located, PoseEr
     for number in 0..FRAMES {
         let picture = nine(number as f64, None, number);
         let frame = frame(&picture, SIDE);
-        locator.set_deadline(left(number).map(|left| Instant::now() + left));
-        locator.locate_all(&frame, tracker.process(&frame), &mut newest);
+        let tracked = tracker.process(&frame);
+        match is_late {
+            None => locator.locate_all(&frame, tracked, &mut newest),
+            Some(is_late) => {
+                let (time, is_late) = (Timestamp::default(), || is_late(number));
+                locator.locate_all_until(&frame, time, tracked, &mut newest, &is_late);
+            }
+        }
         all.append(&mut newest);
     }
     all
@@ -33,22 +38,20 @@ fn located(left: impl Fn(u64) -> Option<Duration>) -> Vec<Result<Located, PoseEr
 
 #[test]
 fn a_pool_computes_the_same_poses_as_one_thread() {
-    let alone = located(|_| None);
+    let alone = located(None);
     assert_eq!(alone.len(), 9 * FRAMES as usize);
     assert!(alone.iter().flatten().filter(|one| one.by == Mode::Precise).count() >= 50);
     for threads in [2, 3] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        assert_eq!(pool.install(|| located(|_| None)), alone, "{threads} threads");
+        assert_eq!(pool.install(|| located(None)), alone, "{threads} threads");
     }
 }
 
 #[test]
-fn after_the_deadline_rings_are_located_by_their_rims() {
-    const LONG: Duration = Duration::from_secs(60);
-    let unlimited = located(|_| None);
-    assert_eq!(located(|_| Some(LONG)), unlimited);
-    // No time in the third frame.
-    let limited = located(|number| Some(if number == 2 { Duration::ZERO } else { LONG }));
+fn late_rings_are_located_by_their_rims() {
+    let unlimited = located(None);
+    assert_eq!(located(Some(|_| false)), unlimited);
+    let limited = located(Some(|number| number == 2));
     for (index, (one, other)) in limited.iter().zip(&unlimited).enumerate() {
         let (one, other) = (one.as_ref().unwrap(), other.as_ref().unwrap());
         let is_late = index / 9 == 2;

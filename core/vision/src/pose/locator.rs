@@ -8,8 +8,8 @@
 //! then fits the grey levels ([`super::photometry`]), for a tracked ring from the state of earlier
 //! frames. When the fit rejects the ring (occlusion, washed out levels), the closed form with its
 //! own covariance is returned, and [`Located::by`] is [`Mode::Fast`]. So it is with deferred fits: while a track has
-//! spent more work than its allowance, which bounds the cost of a ring in any picture, and after the frame's deadline
-//! ([`Locator::set_deadline`]). Of a frame with a deadline, the rings that have waited longest are fitted first.
+//! spent more work than its allowance, which bounds the cost of a ring in any picture, and once it is late
+//! ([`Locator::locate_all_until`]), for which the rings that have waited longest are fitted first.
 //!
 //! A camera with a rolling shutter ([`Locator::with_line_time`]) needs the time of each frame
 //! ([`Locator::locate_all_at`]), so that moving rings are located at one instant
@@ -19,7 +19,7 @@
 //! identical results. The memory of tracks is bounded (`recent_tracks`); the locator needs no
 //! notice when a track ends.
 
-use std::{cmp::Reverse, time::Instant};
+use std::cmp::Reverse;
 
 use crate::{
     camera::Camera,
@@ -81,7 +81,6 @@ pub struct Locator {
     pending: Vec<PendingRing>,
     /// `None` for a global shutter.
     shutter: Option<Shutter>,
-    deadline: Option<Instant>,
 }
 
 /// A ring between the closed form and the fit.
@@ -142,19 +141,12 @@ impl Locator {
             prints: RecentTracks::new(),
             pending: Vec::new(),
             shutter: None,
-            deadline: None,
         }
     }
 
     /// Sets the delay between the exposures of consecutive rows, seconds; 0 for a global shutter.
     pub fn with_line_time(self, line_time_s: f64) -> Self {
         Self { shutter: (line_time_s != 0.0).then(|| Shutter::new(line_time_s)), ..self }
-    }
-
-    /// Sets the time after which no further ring of a frame is fitted; none by default. Results then depend on the
-    /// speed of the machine.
-    pub fn set_deadline(&mut self, deadline: Option<Instant>) {
-        self.deadline = deadline;
     }
 
     /// The camera model.
@@ -193,7 +185,7 @@ impl Locator {
         tracked: &[TrackedRing],
         located: &mut Vec<Result<Located, PoseError>>,
     ) {
-        self.locate_pending(frame, None, tracked);
+        self.locate_pending(frame, None, tracked, None);
         located.clear();
         located.extend(self.pending.drain(..).map(|one| one.located));
     }
@@ -207,14 +199,29 @@ impl Locator {
         tracked: &[TrackedRing],
         located: &mut Vec<Result<Located, PoseError>>,
     ) {
-        self.locate_pending(frame, Some(time), tracked);
+        self.locate_pending(frame, Some(time), tracked, None);
+        located.clear();
+        located.extend(self.pending.drain(..).map(|one| one.located));
+    }
+
+    /// As [`Self::locate_all_at`], but once `is_late`, which is called before each fit, further rings are not fitted.
+    /// Those that have waited longest are fitted first.
+    pub fn locate_all_until(
+        &mut self,
+        frame: &Frame,
+        time: Timestamp,
+        tracked: &[TrackedRing],
+        located: &mut Vec<Result<Located, PoseError>>,
+        is_late: &(dyn Fn() -> bool + Sync),
+    ) {
+        self.locate_pending(frame, Some(time), tracked, Some(is_late));
         located.clear();
         located.extend(self.pending.drain(..).map(|one| one.located));
     }
 
     /// Pose of one tracked ring, in the frame that it was found in.
     pub fn locate(&mut self, frame: &Frame, tracked: &TrackedRing) -> Result<Located, PoseError> {
-        self.locate_pending(frame, None, std::slice::from_ref(tracked));
+        self.locate_pending(frame, None, std::slice::from_ref(tracked), None);
         self.pending.pop().map_or(Err(PoseError::NoCircle), |one| one.located)
     }
 
@@ -238,7 +245,13 @@ impl Locator {
     }
 
     /// Fills `pending` with the poses of a frame's rings.
-    fn locate_pending(&mut self, frame: &Frame, time: Option<Timestamp>, tracked: &[TrackedRing]) {
+    fn locate_pending(
+        &mut self,
+        frame: &Frame,
+        time: Option<Timestamp>,
+        tracked: &[TrackedRing],
+        is_late: Option<&(dyn Fn() -> bool + Sync)>,
+    ) {
         if let Some(shutter) = &mut self.shutter {
             shutter.update(time, frame.height(), tracked, &self.kinds, &self.noise);
         }
@@ -271,15 +284,20 @@ impl Locator {
                 pending.located = pose.map(|pose| Located::from_rims(&ring, pose));
             }
         }
-        self.refine_all(frame, tracked);
+        self.refine_all(frame, tracked, is_late);
     }
 
     /// Refines the closed-form poses of the frame's rings as the mode demands.
-    fn refine_all(&mut self, frame: &Frame, tracked: &[TrackedRing]) {
-        let Self { camera, kinds, mode, shares, fits, pending, shutter, deadline, .. } = self;
+    fn refine_all(
+        &mut self,
+        frame: &Frame,
+        tracked: &[TrackedRing],
+        is_late: Option<&(dyn Fn() -> bool + Sync)>,
+    ) {
+        let Self { camera, kinds, mode, shares, fits, pending, shutter, .. } = self;
         let skews = shutter.as_ref().map(Shutter::skews);
-        let (camera, kinds, mode, deadline) = (&*camera, &*kinds, *mode, *deadline);
-        if deadline.is_some() {
+        let (camera, kinds, mode) = (&*camera, &*kinds, *mode);
+        if is_late.is_some() {
             pending.sort_unstable_by_key(|one| (Reverse(one.fit.waited), one.index));
         }
         // Without a fit there is too little work to share.
@@ -299,7 +317,7 @@ impl Locator {
                 }
                 let (ring, print) = (located.ring, one.printed.print);
                 let input = FitInput { frame, camera, kind, ring: &ring, print, skew };
-                let is_late = deadline.is_some_and(|deadline| Instant::now() >= deadline);
+                let is_late = is_late.is_some_and(|is_late| is_late());
                 located.refine(&input, mode, is_late, &mut one.fit, scratch);
                 one.printed.widen(&mut located.pose);
                 if let Some(skew) = skew {
@@ -307,7 +325,7 @@ impl Locator {
                 }
             }
         });
-        if deadline.is_some() {
+        if is_late.is_some() {
             pending.sort_unstable_by_key(|one| one.index);
         }
         if mode == Mode::Precise {

@@ -2,7 +2,7 @@
 //!
 //! Roundels are always followed and located by their rims. When the budget is spent, the remaining ones of the frame are
 //! not fitted to the grey levels; those that have waited longest are fitted first
-//! ([`roundel_core::pose::Locator::set_deadline`]). So a camera keeps its rate, whatever its pictures show.
+//! ([`roundel_core::pose::Locator::locate_all_until`]). So a camera keeps its rate, whatever its pictures show.
 
 use std::time::{Duration, Instant};
 

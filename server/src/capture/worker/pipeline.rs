@@ -52,6 +52,7 @@ pub struct Pipeline {
     line_time_s: f64,
     counts: DetectionCounts,
     times: StageTimes,
+    deadline: Option<Instant>,
     /// Quality at each ring of the newest frame that was fitted.
     qualities: Vec<ImageQuality>,
 }
@@ -61,8 +62,8 @@ impl Pipeline {
         let PipelineParts { kinds, params, mask, camera, line_time_s, counts } = parts;
         let locator = Locator::new(camera, kinds.clone(), params.mode).with_line_time(line_time_s);
         let tracker = Tracker::new(Detector::new(kinds, params)?.with_mask(mask));
-        let (located, qualities, times) = Default::default();
-        Ok(Self { tracker, locator, located, line_time_s, counts, times, qualities })
+        let (located, qualities, times, deadline) = Default::default();
+        Ok(Self { tracker, locator, located, line_time_s, counts, times, deadline, qualities })
     }
 
     pub fn counts(&self) -> &DetectionCounts {
@@ -95,9 +96,9 @@ impl Pipeline {
         }
     }
 
-    /// Time after which no further ring of the next frame is fitted to the grey levels.
+    /// Sets the time after which no further ring of a frame is fitted to the grey levels; none by default.
     pub fn set_deadline(&mut self, deadline: Option<Instant>) {
-        self.locator.set_deadline(deadline);
+        self.deadline = deadline;
     }
 
     /// Forgets all tracks, as after a gap in the frames.
@@ -112,7 +113,14 @@ impl Pipeline {
         let begun = Instant::now();
         let rings = self.tracker.follow(view);
         let found = Instant::now();
-        self.locator.locate_all_at(view, by.capture_time, rings, &mut self.located);
+        let (time, located) = (by.capture_time, &mut self.located);
+        match self.deadline {
+            None => self.locator.locate_all_at(view, time, rings, located),
+            Some(deadline) => {
+                let is_late = || Instant::now() >= deadline;
+                self.locator.locate_all_until(view, time, rings, located, &is_late);
+            }
+        }
         let mut detections = Vec::with_capacity(rings.len());
         self.qualities.clear();
         for (tracked, located) in rings.iter().zip(self.located.drain(..)) {
