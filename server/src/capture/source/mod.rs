@@ -121,6 +121,11 @@ pub trait FrameSource: Send {
         self.next_frame().map(SourceOutput::Frame)
     }
 
+    /// Whether frames come at a pace of their own. Otherwise each waits until the worker takes it.
+    fn is_paced(&self) -> bool {
+        true
+    }
+
     /// Frame rate that the camera announces; known after the first frame at the latest.
     fn promised_hz(&self) -> Option<f64> {
         None

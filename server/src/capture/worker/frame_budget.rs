@@ -2,7 +2,8 @@
 //!
 //! Roundels are always followed and located by their rims. When the budget is spent, the remaining ones of the frame are
 //! not fitted to the grey levels; those that have waited longest are fitted first
-//! ([`roundel_core::pose::Locator::locate_all_until`]). So a camera keeps its rate, whatever its pictures show.
+//! ([`roundel_core::pose::Locator::locate_all_until`]). So a camera keeps its rate, whatever its pictures show. Frames that
+//! wait for the worker, such as those of a file played at full speed, have no budget.
 
 use std::time::{Duration, Instant};
 
@@ -19,6 +20,7 @@ const MAX_INTERVAL_S: f64 = 2.0;
 pub(super) struct FrameBudget {
     /// Share of the interval.
     share: f64,
+    is_unpaced: bool,
     newest: Option<Timestamp>,
     intervals_s: RunningMedian,
     intervals: u32,
@@ -30,12 +32,12 @@ impl FrameBudget {
         Self { share, ..Self::default() }
     }
 
-    /// Starts again, as with another source.
-    pub fn restart(&mut self) {
-        *self = Self::new(self.share);
+    /// Starts again with another source ([`is_paced`](crate::capture::source::FrameSource::is_paced)).
+    pub fn restart(&mut self, is_paced: bool) {
+        *self = Self { is_unpaced: !is_paced, ..Self::new(self.share) };
     }
 
-    /// Adds a frame, of which `missed` came since the one before; returns its budget once the interval is known.
+    /// Adds a frame, before which `missed` others did not reach the worker; returns its budget once the interval is known.
     pub fn add(&mut self, captured: Timestamp, missed: u64) -> Option<Duration> {
         if let Some(before) = self.newest.replace(captured) {
             let interval_s = captured.seconds_since(before) / missed.saturating_add(1) as f64;
@@ -44,7 +46,7 @@ impl FrameBudget {
                 self.intervals = self.intervals.saturating_add(1);
             }
         }
-        let is_known = self.intervals >= MIN_INTERVALS;
+        let is_known = self.intervals >= MIN_INTERVALS && !self.is_unpaced;
         is_known.then(|| Duration::from_secs_f64(self.share * self.intervals_s.value()))
     }
 
@@ -78,7 +80,16 @@ mod tests {
         for budget in [skipping, gap] {
             assert!((budget.as_secs_f64() - 0.025).abs() < 1e-6, "{budget:?}");
         }
-        budget.restart();
+        budget.restart(true);
         assert_eq!(budget.add(at(501.0), 0), None);
+    }
+
+    #[test]
+    fn frames_that_wait_for_the_worker_have_no_budget() {
+        let mut budget = FrameBudget::new(0.5);
+        budget.restart(false);
+        for number in 0..20 {
+            assert_eq!(budget.add(Timestamp::from_ns(number * 20_000_000), 0), None);
+        }
     }
 }

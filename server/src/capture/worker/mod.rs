@@ -168,12 +168,12 @@ impl Worker {
         self.running_since = None;
         self.statistics.rate = RateMeter::default();
         self.parts.pipeline.reset();
-        self.budget.restart();
         let mut source = match self.parts.opener.open() {
             Ok(source) => source,
             Err(error) => return error,
         };
         self.rate_monitor.restart(None);
+        self.budget.restart(source.is_paced());
         let mut is_first = true;
         loop {
             match source.next() {

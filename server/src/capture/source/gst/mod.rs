@@ -285,6 +285,10 @@ fn ntp_ns(buffer: &gst::BufferRef) -> Option<i64> {
 }
 
 impl FrameSource for GstSource {
+    fn is_paced(&self) -> bool {
+        !matches!(self.address, MediaAddress::File { hurry: true, .. })
+    }
+
     fn promised_hz(&self) -> Option<f64> {
         self.promised_hz.filter(|hz| (0.01..1e4).contains(hz))
     }
