@@ -12,8 +12,8 @@
 //! cameras, since their pose errors are common to all its comparisons, and the means of all pairs are averaged with the
 //! tolerance of the kind as prior. If they contradict one another, the deviation grows accordingly.
 //!
-//! A reference is the same with a known position instead of a second camera: a_j = 0 and c_j is the reference. So a single
-//! camera measures the scale where it sees references of the kind, once its pose is known better than by their size.
+//! A reference takes the place of the second camera: c_j is its position, and a_j = 0. So a single camera measures the
+//! scale where it sees references of the kind, if its pose does not stem from their size.
 //!
 //! Each camera is sampled ten times a second, up to [`MAX_SIGHTS`] detections. Positions are interpolated between two
 //! samples to the time of the other camera's detection.
@@ -26,8 +26,8 @@
 //! scale is within 0.03 % after 8 s, and positions are as exact as with the true size.
 //!
 //! Limits: all prints of a kind have the same scale. A single camera without references, or cameras at one place, reveal
-//! nothing; the tolerance then remains in the covariance. Cameras that were calibrated with the same prints and without references
-//! agree with any size.
+//! nothing; the tolerance then remains in the covariance. Cameras that were calibrated with the same prints and without
+//! references agree with any size.
 
 use std::{collections::BTreeMap, iter};
 
@@ -310,7 +310,9 @@ impl PrintSizes {
             let Some(kind) = self.kinds.get_mut(&newer.kind) else { continue };
             for (&other, samples) in self.cameras.iter().filter(|(other, _)| **other != camera) {
                 let pair = (camera.min(other), Some(camera.max(other)));
-                for theirs in samples.newer.iter().filter(|theirs| theirs.may_be(newer)) {
+                for theirs in
+                    samples.newer.iter().filter(|theirs| theirs.may_be(newer.kind, newer.code))
+                {
                     let comparison = older.interpolated(newer, theirs.time).and_then(|moved| {
                         compare(&own.position(&moved), &samples.position(theirs))
                     });
@@ -328,7 +330,7 @@ impl PrintSizes {
         for sight in &samples.newer {
             let Some(kind) = self.kinds.get_mut(&sight.kind) else { continue };
             let own = samples.position(sight);
-            for reference in references.iter().filter(|it| sight.may_be_reference(it)) {
+            for reference in references.iter().filter(|it| sight.may_be(it.kind, it.code)) {
                 if let Some(comparison) = compare(&own, &Position::from(reference)) {
                     kind.add((camera, None), comparison);
                 }
@@ -458,16 +460,9 @@ impl PairSum {
 }
 
 impl Sight {
-    /// Whether kind and code allow that it shows the same roundel.
-    fn may_be(&self, other: &Self) -> bool {
-        let codes = self.code.zip(other.code);
-        self.kind == other.kind && codes.is_none_or(|(own, other)| own == other)
-    }
-
-    /// Whether kind and code allow that it shows the reference.
-    fn may_be_reference(&self, reference: &Landmark) -> bool {
-        let codes = self.code.zip(reference.code);
-        self.kind == reference.kind && codes.is_none_or(|(own, other)| own == other)
+    /// Whether it may show a roundel of this kind and code.
+    fn may_be(&self, kind: KindId, code: Option<Code>) -> bool {
+        self.kind == kind && self.code.zip(code).is_none_or(|(own, other)| own == other)
     }
 
     /// The detection interpolated to a time between this sample and the newer one of the same camera.

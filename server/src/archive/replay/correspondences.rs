@@ -163,14 +163,14 @@ pub fn correspondences(
     let deviation_m = builder.deviation_m();
     let mut found = builder.build(size, clock, kinds);
     found.damage = session.reader.file().damage().sentences.clone();
-    match deviation_m {
-        _ if !found.observations.is_empty() => Ok(found),
-        Some(deviation_m) => {
-            let deviation_mm = deviation_m * 1e3;
-            Err(CorrespondenceError::Uncertain { path, camera: name, sightings, deviation_mm })
-        }
-        None => Err(CorrespondenceError::Alone { path, camera: name, sightings }),
+    if !found.observations.is_empty() {
+        return Ok(found);
     }
+    let Some(deviation_m) = deviation_m else {
+        return Err(CorrespondenceError::Alone { path, camera: name, sightings });
+    };
+    let deviation_mm = deviation_m * 1e3;
+    Err(CorrespondenceError::Uncertain { path, camera: name, sightings, deviation_mm })
 }
 
 fn play(
