@@ -23,7 +23,6 @@ use std::cmp::Reverse;
 
 use crate::{
     camera::Camera,
-    ellipse::Ellipse,
     frame::Frame,
     id::KindId,
     marker::{Kind, Mode, Ring, TrackedRing},
@@ -36,6 +35,7 @@ use crate::{
         print_estimate::{PrintEstimate, PrintedRing},
         recent_tracks::RecentTracks,
         shutter::Shutter,
+        tracked_fit::TrackedFit,
         yaw,
     },
     time::Timestamp,
@@ -93,28 +93,6 @@ struct PendingRing {
     /// State of its fits, in precise mode.
     fit: TrackedFit,
 }
-
-/// State of the precise fits of a track.
-#[derive(Clone, Copy, Debug, Default)]
-struct TrackedFit {
-    history: Option<FitHistory>,
-    /// Work that may be spent; negative after costly fits, `None` before the first frame.
-    credit: Option<f64>,
-    /// Frames since the last fit.
-    waited: u32,
-}
-
-/// Work per frame that a track may spend on average, relative to the ring's pixels: for each pixel of the outer mean
-/// diameter, and limits. The fit of an undisturbed ring takes 1.2, of one that faces the camera 5 to 8, a resumed robust
-/// fit 12, and one that starts from nothing 50 to 200.
-const ALLOWANCE_PER_PX: f64 = 0.12;
-const ALLOWANCES: (f64, f64) = (5.0, 9.0);
-/// Credit of a new track, for its first fits, relative to the ring's pixels.
-const FIRST_CREDIT: f64 = 200.0;
-/// Limit of what is saved up, in allowances.
-const MAX_SAVED: f64 = 3.0;
-/// Distance from the outer rim up to which pixels count.
-const REACH_PX: f64 = 3.0;
 
 /// Growth of a fit's covariance where the edge of a shadow crosses the ring: near it, levels belong to neither side. From
 /// rendered rings.
@@ -391,24 +369,6 @@ impl Located {
             let reading = input.skew.map_or(*reading, |skew| skew.code(reading));
             yaw::add(&mut self.pose, input.camera, &reading);
         }
-    }
-}
-
-impl TrackedFit {
-    /// Whether no fit has found motion within the exposure.
-    fn shows_no_motion(&self) -> bool {
-        self.history.as_ref().is_none_or(FitHistory::shows_no_motion)
-    }
-
-    /// Adds a frame's allowance; returns whether the ring is fitted in it.
-    fn is_due(&mut self, outer: &Ellipse) -> bool {
-        let radius_px = outer.mean_radius_px();
-        let area_px2 = std::f64::consts::PI * (radius_px + REACH_PX).powi(2);
-        let per_px2 = (2.0 * radius_px * ALLOWANCE_PER_PX).clamp(ALLOWANCES.0, ALLOWANCES.1);
-        let allowance = per_px2 * area_px2;
-        let credit = self.credit.unwrap_or(FIRST_CREDIT * area_px2);
-        self.credit = Some((credit + allowance).min(credit.max(MAX_SAVED * allowance)));
-        credit >= 0.0
     }
 }
 

@@ -13,7 +13,7 @@
 //! 5. `shutter`: under a rolling shutter, the rims of a moving ring are first transformed to one
 //!    instant.
 //!
-//! [`Locator`] runs these steps for the rings of a frame.
+//! [`Locator`] runs these steps for the rings of a frame; `tracked_fit` bounds the work of step 4.
 //!
 //! Accuracy on exact rims (`tests/golden.rs`, against OpenCV's projection): position to 1e-9 of the
 //! distance without distortion. Under strong distortion the image of a circle is no ellipse, and
@@ -37,6 +37,7 @@ mod rim;
 mod shutter;
 #[cfg(test)]
 mod tests;
+mod tracked_fit;
 mod yaw;
 
 use nalgebra::{Matrix3, Vector3};

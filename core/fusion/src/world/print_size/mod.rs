@@ -29,6 +29,8 @@
 //! nothing; the tolerance then remains in the covariance. Cameras that were calibrated with the same prints and without
 //! references agree with any size.
 
+mod comparison;
+
 use std::{collections::BTreeMap, iter};
 
 use nalgebra::{Matrix3, Vector3};
@@ -37,7 +39,7 @@ use super::{
     CameraPlacement, FrameObservations, Landmark,
     measurement::{PrintSize, StampCorrection, is_valid_pose, with_lever_arm},
 };
-use crate::track::invert_positive;
+use comparison::{Comparison, MAX_LN, Position, compare};
 use roundel_vision::{
     id::{CameraId, KindId, TrackNumber},
     marker::Code,
@@ -52,14 +54,6 @@ const SAMPLE_NS: i64 = 100_000_000;
 const MAX_GAP_NS: i64 = 250_000_000;
 /// Most detections in a sample.
 const MAX_SIGHTS: usize = 24;
-/// Standard deviation of an interpolated position, metres.
-const INTERPOLATION_M: f64 = 0.002;
-/// Largest squared Mahalanobis length of the two spare equations: χ², 2 degrees of freedom, 0.997.
-const MAX_MISFIT: f64 = 11.8;
-/// Smallest information of a comparison: that of a standard deviation of 2 %.
-const MIN_INFORMATION: f64 = 2500.0;
-/// Largest |ln k| that is considered.
-const MAX_LN: f64 = 0.6;
 /// Width of a bin of the histogram of ln k.
 const BIN_LN: f64 = 0.01;
 const BINS: usize = (2.0 * MAX_LN / BIN_LN) as usize;
@@ -134,30 +128,6 @@ struct CameraSamples {
     older: Vec<Sight>,
     newer: Vec<Sight>,
     sampled: Timestamp,
-}
-
-/// A position of a roundel, by a detection or a reference.
-#[derive(Clone, Copy, Debug)]
-struct Position {
-    /// The camera, or the reference itself; metres.
-    origin_m: Vector3<f64>,
-    /// Position relative to the origin, along the axes of the world, metres.
-    arm_m: Vector3<f64>,
-    /// Error of the detection.
-    own: Matrix3<f64>,
-    /// Error of the origin and its axes.
-    origin: Matrix3<f64>,
-}
-
-/// Result of comparing two positions.
-#[derive(Clone, Copy, Debug)]
-struct Comparison {
-    /// ln k.
-    ln: f64,
-    /// Variance of `ln` by the errors of the detections.
-    variance: f64,
-    /// Variance of `ln` by the errors of the cameras' poses.
-    pose_variance: f64,
 }
 
 /// The cameras of a comparison, in ascending order; a camera alone is compared with references.
@@ -477,35 +447,6 @@ impl Sight {
     }
 }
 
-/// Compares two positions; `None` if they are not of one roundel, or the scale is too uncertain.
-fn compare(first: &Position, second: &Position) -> Option<Comparison> {
-    let across_m = first.arm_m - second.arm_m;
-    let baseline_m = second.origin_m - first.origin_m;
-    let squared_m2 = across_m.norm_squared();
-    let limits = (-MAX_LN).exp()..MAX_LN.exp();
-    if squared_m2 == 0.0 || !limits.contains(&(across_m.dot(&baseline_m) / squared_m2)) {
-        return None;
-    }
-    let origins = first.origin + second.origin;
-    let interpolation = Matrix3::from_diagonal_element(INTERPOLATION_M * INTERPOLATION_M);
-    let covariance = first.own + second.own + origins + interpolation;
-    let (weight, _) = invert_positive(&covariance)?;
-    let weighted = weight * across_m;
-    let information = weighted.dot(&across_m);
-    let factor = weighted.dot(&baseline_m) / information;
-    if !factor.is_finite() || factor <= 0.0 || information * factor * factor < MIN_INFORMATION {
-        return None;
-    }
-    let rest_m = across_m * factor - baseline_m;
-    if rest_m.dot(&(weight * rest_m)) > MAX_MISFIT * factor * factor {
-        return None;
-    }
-    let gain = weighted / (information * factor);
-    let pose_variance = gain.dot(&(origins * gain));
-    let variance = (1.0 / (information * factor * factor) - pose_variance).max(f64::MIN_POSITIVE);
-    Some(Comparison { ln: factor.ln(), variance, pose_variance })
-}
-
 impl CameraSamples {
     fn position(&self, sight: &Sight) -> Position {
         let arm_m = sight.arm_m;
@@ -513,18 +454,6 @@ impl CameraSamples {
         let origin =
             with_lever_arm(&self.pose_covariance, &arm_m).fixed_view::<3, 3>(0, 0).into_owned();
         Position { origin_m: self.origin_m, arm_m, own: sight.covariance, origin }
-    }
-}
-
-impl From<&Landmark> for Position {
-    fn from(reference: &Landmark) -> Self {
-        let variance_m2 = reference.position_deviation_m.powi(2);
-        Self {
-            origin_m: reference.position_m,
-            arm_m: Vector3::zeros(),
-            own: Matrix3::zeros(),
-            origin: Matrix3::from_diagonal_element(variance_m2),
-        }
     }
 }
 
