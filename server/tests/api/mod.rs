@@ -17,6 +17,7 @@ mod observations;
 mod picture;
 mod plan_map;
 mod print_files;
+mod print_sizes;
 mod rig;
 mod rust_client;
 mod select_objects;
