@@ -7,7 +7,8 @@ import { request } from "../../wire/api-client.js";
 import { makePrintSizes } from "./print-sizes.js";
 
 const INTERVAL_MS = 500;
-const PRINT_SIZE_INTERVAL_MS = 5000;
+/** Interval of requests for what the server does not push: sizes of prints and the calibration's report. */
+const REQUEST_INTERVAL_MS = 5000;
 /** Bars of the latency histogram. */
 const STEPS = 24;
 
@@ -101,7 +102,6 @@ export function showHealthPanel(store, { open, isOpen }) {
   const figures = { rate: find("#health-rate"), late: find("#health-late"), missed: find("#health-missed") };
   const bars = makeBars(find("#health-bars"));
   const loadPrintSizes = makePrintSizes();
-  const loadPrintSizesSoon = throttle(PRINT_SIZE_INTERVAL_MS, () => void loadPrintSizes(), { alone: true });
   /** @type {Map<string, number>} of the newest calibration, by camera */
   let reprojectionPx = new Map();
   find("#health-head").replaceChildren(
@@ -118,9 +118,14 @@ export function showHealthPanel(store, { open, isOpen }) {
       reprojectionPx = new Map(cameras.map((one) => [one.camera, one.reprojection_px]));
       update();
     } catch {
-      // The column stays empty until the next calibration event triggers another request.
+      // The next request fills the column.
     }
   };
+  const load = () => {
+    void loadPrintSizes();
+    void loadCalibration();
+  };
+  const loadSoon = throttle(REQUEST_INTERVAL_MS, load, { alone: true });
 
   const update = () => {
     const all = camerasByHealth(store);
@@ -135,7 +140,7 @@ export function showHealthPanel(store, { open, isOpen }) {
     setText(figures.missed, whole(store.report.missed));
     bars(store.latencies.histogram(STEPS));
     fillTable(rows, all, reprojectionPx);
-    loadPrintSizesSoon();
+    loadSoon();
   };
 
   button.addEventListener("click", open);
@@ -150,11 +155,7 @@ export function showHealthPanel(store, { open, isOpen }) {
   store.on("connection", updateSoon);
   store.on("events", throttle(2000, () => store.events[0]?.kind.startsWith("calibration_") && void loadCalibration()));
   update();
-  const opened = () => {
-    void loadPrintSizes();
-    void loadCalibration().then(update);
-  };
-  return { update, opened };
+  return { opened: load };
 }
 
 /** Lists the problems; cameras with the same problem share an entry. @param {HTMLElement} list @param {CameraHealth[]} ill */
