@@ -38,6 +38,8 @@ enum Command {
     Codes(run::codes::Options),
     /// Roundels as printers, lamps, lenses and cameras show them
     Conditions(run::conditions::Options),
+    /// R4 under lab realism, from pixels to fusion
+    Lab(run::lab::Options),
     /// Draws the curves of core/docs/detector.md
     Curves(run::curves::Options),
     /// Renders the scenes of tests/compare/run and tests/compare/fmac
@@ -59,6 +61,7 @@ fn main() -> anyhow::Result<ExitCode> {
         Command::Recall(options) => Ok(run::recall::run(&options)),
         Command::Codes(options) => Ok(run::codes::run(&options)),
         Command::Conditions(options) => Ok(run::conditions::run(&options)),
+        Command::Lab(options) => run::lab::run(&options).map(|()| ExitCode::SUCCESS),
         Command::Curves(options) => run::curves::run(&options),
         Command::CompareScenes(options) => run::compare_scenes::run(&options),
         Command::DashboardLoad(options) => run::dashboard_load::run(&options),

@@ -66,7 +66,7 @@ async fn larger_discs_and_thin_margins_are_allowed_for() -> anyhow::Result<()> {
 #[tokio::test(flavor = "multi_thread")]
 async fn robots_are_tracked_in_a_lab() -> anyhow::Result<()> {
     let mut arena = Arena::r4_lite(5, 24, 8);
-    arena.make_real(0.97);
+    arena.make_real(0.97, &[]);
     let (server, score) = serve(&arena, 1e-3).await?;
     assert_eq!(score.swaps, 0);
     assert!(score.position.rms() < 0.1, "{}", score.position.rms());

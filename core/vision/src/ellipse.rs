@@ -61,6 +61,38 @@ impl Ellipse {
         (m.uu.sqrt(), m.vv.sqrt())
     }
 
+    /// The image of the unit circle under the map with these columns.
+    pub(crate) fn of_columns(center: PixelPoint, [p, q]: [(f64, f64); 2]) -> Self {
+        let matrix = Symmetric2 {
+            uu: p.0 * p.0 + q.0 * q.0,
+            uv: p.0 * p.1 + q.0 * q.1,
+            vv: p.1 * p.1 + q.1 * q.1,
+        };
+        let (long, short, angle_rad) = matrix.eigen();
+        Self {
+            center,
+            semi_major_px: long.max(0.0).sqrt(),
+            semi_minor_px: short.max(0.0).sqrt(),
+            angle_rad,
+        }
+    }
+
+    /// The ellipse whose points lie further out by α + βₓ cos t + βᵧ sin t + γ cos 2t + η sin 2t, a share of the
+    /// distance of the centre from the tangent, with t the ellipse's parameter. `None` if it is none.
+    pub(crate) fn deformed(&self, [alpha, x, y, gamma, eta]: [f64; 5]) -> Option<Self> {
+        let (sin, cos) = self.angle_rad.sin_cos();
+        let (a, b) = (self.semi_major_px, self.semi_minor_px);
+        let major = (a * cos, a * sin);
+        let minor = (-b * sin, b * cos);
+        let column =
+            |p: f64, q: f64| (major.0 * p + minor.0 * q, major.1 * p + minor.1 * q);
+        let (shift_u, shift_v) = column(x, y);
+        let columns = [column(1.0 + alpha + gamma, eta), column(eta, 1.0 + alpha - gamma)];
+        let center = PixelPoint { u: self.center.u + shift_u, v: self.center.v + shift_v };
+        let ellipse = Self::of_columns(center, columns);
+        ellipse.is_valid().then_some(ellipse)
+    }
+
     /// Whether the point lies inside or on the rim.
     pub fn contains(&self, point: PixelPoint) -> bool {
         let m = self.matrix();

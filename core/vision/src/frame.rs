@@ -84,6 +84,22 @@ impl<'a> Frame<'a> {
         assert!(v < self.height, "row {v} of an image of {} rows", self.height);
         &self.pixels[v * self.stride..v * self.stride + self.width]
     }
+
+    /// Level at a point, bilinear between pixels; beyond the frame's edges that of the last pixels.
+    pub(crate) fn level_at(&self, u: f64, v: f64) -> f64 {
+        let u = u.clamp(0.0, self.width as f64 - 1.001);
+        let v = v.clamp(0.0, self.height as f64 - 1.001);
+        let (left, top) = (u as usize, v as usize);
+        let (du, dv) = (u - left as f64, v - top as f64);
+        let row = |v: usize| {
+            let row = self.row(v.min(self.height - 1));
+            let (here, next) =
+                (f64::from(row[left]), f64::from(row[(left + 1).min(self.width - 1)]));
+            here + (next - here) * du
+        };
+        let above = row(top);
+        above + (row(top + 1) - above) * dv
+    }
 }
 
 /// A rectangle of pixels: columns `left..right`, rows `top..bottom`.

@@ -7,6 +7,7 @@ pub mod conditions;
 pub mod curves;
 pub mod dashboard_load;
 pub mod healing;
+pub mod lab;
 pub mod lenses;
 pub mod paper;
 pub mod plans;

@@ -93,6 +93,10 @@ impl<'a> Run<'a> {
         }
     }
 
+    pub fn fusion(&self) -> &Fusion {
+        &self.fusion
+    }
+
     pub fn finish(self) -> Outcome {
         Outcome {
             score: self.judge.finish(),

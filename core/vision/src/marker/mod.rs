@@ -39,6 +39,7 @@ mod coded;
 mod detector;
 mod kind;
 mod mask;
+mod paper_edge;
 mod params;
 mod reject;
 mod ring;
@@ -54,6 +55,7 @@ pub use kind::{
     AXIS_RATIO_LIMIT, Kind, Pattern, Polarity, RATIO_LIMITS, is_measurable, shows_heading,
 };
 pub use mask::{Mask, MaskError};
+pub(crate) use paper_edge::PaperEdge;
 pub use params::{DetectorError, Mode, Params};
 pub use reject::{MAX_REJECTED, Reject, RejectCounts, Rejected};
 pub use ring::pixels::edge_band::WIDE_PX;

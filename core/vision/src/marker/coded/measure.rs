@@ -25,7 +25,7 @@ use crate::{
         },
         code::CodeLayout,
         coded::{
-            outer_rim::{OuterRim, followed_rim, of_columns, outer_rim},
+            outer_rim::{OuterRim, followed_rim, outer_rim},
             outline::{offset, outline},
             plane_map::PlaneMap,
             profile::RingLevels,
@@ -34,6 +34,7 @@ use crate::{
             white_disc::{Disc, Gap, disc},
         },
         kind::Polarity,
+        paper_edge,
         reject::Reject,
         ring::{
             pixels::predicted::PredictedRims,
@@ -56,6 +57,11 @@ const HALF_WHITE_TOLERANCE: f64 = 0.3;
 const HALF_WHITE_POINTS: usize = 32;
 /// Variance that pixels and interpolation add to the blur, px².
 const PIXEL_PX2: f64 = 0.25;
+
+/// Error of each harmonic of the outer rim with a narrow margin whose paper's edge is not found, pixels.
+const NO_MARGIN_PX: f64 = 0.15;
+/// A margin whose level is below that of white by more than this share of the contrast is narrow.
+const NARROW_SHARE: f64 = 0.05;
 
 /// A coded kind with its reader.
 #[derive(Clone, Debug)]
@@ -123,6 +129,7 @@ fn followed(
     let rim = followed_rim(sampler, outer).ok()?;
     check_size(sampler.frame, &rim.ellipse, rules).ok()?;
     let white = white(sampler, &rim, rules, kind.ratio).ok()?;
+    let rim = with_margin(sampler, rim, white);
     let PixelPoint { u, v } = rim.ellipse.center;
     // The effect of perspective on the centres hardly changes between frames.
     let center = PixelPoint {
@@ -170,7 +177,7 @@ fn decode_ring(
     let (outer, shift_px) = compensated_outer(&rim.ellipse, disc.radius, kind.ratio)?;
     let (center, columns) =
         PlaneMap::with_offset(&outer, toothed.offset).circle(disc.shift, kind.ratio);
-    let inner = of_columns(center, columns);
+    let inner = Ellipse::of_columns(center, columns);
     if !inner.is_valid() {
         return Err(Reject::Profile);
     }
@@ -184,6 +191,7 @@ fn decode_ring(
         black,
         white,
         unevenness: rim.unevenness,
+        margin_px: rim.margin_px,
         shift_px,
         polarity: kind.polarity,
         code,
@@ -202,8 +210,26 @@ fn toothed(
     let rim = outer_rim(sampler, &outline, f64::from(probe.threshold))?;
     check_size(sampler.frame, &rim.ellipse, rules)?;
     let white = white(sampler, &rim, rules, ratio)?;
+    let rim = with_margin(sampler, rim, white);
     let offset = offset(sampler, &rim.ellipse, ratio, 0.5 * (rim.black + white));
     Ok(CodedOutline { rim, offset, white })
+}
+
+/// The rim, measured with the paper's edge if the margin is narrow.
+fn with_margin(sampler: &Sampler, rim: OuterRim, white: f64) -> OuterRim {
+    if rim.margin > white - NARROW_SHARE * (white - rim.black) {
+        return rim;
+    }
+    let polarity = if sampler.inverted { Polarity::WhiteRing } else { Polarity::BlackRing };
+    match paper_edge::fit(sampler.frame, &rim.ellipse, [rim.black, white], polarity) {
+        Some(edge) => OuterRim {
+            ellipse: edge.outer,
+            blur_px: edge.blur_px,
+            margin_px: edge.error_px,
+            ..rim
+        },
+        None => OuterRim { margin_px: NO_MARGIN_PX, ..rim },
+    }
 }
 
 /// Level of the white core.

@@ -17,8 +17,7 @@ use fearless_simd::{Simd, dispatch};
 use fearless_simd_macros::simd;
 
 use crate::{
-    camera::PixelPoint,
-    ellipse::{Ellipse, Symmetric2},
+    ellipse::Ellipse,
     marker::{
         coded::{
             rim_points::{Edges, POINTS, PerPoint, Points, harmonics, mean, smoothed, sum, tilted},
@@ -65,6 +64,10 @@ pub(crate) struct OuterRim {
     pub ellipse: Ellipse,
     /// Level of the ring.
     pub black: f64,
+    /// Level of the margin.
+    pub margin: f64,
+    /// As [`crate::marker::Ring::margin_px`].
+    pub margin_px: f64,
     /// Deviation of the blur in the interpolated image, pixels.
     pub blur_px: f64,
     /// Rms deviation of the levels along the rim from the middle, as a share of the contrast, as
@@ -74,7 +77,7 @@ pub(crate) struct OuterRim {
 
 impl OuterRim {
     fn about(ellipse: &Ellipse) -> Self {
-        Self { ellipse: *ellipse, black: 0.0, blur_px: FIRST_BLUR_PX, unevenness: 0.0 }
+        Self { ellipse: *ellipse, black: 0.0, margin: 0.0, margin_px: 0.0, blur_px: FIRST_BLUR_PX, unevenness: 0.0 }
     }
 
     /// Rejects an uneven rim.
@@ -213,7 +216,7 @@ fn fitted_with<S: Simd>(
     let strays = rest_px / (std::f64::consts::TAU.sqrt() * blur_px);
     let gone = edges.missing as f64 / POINTS as f64;
     let unevenness = (strays * strays + 0.25 * gone).sqrt();
-    Ok(OuterRim { ellipse, black, blur_px, unevenness })
+    Ok(OuterRim { ellipse, black, margin: black + contrast, margin_px: 0.0, blur_px, unevenness })
 }
 
 /// The ellipse that follows the points, and the rms of their deviations from it, pixels.
@@ -232,30 +235,6 @@ fn moved(ellipse: &Ellipse, points: &Points, shares: &PerPoint) -> Option<(Ellip
         let off_px = (shares[index] - followed) * points.height_px[index];
         rest[index] = off_px * off_px;
     }
-    let (sin, cos) = ellipse.angle_rad.sin_cos();
-    let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
-    let major = (a * cos, a * sin);
-    let minor = (-b * sin, b * cos);
-    let column = |p: f64, q: f64| (major.0 * p + minor.0 * q, major.1 * p + minor.1 * q);
-    let (shift_u, shift_v) = column(x, y);
-    let columns = [column(1.0 + alpha + gamma, eta), column(eta, 1.0 + alpha - gamma)];
-    let center = PixelPoint { u: ellipse.center.u + shift_u, v: ellipse.center.v + shift_v };
-    let ellipse = of_columns(center, columns);
-    ellipse.is_valid().then(|| (ellipse, mean(&rest).sqrt()))
-}
-
-/// The image of the unit circle under the map with these columns.
-pub(super) fn of_columns(center: PixelPoint, [p, q]: [(f64, f64); 2]) -> Ellipse {
-    let matrix = Symmetric2 {
-        uu: p.0 * p.0 + q.0 * q.0,
-        uv: p.0 * p.1 + q.0 * q.1,
-        vv: p.1 * p.1 + q.1 * q.1,
-    };
-    let (long, short, angle_rad) = matrix.eigen();
-    Ellipse {
-        center,
-        semi_major_px: long.max(0.0).sqrt(),
-        semi_minor_px: short.max(0.0).sqrt(),
-        angle_rad,
-    }
+    let moved = ellipse.deformed([alpha, x, y, gamma, eta])?;
+    Some((moved, mean(&rest).sqrt()))
 }

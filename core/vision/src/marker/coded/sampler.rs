@@ -23,16 +23,7 @@ pub(crate) struct SamplePoints<const COUNT: usize> {
 
 impl Sampler<'_, '_> {
     pub fn at(&self, u: f64, v: f64) -> f64 {
-        let (width, height) = (self.frame.width(), self.frame.height());
-        let (u, v) = (u.clamp(0.0, width as f64 - 1.001), v.clamp(0.0, height as f64 - 1.001));
-        let (left, top) = (u as usize, v as usize);
-        let (du, dv) = (u - left as f64, v - top as f64);
-        let row = |v: usize| {
-            let row = self.frame.row(v);
-            let (here, next) = (f64::from(row[left]), f64::from(row[(left + 1).min(width - 1)]));
-            here + (next - here) * du
-        };
-        let level = row(top) + (row((top + 1).min(height - 1)) - row(top)) * dv;
+        let level = self.frame.level_at(u, v);
         if self.inverted { 255.0 - level } else { level }
     }
 

@@ -33,6 +33,7 @@ use fearless_simd_macros::simd;
 use crate::{
     frame::Frame,
     marker::{
+        paper_edge,
         Ring,
         classify::{
             elliptical,
@@ -144,7 +145,13 @@ fn measure_with<S: Simd>(
             found
         }
     };
-    let RefinedRims { outer, inner, black, white, unevenness, is_similar, margin_px, .. } = found;
+    let RefinedRims { mut outer, inner, black, white, unevenness, is_similar, mut margin_px, .. } =
+        found;
+    if margin_px > 0.0
+        && let Some(edge) = paper_edge::fit(frame, &outer, [black, white], probe.polarity)
+    {
+        (outer, margin_px) = (edge.outer, edge.error_px);
+    }
     let (kind, outer, inner, shift_px) = if kinds.is_empty() {
         let ratio = inner.mean_radius_px() / outer.mean_radius_px();
         if ratio < RATIO_LIMITS.0 || ratio > RATIO_LIMITS.1 {

@@ -53,7 +53,7 @@ pub fn clear_px(frame: &Frame, ring: &Ring, reach_px: f64, blur_px: f64) -> f64 
             let away_px = STEP_PX * step as f64;
             let (a, b) = (along + away_px * n_along, across + away_px * n_across);
             let (u, v) = (rim.center.u + a * cos - b * sin, rim.center.v + a * sin + b * cos);
-            let level = sign * level(frame, u, v);
+            let level = sign * frame.level_at(u, v);
             let limit = brightest - fall;
             if level < limit {
                 let fallen_px = away_px - STEP_PX * (limit - level) / (before - level);
@@ -66,20 +66,6 @@ pub fn clear_px(frame: &Frame, ring: &Ring, reach_px: f64, blur_px: f64) -> f64 
         }
     }
     *clear.select_nth_unstable_by(DISTURBED_RAYS, f64::total_cmp).1
-}
-
-/// Bilinear between pixels, clamped to the frame.
-fn level(frame: &Frame, u: f64, v: f64) -> f64 {
-    let u = u.clamp(0.0, (frame.width() - 1) as f64);
-    let v = v.clamp(0.0, (frame.height() - 1) as f64);
-    let (column, row) = (u as usize, v as usize);
-    let (right, below) = ((column + 1).min(frame.width() - 1), (row + 1).min(frame.height() - 1));
-    let (du, dv) = (u - column as f64, v - row as f64);
-    let mix = |row: usize| {
-        let pixels = frame.row(row);
-        f64::from(pixels[column]) * (1.0 - du) + f64::from(pixels[right]) * du
-    };
-    mix(row) * (1.0 - dv) + mix(below) * dv
 }
 
 #[cfg(test)]

@@ -64,9 +64,9 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use thiserror::Error;
 
 use crate::{
-    camera::{Camera, LensError},
+    camera::{Camera, LensError, PixelPoint},
     frame::Frame,
-    marker::{Kind, Pattern, Ring},
+    marker::{Kind, PaperEdge, Pattern, Ring},
     pose::{PrintDeviation, RoundelPose, Skew, frame_along, yaw},
 };
 pub(super) use history::FitHistory;
@@ -302,8 +302,14 @@ fn fit_outcome(
     let clear_px =
         memory.clear_px.unwrap_or_else(|| margin::clear_px(frame, ring, MAX_CLEAR_PX, blur_px));
     let narrow_px = (USUAL_MARGIN.0 * ring.outer.semi_minor_px - USUAL_MARGIN.1).max(MIN_REACH_PX);
-    let reach_px = reach_px.min(narrow_px).min(clear_px);
+    let reach_px = reach_px.min(narrow_px);
+    let edge = if clear_px < reach_px { PaperEdge::around(frame, ring) } else { None };
+    let clear_px = edge.as_ref().map_or(clear_px, PaperEdge::clear_px);
+    let reach_px = reach_px.min(clear_px);
     model.window.set_region(frame, &ring.outer.grown(reach_px));
+    if let Some(edge) = &edge {
+        model.window.subtract(|u, v| edge.step_at(&PixelPoint { u, v }));
+    }
     let problem = Problem {
         kind,
         print,

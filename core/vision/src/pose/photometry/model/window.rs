@@ -120,6 +120,19 @@ impl Window {
         }
     }
 
+    /// Subtracts a level from the counted pixels, given their place in the frame.
+    pub fn subtract(&mut self, level: impl Fn(f64, f64) -> f64) {
+        let (left, top) = self.origin;
+        for (row, &(from, to)) in (self.first..).zip(&self.spans) {
+            let v = (top + row as i64) as f64;
+            let pixels = &mut self.pixels[row * self.width..][from..to];
+            for (column, pixel) in (from..).zip(pixels) {
+                let u = (left + column as i64) as f64;
+                *pixel = (f64::from(*pixel) - level(u, v)).round().clamp(0.0, 255.0) as u8;
+            }
+        }
+    }
+
     /// Rows and columns that the nodes reach; `None` if a node reaches beyond the window.
     fn reached(&self, level: Level, nodes: &Nodes, reach: usize) -> Option<[Range<usize>; 2]> {
         let half = (reach / 2) as i32;
