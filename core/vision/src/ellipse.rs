@@ -84,8 +84,7 @@ impl Ellipse {
         let (a, b) = (self.semi_major_px, self.semi_minor_px);
         let major = (a * cos, a * sin);
         let minor = (-b * sin, b * cos);
-        let column =
-            |p: f64, q: f64| (major.0 * p + minor.0 * q, major.1 * p + minor.1 * q);
+        let column = |p: f64, q: f64| (major.0 * p + minor.0 * q, major.1 * p + minor.1 * q);
         let (shift_u, shift_v) = column(x, y);
         let columns = [column(1.0 + alpha + gamma, eta), column(eta, 1.0 + alpha - gamma)];
         let center = PixelPoint { u: self.center.u + shift_u, v: self.center.v + shift_v };

@@ -23,7 +23,7 @@ use crate::{
         ring::{
             checks::MAX_SPREAD_PX2,
             hard_edges::{SOFTENING_PX2, are_hard, soften},
-            measure::{MeasureScratch, measure, own_threshold},
+            measure::{MeasureScratch, UNEVEN, measure, own_threshold},
             probe::{Probe, Rules},
             shadow::{LightSample, MAX_SAMPLES, find_edge},
         },
@@ -49,8 +49,6 @@ const SEARCH_DEPTH: u32 = 2;
 const SHADOW_SHARE: f64 = 0.25;
 /// Share of the light left in the darkest shadow.
 const SHADOW_LEFT: f64 = 0.4;
-/// The light across a ring with a more uneven rim is searched for the edge of a shadow.
-pub(crate) const UNEVEN: f64 = 0.035;
 /// Tolerance of steps along the rims of a softened ring, as a share of the contrast.
 const STEPS_SHARE: f64 = 0.08;
 /// Margin of the window around a candidate: a factor, and pixels.
@@ -146,6 +144,7 @@ impl Detector {
             min_contrast: f64::from(params.min_contrast),
             max_spread_px2: MAX_SPREAD_PX2,
             steps_share: 0.0,
+            fits_paper_edge: true,
         };
         let search_rules = SearchRules::new(&kinds, &rules, params.min_contrast);
         let has = |polarity| kinds.iter().any(|kind| kind.polarity == polarity);
@@ -262,6 +261,7 @@ impl Detector {
             let probe = probe.with_frame_threshold(shadow_level(dark, bright));
             let edge = find_edge(frame, &probe, memory, samples).ok_or(Reject::Contrast)?;
             edge.even_out(frame, &window, corrected);
+            rules.fits_paper_edge = false;
             threshold = edge.threshold();
             common_threshold = Some(edge.common_threshold());
             shadow_px = edge.rim_error_px();

@@ -4,6 +4,7 @@
 //! | --- | --- | --- |
 //! | candidates: rows with black, white, black; chords through the centre; local threshold | `search` | 3.1, 3.2, 3.6, eq. (3) |
 //! | one ring: its pixels, tests, both rims to a fraction of a pixel | `ring` | 3.1 to 3.3, algorithms 1 and 2, eqs. (1) to (6) |
+//! | outer rim where the paper ends close to it | `paper_edge` | – |
 //! | several tracked rings at once, one per vector lane | `batch` | – |
 //! | kind by the ratio of diameters, compensation of the rims | `classify` | 3.4, 3.5, 7.2, eqs. (7), (8) |
 //! | further tests of new rings: rims are ellipses, disc white to its centre, not a letter | `validate` | – |
@@ -13,7 +14,7 @@
 //! | from frame to frame | `track` | 3, 3.6 |
 //!
 //! `kind`, `params`, `mask` and `reject` hold the types that describe roundels, limits, masked regions and rejected
-//! candidates. The order of imports is: `reject`, `mask`, `code`, `kind`, `params`, `classify`, `ring`, then `search`,
+//! candidates. The order of imports is: `reject`, `mask`, `code`, `kind`, `params`, `classify`, `paper_edge`, `ring`, then `search`,
 //! `validate`, `batch` and `coded`, then `detector`, `track`.
 //!
 //! ```
@@ -55,7 +56,7 @@ pub use kind::{
     AXIS_RATIO_LIMIT, Kind, Pattern, Polarity, RATIO_LIMITS, is_measurable, shows_heading,
 };
 pub use mask::{Mask, MaskError};
-pub(crate) use paper_edge::PaperEdge;
+pub(crate) use paper_edge::{CODED_SHARE, PaperEdge};
 pub use params::{DetectorError, Mode, Params};
 pub use reject::{MAX_REJECTED, Reject, RejectCounts, Rejected};
 pub use ring::pixels::edge_band::WIDE_PX;

@@ -15,9 +15,9 @@ use crate::{
         Ring, TrackedRing,
         batch::{BATCH_SIZE, BatchedRing},
         code::Vote,
-        detector::{Detector, RESERVED_RINGS, Scratch, UNEVEN},
+        detector::{Detector, RESERVED_RINGS, Scratch},
         reject::{Reject, RejectCounts, Rejected},
-        ring::{pixels::predicted::PredictedRims, probe::Probe},
+        ring::{measure::UNEVEN, pixels::predicted::PredictedRims, probe::Probe},
         search::{claim::Claim, row_edges::ROW_STEP},
     },
 };

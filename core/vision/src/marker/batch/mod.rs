@@ -258,6 +258,7 @@ mod tests {
             min_contrast: 30.0,
             max_spread_px2: MAX_SPREAD_PX2,
             steps_share: 0.0,
+            fits_paper_edge: true,
         }
     }
 

@@ -34,7 +34,7 @@ use crate::{
             white_disc::{Disc, Gap, disc},
         },
         kind::Polarity,
-        paper_edge,
+        paper_edge::{self, CODED_SHARE, RoughRing},
         reject::Reject,
         ring::{
             pixels::predicted::PredictedRims,
@@ -129,7 +129,7 @@ fn followed(
     let rim = followed_rim(sampler, outer).ok()?;
     check_size(sampler.frame, &rim.ellipse, rules).ok()?;
     let white = white(sampler, &rim, rules, kind.ratio).ok()?;
-    let rim = with_margin(sampler, rim, white);
+    let rim = with_margin(sampler, rim, rules, (white, kind.ratio));
     let PixelPoint { u, v } = rim.ellipse.center;
     // The effect of perspective on the centres hardly changes between frames.
     let center = PixelPoint {
@@ -210,24 +210,28 @@ fn toothed(
     let rim = outer_rim(sampler, &outline, f64::from(probe.threshold))?;
     check_size(sampler.frame, &rim.ellipse, rules)?;
     let white = white(sampler, &rim, rules, ratio)?;
-    let rim = with_margin(sampler, rim, white);
+    let rim = with_margin(sampler, rim, rules, (white, ratio));
     let offset = offset(sampler, &rim.ellipse, ratio, 0.5 * (rim.black + white));
     Ok(CodedOutline { rim, offset, white })
 }
 
 /// The rim, measured with the paper's edge if the margin is narrow.
-fn with_margin(sampler: &Sampler, rim: OuterRim, white: f64) -> OuterRim {
-    if rim.margin > white - NARROW_SHARE * (white - rim.black) {
+fn with_margin(
+    sampler: &Sampler,
+    rim: OuterRim,
+    rules: &Rules,
+    (white, ratio): (f64, f64),
+) -> OuterRim {
+    if !rules.fits_paper_edge || rim.margin > white - NARROW_SHARE * (white - rim.black) {
         return rim;
     }
     let polarity = if sampler.inverted { Polarity::WhiteRing } else { Polarity::BlackRing };
-    match paper_edge::fit(sampler.frame, &rim.ellipse, [rim.black, white], polarity) {
-        Some(edge) => OuterRim {
-            ellipse: edge.outer,
-            blur_px: edge.blur_px,
-            margin_px: edge.error_px,
-            ..rim
-        },
+    let (outer, black) = (rim.ellipse, rim.black);
+    let rough = RoughRing { outer, black, white, polarity, disc: (ratio, CODED_SHARE) };
+    match paper_edge::fit(sampler.level, sampler.frame, &rough) {
+        Some(edge) => {
+            OuterRim { ellipse: edge.outer, blur_px: edge.blur_px, margin_px: edge.error_px, ..rim }
+        }
         None => OuterRim { margin_px: NO_MARGIN_PX, ..rim },
     }
 }

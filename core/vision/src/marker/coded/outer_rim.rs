@@ -77,7 +77,14 @@ pub(crate) struct OuterRim {
 
 impl OuterRim {
     fn about(ellipse: &Ellipse) -> Self {
-        Self { ellipse: *ellipse, black: 0.0, margin: 0.0, margin_px: 0.0, blur_px: FIRST_BLUR_PX, unevenness: 0.0 }
+        Self {
+            ellipse: *ellipse,
+            black: 0.0,
+            margin: 0.0,
+            margin_px: 0.0,
+            blur_px: FIRST_BLUR_PX,
+            unevenness: 0.0,
+        }
     }
 
     /// Rejects an uneven rim.

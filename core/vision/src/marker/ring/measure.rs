@@ -31,15 +31,17 @@ use fearless_simd::{Level, Simd, dispatch};
 use fearless_simd_macros::simd;
 
 use crate::{
+    ellipse::Ellipse,
     frame::Frame,
+    id::KindId,
     marker::{
-        paper_edge,
         Ring,
         classify::{
             elliptical,
             plain::{Classified, nearest_kind},
         },
         kind::{Kind, RATIO_LIMITS},
+        paper_edge::{self, RoughRing},
         reject::Reject,
         ring::{
             checks::check_sizes,
@@ -64,6 +66,10 @@ use crate::{
 /// more than this share of the contrast; the second share applies if the threshold has cut its rim.
 pub(crate) const RETHRESHOLD_SHARE: (f64, f64) = (0.15, 0.02);
 
+/// The light across a ring with a more uneven rim is searched for the edge of a shadow.
+pub(crate) const UNEVEN: f64 = 0.035;
+/// With more than this error of the outer rim the paper's edge is fitted, pixels.
+const NARROW_MARGIN_PX: f64 = 0.013;
 /// Iterations in which the bands of predicted rims are drawn.
 const FOLLOWING_TURNS: usize = 2;
 /// Memory of measuring one ring.
@@ -145,28 +151,20 @@ fn measure_with<S: Simd>(
             found
         }
     };
-    let RefinedRims { mut outer, inner, black, white, unevenness, is_similar, mut margin_px, .. } =
-        found;
-    if margin_px > 0.0
-        && let Some(edge) = paper_edge::fit(frame, &outer, [black, white], probe.polarity)
-    {
-        (outer, margin_px) = (edge.outer, edge.error_px);
-    }
-    let (kind, outer, inner, shift_px) = if kinds.is_empty() {
-        let ratio = inner.mean_radius_px() / outer.mean_radius_px();
-        if ratio < RATIO_LIMITS.0 || ratio > RATIO_LIMITS.1 {
-            return Err(Reject::AreaRatio);
-        }
-        (None, outer, inner, 0.0)
-    } else {
-        let nearest = if rules.similar {
-            nearest_kind(kinds, probe.polarity, &outer, &inner)
-        } else {
-            elliptical::nearest_kind(kinds, probe.polarity, is_similar, &outer, &inner)
-        };
-        let Classified { kind, outer, inner, shift_px } = nearest.ok_or(Reject::Kind)?;
-        (Some(kind), outer, inner, shift_px)
+    let RefinedRims { outer, inner, black, white, unevenness, is_similar, margin_px, .. } = found;
+    let classify = |outer: &Ellipse| classified(kinds, probe, rules, is_similar, [outer, &inner]);
+    let disc = (inner.mean_radius_px() / outer.mean_radius_px(), 1.0);
+    let rough = RoughRing { outer, black, white, polarity: probe.polarity, disc };
+    // In uneven light the levels are those of no single edge.
+    let is_even = probe.predicted.is_some() || unevenness <= UNEVEN;
+    let is_narrow = rules.fits_paper_edge && is_even && margin_px > NARROW_MARGIN_PX;
+    let edge = if is_narrow { paper_edge::fit(scratch.level, frame, &rough) } else { None };
+    let with_edge = edge.and_then(|edge| Some((classify(&edge.outer).ok()?, edge.error_px)));
+    let (classified, margin_px) = match with_edge {
+        Some(found) => found,
+        None => (classify(&outer)?, margin_px),
     };
+    let (kind, [outer, inner], shift_px) = classified;
     let ring = Ring {
         kind,
         threshold,
@@ -178,6 +176,32 @@ fn measure_with<S: Simd>(
         ..Ring::of_rims(outer, inner)
     };
     Ok(ring.with_polarity(probe.polarity))
+}
+
+/// The kind with these rims, outer and inner, the rims compensated for it, and their shift.
+#[inline(always)]
+fn classified(
+    kinds: &[Kind],
+    probe: &Probe,
+    rules: &Rules,
+    is_similar: bool,
+    [outer, inner]: [&Ellipse; 2],
+) -> Result<(Option<KindId>, [Ellipse; 2], f64), Reject> {
+    let polarity = probe.polarity;
+    if kinds.is_empty() {
+        let ratio = inner.mean_radius_px() / outer.mean_radius_px();
+        if ratio < RATIO_LIMITS.0 || ratio > RATIO_LIMITS.1 {
+            return Err(Reject::AreaRatio);
+        }
+        return Ok((None, [*outer, *inner], 0.0));
+    }
+    let nearest = if rules.similar {
+        nearest_kind(kinds, polarity, outer, inner)
+    } else {
+        elliptical::nearest_kind(kinds, polarity, is_similar, outer, inner)
+    };
+    let Classified { kind, outer, inner, shift_px } = nearest.ok_or(Reject::Kind)?;
+    Ok((Some(kind), [outer, inner], shift_px))
 }
 
 /// The level halfway between black and white.

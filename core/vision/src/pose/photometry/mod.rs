@@ -64,9 +64,9 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use thiserror::Error;
 
 use crate::{
-    camera::{Camera, LensError, PixelPoint},
+    camera::{Camera, LensError},
     frame::Frame,
-    marker::{Kind, PaperEdge, Pattern, Ring},
+    marker::{CODED_SHARE, Kind, PaperEdge, Pattern, Ring},
     pose::{PrintDeviation, RoundelPose, Skew, frame_along, yaw},
 };
 pub(super) use history::FitHistory;
@@ -303,12 +303,18 @@ fn fit_outcome(
         memory.clear_px.unwrap_or_else(|| margin::clear_px(frame, ring, MAX_CLEAR_PX, blur_px));
     let narrow_px = (USUAL_MARGIN.0 * ring.outer.semi_minor_px - USUAL_MARGIN.1).max(MIN_REACH_PX);
     let reach_px = reach_px.min(narrow_px);
-    let edge = if clear_px < reach_px { PaperEdge::around(frame, ring) } else { None };
+    let disc_share = if teeth.is_some() { CODED_SHARE } else { 1.0 };
+    let edge = if clear_px < reach_px {
+        PaperEdge::around(model.level, frame, ring, disc_share)
+    } else {
+        None
+    };
     let clear_px = edge.as_ref().map_or(clear_px, PaperEdge::clear_px);
     let reach_px = reach_px.min(clear_px);
     model.window.set_region(frame, &ring.outer.grown(reach_px));
     if let Some(edge) = &edge {
-        model.window.subtract(|u, v| edge.step_at(&PixelPoint { u, v }));
+        let light = edge.added_light();
+        model.window.subtract(|u, v| light.at(u, v));
     }
     let problem = Problem {
         kind,
