@@ -28,7 +28,7 @@ use crate::{
     marker::{Kind, Mode, Ring, TrackedRing},
     parallel::PerThread,
     pose::{
-        PoseError, RimNoise, RoundelPose,
+        PoseError, RimNoise, RoundelPose, bend,
         circle::closed_form::LANES,
         locate_each, locate_printed,
         photometry::{self, FitHistory, FitInput, FitScratch},
@@ -362,6 +362,7 @@ impl Located {
             self.work = scratch.work() - before;
             fit.credit = fit.credit.map(|credit| credit - self.work as f64);
         }
+        bend::limit_likelihood(&mut self.pose);
         // A fit of the teeth includes the yaw.
         if let Some(reading) = &input.ring.code
             && self.pose.yaw_rad.is_none()

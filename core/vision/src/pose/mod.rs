@@ -26,8 +26,10 @@
 //! than assumed) widen the covariance accordingly.
 //!
 //! Limits: for a plain ring only the difference of its rims' centres, a fraction of a pixel,
-//! distinguishes the two normals. A `normal_likelihood` near 0.5 means that they are ambiguous.
+//! distinguishes the two normals. A `normal_likelihood` near 0.5 means that they are ambiguous. Paper that is not flat
+//! limits it far from the camera (`bend`).
 
+mod bend;
 mod circle;
 mod locator;
 pub mod photometry;
@@ -52,6 +54,7 @@ use crate::{
     simd::Vec3,
     time::Timestamp,
 };
+pub use bend::flatness_m;
 use circle::{closed_form, elliptical_disc};
 pub use locator::{ImageQuality, Located, Locator};
 pub use print_estimate::PrintDeviation;
