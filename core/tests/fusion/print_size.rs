@@ -35,7 +35,7 @@ fn frames_of(arena: &Arena, factor: f64, seconds: f64) -> Vec<FrameObservations>
 
 fn fused(arena: &Arena, frames: &[FrameObservations], from_s: f64) -> (Score, Fusion) {
     let mut fusion = fusion_of(arena, FusionParams::default());
-    fusion.set_print_tolerance(KIND, TOLERANCE);
+    fusion.set_print_tolerance(KIND, TOLERANCE, 0.0);
     let score = run(arena, &mut fusion, frames, from_s);
     (score, fusion)
 }
@@ -56,7 +56,7 @@ fn the_scale_of_prints_is_measured() {
             2.0,
         );
         let (score, mut fusion) = fused(&arena, &frames, 2.0);
-        let PrintSize { factor: measured, deviation } = fusion.print_size(KIND);
+        let PrintSize { factor: measured, deviation, .. } = fusion.print_size(KIND);
         println!(
             "{factor}: {measured:.5} ± {deviation:.5}, {}; exact {}",
             score.summary(),
@@ -98,7 +98,10 @@ fn a_size_that_cannot_be_right_is_reported_and_not_used() {
     let [report] = &reports(&mut fusion)[..] else { panic!("one report") };
     assert_eq!(report.state, PrintSizeState::Contradicted);
     assert!((report.size.factor - 122.0 / 160.0).abs() < 0.01, "{report:?}");
-    assert_eq!(fusion.print_size(KIND), PrintSize { factor: 1.0, deviation: TOLERANCE / 2.0 });
+    assert_eq!(
+        fusion.print_size(KIND),
+        PrintSize { deviation: TOLERANCE / 2.0, ..PrintSize::EXACT }
+    );
     let resized = fusion.resized(&frames[0]).expect("detections of the kind are left out");
     assert!(resized.detections.is_empty());
 }
@@ -109,7 +112,10 @@ fn a_single_camera_states_the_tolerance() {
     let mut frames = frames_of(&arena, 0.98, 6.0);
     frames.retain(|frame| frame.camera == CameraId(0));
     let (_, mut fusion) = fused(&arena, &frames, 1.0);
-    assert_eq!(fusion.print_size(KIND), PrintSize { factor: 1.0, deviation: TOLERANCE / 2.0 });
+    assert_eq!(
+        fusion.print_size(KIND),
+        PrintSize { deviation: TOLERANCE / 2.0, ..PrintSize::EXACT }
+    );
     assert!(reports(&mut fusion).is_empty());
     let snapshot = fusion.snapshot(frames.last().unwrap().capture_time);
     let observed: Vec<_> =
@@ -131,12 +137,12 @@ fn a_single_camera_measures_the_scale_with_references() {
     let mut frames = frames_of(&arena, factor, 8.0);
     frames.retain(|frame| frame.camera == CameraId(0));
     let mut fusion = fusion_of(&arena, FusionParams::default());
-    fusion.set_print_tolerance(KIND, TOLERANCE);
+    fusion.set_print_tolerance(KIND, TOLERANCE, 0.0);
     let still = (0..arena.setting.objects).step_by(arena.setting.still);
     let reference = |index| Landmark::new(KIND, None, arena.truth(index, START).position_m);
     fusion.set_landmarks(still.map(reference).collect());
     let score = run(&arena, &mut fusion, &frames, 2.0);
-    let PrintSize { factor: measured, deviation } = fusion.print_size(KIND);
+    let PrintSize { factor: measured, deviation, .. } = fusion.print_size(KIND);
     println!("{measured:.5} ± {deviation:.5}, {}", score.summary());
     assert!(deviation < 0.002, "{deviation}");
     assert!((measured / factor).ln().abs() < 3.0 * deviation, "{measured}");

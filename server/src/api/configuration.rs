@@ -196,6 +196,7 @@ fn message(active: ActiveConfig) -> Result<v1::Configuration, EditError> {
         }),
         fusion: Some(v1::FusionSetup {
             acceleration_m_s2: config.fusion.acceleration_m_s2,
+            focal_deviation: config.fusion.focal_deviation,
             late_window_ms: millis(config.fusion.late_window_s),
             predicted_after_ms: millis(config.fusion.predicted_after_s),
             lost_after_ms: millis(config.fusion.lost_after_s),

@@ -2,6 +2,7 @@
 
 use roundel_core::{
     id::KindId,
+    pose::flatness_m,
     world::{BodyError, Fusion, FusionParams, Landmark},
 };
 use thiserror::Error;
@@ -22,8 +23,9 @@ pub fn fusion_machine(config: &Config) -> Result<Fusion, ObjectError> {
     for (index, class) in config.motions.iter().enumerate() {
         fusion.set_motion(KindId(u16::try_from(index).unwrap_or(u16::MAX)), *class);
     }
-    for (index, tolerance) in config.tolerances.iter().enumerate() {
-        fusion.set_print_tolerance(KindId(u16::try_from(index).unwrap_or(u16::MAX)), *tolerance);
+    for (index, (kind, tolerance)) in config.kinds.iter().zip(&config.tolerances).enumerate() {
+        let id = KindId(u16::try_from(index).unwrap_or(u16::MAX));
+        fusion.set_print_tolerance(id, *tolerance, flatness_m(kind));
     }
     for ObjectConfig { name, carries } in &config.objects {
         match carries {
@@ -48,6 +50,7 @@ pub fn fusion_params(config: &Config) -> FusionParams {
     let defaults = FusionParams::default();
     FusionParams {
         acceleration_m_s2: config.fusion.acceleration_m_s2,
+        focal_deviation: config.fusion.focal_deviation,
         late_window_ns: ns(config.fusion.late_window_s),
         predicted_after_ns: ns(config.fusion.predicted_after_s),
         lost_after_ns: ns(config.fusion.lost_after_s),

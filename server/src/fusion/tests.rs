@@ -117,7 +117,7 @@ fn a_wrong_print_size_is_an_event() {
     let clock = Clock::anchored_now();
     let hub = Arc::new(fixtures::hub(&["north", "west"], clock.now()));
     let mut fusion = Fusion::new(FusionParams::default());
-    fusion.set_print_tolerance(KindId(0), 0.03);
+    fusion.set_print_tolerance(KindId(0), 0.03, 0.0);
     // The western camera looks along x; both see the roundel at 94 % of its configured distance.
     let distance_m = 0.94 * fixtures::DEPTH_M;
     let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), FRAC_PI_2);
@@ -149,7 +149,7 @@ fn a_wrong_print_size_is_an_event() {
 fn a_wrong_print_size_names_its_remedy() {
     let hub = hub(&Clock::anchored_now());
     let message = |factor, state| {
-        let size = PrintSize { factor, deviation: 0.001 };
+        let size = PrintSize { factor, deviation: 0.001, flatness_m: 0.0 };
         let wrong = KindPrintSize { kind: KindId(0), size, state, cameras: vec![CameraId(0)] };
         messages::wrong_print_size(&hub.installation(), &wrong)
     };

@@ -222,7 +222,7 @@ pub fn intrinsics(camera: &Camera) -> v1::Intrinsics {
 pub fn print_sizes(installation: &Installation, sizes: &[KindPrintSize]) -> Vec<v1::PrintSize> {
     let each = installation.kinds.iter().enumerate().map(|(index, name)| {
         let size = sizes.iter().find(|size| usize::from(size.kind.0) == index);
-        let PrintSize { factor, deviation } = size.map_or(PrintSize::EXACT, |size| size.size);
+        let PrintSize { factor, deviation, .. } = size.map_or(PrintSize::EXACT, |size| size.size);
         let state = match size.map(|size| size.state) {
             None => v1::PrintSizeState::Exact,
             Some(PrintSizeState::Assumed) => v1::PrintSizeState::Assumed,

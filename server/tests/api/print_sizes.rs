@@ -15,7 +15,7 @@ async fn serves_the_sizes_of_prints() {
     let print = |json: Value| json["print_sizes"][0].clone();
     let exact = print(rig.get("/api/v1/print-sizes").await.json());
     assert_eq!((&exact["state"], &exact["factor"]), (&"exact".into(), &1.0.into()));
-    let size = PrintSize { factor: 0.97, deviation: 0.0004 };
+    let size = PrintSize { factor: 0.97, deviation: 0.0004, flatness_m: 0.0 };
     let (kind, cameras) = (KindId(0), vec![CameraId(1)]);
     let state = PrintSizeState::Measured;
     rig.hub.set_print_sizes([KindPrintSize { kind, size, state, cameras }].into_iter());

@@ -47,16 +47,22 @@ pub struct PrintSize {
     pub factor: f64,
     /// Relative standard deviation.
     pub deviation: f64,
+    /// Standard deviation of the centre along the normal, metres, since paper is not flat.
+    pub flatness_m: f64,
 }
 
 impl PrintSize {
     /// As configured, without error.
-    pub const EXACT: Self = Self { factor: 1.0, deviation: 0.0 };
+    pub const EXACT: Self = Self { factor: 1.0, deviation: 0.0, flatness_m: 0.0 };
 
-    /// Covariance of a position relative to the camera by the error of the size.
-    pub(super) fn position_error(&self, arm_m: &Vector3<f64>) -> Matrix3<f64> {
-        let along_m = arm_m * self.deviation;
-        along_m * along_m.transpose()
+    /// Covariance of a position relative to the camera by the errors of the print.
+    pub(super) fn position_error(
+        &self,
+        arm_m: &Vector3<f64>,
+        normal: &Vector3<f64>,
+    ) -> Matrix3<f64> {
+        let (along_m, up_m) = (arm_m * self.deviation, normal * self.flatness_m);
+        along_m * along_m.transpose() + up_m * up_m.transpose()
     }
 }
 
@@ -142,9 +148,11 @@ pub(super) fn measure(
     let share = params.systematic_share.clamp(0.0, 1.0);
     let mut position_systematic = position_total * share;
     let mut rotation_systematic = rotation_total * share;
-    let size_error = size.position_error(&arm_m);
-    position_total += size_error;
-    position_systematic += size_error;
+    let along_m =
+        place.rotation * Vector3::z() * (pose.position_m.z * size.factor * params.focal_deviation);
+    let common = size.position_error(&arm_m, &(turn * pose.normal)) + along_m * along_m.transpose();
+    position_total += common;
+    position_systematic += common;
     if let Some([position, rotation]) = camera_pose_error(&camera_pose.systematic, &arm_m) {
         position_total += position;
         position_systematic += position;

@@ -94,6 +94,8 @@ pub struct FusionParams {
     /// Share of each observation's covariance that is systematic: common to a camera's frames and not averaged
     /// out, 0 to 1.
     pub systematic_share: f64,
+    /// Relative standard deviation of the focal lengths in camera models, which moves objects along the optical axis.
+    pub focal_deviation: f64,
     /// Correlation time of the systematic error, s.
     pub systematic_time_s: f64,
     /// Longest time for which a camera that suddenly disagrees with all others is held back, until the camera
@@ -117,6 +119,7 @@ impl Default for FusionParams {
             max_objects: 1000,
             gate_distance_squared: 21.1,
             systematic_share: 0.5,
+            focal_deviation: 0.0,
             systematic_time_s: 1.0,
             held_back_ns: 3_000_000_000,
         }

@@ -52,8 +52,13 @@ const SERVER_KEYS: [&str; 13] = [
     "source_folders",
     "source_networks",
 ];
-const FUSION_KEYS: [&str; 4] =
-    ["acceleration_m_s2", "late_window_ms", "predicted_after_ms", "lost_after_ms"];
+const FUSION_KEYS: [&str; 5] = [
+    "acceleration_m_s2",
+    "focal_deviation",
+    "late_window_ms",
+    "predicted_after_ms",
+    "lost_after_ms",
+];
 const LIMITS_KEYS: [&str; 4] =
     ["max_objects", "max_roundels_per_camera", "max_clients", "max_connections_per_peer"];
 
@@ -200,6 +205,11 @@ fn fusion(root: &Table<'_, '_>) -> FusionConfig {
             "acceleration_m_s2",
             NumberRange::PositiveUpTo(1e4),
             default.acceleration_m_s2,
+        ),
+        focal_deviation: table.number(
+            "focal_deviation",
+            NumberRange::ZeroUpTo(0.1),
+            default.focal_deviation,
         ),
         late_window_s: seconds(
             "late_window_ms",

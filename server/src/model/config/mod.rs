@@ -133,6 +133,8 @@ pub struct ServerConfig {
 pub struct FusionConfig {
     /// Rms acceleration of objects, m/s².
     pub acceleration_m_s2: f64,
+    /// Relative standard deviation of the focal lengths in camera files.
+    pub focal_deviation: f64,
     /// Observations up to this much older than the newest are used, seconds.
     pub late_window_s: f64,
     /// A track without detections for this long is predicted, seconds.
@@ -145,6 +147,7 @@ impl Default for FusionConfig {
     fn default() -> Self {
         Self {
             acceleration_m_s2: 1.5,
+            focal_deviation: 5e-4,
             late_window_s: 0.3,
             predicted_after_s: 0.15,
             lost_after_s: 2.0,

@@ -129,9 +129,12 @@ impl Fusion {
     }
 
     /// Sets the relative tolerance of a kind's printed size: twice its standard deviation until cameras have measured
-    /// it. 0, the default: the size is exact and not measured. Forgets an earlier estimate.
-    pub fn set_print_tolerance(&mut self, kind: KindId, tolerance: f64) {
-        self.print_sizes.set_tolerance(kind, tolerance);
+    /// it. 0, the default: the size is exact and not measured, and prints are flat. Forgets an earlier estimate.
+    ///
+    /// `flatness_m` is the standard deviation of a print's centre from the plane of its rims, metres
+    /// ([`roundel_vision::pose::flatness_m`]).
+    pub fn set_print_tolerance(&mut self, kind: KindId, tolerance: f64, flatness_m: f64) {
+        self.print_sizes.set_tolerance(kind, tolerance, flatness_m);
     }
 
     /// Estimated size of a kind's prints, relative to the configured size.

@@ -143,8 +143,8 @@ struct PairSum {
 
 #[derive(Clone, Debug)]
 struct KindSize {
-    /// Standard deviation without evidence.
-    prior: f64,
+    /// Without evidence.
+    prior: PrintSize,
     /// Number of comparisons by ln k.
     votes: Vec<u32>,
     /// ln k at the peak.
@@ -165,10 +165,11 @@ pub(super) struct PrintSizes {
 
 impl PrintSizes {
     /// Sets the relative tolerance of a kind's size, twice its standard deviation without evidence, and forgets the
-    /// estimate. With 0 the size is exact.
-    pub(super) fn set_tolerance(&mut self, kind: KindId, tolerance: f64) {
+    /// estimate. With 0 the size is exact, and the print flat.
+    pub(super) fn set_tolerance(&mut self, kind: KindId, tolerance: f64, flatness_m: f64) {
         if tolerance > 0.0 {
-            self.kinds.insert(kind, KindSize::new(0.5 * tolerance));
+            let prior = PrintSize { factor: 1.0, deviation: 0.5 * tolerance, flatness_m };
+            self.kinds.insert(kind, KindSize::new(prior));
         } else {
             self.kinds.remove(&kind);
         }
@@ -311,7 +312,7 @@ impl PrintSizes {
     fn estimate(&mut self) {
         for (&kind, state) in &mut self.kinds {
             let Some((ln, deviation)) = state.estimate() else { continue };
-            state.measured = Some(PrintSize { factor: ln.exp(), deviation });
+            state.measured = Some(PrintSize { factor: ln.exp(), deviation, ..state.prior });
             let is_significant =
                 deviation < REPORTED_DEVIATION && ln.abs() - 2.0 * deviation > REPORTED_LN;
             let is_known = state.reported_ln.is_some_and(|known| (ln - known).abs() < CHANGED_LN);
@@ -324,7 +325,7 @@ impl PrintSizes {
 }
 
 impl KindSize {
-    fn new(prior: f64) -> Self {
+    fn new(prior: PrintSize) -> Self {
         Self {
             prior,
             votes: vec![0; BINS],
@@ -345,7 +346,7 @@ impl KindSize {
 
     /// The size that measurements use.
     fn used(&self) -> PrintSize {
-        let assumed = PrintSize { factor: 1.0, deviation: self.prior };
+        let assumed = self.prior;
         self.measured.filter(|_| self.state() == PrintSizeState::Measured).unwrap_or(assumed)
     }
 
@@ -387,7 +388,7 @@ impl KindSize {
         let misfit: f64 = means().map(|(other, variance)| (other - ln).powi(2) / variance).sum();
         let spare = self.pairs.len().saturating_sub(1).max(1) as f64;
         let variance = (misfit / spare).max(1.0) / weight;
-        let prior_variance = self.prior * self.prior;
+        let prior_variance = self.prior.deviation * self.prior.deviation;
         let contradiction = ln * ln / (variance + prior_variance);
         let (ln, variance) = if contradiction > MAX_PRIOR_SIGMAS * MAX_PRIOR_SIGMAS {
             (ln, variance)
@@ -466,5 +467,5 @@ pub(super) fn resize(pose: &mut RoundelPose, size: PrintSize) {
     let mut columns = pose.covariance.fixed_columns_mut::<3>(0);
     columns *= size.factor;
     let mut position = pose.covariance.fixed_view_mut::<3, 3>(0, 0);
-    position += size.position_error(&pose.position_m);
+    position += size.position_error(&pose.position_m, &pose.normal);
 }
