@@ -27,6 +27,7 @@
 //! | | [`timing`] | times of tracking and searching |
 //! | | [`paper`] | the paper's experiments, compared with its figures |
 //! | systems | [`scenario`] | seeded scenarios of fusion with bars, in one table |
+//! | | [`lab`] | R4 with real prints, light, lenses and lost frames |
 //! | | [`survey`] | calibration of arenas, and its errors |
 //! | | [`healing`] | bumped and drifting cameras, and the watch's reaction |
 //! | | [`plans`] | predictions of `roundel plan` compared with simulation |
@@ -53,6 +54,7 @@ pub mod elliptical;
 pub mod export;
 pub mod half_plane;
 pub mod healing;
+pub mod lab;
 pub mod layering;
 pub mod light;
 pub mod look_alikes;

@@ -2,11 +2,13 @@
 //! and score as over a real server, without its timing.
 
 use roundel_core::{
+    marker::Mode,
     time::Timestamp,
     world::{FrameObservations, FusionParams},
 };
 use roundel_tests::{
     arena::Arena,
+    lab::{Lab, LabOutcome},
     pipeline::{fusion, message},
     scenario::pixels::watch,
     score::{CHI2_95_3, Judge, Score},
@@ -77,4 +79,29 @@ fn fused_poses_match_their_covariances() {
             assert!(score.position.rms() < 0.003, "{}", score.position.rms());
         }
     }
+}
+
+#[test]
+fn robots_keep_their_ids_in_a_lab() -> anyhow::Result<()> {
+    for is_plain in [true, false] {
+        let lab = Lab {
+            seconds: 3.0,
+            rate_hz: 15.0,
+            scale: 0.97,
+            knows_scale: false,
+            is_plain,
+            mode: Mode::Precise,
+            lens_error: 1e-3,
+            without: Vec::new(),
+            seed: 5,
+        };
+        let LabOutcome { detections, print_size, tracks } = lab.run()?;
+        println!("plain: {is_plain}\n{detections}\n{print_size:?}\n{tracks}");
+        assert_eq!((tracks.ids, tracks.extra_ids, tracks.swaps, tracks.strays), (24, 0, 0, 0));
+        assert!((print_size.factor / 0.97 - 1.0).abs() < 0.004, "{print_size:?}");
+        assert!(tracks.position.rms() < 0.005, "{}", tracks.position.rms());
+        let share = tracks.position.share_within(CHI2_95_3);
+        assert!(share > 0.8, "{share} of the errors lie inside the 95 % ellipsoid");
+    }
+    Ok(())
 }
