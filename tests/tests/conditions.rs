@@ -39,8 +39,8 @@ const MISSES: &[(&str, Marker, Mode, Bar)] = &[
     ("bent-2m", Plain, Precise, [100, 99, 84, 12, 84]),
     ("saturated-bloom", Plain, Fast, [100, 99, 84, 84, 57]),
     ("saturated-bloom", Plain, Precise, [100, 99, 72, 72, 45]),
-    ("shadow-60", Plain, Fast, [87, 99, 84, 84, 84]),
-    ("shadow-60", Plain, Precise, [87, 99, 84, 84, 84]),
+    ("shadow-60", Plain, Fast, [87, 94, 84, 84, 84]),
+    ("shadow-60", Plain, Precise, [87, 94, 84, 84, 84]),
     ("gradient", Plain, Precise, [100, 99, 84, 76, 84]),
     ("glare", Plain, Fast, [70, 92, 84, 73, 84]),
     ("glare", Plain, Precise, [70, 92, 84, 71, 84]),
@@ -51,8 +51,9 @@ const MISSES: &[(&str, Marker, Mode, Bar)] = &[
     ("lens-error-0.1", Plain, Fast, [100, 99, 60, 0, 84]),
     ("lens-error-0.1", Plain, Precise, [100, 99, 0, 0, 84]),
     ("r4-real", Plain, Fast, [87, 92, 55, 33, 84]),
-    ("r4-real", Plain, Precise, [87, 92, 52, 33, 84]),
+    ("r4-real", Plain, Precise, [87, 92, 47, 33, 84]),
     ("margin-10", Coded, Fast, [100, 99, 84, 84, 26]),
+    ("margin-10", Coded, Precise, [100, 99, 84, 78, 84]),
     ("disc-3-smaller", Coded, Fast, [100, 99, 84, 84, 76]),
     ("scale-0.97", Coded, Fast, [100, 99, 0, 0, 84]),
     ("scale-0.97", Coded, Precise, [100, 99, 0, 0, 84]),
@@ -66,15 +67,13 @@ const MISSES: &[(&str, Marker, Mode, Bar)] = &[
     ("saturated-bloom", Coded, Precise, [37, 99, 84, 84, 84]),
     ("gradient", Coded, Fast, [100, 99, 84, 43, 84]),
     ("gradient", Coded, Precise, [100, 99, 84, 76, 76]),
-    ("glare", Coded, Fast, [100, 99, 70, 41, 53]),
-    ("glare", Coded, Precise, [100, 99, 72, 43, 55]),
     ("sharpened", Coded, Precise, [100, 99, 64, 84, 84]),
     ("defocus-1.6", Coded, Fast, [100, 99, 84, 41, 66]),
     ("defocus-1.6", Coded, Precise, [100, 99, 84, 76, 84]),
     ("lens-error-0.1", Coded, Fast, [100, 99, 84, 0, 84]),
     ("lens-error-0.1", Coded, Precise, [100, 99, 0, 0, 84]),
-    ("r4-real", Coded, Fast, [62, 99, 49, 34, 84]),
-    ("r4-real", Coded, Precise, [62, 99, 46, 32, 84]),
+    ("r4-real", Coded, Fast, [62, 94, 63, 49, 84]),
+    ("r4-real", Coded, Precise, [62, 94, 63, 46, 84]),
 ];
 
 /// An entry of [`MISSES`] that is exceeded by more should be tightened.
@@ -141,7 +140,7 @@ const COSTLY: &[(&str, [f64; 2])] = &[
     ("gradient", [5.0, 9.0]),
     ("glare", [5.5, 12.0]),
     ("sharpened", [5.5, 7.0]),
-    ("r4-real", [3.5, 8.5]),
+    ("r4-real", [6.0, 8.5]),
 ];
 
 #[test]

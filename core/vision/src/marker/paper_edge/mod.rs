@@ -158,6 +158,9 @@ impl Sector {
 }
 
 impl PaperEdge {
+    /// Cost of a fit, in pixels of a linearization of the grey levels.
+    pub const WORK: u64 = (TURNS * SECTORS * sector::SAMPLES) as u64;
+
     /// The edge of the paper around a measured ring, with the white share of its disc's rim.
     pub fn around(level: Level, frame: &Frame, ring: &Ring, disc_share: f64) -> Option<Self> {
         let Ring { outer, inner, black, white, polarity, .. } = *ring;

@@ -14,7 +14,7 @@ use crate::{
 /// Rays whose levels are averaged in a sector.
 const RAYS: usize = 4;
 /// Samples on a ray, their distance, and the first one's from the rim, pixels.
-const SAMPLES: usize = 16;
+pub(super) const SAMPLES: usize = 16;
 const STEP_PX: f32 = 0.5;
 const FIRST_PX: f32 = -2.5;
 /// Widths of margins at the start: this many, a step apart, from two steps on.

@@ -313,6 +313,7 @@ fn fit_outcome(
     let reach_px = reach_px.min(clear_px);
     model.window.set_region(frame, &ring.outer.grown(reach_px));
     if let Some(edge) = &edge {
+        model.work += PaperEdge::WORK + model.window.counted as u64;
         let light = edge.added_light();
         model.window.subtract(|u, v| light.at(u, v));
     }

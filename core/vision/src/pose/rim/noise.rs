@@ -17,6 +17,8 @@ const UNEVEN_PX: f64 = 4.0;
 const CLIPPED_WHITE: f64 = 250.0;
 /// … by this common shift, which compensation does not remove, pixels; from rendered rings.
 const CLIPPED_PX: f64 = 0.04;
+/// That of coded rings, where teeth hide the size of the disc.
+const CODED_CLIPPED_PX: f64 = 0.12;
 /// Semiaxis of the white disc at which the errors of both rims double.
 const THIN_DISC_PX: f64 = 3.0;
 /// Limit of the growth; such rings are hardly detected.
@@ -87,6 +89,14 @@ impl RimNoise {
         RingNoise { rims: [outer, inner], disc: DiscWeights::all() }
     }
 
+    /// Relative standard deviation of the size of a coded ring that no other error contains.
+    pub(crate) fn coded_size_deviation(ring: &Ring) -> f64 {
+        if ring.white < CLIPPED_WHITE {
+            return 0.0;
+        }
+        CODED_CLIPPED_PX / ring.outer.mean_radius_px()
+    }
+
     fn as_stated(&self) -> RimErrors<f64> {
         RimErrors { edge_px: self.edge_px, floor_px: self.floor_px, uneven_px: 0.0 }
     }
@@ -117,6 +127,10 @@ impl RimNoise {
         } else {
             let off_px = SPOKES_PX * (1.0 + (FEW_SPOKES_PX / minor_px).powi(2));
             of_inner.uneven_px = off_px.hypot(rim.uneven_px);
+        }
+        // What disturbs the margin often disturbs the disc, so neither rim gains weight.
+        for rim in [&mut of_outer, &mut of_inner] {
+            rim.uneven_px = rim.uneven_px.hypot(ring.margin_px);
         }
         RingNoise { rims: [of_outer, of_inner], disc: DiscWeights::center_only() }
     }
