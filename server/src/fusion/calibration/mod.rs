@@ -83,6 +83,12 @@ pub enum CalibrationStage {
     Failed,
 }
 
+impl CalibrationStage {
+    fn is_active(self) -> bool {
+        matches!(self, Self::Recording | Self::Solving)
+    }
+}
+
 #[derive(Clone, Debug, Default)]
 pub struct CalibrationStatus {
     pub stage: CalibrationStage,
@@ -168,7 +174,7 @@ impl Calibrator {
 
     pub fn start(&self, request: CalibrationRequest) -> Result<(), CalibrationError> {
         let mut running = lock(&self.running);
-        if running.as_ref().is_some_and(|(_, thread)| !thread.is_finished()) {
+        if self.is_active(&running) {
             return Err(CalibrationError::Busy);
         }
         self.shared.check(&request)?;
@@ -184,12 +190,19 @@ impl Calibrator {
     }
 
     pub fn is_running(&self) -> bool {
-        lock(&self.running).as_ref().is_some_and(|(_, thread)| !thread.is_finished())
+        self.is_active(&lock(&self.running))
+    }
+
+    /// A thread that has published its result may still be about to end, and one that panicked has published none.
+    fn is_active(&self, running: &Option<(StopSignal, JoinHandle<()>)>) -> bool {
+        running.as_ref().is_some_and(|(_, thread)| !thread.is_finished())
+            && self.shared.status.borrow().stage.is_active()
     }
 
     pub fn cancel(&self) -> Result<(), CalibrationError> {
-        match &*lock(&self.running) {
-            Some((stop, thread)) if !thread.is_finished() => {
+        let running = lock(&self.running);
+        match &*running {
+            Some((stop, _)) if self.is_active(&running) => {
                 stop.stop();
                 Ok(())
             }

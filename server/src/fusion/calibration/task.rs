@@ -27,6 +27,7 @@ const PROGRESS_INTERVAL: Duration = Duration::from_millis(200);
 /// Lenses of the fixed cameras.
 type Lenses = BTreeMap<CameraId, Camera>;
 
+/// The last change of the status is that to a final stage, from which on the next calibration may start.
 pub(super) fn run(shared: &Shared, request: CalibrationRequest, stop: &StopSignal) {
     let lenses = shared.lenses();
     let recording = record(shared, request.seconds, &lenses, stop);
@@ -37,11 +38,11 @@ pub(super) fn run(shared: &Shared, request: CalibrationRequest, stop: &StopSigna
         Ok(report) => shared.done(request.apply, report),
         Err(why) => {
             let message = format!("The calibration of the arena failed: {why}.");
+            shared.report_event(EventKind::CalibrationFailed, message);
             shared.status.send_modify(|status| {
                 status.stage = CalibrationStage::Failed;
                 status.error = why;
             });
-            shared.report_event(EventKind::CalibrationFailed, message);
         }
     }
 }
