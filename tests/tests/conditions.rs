@@ -53,7 +53,6 @@ const MISSES: &[(&str, Marker, Mode, Bar)] = &[
     ("r4-real", Plain, Fast, [87, 92, 55, 33, 84]),
     ("r4-real", Plain, Precise, [87, 92, 47, 33, 84]),
     ("margin-10", Coded, Fast, [100, 99, 84, 84, 26]),
-    ("margin-10", Coded, Precise, [100, 99, 84, 78, 84]),
     ("disc-3-smaller", Coded, Fast, [100, 99, 84, 84, 76]),
     ("scale-0.97", Coded, Fast, [100, 99, 0, 0, 84]),
     ("scale-0.97", Coded, Precise, [100, 99, 0, 0, 84]),

@@ -48,7 +48,8 @@
 //!
 //! **Limits.** Rejected are coded prints whose teeth no frame has read, and elliptical discs whose
 //! rim is partly occluded. The counted pixels reach 3 px, or 3.5 blurs,
-//! beyond the outer rim, less where the paper ends before (`margin`).
+//! beyond the outer rim, less where the paper ends before (`margin`). Its edge is fitted and subtracted
+//! (`marker::paper_edge`).
 
 mod history;
 mod hypotheses;
@@ -241,7 +242,7 @@ const USUAL_MARGIN: (f64, f64) = (0.3, 0.8);
 const MIN_REACH_PX: f64 = 0.6;
 /// Width up to which a margin is searched, pixels.
 const MAX_CLEAR_PX: f64 = 6.0;
-/// A margin that is clear up to less than the first distance, pixels, shifts the outer rim by the
+/// A margin that is known up to less than the first distance, pixels, shifts the outer rim by the
 /// second one, a standard deviation: what remains of the paper's edge.
 const NARROW: (f64, f64) = (0.5, 0.02);
 /// Fits the pose of a single roundel of a known kind to the frame's pixels.
@@ -309,8 +310,8 @@ fn fit_outcome(
     } else {
         None
     };
-    let clear_px = edge.as_ref().map_or(clear_px, PaperEdge::clear_px);
-    let reach_px = reach_px.min(clear_px);
+    let known_px = edge.as_ref().map_or(clear_px, PaperEdge::clear_px);
+    let reach_px = reach_px.min(known_px);
     model.window.set_region(frame, &ring.outer.grown(reach_px));
     if let Some(edge) = &edge {
         model.work += PaperEdge::WORK + model.window.counted as u64;
@@ -337,7 +338,7 @@ fn fit_outcome(
     let deviation_rad = heading_rad.map(|_| yaw::deviation_rad(&start.pose));
     let (estimate, path) = estimate_pose(&problem, first, deviation_rad, &memory.path, scratch)?;
     let mut fit = finish(&problem, ring, &estimate, scratch);
-    if clear_px < NARROW.0 {
+    if known_px < NARROW.0 {
         fit.pose.add_size_deviation(NARROW.1 / ring.outer.mean_radius_px());
     }
     match teeth {
