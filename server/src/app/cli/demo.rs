@@ -126,7 +126,8 @@ fn config(scenario: &Scenario, address: &SimAddress, listen: SocketAddr) -> anyh
 }
 
 fn text(scenario: &Scenario, address: &SimAddress) -> String {
-    let mut text = "name = \"demo\"\n".to_owned();
+    // Simulated lenses are exact.
+    let mut text = "name = \"demo\"\n\n[fusion]\nfocal_deviation = 0.0\n".to_owned();
     for kind in &scenario.params().kinds {
         text += &format!("\n{}\n", config_lines(kind).join("\n"));
     }
