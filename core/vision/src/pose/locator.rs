@@ -25,7 +25,7 @@ use crate::{
     camera::Camera,
     frame::Frame,
     id::KindId,
-    marker::{Kind, Mode, Pattern, Ring, TrackedRing},
+    marker::{Kind, Mode, Ring, TrackedRing},
     parallel::PerThread,
     pose::{
         PoseError, RimNoise, RoundelPose, bend,
@@ -362,9 +362,6 @@ impl Located {
             self.work = scratch.work() - before;
             fit.credit = fit.credit.map(|credit| credit - self.work as f64);
         }
-        if self.by == Mode::Fast && matches!(input.kind.pattern, Pattern::Coded(_)) {
-            self.pose.add_size_deviation(RimNoise::coded_size_deviation(input.ring));
-        }
         bend::limit_likelihood(&mut self.pose);
         // A fit of the teeth includes the yaw.
         if let Some(reading) = &input.ring.code
@@ -384,7 +381,7 @@ mod tests {
     use crate::{
         camera::{Lens, PixelPoint},
         id::TrackNumber,
-        marker::CodeLayout,
+        marker::{CodeLayout, Pattern},
         pose::tests::{camera, pose, rim_of},
         rigid::orientation_of_normal,
     };

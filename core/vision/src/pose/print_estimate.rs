@@ -40,6 +40,9 @@ const UNMODELLED_PX: f64 = 0.01;
 const CORRELATED_FRAMES: f64 = 25.0;
 /// White and black this close to the ends of the scale are clipped.
 const CLIPPED: f64 = 4.0;
+/// Common shift of the rims of a coded ring by clipping, pixels: teeth hide the size of the disc, which would show it.
+/// From rendered rings.
+const CODED_CLIPPED_PX: f64 = 0.12;
 
 /// What the rings of a track have shown of its print.
 #[derive(Clone, Copy, Debug)]
@@ -81,7 +84,7 @@ pub struct PrintedRing {
     /// The print.
     pub print: PrintDeviation,
     /// Relative standard deviation of the outer rim's size, since the division between print and
-    /// image is uncertain.
+    /// image is uncertain, or white is clipped.
     pub size_deviation: f64,
 }
 
@@ -120,8 +123,24 @@ struct RatioMeasurement {
 
 impl PrintEstimate {
     /// Learns from a ring, if its rims are not known to be blurred by motion, and returns it with its
-    /// print. `focal_px` is the camera's focal length.
+    /// print and the error of its size. `focal_px` is the camera's focal length.
     pub fn update(
+        &mut self,
+        kind: &Kind,
+        ring: &Ring,
+        focal_px: f64,
+        noise: &RimNoise,
+        is_sharp: bool,
+    ) -> PrintedRing {
+        let mut printed = self.explained(kind, ring, focal_px, noise, is_sharp);
+        if is_clipped(ring) && matches!(kind.pattern, Pattern::Coded(_)) {
+            let clipped = CODED_CLIPPED_PX / ring.outer.mean_radius_px();
+            printed.size_deviation = printed.size_deviation.hypot(clipped);
+        }
+        printed
+    }
+
+    fn explained(
         &mut self,
         kind: &Kind,
         ring: &Ring,
@@ -132,8 +151,7 @@ impl PrintEstimate {
         let Some(measured) = RatioMeasurement::new(kind, ring, focal_px, noise) else {
             return PrintedRing::designed(ring);
         };
-        let is_clipped = ring.white > 255.0 - CLIPPED || ring.black < CLIPPED;
-        if is_sharp && !is_clipped {
+        if is_sharp && !is_clipped(ring) {
             self.learn(&measured);
         }
         if !self.is_significant(measured.per_px) {
@@ -180,6 +198,10 @@ impl PrintEstimate {
             size_deviation: self.covariance[0].sqrt() / (per_px * outer.mean_radius_px()),
         })
     }
+}
+
+fn is_clipped(ring: &Ring) -> bool {
+    ring.white > 255.0 - CLIPPED || ring.black < CLIPPED
 }
 
 impl RatioMeasurement {

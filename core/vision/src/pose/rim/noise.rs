@@ -17,8 +17,6 @@ const UNEVEN_PX: f64 = 4.0;
 const CLIPPED_WHITE: f64 = 250.0;
 /// … by this common shift, which compensation does not remove, pixels; from rendered rings.
 const CLIPPED_PX: f64 = 0.04;
-/// That of coded rings, where teeth hide the size of the disc.
-const CODED_CLIPPED_PX: f64 = 0.12;
 /// Semiaxis of the white disc at which the errors of both rims double.
 const THIN_DISC_PX: f64 = 3.0;
 /// Limit of the growth; such rings are hardly detected.
@@ -87,14 +85,6 @@ impl RimNoise {
         let inner = self.for_rim(ring, growth);
         let outer = RimErrors { uneven_px: inner.uneven_px.hypot(ring.margin_px), ..inner };
         RingNoise { rims: [outer, inner], disc: DiscWeights::all() }
-    }
-
-    /// Relative standard deviation of the size of a coded ring that no other error contains.
-    pub(crate) fn coded_size_deviation(ring: &Ring) -> f64 {
-        if ring.white < CLIPPED_WHITE {
-            return 0.0;
-        }
-        CODED_CLIPPED_PX / ring.outer.mean_radius_px()
     }
 
     fn as_stated(&self) -> RimErrors<f64> {
