@@ -34,7 +34,7 @@ const FLOOR: f64 = 120.0;
 /// Largest distance of a detection from its robot.
 const GATE_PX: f64 = 8.0;
 
-/// A run.
+/// What a run simulates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lab {
     pub seconds: f64,

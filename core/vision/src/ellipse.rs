@@ -92,6 +92,21 @@ impl Ellipse {
         ellipse.is_valid().then_some(ellipse)
     }
 
+    /// The point at the ellipse's parameter t.
+    pub(crate) fn rim_point(&self, t: f64) -> RimPoint {
+        let (sin, cos) = self.angle_rad.sin_cos();
+        let (a, b) = (self.semi_major_px, self.semi_minor_px);
+        let in_image = |x: f64, y: f64| (x * cos - y * sin, x * sin + y * cos);
+        let (y, x) = t.sin_cos();
+        let height_px = 1.0 / (x / a).hypot(y / b);
+        let (du, dv) = in_image(a * x, b * y);
+        RimPoint {
+            at: PixelPoint { u: self.center.u + du, v: self.center.v + dv },
+            normal: in_image(x / a * height_px, y / b * height_px),
+            height_px,
+        }
+    }
+
     /// Whether the point lies inside or on the rim.
     pub fn contains(&self, point: PixelPoint) -> bool {
         let m = self.matrix();
@@ -108,6 +123,23 @@ impl Ellipse {
             && self.semi_major_px.is_finite()
             && self.semi_minor_px > 0.0
             && self.semi_major_px >= self.semi_minor_px
+    }
+}
+
+/// A point of a rim.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct RimPoint {
+    pub at: PixelPoint,
+    /// Unit vector outwards.
+    pub normal: (f64, f64),
+    /// Component of the vector from the centre along the normal, pixels.
+    pub height_px: f64,
+}
+
+impl RimPoint {
+    /// The point this far outwards.
+    pub fn outwards(&self, px: f64) -> PixelPoint {
+        PixelPoint { u: self.at.u + px * self.normal.0, v: self.at.v + px * self.normal.1 }
     }
 }
 

@@ -3,6 +3,7 @@
 use thiserror::Error;
 
 pub use crate::camera::MAX_SIDE_PX;
+use crate::camera::PixelPoint;
 
 /// An 8-bit grey image, row by row from the top, `stride` bytes from one row to the next.
 #[derive(Clone, Copy, Debug)]
@@ -86,19 +87,18 @@ impl<'a> Frame<'a> {
     }
 
     /// Level at a point, bilinear between pixels; beyond the frame's edges that of the last pixels.
-    pub(crate) fn level_at(&self, u: f64, v: f64) -> f64 {
-        let u = u.clamp(0.0, self.width as f64 - 1.001);
-        let v = v.clamp(0.0, self.height as f64 - 1.001);
+    pub(crate) fn level_at(&self, at: PixelPoint) -> f64 {
+        let last = |size: usize| (size as f64 - 1.001).max(0.0);
+        let (u, v) = (at.u.clamp(0.0, last(self.width)), at.v.clamp(0.0, last(self.height)));
         let (left, top) = (u as usize, v as usize);
         let (du, dv) = (u - left as f64, v - top as f64);
+        let (right, bottom) = ((left + 1).min(self.width - 1), (top + 1).min(self.height - 1));
         let row = |v: usize| {
-            let row = self.row(v.min(self.height - 1));
-            let (here, next) =
-                (f64::from(row[left]), f64::from(row[(left + 1).min(self.width - 1)]));
+            let (here, next) = (f64::from(self.row(v)[left]), f64::from(self.row(v)[right]));
             here + (next - here) * du
         };
         let above = row(top);
-        above + (row(top + 1) - above) * dv
+        above + (row(bottom) - above) * dv
     }
 }
 

@@ -4,7 +4,8 @@
 //! R)ᵀ plus that of the camera's pose, J Σ_camera Jᵀ with J = [I -[R p]×; 0 I], since a small rotation δθ of the camera
 //! moves the point by δθ × R p. The pose error of a stationary camera is the same in every frame, so it is wholly
 //! systematic; that of a mobile camera is in part ([`super::mobile_camera`]); Σ is to a configured share. p is first
-//! scaled by the size of the print ([`super::print_size`]), whose error is wholly systematic too.
+//! scaled by the size of the print ([`super::print_size`]), whose error is wholly systematic too, as are those of a print
+//! that is not flat, along its normal, and of a focal length, along the optical axis.
 
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 

@@ -34,7 +34,7 @@ use crate::{
             white_disc::{Disc, Gap, disc},
         },
         kind::Polarity,
-        paper_edge::{self, CODED_SHARE, RoughRing},
+        paper_edge::{self, CODED_SHARE, NO_MARGIN_PX, RoughRing},
         reject::Reject,
         ring::{
             pixels::predicted::PredictedRims,
@@ -58,8 +58,6 @@ const HALF_WHITE_POINTS: usize = 32;
 /// Variance that pixels and interpolation add to the blur, px².
 const PIXEL_PX2: f64 = 0.25;
 
-/// Error of each harmonic of the outer rim with a narrow margin whose paper's edge is not found, pixels.
-const NO_MARGIN_PX: f64 = 0.15;
 /// A margin whose level is below that of white by more than this share of the contrast is narrow.
 const NARROW_SHARE: f64 = 0.05;
 
@@ -129,7 +127,7 @@ fn followed(
     let rim = followed_rim(sampler, outer).ok()?;
     check_size(sampler.frame, &rim.ellipse, rules).ok()?;
     let white = white(sampler, &rim, rules, kind.ratio).ok()?;
-    let rim = with_margin(sampler, rim, rules, (white, kind.ratio));
+    let rim = with_margin(sampler, rim, rules, white, kind.ratio);
     let PixelPoint { u, v } = rim.ellipse.center;
     // The effect of perspective on the centres hardly changes between frames.
     let center = PixelPoint {
@@ -210,7 +208,7 @@ fn toothed(
     let rim = outer_rim(sampler, &outline, f64::from(probe.threshold))?;
     check_size(sampler.frame, &rim.ellipse, rules)?;
     let white = white(sampler, &rim, rules, ratio)?;
-    let rim = with_margin(sampler, rim, rules, (white, ratio));
+    let rim = with_margin(sampler, rim, rules, white, ratio);
     let offset = offset(sampler, &rim.ellipse, ratio, 0.5 * (rim.black + white));
     Ok(CodedOutline { rim, offset, white })
 }
@@ -220,14 +218,16 @@ fn with_margin(
     sampler: &Sampler,
     rim: OuterRim,
     rules: &Rules,
-    (white, ratio): (f64, f64),
+    white: f64,
+    ratio: f64,
 ) -> OuterRim {
     if !rules.fits_paper_edge || rim.margin > white - NARROW_SHARE * (white - rim.black) {
         return rim;
     }
     let polarity = if sampler.inverted { Polarity::WhiteRing } else { Polarity::BlackRing };
     let (outer, black) = (rim.ellipse, rim.black);
-    let rough = RoughRing { outer, black, white, polarity, disc: (ratio, CODED_SHARE) };
+    let rough =
+        RoughRing { outer, black, white, polarity, disc_ratio: ratio, disc_share: CODED_SHARE };
     match paper_edge::fit(sampler.level, sampler.frame, &rough) {
         Some(edge) => {
             OuterRim { ellipse: edge.outer, blur_px: edge.blur_px, margin_px: edge.error_px, ..rim }

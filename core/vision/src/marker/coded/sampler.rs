@@ -2,7 +2,7 @@
 
 use fearless_simd::Level;
 
-use crate::{frame::Frame, simd::floor};
+use crate::{camera::PixelPoint, frame::Frame, simd::floor};
 
 /// Bilinear interpolation of a frame, extended beyond its edges by the last pixels.
 pub(crate) struct Sampler<'a, 'f> {
@@ -23,7 +23,7 @@ pub(crate) struct SamplePoints<const COUNT: usize> {
 
 impl Sampler<'_, '_> {
     pub fn at(&self, u: f64, v: f64) -> f64 {
-        let level = self.frame.level_at(u, v);
+        let level = self.frame.level_at(PixelPoint { u, v });
         if self.inverted { 255.0 - level } else { level }
     }
 

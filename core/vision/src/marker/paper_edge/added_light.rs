@@ -24,7 +24,7 @@ pub(crate) struct AddedLight {
 }
 
 impl PaperEdge {
-    /// What the paper's edge adds.
+    /// A table of what the paper's edge adds.
     pub fn added_light(&self) -> AddedLight {
         let blur_px = (self.blur_px * self.blur_px - INTERPOLATION_PX2).sqrt();
         let levels = self.margins.each_ref().map(|margin| {
@@ -34,8 +34,7 @@ impl PaperEdge {
                 margin.step as f32 * normal_each(beyond as f32).1
             })
         });
-        let widths = self.margins.iter().map(|margin| margin.width_px);
-        let first_px = widths.fold(f64::INFINITY, f64::min) - REACH * blur_px;
+        let first_px = self.narrowest_px() - REACH * blur_px;
         let semiaxis_px =
             if first_px > 0.0 { self.outer.semi_major_px } else { self.outer.semi_minor_px };
         let size = (1.0 + first_px.max(FIRST_PX) / semiaxis_px).max(0.0);

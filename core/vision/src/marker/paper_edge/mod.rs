@@ -62,19 +62,21 @@ const NARROW: (f64, f64) = (0.06, 2.0);
 const SINGLE: f64 = 0.989_3;
 const DOUBLE: f64 = 0.957_7;
 
-/// White share of the rim of a coded disc.
+/// White share of the rim of a coded disc; the rest is teeth.
 pub(crate) const CODED_SHARE: f64 = 0.5;
+
+/// Error of each harmonic of the outer rim with a washed-out margin, or one whose paper's edge is not found, pixels; from
+/// rendered rings.
+pub(crate) const NO_MARGIN_PX: f64 = 0.15;
 
 /// The outer rim and the edge of the paper around it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PaperEdge {
-    /// The outer rim.
     pub outer: Ellipse,
     /// Error of each harmonic of the outer rim, pixels.
     pub error_px: f64,
     /// Blur, with that of pixels and interpolation, pixels.
     pub blur_px: f64,
-    /// By sector.
     margins: [Margin; SECTORS],
 }
 
@@ -86,17 +88,23 @@ struct Margin {
     step: f64,
 }
 
+impl Margin {
+    /// In a sector that does not count: the paper has no edge there.
+    const NONE: Self = Self { width_px: f64::INFINITY, step: 0.0 };
+}
+
 /// A ring as measured without the paper's edge.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RoughRing {
-    /// The outer rim.
     pub outer: Ellipse,
     /// Levels, inverted if a white ring is measured as a black one.
     pub black: f64,
     pub white: f64,
     pub polarity: Polarity,
-    /// Size of the disc over that of the outer rim, and the white share of its rim: half of it is teeth in a coded one.
-    pub disc: (f64, f64),
+    /// Size of the disc over that of the outer rim.
+    pub disc_ratio: f64,
+    /// White share of the disc's rim: 1, or [`CODED_SHARE`].
+    pub disc_share: f64,
 }
 
 /// Fits both edges; `None` if the levels do not look like them, or the paper ends far from the rim.
@@ -137,9 +145,12 @@ fn fit_with<S: Simd>(_simd: S, frame: &Frame, ring: &RoughRing) -> Option<PaperE
         outer,
         error_px: (ERROR_PX * ERROR_PX + narrow_px * narrow_px + common_px2 + own_px2).sqrt(),
         blur_px,
-        margins: sectors.each_ref().map(|sector| Margin {
-            width_px: f64::from(sector.margin_px()),
-            step: f64::from(sector.step()) * (white - black),
+        margins: sectors.each_ref().map(|sector| {
+            if !counts(sector) {
+                return Margin::NONE;
+            }
+            let step = f64::from(sector.step()) * (white - black);
+            Margin { width_px: f64::from(sector.margin_px()), step }
         }),
     })
 }
@@ -158,7 +169,7 @@ impl Sector {
 }
 
 impl PaperEdge {
-    /// Cost of a fit, in pixels of a linearization of the grey levels.
+    /// Work of a fit: evaluated samples, which cost about as much as pixels of the fit of grey levels.
     pub const WORK: u64 = (TURNS * SECTORS * sector::SAMPLES) as u64;
 
     /// The edge of the paper around a measured ring, with the white share of its disc's rim.
@@ -167,8 +178,9 @@ impl PaperEdge {
         let is_inverted = polarity == Polarity::WhiteRing;
         let (black, white) =
             if is_inverted { (255.0 - white, 255.0 - black) } else { (black, white) };
-        let disc = (inner.mean_radius_px() / outer.mean_radius_px(), disc_share);
-        let mut edge = fit(level, frame, &RoughRing { outer, black, white, polarity, disc })?;
+        let disc_ratio = inner.mean_radius_px() / outer.mean_radius_px();
+        let rough = RoughRing { outer, black, white, polarity, disc_ratio, disc_share };
+        let mut edge = fit(level, frame, &rough)?;
         if is_inverted {
             edge.margins.iter_mut().for_each(|margin| margin.step = -margin.step);
         }
@@ -177,8 +189,11 @@ impl PaperEdge {
 
     /// Distance from the rim up to which the level is known despite the paper's edge, pixels.
     pub fn clear_px(&self) -> f64 {
-        let widths = self.margins.iter().map(|margin| margin.width_px);
-        widths.fold(f64::INFINITY, f64::min) - CLEAR * self.blur_px
+        self.narrowest_px() - CLEAR * self.blur_px
+    }
+
+    fn narrowest_px(&self) -> f64 {
+        self.margins.iter().map(|margin| margin.width_px).fold(f64::INFINITY, f64::min)
     }
 }
 
@@ -257,11 +272,9 @@ mod tests {
     fn fitted(pixels: &[u8], outer: Ellipse) -> Option<PaperEdge> {
         let frame = Frame::new(pixels, SIDE, SIDE, SIDE).unwrap();
         let polarity = Polarity::BlackRing;
-        fit(
-            Level::new(),
-            &frame,
-            &RoughRing { outer, black: 40.0, white: 200.0, polarity, disc: (0.4, 1.0) },
-        )
+        let (black, white) = (40.0, 200.0);
+        let rough = RoughRing { outer, black, white, polarity, disc_ratio: 0.4, disc_share: 1.0 };
+        fit(Level::new(), &frame, &rough)
     }
 
     #[test]

@@ -60,8 +60,9 @@ pub(super) struct Sector {
     unknowns: [f32; UNKNOWNS],
     /// Where the prior holds them.
     expected: [f32; UNKNOWNS],
-    /// Distance of the disc's rim, pixels, and its white share.
-    disc: (f32, f32),
+    /// Distance of the disc's rim inwards, pixels, and its white share.
+    disc_px: f32,
+    disc_share: f32,
     /// Half the rim's curvature.
     pub bend_per_px: f64,
     /// Component of the vector from the centre along the normal, pixels.
@@ -73,27 +74,20 @@ pub(super) struct Sector {
 impl Sector {
     /// Samples the `index`-th sector, with the margin that leaves the least residual.
     pub fn new(frame: &Frame, ring: &RoughRing, index: usize) -> Self {
-        let RoughRing { outer, black, white, polarity, disc } = ring;
+        let RoughRing { outer, black, white, polarity, disc_ratio, disc_share } = ring;
         let is_inverted = *polarity == Polarity::WhiteRing;
-        let (sin, cos) = outer.angle_rad.sin_cos();
-        let (a, b) = (outer.semi_major_px, outer.semi_minor_px);
+        let product_px2 = outer.semi_major_px * outer.semi_minor_px;
         let mut sums = [0.0; SAMPLES];
         let (mut bend_per_px, mut height_px) = (0.0, 0.0);
         for ray in 0..RAYS {
             let part = (ray as f64 + 0.5) / RAYS as f64;
             let t = std::f64::consts::TAU * (index as f64 + part) / SECTORS as f64;
-            let (y, x) = t.sin_cos();
-            let height = 1.0 / (x / a).hypot(y / b);
-            let (n_along, n_across) = (x / a * height, y / b * height);
+            let point = outer.rim_point(t);
             for (sample, sum) in sums.iter_mut().enumerate() {
-                let out_px = f64::from(out_px(sample));
-                let (along, across) = (a * x + out_px * n_along, b * y + out_px * n_across);
-                let u = outer.center.u + along * cos - across * sin;
-                let v = outer.center.v + along * sin + across * cos;
-                *sum += frame.level_at(u, v);
+                *sum += frame.level_at(point.outwards(f64::from(out_px(sample))));
             }
-            bend_per_px += 0.5 * height.powi(3) / (a * b).powi(2) / RAYS as f64;
-            height_px += height / RAYS as f64;
+            bend_per_px += 0.5 * point.height_px.powi(3) / product_px2.powi(2) / RAYS as f64;
+            height_px += point.height_px / RAYS as f64;
         }
         let share = |sum: f64| {
             let level = sum / RAYS as f64;
@@ -104,7 +98,8 @@ impl Sector {
             profile: sums.map(share),
             unknowns: [0.0; UNKNOWNS],
             expected: [0.0; UNKNOWNS],
-            disc: ((height_px * (1.0 - disc.0)) as f32, disc.1 as f32),
+            disc_px: (height_px * (1.0 - disc_ratio)) as f32,
+            disc_share: *disc_share as f32,
             bend_per_px,
             height_px,
             residual: f32::INFINITY,
@@ -139,8 +134,8 @@ impl Sector {
         let table = &*FIRST_EDGE;
         let mut rest = self.profile;
         for (sample, rest) in rest.iter_mut().enumerate() {
-            let to_disc = (-out_px(sample) - self.disc.0) / FIRST_BLUR_PX;
-            *rest -= table[SAMPLES + sample] + self.disc.1 * normal_each(to_disc).1;
+            let to_disc = (-out_px(sample) - self.disc_px) / FIRST_BLUR_PX;
+            *rest -= table[SAMPLES + sample] + self.disc_share * normal_each(to_disc).1;
         }
         let (mut best_gain, mut best) = (0.0, (STEP_PX * 2.0, 0.0));
         for width in 2..2 + WIDTHS {
@@ -163,7 +158,7 @@ impl Sector {
     #[inline(always)]
     fn linearized(&self, blur_px: f32) -> (Profile, [Profile; UNKNOWNS], Profile) {
         let [rim_px, margin_px, step, black, white] = self.unknowns;
-        let (disc_px, disc_share) = self.disc;
+        let Self { disc_px, disc_share, .. } = *self;
         let per_blur = 1.0 / blur_px;
         let contrast = 1.0 + white - black;
         let (mut rest, mut by_blur) = (self.profile, [0.0; SAMPLES]);
@@ -211,6 +206,7 @@ pub(super) struct Step {
     pub common_px2: f32,
 }
 
+/// One Gauss-Newton step; `None` if the normal equations have no solution.
 #[inline(always)]
 pub(super) fn descend(sectors: &mut [Sector; SECTORS], blur_px: f32) -> Option<Step> {
     type Square = SMatrix<f32, UNKNOWNS, UNKNOWNS>;

@@ -153,8 +153,9 @@ fn measure_with<S: Simd>(
     };
     let RefinedRims { outer, inner, black, white, unevenness, is_similar, margin_px, .. } = found;
     let classify = |outer: &Ellipse| classified(kinds, probe, rules, is_similar, [outer, &inner]);
-    let disc = (inner.mean_radius_px() / outer.mean_radius_px(), 1.0);
-    let rough = RoughRing { outer, black, white, polarity: probe.polarity, disc };
+    let disc_ratio = inner.mean_radius_px() / outer.mean_radius_px();
+    let rough =
+        RoughRing { outer, black, white, polarity: probe.polarity, disc_ratio, disc_share: 1.0 };
     // In uneven light the levels are those of no single edge.
     let is_even = probe.predicted.is_some() || unevenness <= UNEVEN;
     let is_narrow = rules.fits_paper_edge && is_even && margin_px > NARROW_MARGIN_PX;

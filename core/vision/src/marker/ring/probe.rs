@@ -26,7 +26,7 @@ pub(crate) struct Rules {
     pub max_spread_px2: f64,
     /// Tolerance of steps of pixels along a rim, as a share of the contrast.
     pub steps_share: f64,
-    /// Narrow margins are measured with the paper's edge, whose level must be that of the picture.
+    /// Whether the paper's edge is fitted where margins are narrow; not in a picture whose light was evened out.
     pub fits_paper_edge: bool,
 }
 

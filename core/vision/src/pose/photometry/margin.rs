@@ -31,9 +31,6 @@ const MIN_PX: f64 = -0.3;
 /// Distance from the outer rim up to which there is margin alone, at most `reach_px`.
 pub fn clear_px(frame: &Frame, ring: &Ring, reach_px: f64, blur_px: f64) -> f64 {
     let edge_px = (blur_px * blur_px + PIXEL_PX2).sqrt();
-    let rim = &ring.outer;
-    let (sin, cos) = rim.angle_rad.sin_cos();
-    let (major, minor) = (rim.semi_major_px, rim.semi_minor_px);
     // Bright is up, also around a white ring.
     let sign = if ring.polarity == Polarity::WhiteRing { -1.0 } else { 1.0 };
     let contrast = (ring.white - ring.black).abs();
@@ -42,18 +39,11 @@ pub fn clear_px(frame: &Frame, ring: &Ring, reach_px: f64, blur_px: f64) -> f64 
     let steps = ((reach_px + 2.0 * edge_px) / STEP_PX).ceil() as usize;
     let mut clear = [reach_px; RAYS];
     for (ray, clear_px) in clear.iter_mut().enumerate() {
-        let (y, x) = (std::f64::consts::TAU * ray as f64 / RAYS as f64).sin_cos();
-        let (along, across) = (major * x, minor * y);
-        // The normal of the ellipse.
-        let (n_along, n_across) = (minor * x, major * y);
-        let per_length = 1.0 / n_along.hypot(n_across);
-        let (n_along, n_across) = (n_along * per_length, n_across * per_length);
+        let point = ring.outer.rim_point(std::f64::consts::TAU * ray as f64 / RAYS as f64);
         let (mut brightest, mut before) = (f64::NEG_INFINITY, 0.0);
         for step in 0..=steps {
             let away_px = STEP_PX * step as f64;
-            let (a, b) = (along + away_px * n_along, across + away_px * n_across);
-            let (u, v) = (rim.center.u + a * cos - b * sin, rim.center.v + a * sin + b * cos);
-            let level = sign * frame.level_at(u, v);
+            let level = sign * frame.level_at(point.outwards(away_px));
             let limit = brightest - fall;
             if level < limit {
                 let fallen_px = away_px - STEP_PX * (limit - level) / (before - level);

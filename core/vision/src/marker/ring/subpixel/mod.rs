@@ -24,6 +24,7 @@ use crate::{
     ellipse::{Ellipse, Moments},
     frame::Frame,
     marker::{
+        paper_edge::NO_MARGIN_PX,
         reject::Reject,
         ring::{
             checks::{are_levels, check_disc_box, check_ring_box, check_shapes, is_inside},
@@ -69,10 +70,9 @@ pub(crate) struct RefinedRims {
 }
 
 /// Error of each harmonic of the outer rim with a margin that is narrow, pixels, its increase by what is missing of white
-/// two or three pixels beyond the rim, and that with a washed-out margin; from rendered rings.
+/// two or three pixels beyond the rim; from rendered rings.
 const MARGIN_PX: f64 = 0.01;
 const DIM_MARGIN_PX: f64 = 0.07;
-const NO_MARGIN_PX: f64 = 0.15;
 
 /// Bands, and their position in a patch.
 pub(crate) struct BandLayout<'a> {
